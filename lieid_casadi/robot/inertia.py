@@ -1,0 +1,70 @@
+"""Inertia of one rigid body in its different parametrizations.
+
+Link parameters are ordered as in Pinocchio and refer to the link frame's origin:
+``m, m·cx, m·cy, m·cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+LINK_PARAMETER_NAMES = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+LINK_PARAMETER_UNITS = ("kg",) + ("kg·m",) * 3 + ("kg·m²",) * 6
+
+
+@dataclass(frozen=True, eq=False)
+class BodyInertia:
+    """Mass (kg), centre of mass (3,) (m) and inertia (3, 3) about it (kg·m²), link axes."""
+
+    mass: float
+    com: NDArray[np.float64]
+    inertia: NDArray[np.float64]
+
+
+def symmetric(six: ArrayLike) -> NDArray[np.float64]:
+    """Return the symmetric (3, 3) matrix of ``Ixx, Ixy, Iyy, Ixz, Iyz, Izz``."""
+    xx, xy, yy, xz, yz, zz = np.asarray(six, dtype=float)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def link_parameters(
+    mass: float, com: ArrayLike, inertia_about_com: ArrayLike
+) -> NDArray[np.float64]:
+    """Return the ten link parameters (10,) of a body.
+
+    Parameters
+    ----------
+    mass : float
+        kg.
+    com : (3,)
+        Centre of mass in the link frame, m.
+    inertia_about_com : (3, 3)
+        About the centre of mass, in the axes of the link frame, kg·m².
+    """
+    c = np.asarray(com, dtype=float)
+    about_origin = np.asarray(inertia_about_com, dtype=float) + mass * (c @ c * np.eye(3) - np.outer(c, c))
+    i = about_origin
+    return np.array([mass, *(mass * c), i[0, 0], i[0, 1], i[1, 1], i[0, 2], i[1, 2], i[2, 2]])
+
+
+def body_inertia(parameters: ArrayLike) -> BodyInertia:
+    """Return mass, centre of mass and central inertia of ten link parameters (10,)."""
+    p = np.asarray(parameters, dtype=float)
+    mass = float(p[0])
+    com = p[1:4] / mass if mass != 0.0 else np.zeros(3)
+    return BodyInertia(mass, com, symmetric(p[4:]) - mass * (com @ com * np.eye(3) - np.outer(com, com)))
+
+
+def pseudo_inertia(parameters: ArrayLike) -> NDArray[np.float64]:
+    """Return the pseudo-inertia (4, 4): positive definite iff the body is physically possible.
+
+    Wensing, Kim, Slotine, "Linear matrix inequalities for physically consistent inertial
+    parameter identification", IEEE RA-L 2018.
+    """
+    p = np.asarray(parameters, dtype=float)
+    inertia = symmetric(p[4:])
+    sigma = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    return np.block([[sigma, p[1:4, None]], [p[None, 1:4], p[:1, None]]])
