@@ -1,0 +1,47 @@
+"""What a user finds around the code: version, C side, README's commands."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import lieid_casadi
+from lieid_casadi.codegen_files import codegen_folder
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_version_stands_in_one_place_and_is_semantic():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert "version" in project["dynamic"]
+    assert re.fullmatch(r"\d+\.\d+\.\d+", lieid_casadi.__version__)
+
+
+def test_citation_names_this_version():
+    assert f"\nversion: {lieid_casadi.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_codegen_folder_of_a_checkout_is_found():
+    assert (codegen_folder() / "README.md").is_file()
+
+
+def test_codegen_folder_says_what_is_missing(monkeypatch, tmp_path):
+    monkeypatch.setattr("lieid_casadi.codegen_files._PACKAGE", tmp_path / "lieid_casadi")
+    with pytest.raises(FileNotFoundError, match="install the package again"):
+        codegen_folder()
+
+
+def test_installed_codegen_folder_goes_first(monkeypatch, tmp_path):
+    for folder in (tmp_path / "codegen", tmp_path / "lieid_casadi" / "codegen"):
+        folder.mkdir(parents=True)
+        (folder / "README.md").touch()
+    monkeypatch.setattr("lieid_casadi.codegen_files._PACKAGE", tmp_path / "lieid_casadi")
+    assert codegen_folder() == tmp_path / "lieid_casadi" / "codegen"
+
+
+def test_readme_has_the_two_commands_that_ci_runs():
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    commands = [line for line in lines if line.startswith("python3 -m venv .venv && ")]
+    assert sum(line.endswith("lieid demo") for line in commands) == 1
+    assert sum(line.endswith("pytest") for line in commands) == 1

@@ -1,0 +1,26 @@
+"""Where recordings of real arms lie; tests that need them are skipped where they are not."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+_STATED = os.environ.get("LIEID_RECORDINGS")
+FOLDER = Path(_STATED) if _STATED else Path(__file__).parents[2] / "shared" / "recordings"
+
+UR10E = FOLDER / "ur10e"
+TX40 = FOLDER / "staubli_tx40"
+PANDA = FOLDER / "franka_panda"
+
+
+def needs(path: Path) -> pytest.MarkDecorator:
+    """Skip where this file of a recording is not there."""
+    return pytest.mark.skipif(
+        not path.exists(),
+        reason=f"no {path.relative_to(FOLDER)} in {FOLDER.name}/ (set LIEID_RECORDINGS)",
+    )
+
+
+def param(path: Path, *values: object, id: str) -> object:
+    """A case of pytest.mark.parametrize on a real arm."""
+    return pytest.param(path, *values, id=id, marks=[pytest.mark.real, needs(path)])
