@@ -1,0 +1,112 @@
+"""Lie operators of SE(3) as sparse CasADi expressions.
+
+Twists are [ω; v], wrenches [m; f]. Constants that are zero up to rounding become structural
+zeros, so that products of mostly zeros cost nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+ROUNDING = 1e-14  # below it a geometric constant is exactly 0 (or ±1)
+
+
+def constant(values: ArrayLike) -> ca.SX:
+    """Return constants as SX, with rounding errors around 0 and ±1 removed."""
+    array = np.asarray(values, dtype=float).copy()
+    for exact in (-1.0, 0.0, 1.0):
+        array[np.abs(array - exact) < ROUNDING] = exact
+    return ca.SX(ca.sparsify(ca.DM(array)))
+
+
+def hat(w: ca.SX) -> ca.SX:
+    """Return the skew matrix (3, 3) of a vector (3,): hat(w)·x = w × x."""
+    skew = ca.SX(3, 3)
+    for row, column, index, sign in (
+        (0, 1, 2, -1), (0, 2, 1, 1), (1, 0, 2, 1), (1, 2, 0, -1), (2, 0, 1, -1), (2, 1, 0, 1),
+    ):  # fmt: skip
+        if w[index].nnz():
+            skew[row, column] = sign * w[index]
+    return skew
+
+
+def cross(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Return a × b for vectors (3,)."""
+    return ca.mtimes(hat(a), b)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """An element of SE(3): rotation (3, 3) and translation (3,)."""
+
+    rotation: ca.SX
+    translation: ca.SX
+
+    def __matmul__(self, other: Pose) -> Pose:
+        return Pose(
+            ca.mtimes(self.rotation, other.rotation),
+            ca.mtimes(self.rotation, other.translation) + self.translation,
+        )
+
+    def inverse(self) -> Pose:
+        """Return the inverse pose."""
+        rotation = self.rotation.T
+        return Pose(rotation, -ca.mtimes(rotation, self.translation))
+
+
+def pose(matrix: ArrayLike) -> Pose:
+    """Return a constant pose from its homogeneous matrix (4, 4)."""
+    m = np.asarray(matrix, dtype=float)
+    return Pose(constant(m[:3, :3]), constant(m[:3, 3]))
+
+
+def exp(screw: ArrayLike, q: ca.SX, sin: ca.SX, cos: ca.SX) -> Pose:
+    """Return exp(ξ̂·q) for a unit screw (6,) of zero pitch.
+
+    ``sin`` and ``cos`` are those of q, passed in so that generated code can take them as
+    inputs. A prismatic screw (ω = 0) uses q alone.
+    """
+    xi = np.asarray(screw, dtype=float)
+    omega, v = xi[:3], xi[3:]
+    if np.linalg.norm(omega) < 0.5:
+        return Pose(ca.SX(ca.DM.eye(3)), constant(v) * q)
+    along = np.outer(omega, omega)
+    rotation = constant(along) + cos * constant(np.eye(3) - along) + sin * hat(constant(omega))
+    # (I − R)(ω × v); the pitch term ωωᵀv·q vanishes
+    moment = np.cross(omega, v)
+    across, turned = constant(moment), constant(np.cross(omega, moment))
+    return Pose(rotation, across * (1 - cos) - turned * sin)
+
+
+def adjoint(g: Pose) -> ca.SX:
+    """Return Ad_g (6, 6) = [[R, 0], [p̂R, R]]."""
+    return ca.vertcat(
+        ca.horzcat(g.rotation, ca.SX(3, 3)),
+        ca.horzcat(ca.mtimes(hat(g.translation), g.rotation), g.rotation),
+    )
+
+
+def small_adjoint(twist: ca.SX) -> ca.SX:
+    """Return ad_V (6, 6) = [[ω̂, 0], [v̂, ω̂]]."""
+    omega, v = hat(twist[:3]), hat(twist[3:])
+    return ca.vertcat(ca.horzcat(omega, ca.SX(3, 3)), ca.horzcat(v, omega))
+
+
+def inverse_adjoint_times(g: Pose, twist: ca.SX) -> ca.SX:
+    """Return Ad_g⁻¹·V for a twist (6,) or several as columns (6, k)."""
+    omega, v = twist[:3, :], twist[3:, :]
+    back = g.rotation.T
+    return ca.vertcat(
+        ca.mtimes(back, omega), ca.mtimes(back, v - ca.mtimes(hat(g.translation), omega))
+    )
+
+
+def inverse_adjoint_transpose_times(g: Pose, wrench: ca.SX) -> ca.SX:
+    """Return (Ad_g⁻¹)ᵀ·F: a wrench (6,) of the child frame seen in the parent frame."""
+    moment = ca.mtimes(g.rotation, wrench[:3])
+    force = ca.mtimes(g.rotation, wrench[3:])
+    return ca.vertcat(moment + cross(g.translation, force), force)
