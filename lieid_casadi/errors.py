@@ -66,3 +66,47 @@ class FrictionAtRestWarning(LieidWarning):
 
 class ConvergenceWarning(LieidWarning):
     """An iteration stopped before it had converged."""
+
+
+class UnknownColumnWarning(LieidWarning):
+    """Columns of a recording that were left aside because their names say nothing."""
+
+
+class DropoutWarning(LieidWarning):
+    """Samples are missing; segments are not joined across gaps."""
+
+
+class VelocityMismatchWarning(LieidWarning):
+    """dq is not the derivative of q."""
+
+
+class TorqueSignWarning(LieidWarning):
+    """A joint's torque runs against what the model or the velocity asks for."""
+
+
+class TorqueOrderWarning(LieidWarning):
+    """Torques of different joints look exchanged."""
+
+
+class JointStillWarning(LieidWarning):
+    """A joint that never moves: its friction and most of its inertia stay unseen."""
+
+
+class TorqueClippedWarning(LieidWarning):
+    """Torque stuck at a limit."""
+
+
+class LowRateWarning(LieidWarning):
+    """The rate is too low for the motion."""
+
+
+class UnitsWarning(LieidWarning):
+    """Values that look like degrees, without proof."""
+
+
+class JointLimitWarning(LieidWarning):
+    """Positions or velocities beyond the robot's own limits."""
+
+
+class ShortSegmentWarning(LieidWarning):
+    """A segment that is too short to be filtered was left out."""
