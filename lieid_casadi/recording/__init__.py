@@ -1,0 +1,15 @@
+"""Recordings of arms: load, check, process."""
+
+from lieid_casadi.recording.processing import Processed, Processing, process
+from lieid_casadi.recording.recording import Recording, join
+from lieid_casadi.recording.spectrum import choose_cutoff, noise_dead_zone
+
+__all__ = [
+    "Processed",
+    "Processing",
+    "Recording",
+    "choose_cutoff",
+    "join",
+    "noise_dead_zone",
+    "process",
+]

@@ -1,0 +1,34 @@
+"""The array type of recordings, and hashes of arrays."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def read_only(values: ArrayLike) -> Array:
+    """Float64 copy that nobody can write to: recordings are shared, never changed."""
+    array = np.array(values, dtype=np.float64, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def hash_of_arrays(arrays: Iterable[Any]) -> str:
+    """sha256 over shapes and bytes of the arrays, in order; None counts too."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        if array is None:
+            digest.update(b"none;")
+        elif isinstance(array, tuple):
+            digest.update(repr(array).encode())
+        else:
+            digest.update(repr(array.shape).encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,60 @@
+"""Zero-phase low-pass, differences and resampling: the linear tools of processing."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.signal import butter, sosfiltfilt
+
+from lieid_casadi.recording.arrays import Array
+
+#: A cut-off above this part of the rate leaves too little below Nyquist to filter.
+HIGHEST_CUTOFF = 0.45
+
+
+def lowpass(x: Array, rate: float, cutoff: float, order: int = 4) -> Array:
+    """Zero-phase Butterworth low-pass along axis 0 (forward and backward).
+
+    Parameters
+    ----------
+    x
+        (K, ...) uniform samples.
+    rate, cutoff
+        Hz; a cut-off at or above 0.45 · rate passes x unchanged.
+    order
+        Of the one-way filter; both ways together have twice the slope.
+    """
+    if cutoff >= HIGHEST_CUTOFF * rate:
+        return np.array(x, dtype=np.float64)
+    sections = butter(order, cutoff, fs=rate, output="sos")
+    # the padding of scipy's default is far shorter than the filter's memory at low cut-offs
+    padding = min(x.shape[0] - 1, max(27, round(1.5 * rate / cutoff)))
+    return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=padding), dtype=np.float64)
+
+
+def central_difference(x: Array, rate: float) -> Array:
+    """Derivative along axis 0 of uniform samples; one-sided of second order at the ends."""
+    return np.asarray(np.gradient(x, 1.0 / rate, axis=0, edge_order=2), dtype=np.float64)
+
+
+def uniform_time(t: Array, rate: float) -> Array:
+    """Uniform instants from the first stamp to the last, nearest to the rate."""
+    count = max(2, round((t[-1] - t[0]) * rate) + 1)
+    return np.linspace(t[0], t[-1], count)
+
+
+def smooth_at(t: Array, x: Array, instants: Array) -> Array:
+    """Values between the stamps by monotone cubics: no overshoot, no kinks."""
+    return np.asarray(PchipInterpolator(t, x, axis=0)(instants), dtype=np.float64)
+
+
+def straight_at(t: Array, x: Array, instants: Array) -> Array:
+    """Values between the stamps by straight lines, for noisy signals."""
+    return np.column_stack([np.interp(instants, t, column) for column in x.T])
+
+
+def decimate(x: Array, rate: float, step: int) -> Array:
+    """Every step-th sample of x (K, ...) behind an anti-aliasing zero-phase low-pass."""
+    if step == 1:
+        return x
+    return lowpass(x, rate, 0.4 * rate / step, order=8)[::step]

@@ -1,0 +1,68 @@
+"""Recordings as Parquet (extra ``[parquet]``), columns as in a CSV."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lieid_casadi.errors import MissingDependency, RecordingError
+from lieid_casadi.recording.atomic_file import atomic_binary
+from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.tables import columns_of, recording_from_columns
+
+
+def load_parquet(
+    file: Path,
+    *,
+    n: int | None = None,
+    joint_names: Sequence[str] | None = None,
+    topic: str | None = None,
+) -> Recording:
+    """Read a Parquet file; nulls are refused as NaN.
+
+    Raises
+    ------
+    RecordingError
+        Not Parquet, a missing column, or one that does not hold numbers.
+    MissingDependency
+        pyarrow is not installed.
+    """
+    pyarrow, parquet = _import(file)
+    content = file.read_bytes()
+    try:
+        table = parquet.read_table(io.BytesIO(content))
+    except (pyarrow.ArrowInvalid, OSError) as error:
+        reason = str(error).splitlines()[0]
+        raise RecordingError(f"{file}: not a Parquet file ({reason})") from error
+    columns = {
+        name: np.asarray(table.column(name).to_numpy(zero_copy_only=False))
+        for name in table.column_names
+    }
+    recording = recording_from_columns(columns, str(file), n)
+    digest = hashlib.sha256(content).hexdigest()
+    return replace(recording, name=file.name, source_hash=digest)
+
+
+def save_parquet(recording: Recording, file: Path) -> None:
+    """Write a Parquet file."""
+    pyarrow, parquet = _import(file)
+    table = pyarrow.table({name: np.asarray(x) for name, x in columns_of(recording).items()})
+    with atomic_binary(file) as out:
+        parquet.write_table(table, out)
+
+
+def _import(file: Path) -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet as parquet
+    except ImportError as error:
+        raise MissingDependency(
+            f"{file}: Parquet needs pyarrow: pip install 'lieid-casadi[parquet]'"
+        ) from error
+    return pyarrow, parquet

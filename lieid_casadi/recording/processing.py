@@ -1,0 +1,261 @@
+"""From recordings to uniform signals, and the one filter for torque and regressor columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from lieid_casadi.errors import LieidWarning, RecordingError, ShortSegmentWarning
+from lieid_casadi.recording.arrays import Array, Mask, read_only
+from lieid_casadi.recording.filtering import (
+    HIGHEST_CUTOFF,
+    central_difference,
+    decimate,
+    lowpass,
+    smooth_at,
+    straight_at,
+    uniform_time,
+)
+from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.spectrum import choose_cutoff, noise_dead_zone
+
+#: q, dq, ddq keep this many cut-offs: the columns' filter does the rest, and does it alone.
+MOTION_BAND = 3.0
+#: Rate over cut-off that the grid keeps at least, so that the steps of sgn(dq) stay sharp.
+GRID_OVER_CUTOFF = 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Processing:
+    """Options of :func:`process`.
+
+    Attributes
+    ----------
+    cutoff
+        Of the low-pass on torque and columns, Hz; None chooses it from the spectrum.
+    trim
+        Left out at both ends of every segment, s: the filter's edges.
+    order
+        Of the Butterworth filter (one way).
+    average_periods
+        Replace periodic motion by its mean period. Erases drift and warm-up.
+    smoother
+        ``rloess`` smooths ddq and tau by robust local regression first (paper, 6.2).
+    """
+
+    cutoff: float | None = None
+    trim: float = 0.5
+    order: int = 4
+    average_periods: bool = False
+    smoother: Literal["butterworth", "rloess"] = "butterworth"
+
+    def __post_init__(self) -> None:
+        if self.cutoff is not None and not (np.isfinite(self.cutoff) and self.cutoff > 0.0):
+            raise RecordingError(f"cutoff is {self.cutoff}, expected Hz above 0")
+        if not (np.isfinite(self.trim) and self.trim >= 0.0):
+            raise RecordingError(f"trim is {self.trim}, expected seconds from 0")
+        if self.order < 1:
+            raise RecordingError(f"order is {self.order}, expected 1 or more")
+        if self.smoother not in ("butterworth", "rloess"):
+            raise RecordingError(
+                f"smoother is {self.smoother!r}, expected 'butterworth' or 'rloess'"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Processed:
+    """One segment on a uniform grid of K instants.
+
+    Attributes
+    ----------
+    t
+        (K,) s, on the recording's own clock.
+    q, dq, ddq
+        (K, n), low-passed at three times the cut-off, zero-phase.
+    tau
+        (K, n) or None; resampled, not low-passed: :meth:`filter` does that, as it does on
+        every regressor column.
+    temperature
+        (K, n) °C or None.
+    payload_label
+        Of the whole segment, or None.
+    recording
+        The rows that this segment comes from.
+    rate, cutoff
+        Hz.
+    dead_zone
+        (n,) speed below which a joint counts as at rest, rad/s.
+    moving
+        (K, n) True where a joint is faster than its dead zone.
+    options
+        With the cut-off filled in.
+    warnings
+        What was left out.
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array | None
+    temperature: Array | None
+    payload_label: str | None
+    recording: Recording
+    rate: float
+    cutoff: float
+    dead_zone: Array
+    moving: Mask
+    options: Processing
+    warnings: tuple[LieidWarning, ...] = ()
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.q.shape[1])
+
+    def __len__(self) -> int:
+        return int(self.t.size)
+
+    @cached_property
+    def kept(self) -> slice:
+        """Instants of the grid that remain after filtering: trimmed, then every step-th."""
+        edge = round(self.options.trim * self.rate)
+        step = max(1, int(self.rate / (4.0 * self.cutoff)))
+        return slice(edge, self.t.size - edge, step)
+
+    def filter(self, x: Array) -> Array:
+        """Low-pass along axis 0, trim and decimate: (K, ...) -> (M, ...).
+
+        Linear and zero-phase; the same for torque and for every regressor column, so that
+        tau = Y β keeps holding. M samples at no less than four times the cut-off.
+        """
+        values = np.asarray(x, dtype=np.float64)
+        if values.shape[:1] != self.t.shape:
+            raise RecordingError(f"filter: found shape {values.shape}, expected ({self.t.size}, …)")
+        return lowpass(values, self.rate, self.cutoff, self.options.order)[self.kept]
+
+    @cached_property
+    def filtered_time(self) -> Array:
+        """(M,) s, instants of what :meth:`filter` returns."""
+        return self.t[self.kept]
+
+    @cached_property
+    def filtered_moving(self) -> Mask:
+        """(M, n) True where a joint moves for most of the filter's neighbourhood.
+
+        A reversal passes through the dead zone too quickly to count as rest.
+        """
+        return np.asarray(self.filter(self.moving) > 0.5)
+
+
+def process(
+    recordings: Recording | Sequence[Recording], options: Processing | None = None
+) -> tuple[Processed, ...]:
+    """Uniform, differentiated signals of every segment of the recordings.
+
+    Without a cut-off in the options one is chosen for all recordings together (the highest
+    that one of them asks for). Pass ``Processing(cutoff=...)`` with the cut-off of the
+    training data when processing a test.
+
+    Raises
+    ------
+    RecordingError
+        Nothing long enough is left after trimming, or a cut-off that the rate cannot show.
+    MissingDependency
+        RLOESS without the extra ``[loess]``.
+    """
+    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if not given:
+        raise RecordingError("no recordings, expected at least one")
+    options = options or Processing()
+    cutoff = options.cutoff or max(choose_cutoff(recording) for recording in given)
+    options = replace(options, cutoff=cutoff)
+    done: list[Processed] = []
+    short: list[LieidWarning] = []
+    for recording in given:
+        for segment in recording.segments():
+            reason = _too_short(segment, cutoff, options.trim)
+            if reason:
+                short.append(ShortSegmentWarning(reason))
+            else:
+                done.append(_process_segment(segment, options, cutoff))
+    if not done:
+        raise RecordingError(str(short[0]))
+    if short:
+        done[0] = replace(done[0], warnings=(*done[0].warnings, *short))
+    return tuple(done)
+
+
+def _too_short(segment: Recording, cutoff: float, trim: float) -> str | None:
+    left = segment.duration - 2.0 * trim
+    if len(segment) >= 5 and left >= 1.0 / cutoff:
+        return None
+    where = f"{segment.name or 'recording'}: {segment.t[0]:g} to {segment.t[-1]:g} s"
+    return (
+        f"{where} is too short: {max(left, 0.0):.3g} s are left after trimming {trim:g} s at "
+        f"both ends, expected {1.0 / cutoff:.3g} s or more (one period of the cut-off)"
+    )
+
+
+def _process_segment(segment: Recording, options: Processing, cutoff: float) -> Processed:
+    rate = segment.rate
+    if cutoff >= HIGHEST_CUTOFF * rate:
+        raise RecordingError(
+            f"{segment.name or 'recording'}: cutoff {cutoff:g} Hz, expected less than "
+            f"{HIGHEST_CUTOFF * rate:.3g} Hz at a rate of {rate:.4g} Hz"
+        )
+    grid = uniform_time(segment.t, rate)
+    rate = (grid.size - 1) / (grid[-1] - grid[0])
+    q, dq, ddq, dead_zone = _motion(segment, grid, rate, cutoff)
+    tau = None if segment.tau is None else straight_at(segment.t, segment.tau, grid)
+    temperature = segment.temperature
+    if temperature is not None:
+        temperature = straight_at(segment.t, temperature, grid)
+    step = max(1, int(rate / (GRID_OVER_CUTOFF * cutoff)))
+    done = Processed(
+        t=read_only(grid[::step]),
+        q=read_only(q[::step]),
+        dq=read_only(dq[::step]),
+        ddq=read_only(ddq[::step]),
+        tau=None if tau is None else read_only(decimate(tau, rate, step)),
+        temperature=None if temperature is None else read_only(temperature[::step]),
+        payload_label=None if segment.payload_label is None else segment.payload_label[0],
+        recording=segment,
+        rate=rate / step,
+        cutoff=cutoff,
+        dead_zone=read_only(dead_zone),
+        moving=np.abs(dq[::step]) > dead_zone,
+        options=options,
+    )
+    if options.smoother == "rloess":
+        from lieid_casadi.recording.robust_loess import smooth
+
+        done = smooth(done)
+    return done
+
+
+def _motion(
+    segment: Recording, grid: Array, rate: float, cutoff: float
+) -> tuple[Array, Array, Array, Array]:
+    """q, dq, ddq on the grid, low-passed at MOTION_BAND cut-offs, and the dead zone.
+
+    The band lies above the cut-off of the columns: were it the same, ddq would pass the
+    filter twice and the torque once.
+    """
+    band = MOTION_BAND * cutoff
+    q = lowpass(smooth_at(segment.t, segment.q, grid), rate, band)
+    if segment.dq is None:
+        raw = central_difference(smooth_at(segment.t, segment.q, grid), rate)
+    else:
+        raw = smooth_at(segment.t, segment.dq, grid)
+    dq = lowpass(raw, rate, band)
+    dead_zone = noise_dead_zone(raw, kept=band / (0.5 * rate))
+    if segment.ddq is None:
+        ddq = central_difference(dq, rate)
+    else:
+        ddq = lowpass(smooth_at(segment.t, segment.ddq, grid), rate, band)
+    return q, dq, ddq, dead_zone
