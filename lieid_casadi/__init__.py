@@ -1,0 +1,1 @@
+"""Dynamic models of serial robot arms: identify them, see where they fail, learn what is missing."""

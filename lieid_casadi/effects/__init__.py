@@ -1,0 +1,39 @@
+"""Physical effects beside the rigid body: one file each, one definition for every use."""
+
+from lieid_casadi.effects import (
+    armature,
+    coulomb,
+    load_friction,
+    offset,
+    stribeck,
+    viscous,
+    viscous_asymmetric,
+    viscous_polynomial,
+)
+from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals, effect, make, register
+from lieid_casadi.effects.placement import Placement, parse_effects, place
+
+LIBRARY = (
+    coulomb.Coulomb,
+    viscous.Viscous,
+    offset.Offset,
+    viscous_polynomial.ViscousPolynomial,
+    viscous_asymmetric.ViscousAsymmetric,
+    stribeck.Stribeck,
+    load_friction.LoadFriction,
+    armature.Armature,
+)
+
+__all__ = [
+    "LIBRARY",
+    "Coefficient",
+    "Effect",
+    "Placement",
+    "Shape",
+    "Signals",
+    "effect",
+    "make",
+    "parse_effects",
+    "place",
+    "register",
+]

@@ -1,0 +1,100 @@
+"""Which effect acts on which joints: ``coulomb,load_friction:2+3,transmission_coupling:5<6``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from lieid_casadi.effects.effect import Effect, make
+from lieid_casadi.errors import EffectError
+
+
+@dataclass(frozen=True)
+class Placement:
+    """An effect on one joint (from 0); ``source`` is the joint that acts, for couplings."""
+
+    effect: Effect
+    joint: int
+    source: int | None = None
+
+    @property
+    def label(self) -> str:
+        """As written in files: ``stribeck:4`` (joints from 1)."""
+        acting = "" if self.source is None else f"<{self.source + 1}"
+        return f"{self.effect.label}:{self.joint + 1}{acting}"
+
+
+def place(spec: str | Effect, n: int, joints: Sequence[int] | None = None) -> list[Placement]:
+    """Return the placements of one effect on an arm of n joints.
+
+    Parameters
+    ----------
+    spec : str or Effect
+        ``name[:J[+J…]]`` with joints from 1, or an effect.
+    joints : sequence of int, optional
+        Joints from 0; for a spec without joints. None means every joint.
+
+    Raises
+    ------
+    EffectError
+        Unknown effect, a joint that the arm does not have, a coupling without its source.
+    """
+    if isinstance(spec, Effect):
+        return [_placement(spec, j, None, n, spec.label) for j in _every(joints, n)]
+    label, _, where = spec.strip().partition(":")
+    effect = make(label)
+    if not where:
+        return [_placement(effect, j, None, n, spec) for j in _every(joints, n)]
+    if joints is not None:
+        raise EffectError(f"{spec!r} names joints already; leave out joints=")
+    return [_placement(effect, *_joints(part, spec), n, spec) for part in where.split("+")]
+
+
+def parse_effects(text: str | Iterable[str | Effect], n: int) -> tuple[Placement, ...]:
+    """Return the placements of a comma-separated list, or of a sequence of specs."""
+    specs = text.split(",") if isinstance(text, str) else list(text)
+    placed: list[Placement] = []
+    for spec in specs:
+        if isinstance(spec, str) and not spec.strip():
+            continue
+        for placement in place(spec, n):
+            if any(placement.label == other.label for other in placed):
+                raise EffectError(f"effect {placement.label} is given twice")
+            placed.append(placement)
+    return tuple(placed)
+
+
+def labels(placements: Iterable[Placement], n: int) -> list[str]:
+    """Return the shortest specs that give these placements: ``coulomb``, ``stribeck:4+5``."""
+    specs: dict[str, list[str]] = {}
+    for placement in placements:
+        name, _, where = placement.label.partition(":")
+        specs.setdefault(name, []).append(where)
+    everywhere = [str(j + 1) for j in range(n)]
+    return [name if at == everywhere else f"{name}:{'+'.join(at)}" for name, at in specs.items()]
+
+
+def _every(joints: Sequence[int] | None, n: int) -> Sequence[int]:
+    return range(n) if joints is None else joints
+
+
+def _joints(part: str, spec: str) -> tuple[int, int | None]:
+    target, acts, source = part.partition("<")
+    try:
+        return int(target) - 1, int(source) - 1 if acts else None
+    except ValueError:
+        raise EffectError(
+            f"effect {spec!r}: {part!r} is not a joint; expected e.g. stribeck:2+3 or "
+            "transmission_coupling:5<6"
+        ) from None
+
+
+def _placement(effect: Effect, joint: int, source: int | None, n: int, spec: object) -> Placement:
+    for j in (joint, source):
+        if j is not None and not 0 <= j < n:
+            raise EffectError(f"effect {str(spec)!r}: no joint {j + 1}; the arm has joints 1 to {n}")
+    if effect.couples and (source is None or source == joint):
+        raise EffectError(f"effect {str(spec)!r} couples two joints; write e.g. {effect.name}:5<6")
+    if not effect.couples and source is not None:
+        raise EffectError(f"effect {str(spec)!r} acts on one joint; leave out '<'")
+    return Placement(effect, joint, source)

@@ -1,0 +1,153 @@
+"""The CasADi functions of a model: one place where expressions become callable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.dynamics import closed_form, recursion
+from lieid_casadi.dynamics.motion import Motion
+from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.model import EffectSignals, Model
+
+
+@dataclass(frozen=True)
+class SparseFunction:
+    """A function whose matrix result is returned as its structural nonzeros (nnz,).
+
+    ``function`` maps its inputs to the vector of nonzeros; entry k belongs to
+    ``rows[k], columns[k]`` of a matrix of ``shape``.
+    """
+
+    function: ca.Function
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    shape: tuple[int, int]
+
+
+def sparse_function(name: str, inputs: list[ca.SX], names: list[str], matrix: ca.SX) -> SparseFunction:
+    """Return a `SparseFunction` of an SX matrix."""
+    matrix = ca.sparsify(matrix)
+    rows, columns = matrix.sparsity().get_triplet()
+    nonzeros = ca.vertcat(*matrix.nonzeros()) if matrix.nnz() else ca.SX(0, 1)
+    function = ca.Function(name, inputs, [ca.densify(nonzeros)], names, ["nonzeros"], {"cse": True})
+    return SparseFunction(
+        function, np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp), matrix.shape
+    )
+
+
+class ModelFunctions:
+    """Lazily built functions of one model; inputs are (n,) columns unless stated.
+
+    Rigid functions take ``sin`` and ``cos`` of q beside q itself, so that generated code can
+    compute them apart.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        n = model.n
+        self.motion = Motion.symbols(n)
+        self.parameters = ca.SX.sym("parameters", 10 * n)
+        self.shapes = ca.SX.sym("shapes", len(model.shapes))
+        self.dead_zone = ca.SX.sym("dead_zone", n)
+        self.load = ca.SX.sym("load", n)
+        self.temperature = ca.SX.sym("temperature", n)
+        self.time = ca.SX.sym("time")
+
+    @property
+    def _state(self) -> tuple[list[ca.SX], list[str]]:
+        m = self.motion
+        return [m.q, m.sin, m.cos, m.dq, m.ddq], ["q", "sin", "cos", "dq", "ddq"]
+
+    @property
+    def _pose(self) -> tuple[list[ca.SX], list[str]]:
+        m = self.motion
+        return [m.q, m.sin, m.cos], ["q", "sin", "cos"]
+
+    @cached_property
+    def signals(self) -> EffectSignals:
+        """Symbols of the effects, the sign being that of q̇ outside the dead zone."""
+        m = self.motion
+        moving = ca.fabs(m.dq) > self.dead_zone
+        return EffectSignals(
+            m.q, m.dq, m.ddq, ca.sign(m.dq) * moving, self.load, self.temperature, self.time
+        )
+
+    @cached_property
+    def rigid_matrix(self) -> ca.SX:
+        """The full regressor Y (n, 10 n) in the symbols of this object."""
+        return regressor(self.model.robot, self.motion)
+
+    @cached_property
+    def regressor(self) -> SparseFunction:
+        """Y (n, 10 n)."""
+        inputs, names = self._state
+        return sparse_function("regressor", inputs, names, self.rigid_matrix)
+
+    @cached_property
+    def base_regressor(self) -> SparseFunction:
+        """Y_b (n, p): the rigid part of the kept columns; effect columns are zero here."""
+        kept = self.model.base.kept
+        rigid = [int(k) for k in kept[kept < 10 * self.model.n]]
+        inputs, names = self._state
+        matrix = ca.horzcat(self.rigid_matrix[:, rigid], ca.SX(self.model.n, len(kept) - len(rigid)))
+        return sparse_function("base_regressor", inputs, names, matrix)
+
+    @cached_property
+    def effect_columns(self) -> SparseFunction:
+        """Effect columns (n, m), all of them, of motion, load, temperature, time and shapes."""
+        s = self.signals
+        inputs = [s.q, s.dq, s.ddq, s.load, s.temperature, s.time, self.shapes, self.dead_zone]
+        names = ["q", "dq", "ddq", "load", "temperature", "time", "shapes", "dead_zone"]
+        matrix = self.model.effect_columns(s, self.shapes)
+        return sparse_function("effect_columns", inputs, names, matrix)
+
+    @cached_property
+    def inverse_dynamics(self) -> SparseFunction:
+        """Rigid torque (n, 1) of motion and link parameters."""
+        inputs, names = self._state
+        torque = recursion.inverse_dynamics(self.model.robot, self.motion, self.parameters)
+        return sparse_function(
+            "inverse_dynamics", [*inputs, self.parameters], [*names, "parameters"], ca.densify(torque)
+        )
+
+    @cached_property
+    def mass_matrix(self) -> SparseFunction:
+        """M (n, n)."""
+        inputs, names = self._pose
+        matrix = closed_form.mass_matrix(self.model.robot, self.motion, self.parameters)
+        return sparse_function(
+            "mass_matrix", [*inputs, self.parameters], [*names, "parameters"], matrix
+        )
+
+    @cached_property
+    def gravity(self) -> SparseFunction:
+        """G (n, 1)."""
+        inputs, names = self._pose
+        torque = closed_form.gravity(self.model.robot, self.motion, self.parameters)
+        return sparse_function(
+            "gravity", [*inputs, self.parameters], [*names, "parameters"], ca.densify(torque)
+        )
+
+    @cached_property
+    def coriolis_matrix(self) -> SparseFunction:
+        """C (n, n) with Ṁ − 2C skew-symmetric."""
+        inputs, names = self._pose
+        matrix = closed_form.coriolis_matrix(self.model.robot, self.motion, self.parameters)
+        return sparse_function(
+            "coriolis_matrix",
+            [*inputs, self.motion.dq, self.parameters],
+            [*names, "dq", "parameters"],
+            matrix,
+        )
+
+    @cached_property
+    def jacobian(self) -> SparseFunction:
+        """J (6, n) of the tool, [ω; v], base axes."""
+        inputs, names = self._pose
+        matrix = closed_form.jacobian(self.model.robot, self.motion)
+        return sparse_function("jacobian", inputs, names, matrix)

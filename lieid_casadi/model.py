@@ -1,0 +1,204 @@
+"""A model: a robot and the physical effects on its joints, as CasADi expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.dynamics.base_parameters import (
+    BaseParameters,
+    EnergyColumn,
+    base_parameters,
+)
+from lieid_casadi.effects import Effect, Placement, Signals, parse_effects, place
+from lieid_casadi.effects.placement import labels
+from lieid_casadi.robot.inertia import LINK_PARAMETER_UNITS
+from lieid_casadi.robot.robot import Joint, Robot
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a model: a link parameter, an effect's coefficient or its shape.
+
+    ``joint`` counts from 0; bounds are those of the physics, infinite where there are none.
+    """
+
+    name: str
+    joint: int
+    unit: str
+    lower: float = -np.inf
+    upper: float = np.inf
+    initial: float = 0.0
+
+    @property
+    def label(self) -> str:
+        """Name with its joint from 1: ``Izz3``, ``stribeck.v_s:4``."""
+        return f"{self.name}:{self.joint + 1}" if "." in self.name else f"{self.name}{self.joint + 1}"
+
+
+@dataclass(frozen=True)
+class EffectSignals:
+    """Symbols (n,) that effect columns depend on, beside the motion."""
+
+    q: ca.SX
+    dq: ca.SX
+    ddq: ca.SX
+    sign: ca.SX
+    load: ca.SX
+    temperature: ca.SX
+    time: ca.SX
+
+    def of(self, joint: int, source: int | None = None) -> Signals:
+        """Return one joint's signals."""
+        other = None if source is None else self.of(source)
+        per_joint = (self.q, self.dq, self.ddq, self.sign, self.load, self.temperature)
+        return Signals(*(signal[joint] for signal in per_joint), time=self.time, other=other)
+
+
+class Model:
+    """A serial arm with physical effects on its joints.
+
+    Parameters
+    ----------
+    robot : Robot
+    effects : str or sequence of str or Effect
+        E.g. ``["coulomb", "stribeck:4"]`` (joints from 1 in text) or ``"coulomb,viscous"``.
+
+    Raises
+    ------
+    EffectError
+        Unknown effect or joint.
+
+    Examples
+    --------
+    >>> import lieid_casadi as lieid
+    >>> model = lieid.Model(lieid.robots.two_link(), effects=["coulomb", "viscous:2"])
+    >>> [column.label for column in model.columns]
+    ['coulomb.f_c:1', 'coulomb.f_c:2', 'viscous.f_v:2']
+    """
+
+    def __init__(self, robot: Robot, effects: str | Iterable[str | Effect] = ()) -> None:
+        self.robot = robot
+        self.placements: tuple[Placement, ...] = parse_effects(effects, robot.n)
+
+    @classmethod
+    def of_placements(cls, robot: Robot, placements: Sequence[Placement]) -> Model:
+        """Return a model with given placements, in their order."""
+        model = cls(robot)
+        model.placements = tuple(placements)
+        return model
+
+    def with_effect(self, effect: str | Effect, *, joints: Sequence[int] | None = None) -> Model:
+        """Return this model with one more effect; ``joints`` count from 0, None is every joint.
+
+        Placements that the model has already are not repeated.
+        """
+        have = {placement.label for placement in self.placements}
+        new = [p for p in place(effect, self.robot.n, joints) if p.label not in have]
+        return Model.of_placements(self.robot, (*self.placements, *new))
+
+    def without(self, placement: Placement) -> Model:
+        """Return this model without one placement."""
+        rest = [p for p in self.placements if p.label != placement.label]
+        return Model.of_placements(self.robot, rest)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.robot.n
+
+    @property
+    def effects(self) -> list[str]:
+        """The effects as they are written in files: ``["coulomb", "stribeck:4"]``."""
+        return labels(self.placements, self.n)
+
+    @cached_property
+    def columns(self) -> tuple[Parameter, ...]:
+        """The effects' linear coefficients, in the order of their columns."""
+        return tuple(
+            Parameter(
+                f"{p.effect.label}.{c.name}",
+                p.joint,
+                _unit(c.unit, self.robot.joints[p.joint]),
+                c.lower,
+                c.upper,
+            )
+            for p in self.placements
+            for c in p.effect.coefficients
+        )
+
+    @cached_property
+    def shapes(self) -> tuple[Parameter, ...]:
+        """The effects' shape parameters."""
+        return tuple(
+            Parameter(
+                f"{p.effect.label}.{s.name}",
+                p.joint,
+                _unit(s.unit, self.robot.joints[p.joint]),
+                s.lower,
+                s.upper,
+                s.initial,
+            )
+            for p in self.placements
+            for s in p.effect.shapes
+        )
+
+    @property
+    def initial_shapes(self) -> NDArray[np.float64]:
+        """Start values of the shape parameters (s,)."""
+        return np.array([shape.initial for shape in self.shapes])
+
+    @cached_property
+    def link_parameters(self) -> tuple[Parameter, ...]:
+        """The 10 n link parameters."""
+        from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
+
+        return tuple(
+            Parameter(name, joint, unit)
+            for joint in range(self.n)
+            for name, unit in zip(LINK_PARAMETER_NAMES, LINK_PARAMETER_UNITS, strict=True)
+        )
+
+    @cached_property
+    def base(self) -> BaseParameters:
+        """Base parameters of [Y, effect columns]."""
+        energy = [
+            EnergyColumn(p.effect.energy, p.joint) if p.effect.energy else None
+            for p in self.placements
+            for _ in p.effect.coefficients
+        ]
+        return base_parameters(self.robot, energy, [column.label for column in self.columns])
+
+    @cached_property
+    def base_columns(self) -> tuple[Parameter, ...]:
+        """The kept columns as parameters (p,)."""
+        every = (*self.link_parameters, *self.columns)
+        return tuple(every[k] for k in self.base.kept)
+
+    def effect_columns(self, signals: EffectSignals, shapes: ca.SX) -> ca.SX:
+        """Return the effects' columns (n, m), sparse, given shape parameters (s,)."""
+        matrix = ca.SX(self.n, len(self.columns))
+        column, first = 0, 0
+        for p in self.placements:
+            count = len(p.effect.shapes)
+            named = {s.name: shapes[first + k] for k, s in enumerate(p.effect.shapes)}
+            for expression in p.effect.columns(signals.of(p.joint, p.source), named):
+                matrix[p.joint, column] = expression
+                column += 1
+            first += count
+        return matrix
+
+    def __repr__(self) -> str:
+        return f"Model({self.robot.name}, effects={self.effects})"
+
+
+def _unit(unit: str, joint: Joint) -> str:
+    """Return a unit as it reads for this joint: a sliding joint has N and m."""
+    if joint.revolute:
+        return unit
+    return unit.replace("kg·m²", "kg").replace("N·m", "N").replace("rad", "m")
