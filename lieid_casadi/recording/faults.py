@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording.columns import FIELDS
 
 if TYPE_CHECKING:
@@ -65,3 +66,13 @@ def _not_increasing(recording: Recording) -> Fault | None:
         row,
         "t",
     )
+
+
+def require_sound(recording: Recording) -> None:
+    """Refuse what is wrong in any recording: RecordingError names the first row."""
+    fault = first_fault(recording)
+    if fault is None:
+        return
+    title = recording.name or "recording"
+    place = "" if fault.row is None else f"row {fault.row + 1}, column {fault.column}: "
+    raise RecordingError(f"{title}: {place}{fault}")

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lieid_casadi.errors import LieidWarning, RecordingError, ShortSegmentWarning
 from lieid_casadi.recording.arrays import Array, Mask, read_only
@@ -127,7 +128,7 @@ class Processed:
         step = max(1, int(self.rate / (4.0 * self.cutoff)))
         return slice(edge, self.t.size - edge, step)
 
-    def filter(self, x: Array) -> Array:
+    def filter(self, x: ArrayLike) -> Array:
         """Low-pass along axis 0, trim and decimate: (K, ...) -> (M, ...).
 
         Linear and zero-phase; the same for torque and for every regressor column, so that

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieid_casadi.errors import LieidWarning, MissingDependency, RecordingError
+from lieid_casadi.errors import LieidWarning, RecordingError
 from lieid_casadi.recording.arrays import Array, hash_of_arrays, read_only
+from lieid_casadi.recording.faults import require_sound
+from lieid_casadi.recording.formats import reader_of, split_part, writer_of
 from lieid_casadi.recording.timing import gap_limit, sample_period
 
-_PART = re.compile(r"(?P<path>.+)@(?P<start>[^:@/]*):(?P<end>[^:@/]*)")
 _SIGNALS = ("dq", "tau", "ddq", "temperature", "current")
 
 
@@ -142,7 +143,7 @@ class Recording:
             source_hash=hash_of_arrays([times, *arrays.values(), labels]),
             **arrays,  # type: ignore[arg-type]
         )
-        require_finite_and_increasing(made)
+        require_sound(made)
         return made._with_constants_where_needed(torque_constants)
 
     @classmethod
@@ -157,7 +158,7 @@ class Recording:
         made = recording_from_columns(columns, title)
         arrays = [made.t, made.q, *(getattr(made, f) for f in _SIGNALS), made.payload_label]
         made = replace(made, name=name, source_hash=hash_of_arrays(arrays))
-        require_finite_and_increasing(made)
+        require_sound(made)
         return cls._adopt(made)._with_constants_where_needed(torque_constants)
 
     @classmethod
@@ -191,15 +192,15 @@ class Recording:
         MissingDependency
             The format needs an extra that is not installed.
         """
-        file, start, end = _split_part(path)
-        read = _reader_of(file)
+        file, start, end = split_part(path)
+        read = reader_of(file)
         if not file.exists():
             raise RecordingError(f"{file}: no such file, expected a recording")
         try:
             made = read(file, n=n, joint_names=joint_names, topic=topic)
         except OSError as error:
             raise RecordingError(f"{file}: cannot be read ({error.strerror or error})") from error
-        require_finite_and_increasing(made)
+        require_sound(made)
         recording = cls._adopt(made)._with_constants_where_needed(torque_constants)
         return recording if start is None and end is None else recording.cut(start, end)
 
@@ -227,7 +228,7 @@ class Recording:
                 )
         times = [first.t]
         pause = 2.0 * max(gap_limit(r.t) for r in recordings)
-        for previous, following in zip(recordings, recordings[1:], strict=False):
+        for previous, following in pairwise(recordings):
             continues = previous.source_hash == following.source_hash
             earliest = times[-1][-1] + (0.0 if continues else pause)
             follows = following.t[0] > earliest
@@ -281,7 +282,7 @@ class Recording:
             labels = np.asarray(self.payload_label)
             breaks |= labels[1:] != labels[:-1]
         edges = [0, *(np.nonzero(breaks)[0] + 1).tolist(), len(self)]
-        return [self._rows(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+        return [self._rows(a, b) for a, b in pairwise(edges)]
 
     def with_torque_constants(self, constants: ArrayLike) -> Self:
         """The same recording with tau = constants · current; constants (n,), N·m/A.
@@ -316,7 +317,7 @@ class Recording:
             Another suffix, or a folder that cannot be written to.
         """
         file = Path(path)
-        write = _writer_of(file)
+        write = writer_of(file)
         try:
             write(self, file)
         except OSError as error:
@@ -326,8 +327,11 @@ class Recording:
 
     def _rows(self, first: int, last: int) -> Self:
         rows = slice(first, last)
-        signals = {f: getattr(self, f) for f in ("t", "q", *_SIGNALS, "payload_label")}
-        return replace(self, **{f: x if x is None else x[rows] for f, x in signals.items()})
+        fields = ("t", "q", *_SIGNALS, "payload_label")
+        signals: dict[str, Any] = {field: getattr(self, field) for field in fields}
+        for field, values in signals.items():
+            signals[field] = None if values is None else values[rows]
+        return replace(self, **signals)
 
     def _with_constants_where_needed(self, constants: ArrayLike | None) -> Self:
         if constants is None or self.tau is not None:
@@ -344,81 +348,3 @@ class Recording:
 def join(recordings: Sequence[Recording]) -> Recording:
     """:meth:`Recording.join` as a function."""
     return Recording.join(recordings)
-
-
-def require_finite_and_increasing(recording: Recording) -> None:
-    """Refuse what is wrong in any recording: RecordingError names the first row."""
-    from lieid_casadi.recording.faults import first_fault
-
-    fault = first_fault(recording)
-    if fault is not None:
-        place = "" if fault.row is None else f"row {fault.row + 1}"
-        place += f", column {fault.column}" if fault.column else ""
-        title = recording.name or "recording"
-        raise RecordingError(f"{title}: {place}: {fault}" if place else f"{title}: {fault}")
-
-
-def _split_part(path: str | Path) -> tuple[Path, float | None, float | None]:
-    match = _PART.fullmatch(str(path))
-    if match is None or Path(path).exists():
-        return Path(path), None, None
-    ends: list[float | None] = []
-    for text in (match["start"], match["end"]):
-        try:
-            ends.append(float(text) if text.strip() else None)
-        except ValueError:
-            raise RecordingError(
-                f"{path}: found {text!r} after @, expected FILE@T0:T1 with T0, T1 in seconds"
-            ) from None
-    start, end = ends
-    if start is not None and end is not None and not start < end:
-        raise RecordingError(f"{path}: found {start:g} to {end:g} s, expected T0 < T1")
-    return Path(match["path"]), start, end
-
-
-def _reader_of(file: Path) -> Callable[..., Recording]:
-    name = file.name.lower()
-    if name.endswith((".csv", ".csv.gz")):
-        from lieid_casadi.recording.csv_file import load_csv
-
-        return load_csv
-    if name.endswith(".npz"):
-        from lieid_casadi.recording.npz_file import load_npz
-
-        return load_npz
-    if name.endswith(".parquet"):
-        from lieid_casadi.recording.parquet_file import load_parquet
-
-        return load_parquet
-    if name.endswith((".mcap", ".bag", ".db3")) or file.is_dir():
-        from lieid_casadi.recording.ros_file import load_bag
-
-        return load_bag
-    if not file.exists():
-        raise RecordingError(f"{file}: no such file, expected a recording")
-    raise RecordingError(
-        f"{file}: found suffix {file.suffix!r}, "
-        "expected .csv, .csv.gz, .npz, .parquet, .mcap, .bag or a ROS 2 bag folder"
-    )
-
-
-def _writer_of(file: Path) -> Callable[[Recording, Path], None]:
-    name = file.name.lower()
-    if name.endswith((".csv", ".csv.gz")):
-        from lieid_casadi.recording.csv_file import save_csv
-
-        return save_csv
-    if name.endswith(".npz"):
-        from lieid_casadi.recording.npz_file import save_npz
-
-        return save_npz
-    if name.endswith(".parquet"):
-        from lieid_casadi.recording.parquet_file import save_parquet
-
-        return save_parquet
-    raise RecordingError(
-        f"{file}: found suffix {file.suffix!r}, expected .csv, .csv.gz, .npz or .parquet"
-    )
-
-
-__all__ = ["MissingDependency", "Recording", "join", "require_finite_and_increasing"]

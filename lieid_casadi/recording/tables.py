@@ -30,15 +30,16 @@ def recording_from_columns(
         return _numbers(columns[names[index]], f"{title}: column {names[index]}")
 
     label = None if layout.label is None else columns[names[layout.label]]
+    signals: dict[str, Any] = {
+        field: np.column_stack([number(index) for index in indices])
+        for field, indices in layout.fields.items()
+    }
     return Recording(
         t=number(layout.time),
         payload_label=None if label is None else tuple(str(x) for x in label),
         name=title,
         warnings=layout_warnings(layout, title),
-        **{
-            field: np.column_stack([number(index) for index in indices])
-            for field, indices in layout.fields.items()
-        },
+        **signals,
     )
 
 
