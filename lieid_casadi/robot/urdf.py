@@ -235,7 +235,8 @@ def _screws(
     pin.computeJointJacobians(model, data, zero)
     joints = []
     for index, joint in enumerate(chain, start=1):
-        world = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.WORLD)[:, index - 1]
+        jacobian = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.WORLD)
+        world = jacobian.reshape(6, -1)[:, index - 1]  # (6,) where there is one joint
         inertia = model.inertias[index]
         screw = np.concatenate([world[3:], world[:3]])
         joints.append(
