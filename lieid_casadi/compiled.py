@@ -66,7 +66,7 @@ class Compiled:
         dead_zone : (n,), optional
             |q̇| below it counts as rest, rad/s; zero if left out.
         """
-        rigid = self._dense(self.functions.base_regressor, *self._motion(q, dq, ddq))
+        rigid = self.rigid_base_regressor(q, dq, ddq)
         effects = self.effect_columns(
             q, dq, ddq, load=load, temperature=temperature, time=time, shapes=shapes,
             dead_zone=dead_zone,
@@ -74,6 +74,10 @@ class Compiled:
         kept = self.model.base.kept - 10 * self.model.n
         rigid[:, :, kept >= 0] = effects[:, :, kept[kept >= 0]]
         return rigid
+
+    def rigid_base_regressor(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
+        """Return Y_b (N, n, p) with zeros in the effects' columns."""
+        return self._dense(self.functions.base_regressor, *self._motion(q, dq, ddq))
 
     def effect_columns(
         self,

@@ -28,6 +28,10 @@ class ModelError(LieidError):
     """Arguments that do not fit the model: wrong shape, missing signal."""
 
 
+class IdentificationError(LieidError):
+    """A request that identification cannot meet: no recordings, an unknown method."""
+
+
 class FitFileError(LieidError):
     """A fit file that is truncated, of a newer schema, or not a fit."""
 

@@ -1,0 +1,213 @@
+"""A fitted model: numbers, their covariance, and where they came from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.compiled import Compiled, compile
+from lieid_casadi.errors import LieidWarning, ModelError
+from lieid_casadi.identification.conditioning import Conditioning
+from lieid_casadi.model import Model, Parameter
+from lieid_casadi.recording.processing import Processed, Processing
+from lieid_casadi.recording.recording import Recording
+from lieid_casadi.robot.inertia import pseudo_inertia
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Source:
+    """One recording that went into a fit."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What made a fit: the package's version and the data."""
+
+    version: str
+    recordings: tuple[Source, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Result of :func:`lieid_casadi.identify`.
+
+    Attributes
+    ----------
+    model : Model
+    method : str
+        ``ols``, ``wls``, ``robust`` or ``feasible``.
+    values : (p,)
+        Base parameters β, as ``model.base_columns``.
+    shapes : (s,)
+        Shape parameters, as ``model.shapes``.
+    covariance : (p + s, p + s)
+        Of values and shapes; NaN where a value sits on its bound.
+    parameters : (10 n + m,)
+        Link parameters and effect coefficients that give ``values``, nearest to the robot's
+        nominal ones.
+    noise : (n,)
+        Standard deviation of the residual per joint, N·m.
+    rms_train, rms_train_raw : (n,)
+        Of processed and of raw torque on the training recordings, N·m.
+    processing : Processing
+        With the cut-off filled in.
+    conditioning : Conditioning
+    warnings : tuple of LieidWarning
+    provenance : Provenance
+    temperature_mean : (n,) or None
+        °C of the training recordings, which temperature effects refer to.
+    """
+
+    model: Model
+    method: str
+    values: Array
+    shapes: Array
+    covariance: Array
+    parameters: Array
+    noise: Array
+    rms_train: Array
+    rms_train_raw: Array
+    processing: Processing
+    conditioning: Conditioning
+    warnings: tuple[LieidWarning, ...]
+    provenance: Provenance
+    temperature_mean: Array | None = None
+
+    @cached_property
+    def compiled(self) -> Compiled:
+        """The model's functions for batches of samples."""
+        return compile(self.model)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of values and shapes (p + s,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def link_parameters(self) -> Array:
+        """Link parameters (10 n,), nearest to the nominal ones among those that fit alike."""
+        return self.parameters[: 10 * self.model.n]
+
+    @property
+    def effect_coefficients(self) -> Array:
+        """Linear coefficients of the effects (m,), dropped ones included."""
+        return self.parameters[10 * self.model.n :]
+
+    @property
+    def physically_consistent(self) -> bool:
+        """Whether every link's pseudo-inertia is positive definite."""
+        links = self.link_parameters.reshape(-1, 10)
+        return bool(all(np.linalg.eigvalsh(pseudo_inertia(link))[0] > 0.0 for link in links))
+
+    @property
+    def fitted(self) -> tuple[Parameter, ...]:
+        """Base parameters, then shapes: what ``values`` and ``shapes`` are."""
+        return (*self.model.base_columns, *self.model.shapes)
+
+    def predict(self, recording: Recording) -> Array:
+        """Return the torque (N, n) at the recording's own times, N·m; finite everywhere.
+
+        Raises
+        ------
+        ModelError
+            If the recording has another number of joints.
+        """
+        from lieid_casadi.identification.prediction import predict_recording
+
+        self.check_joints(recording)
+        return predict_recording(
+            self.compiled, recording, self.processing, self.parameters, self.shapes
+        )
+
+    def predict_processed(self, segment: Processed) -> Array:
+        """Return the filtered torque (M, n) of a processed segment."""
+        from lieid_casadi.identification.prediction import torque_along
+
+        torque = torque_along(self.compiled, segment, self.parameters, self.shapes)
+        return segment.filter(torque)
+
+    def check_joints(self, recording: Recording) -> None:
+        """Raise `ModelError` if a recording has not the model's joints."""
+        if recording.n != self.model.n:
+            raise ModelError(
+                f"{recording.name or 'recording'}: {recording.n} joints; "
+                f"the fit of {self.model.robot.name!r} has {self.model.n}"
+            )
+
+    def save(self, path: str | Path) -> None:
+        """Write the fit as JSON, atomically; it embeds the robot and stands alone."""
+        from lieid_casadi.identification.fit_file import save
+
+        save(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Fit:
+        """Read a fit from JSON. Nothing in the file is executed.
+
+        Raises
+        ------
+        FitFileError
+            Missing, truncated, not finite, or of a newer schema.
+        EffectError
+            It names an effect that is not registered.
+        """
+        from lieid_casadi.identification.fit_file import load
+
+        return load(path)
+
+    def parameter_table(self) -> list[dict[str, Any]]:
+        """Return one row per fitted number: name, joint (from 1), value, std, unit."""
+        numbers = np.concatenate([self.values, self.shapes])
+        expressions = [self.model.base.expression(k) for k in range(len(self.values))]
+        expressions += [shape.name for shape in self.model.shapes]
+        return [
+            {
+                "name": parameter.name,
+                "joint": parameter.joint + 1,
+                "value": float(value),
+                "std": float(std) if np.isfinite(std) else None,
+                "unit": parameter.unit,
+                "expression": expression,
+            }
+            for parameter, value, std, expression in zip(
+                self.fitted, numbers, self.std, expressions, strict=True
+            )
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the keys of ``lieid identify --json`` that need no test recording."""
+        condition = self.conditioning.condition_number
+        return {
+            "robot": self.model.robot.name,
+            "effects": self.model.effects,
+            "method": self.method,
+            "rms_train": self.rms_train.tolist(),
+            "rms_train_raw": self.rms_train_raw.tolist(),
+            "cutoff": self.processing.cutoff,
+            "warnings": warning_list(self.warnings),
+            "base_parameter_count": self.model.base.count,
+            "condition_number": condition if np.isfinite(condition) else None,
+            "singular_values": {
+                "largest": self.conditioning.largest,
+                "smallest": self.conditioning.smallest,
+                "beyond": self.conditioning.beyond,
+            },
+            "physically_consistent": self.physically_consistent,
+            "parameters": self.parameter_table(),
+        }
+
+
+def warning_list(warnings: Sequence[LieidWarning]) -> list[dict[str, str]]:
+    """Return warnings as they stand in JSON: ``[{name, message}]``."""
+    return [{"name": type(w).__name__, "message": str(w)} for w in warnings]

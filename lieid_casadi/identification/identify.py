@@ -1,0 +1,361 @@
+"""Identification: a model and recordings become a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.compiled import Compiled, compile
+from lieid_casadi.errors import (
+    AliasWarning,
+    BoundWarning,
+    ConvergenceWarning,
+    EffectError,
+    FrictionAtRestWarning,
+    IdentificationError,
+    LieidWarning,
+    ModelError,
+    UnidentifiableWarning,
+)
+from lieid_casadi.identification.conditioning import conditioning
+from lieid_casadi.identification.covariance import hac_covariance
+from lieid_casadi.identification.design import (
+    Design,
+    JointRows,
+    Rows,
+    has_dry_friction,
+    varying_columns,
+)
+from lieid_casadi.identification.fit import Fit, Provenance, Source
+from lieid_casadi.identification.least_squares import (
+    Solution,
+    combine,
+    joint_factors,
+    name_direction,
+    remaining_fraction,
+)
+from lieid_casadi.identification.bounded import solve_bounded
+from lieid_casadi.identification.prediction import predict_recording, torque_along
+from lieid_casadi.identification.shape_fit import at_bound, fit_shapes, shape_columns
+from lieid_casadi.identification.weights import ESTIMATORS, Weighting
+from lieid_casadi.model import Model
+from lieid_casadi.recording import Processed, Processing, Recording, check, process
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+WEAK = 0.05  # of a column's norm left beside the others: told, and fitted with care
+ROUNDS = 30  # of the fixed point over load and shapes
+SETTLED = 1e-6  # relative change of the predicted torque
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """One round's result."""
+
+    shapes: Array
+    rows: Rows
+    weighting: Weighting
+    solution: Solution
+    fixed: NDArray[np.bool_]
+    parameters: Array
+
+
+def identify(
+    model: Model,
+    recordings: Recording | Sequence[Recording],
+    *,
+    method: str = "wls",
+    processing: Processing | None = None,
+    progress: Progress | None = None,
+) -> Fit:
+    """Fit a model's parameters to recordings.
+
+    Parameters
+    ----------
+    model : Model
+    recordings : Recording or sequence of Recording
+        With torques. Segments are never joined across a gap.
+    method : {"wls", "ols", "robust"}
+        Weights by joint noise, none, or Huber's against outliers.
+    processing : Processing, optional
+        Filter options; the cut-off is chosen from the spectrum if not stated.
+    progress : callable, optional
+        Called with a stage's name and the fraction done.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    RecordingError
+        A recording that is certainly wrong, or without torque.
+    ModelError, EffectError, IdentificationError
+        Recordings that do not fit the model; an unknown method.
+    """
+    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    report = progress or (lambda stage, fraction: None)
+    if method not in ESTIMATORS:
+        raise IdentificationError(
+            f"unknown method {method!r}; expected one of {', '.join(ESTIMATORS)}"
+        )
+    _check_given(model, given)
+    compiled = compile(model)
+    report("check", 0.0)
+    found = [w for recording in given for w in check_with_model(compiled, recording)]
+    report("process", 0.1)
+    segments, mean = center_temperature(process(given, processing))
+    report("regress", 0.3)
+    design = Design(compiled, segments)
+    state, settled = _fixed_point(design, method, report)
+    covariance = _covariance(design, state)
+    unweighted = combine(joint_factors(state.rows), np.ones(model.n))
+    found += [w for segment in segments for w in segment.warnings]
+    found += _aliases(model, remaining_fraction(unweighted))
+    found += _bounds(model, state) + _hidden(model, state.solution) + _rest(model, segments)
+    if not settled:
+        found.append(
+            ConvergenceWarning(
+                f"load and shape parameters had not settled after {ROUNDS} rounds; "
+                "leave out an effect with shape parameters, or give more data"
+            )
+        )
+    report("evaluate", 0.9)
+    options = segments[0].options
+    fit = Fit(
+        model=model,
+        method=method,
+        values=state.solution.values,
+        shapes=state.shapes,
+        covariance=covariance,
+        parameters=state.parameters,
+        noise=state.weighting.noise,
+        rms_train=_rms_processed(compiled, segments, state),
+        rms_train_raw=_rms_raw(compiled, given, options, state),
+        processing=options,
+        conditioning=conditioning(unweighted, model.base),
+        warnings=_unique(found),
+        provenance=_provenance(given),
+        temperature_mean=mean,
+    )
+    report("done", 1.0)
+    return fit
+
+
+def check_with_model(compiled: Compiled, recording: Recording) -> tuple[LieidWarning, ...]:
+    """Check a recording against the robot, with its nominal torque where inertias are known."""
+    robot = compiled.model.robot
+    nominal = None
+    if robot.has_inertia and recording.tau is not None:
+        from lieid_casadi.recording.processing import Processing
+
+        nothing = np.concatenate([robot.link_parameters, np.zeros(len(compiled.model.columns))])
+        nominal = predict_recording(
+            compiled, recording, Processing(cutoff=5.0), nothing, compiled.model.initial_shapes
+        )
+    return (*recording.warnings, *check(recording, robot, nominal_torque=nominal))
+
+
+def _check_given(model: Model, recordings: Sequence[Recording]) -> None:
+    if not recordings:
+        raise IdentificationError("no recordings given; expected at least one")
+    needs = {s for p in model.placements for s in p.effect.signals}
+    for recording in recordings:
+        name = recording.name or "recording"
+        if recording.n != model.n:
+            raise ModelError(
+                f"{name}: {recording.n} joints; robot {model.robot.name!r} has {model.n}"
+            )
+        if recording.tau is None:
+            raise ModelError(
+                f"{name}: no torque; expected columns tau1…tau{model.n}, "
+                "or currents with --torque-constants"
+            )
+        if "temperature" in needs and recording.temperature is None:
+            raise EffectError(f"{name}: an effect needs temperature; expected columns temp1…")
+
+
+def center_temperature(
+    segments: Sequence[Processed], mean: Array | None = None
+) -> tuple[tuple[Processed, ...], Array | None]:
+    """Refer temperatures to their mean over all segments (or a given one)."""
+    if any(segment.temperature is None for segment in segments):
+        return tuple(segments), mean
+    if mean is None:
+        mean = np.concatenate([s.temperature for s in segments if s.temperature is not None]).mean(0)
+    centered = [
+        replace(s, temperature=s.temperature - mean) for s in segments if s.temperature is not None
+    ]
+    return tuple(centered), mean
+
+
+def _fixed_point(design: Design, method: str, report: Progress) -> tuple[_State, bool]:
+    """Alternate linear fit, shapes and load until the predicted torque settles."""
+    model = design.model
+    estimator = ESTIMATORS[method]
+    shapes, links = model.initial_shapes, None
+    moving = bool(varying_columns(model).any())
+    before: Array | None = None
+    for round_ in range(ROUNDS):
+        rows = design.rows(shapes, links)
+        weighting = estimator(rows)
+        if len(shapes):
+            search = round_ == 0
+            shapes = fit_shapes(design, shapes, links, weighting.noise, search=search)
+            rows = design.rows(shapes, links)
+            weighting = estimator(rows)
+        solution, fixed = solve_bounded(weighting.factor, model.base_columns)
+        parameters = model.base.lift(solution.values, _prior(model))
+        state = _State(shapes, rows, weighting, solution, fixed, parameters)
+        if not moving:
+            return state, weighting.converged
+        links = parameters[: 10 * model.n]
+        predicted = np.concatenate([r.matrix @ solution.values[r.columns] for r in rows.joints])
+        if before is not None:
+            change = np.linalg.norm(predicted - before)
+            if change <= SETTLED * np.linalg.norm(predicted):
+                return state, weighting.converged
+        before = predicted
+        report("regress", 0.3 + 0.6 * (round_ + 1) / ROUNDS)
+    return state, False
+
+
+def _prior(model: Model) -> Array:
+    """Return nominal link parameters (zero where none are stated) and no effects."""
+    links = model.robot.link_parameters if model.robot.has_inertia else np.zeros(10 * model.n)
+    return np.concatenate([links, np.zeros(len(model.columns))])
+
+
+def _covariance(design: Design, state: _State) -> Array:
+    """Return the covariance of values and shapes (p + s, p + s); NaN on bounds."""
+    rows, values = state.rows, state.solution.values
+    residuals = rows.residuals(values)
+    unit = state.solution.unit_covariance
+    if len(state.shapes):
+        links = state.parameters[: 10 * design.model.n]
+        slopes = shape_columns(design, values, state.shapes, links)
+        rows = _with_columns(rows, slopes)
+        weighted = combine(joint_factors(rows, state.weighting.rows), np.ones(design.model.n))
+        from lieid_casadi.identification.least_squares import solve
+
+        unit = solve(weighted).unit_covariance
+    covariance = hac_covariance(rows, state.weighting.rows, residuals, unit)
+    on_bound = np.concatenate([state.fixed, np.zeros(len(state.shapes), dtype=bool)])
+    covariance[on_bound, :] = covariance[:, on_bound] = np.nan
+    return covariance
+
+
+def _with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
+    """Return rows with further columns after the p base columns."""
+    count = rows.count + further[0].shape[1]
+    joints = tuple(
+        JointRows(
+            np.concatenate([joint.columns, np.arange(rows.count, count)]),
+            np.column_stack([joint.matrix, extra]),
+            joint.torque,
+            joint.instant,
+        )
+        for joint, extra in zip(rows.joints, further, strict=True)
+    )
+    return Rows(joints, count, rows.segments)
+
+
+def _aliases(model: Model, remaining: Array) -> list[LieidWarning]:
+    """Tell effects that the other columns absorb by structure, or almost by this data."""
+    found: list[LieidWarning] = []
+    base, first = model.base, 10 * model.n
+    for k in base.dropped[base.dropped >= first]:
+        users = [base.names[base.kept[i]] for i in np.flatnonzero(base.combination[:, k])]
+        inside = f"part of {', '.join(users)}" if users else "without any torque"
+        found.append(AliasWarning(f"{base.names[k]} is absorbed: {inside}; no data can tell"))
+    for position, k in enumerate(base.kept):
+        if k >= first and 0.0 < remaining[position] < WEAK:
+            found.append(
+                AliasWarning(
+                    f"{base.names[k]} is weak: the other columns explain all but "
+                    f"{remaining[position]:.1%} of its column on this data"
+                )
+            )
+    return found
+
+
+def _bounds(model: Model, state: _State) -> list[LieidWarning]:
+    found: list[LieidWarning] = []
+    for parameter, value, fixed in zip(
+        model.base_columns, state.solution.values, state.fixed, strict=True
+    ):
+        if fixed:
+            found.append(BoundWarning(f"{parameter.label} ran to its bound {value:g} {parameter.unit}"))
+    if len(state.shapes):
+        lower = np.array([p.lower for p in model.shapes])
+        upper = np.array([p.upper for p in model.shapes])
+        for k in np.flatnonzero(at_bound(state.shapes, lower, upper)):
+            shape = model.shapes[k]
+            found.append(
+                BoundWarning(
+                    f"{shape.label} ran to its bound {state.shapes[k]:.3g} {shape.unit} "
+                    f"(range {shape.lower:g} to {shape.upper:g}); its effect is hardly there"
+                )
+            )
+    return found
+
+
+def _hidden(model: Model, solution: Solution) -> list[LieidWarning]:
+    labels = [p.label for p in model.base_columns]
+    return [
+        UnidentifiableWarning(
+            f"not excited by this data: {name_direction(direction, labels)}; "
+            "the smallest value was taken"
+        )
+        for direction in solution.hidden
+    ]
+
+
+def _rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
+    moving = np.concatenate([segment.filtered_moving for segment in segments])
+    share = 1.0 - moving.mean(axis=0)
+    dry = has_dry_friction(model)
+    still = [f"joint {j + 1} {share[j]:.0%}" for j in range(model.n) if dry[j] and share[j] > 0.01]
+    if not still:
+        return []
+    return [
+        FrictionAtRestWarning(
+            f"at rest friction is undetermined; samples left out of the fit: {', '.join(still)}"
+        )
+    ]
+
+
+def _rms_processed(compiled: Compiled, segments: Sequence[Processed], state: _State) -> Array:
+    errors = [
+        s.filter(s.tau - torque_along(compiled, s, state.parameters, state.shapes))
+        for s in segments
+        if s.tau is not None
+    ]
+    return np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+
+
+def _rms_raw(
+    compiled: Compiled, recordings: Sequence[Recording], options: Processing, state: _State
+) -> Array:
+    errors = [
+        r.tau - predict_recording(compiled, r, options, state.parameters, state.shapes)
+        for r in recordings
+        if r.tau is not None
+    ]
+    return np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+
+
+def _unique(found: Sequence[LieidWarning]) -> tuple[LieidWarning, ...]:
+    kept: dict[tuple[type, str], LieidWarning] = {}
+    for warning in found:
+        kept.setdefault((type(warning), str(warning)), warning)
+    return tuple(kept.values())
+
+
+def _provenance(recordings: Sequence[Recording]) -> Provenance:
+    from lieid_casadi import __version__
+
+    return Provenance(__version__, tuple(Source(r.name, r.source_hash) for r in recordings))

@@ -1,0 +1,96 @@
+"""Torque of a fitted model along a recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.compiled import Compiled
+from lieid_casadi.identification.design import effect_signals
+from lieid_casadi.recording.processing import Processed, Processing, process
+from lieid_casadi.recording.recording import Recording
+
+Array = NDArray[np.float64]
+HIGHEST_CUTOFF = 0.4  # of the recording's rate
+
+
+def torque_along(
+    compiled: Compiled, segment: Processed, parameters: Array, shapes: Array
+) -> Array:
+    """Return the model's torque (K, n) on a segment's grid, not filtered.
+
+    Parameters
+    ----------
+    parameters : (10 n + m,)
+        Link parameters and the effects' coefficients.
+    shapes : (s,)
+    """
+    links = parameters[: 10 * compiled.n]
+    rigid = compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, links)
+    effects = compiled.effect_columns(
+        segment.q, segment.dq, segment.ddq, **effect_signals(segment, shapes, rigid)
+    )
+    return np.asarray(rigid + effects @ parameters[10 * compiled.n :])
+
+
+def predict_recording(
+    compiled: Compiled,
+    recording: Recording,
+    processing: Processing,
+    parameters: Array,
+    shapes: Array,
+) -> Array:
+    """Return the torque (N, n) at the recording's own times, finite in every row."""
+    torque = np.zeros_like(recording.q)
+    for first, segment in _segments_with_start(recording):
+        here = slice(first, first + len(segment.t))
+        for grid in _on_grid(segment, processing):
+            values = torque_along(compiled, grid, parameters, shapes)
+            torque[here] = np.column_stack(
+                [np.interp(segment.t, grid.t, values[:, j]) for j in range(compiled.n)]
+            )
+    return torque
+
+
+def _segments_with_start(recording: Recording) -> list[tuple[int, Recording]]:
+    found, first = [], 0
+    for segment in recording.segments():
+        found.append((first, segment))
+        first += len(segment.t)
+    return found
+
+
+def _on_grid(segment: Recording, processing: Processing) -> tuple[Processed, ...]:
+    """Process one segment whole; one too short for the filter is used as it was measured."""
+    assert processing.cutoff is not None
+    rate = segment.rate if len(segment.t) > 1 else 0.0
+    cutoff = min(processing.cutoff, HIGHEST_CUTOFF * rate)
+    if len(segment.t) >= 5 and segment.duration * cutoff >= 1.0:
+        options = replace(processing, cutoff=cutoff, trim=0.0, average_periods=False)
+        return process(segment, options)
+    return (_as_measured(segment, processing),)
+
+
+def _as_measured(segment: Recording, processing: Processing) -> Processed:
+    t, q = segment.t, segment.q
+    still = np.zeros_like(q)
+    slope = (lambda x: np.gradient(x, t, axis=0)) if len(t) > 1 else (lambda x: still)
+    dq = segment.dq if segment.dq is not None else slope(q)
+    ddq = segment.ddq if segment.ddq is not None else slope(dq)
+    return Processed(
+        t=t,
+        q=q,
+        dq=dq,
+        ddq=ddq,
+        tau=segment.tau,
+        temperature=segment.temperature,
+        payload_label=None,
+        recording=segment,
+        rate=segment.rate if len(t) > 1 else 1.0,
+        cutoff=processing.cutoff or 1.0,
+        dead_zone=np.zeros(q.shape[1]),
+        moving=dq != 0.0,
+        options=processing,
+    )
