@@ -16,25 +16,41 @@ BAND_FACTOR = 6.0
 def choose_cutoff(recording: Recording) -> float:
     """Cut-off, Hz, that keeps the band in which the motion lives.
 
-    Six times the frequency below which 99 % of the velocity's power lies (median over the
-    joints that move): harmonics of the torque, such as the steps of friction, are kept;
-    what the motion cannot explain is not. Between 0.5 Hz and a quarter of the rate.
+    Six times the band of the motion (:func:`motion_band`): harmonics of the torque, such as
+    the steps of friction, are kept; what the motion cannot explain is not. Between 0.5 Hz
+    and a quarter of the rate; 5 Hz where nothing moves.
+    """
+    highest = 0.25 * recording.rate
+    band = motion_band(recording)
+    if band is None:
+        return float(min(5.0, highest))
+    return float(np.clip(BAND_FACTOR * band, min(0.5, highest), highest))
+
+
+def motion_band(recording: Recording) -> float | None:
+    """Frequency, Hz, below which 99 % of the velocity's power lies; None at rest.
+
+    Median over the joints that move; the lower one of measured velocity and differenced
+    position, since either may be noisy.
     """
     rate = recording.rate
     grid = uniform_time(recording.t, rate)
+    derived = central_difference(smooth_at(recording.t, recording.q, grid), rate)
+    bands = [_band(derived, rate)]
     if recording.dq is not None:
-        dq = smooth_at(recording.t, recording.dq, grid)
-    else:
-        dq = central_difference(smooth_at(recording.t, recording.q, grid), rate)
+        bands.append(_band(smooth_at(recording.t, recording.dq, grid), rate))
+    return min((band for band in bands if band is not None), default=None)
+
+
+def _band(dq: Array, rate: float) -> float | None:
     power = np.mean(dq**2, axis=0)
-    moves = power > 1e-4 * power.max() if power.max() > 0.0 else np.zeros(power.size, bool)
+    moves = power > 1e-3 * power.max()
     if not moves.any():
-        return float(min(5.0, 0.25 * rate))
-    length = min(grid.size, round(8.0 * rate))
+        return None
+    length = min(dq.shape[0], round(8.0 * rate))
     frequency, density = welch(dq[:, moves], rate, nperseg=length, axis=0)
     below = np.cumsum(density, axis=0) / density.sum(axis=0)
-    highest = frequency[np.argmax(below >= 0.99, axis=0)]
-    return float(np.clip(BAND_FACTOR * np.median(highest), 0.5, 0.25 * rate))
+    return float(np.median(frequency[np.argmax(below >= 0.99, axis=0)]))
 
 
 def noise_dead_zone(dq: Array, *, kept: float = 1.0) -> Array:

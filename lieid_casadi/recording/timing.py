@@ -26,7 +26,7 @@ def dropout_limit(t: Array) -> float:
     """Step in time, s, beyond which samples were lost between two neighbours.
 
     Irregular stamps are no loss: the limit lies above the spread of the steps (their
-    99th percentile), and above 1.75 sample periods.
+    90th percentile), and above 1.75 sample periods.
     """
     steps = np.diff(t)
-    return float(max(1.75 * np.median(steps), 1.25 * np.percentile(steps, 99.0)))
+    return float(max(1.75 * np.median(steps), 1.25 * np.percentile(steps, 90.0)))
