@@ -21,6 +21,6 @@ def needs(path: Path) -> pytest.MarkDecorator:
     )
 
 
-def param(path: Path, *values: object, id: str) -> object:
-    """A case of pytest.mark.parametrize on a real arm."""
-    return pytest.param(path, *values, id=id, marks=[pytest.mark.real, needs(path)])
+def param(value: object, path: Path, *, id: str) -> object:
+    """A case of pytest.mark.parametrize that reads this file of a recording."""
+    return pytest.param(value, id=id, marks=[pytest.mark.real, needs(path)])

@@ -1,0 +1,212 @@
+"""Every quantity against Pinocchio, which shares no formula with us."""
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from lieid_casadi.dynamics import closed_form, recursion
+
+TOLERANCE = 1e-10  # relative to the largest entry
+
+
+def assert_close(ours, theirs, tolerance=TOLERANCE):
+    theirs = np.asarray(theirs)
+    scale = np.abs(theirs).max()
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=tolerance * scale)
+
+
+def per_state(arm, function):
+    """Stack function(model, data, q, dq, ddq) over the states."""
+    data = arm.pinocchio.createData()
+    return np.array([function(arm.pinocchio, data, *state) for state in arm.moments])
+
+
+def torques(arm):
+    return per_state(arm, pin.rnea)
+
+
+def test_torque_of_the_recursion(arm):
+    assert_close(arm.evaluate(recursion.inverse_dynamics)[:, :, 0], torques(arm))
+
+
+def test_torque_of_the_closed_form(arm):
+    """Eq. 4: M·q̈ + V·q̇ + G."""
+
+    def closed(robot, motion, parameters):
+        parts = (robot, motion, parameters)
+        return (
+            ca.mtimes(closed_form.mass_matrix(*parts), motion.ddq)
+            + ca.mtimes(closed_form.velocity_matrix(*parts), motion.dq)
+            + closed_form.gravity(*parts)
+        )
+
+    assert_close(arm.evaluate(closed)[:, :, 0], torques(arm))
+
+
+def test_compiled_torque(arm):
+    ours = arm.compiled.inverse_dynamics(*arm.states, arm.robot.link_parameters)
+    assert_close(ours, torques(arm))
+
+
+def test_regressor_times_parameters(arm):
+    ours = arm.compiled.regressor(*arm.states) @ arm.robot.link_parameters
+    assert_close(ours, torques(arm))
+
+
+def test_regressor_itself(arm):
+    def theirs(model, data, q, dq, ddq):
+        columns = pin.computeJointTorqueRegressor(model, data, q, dq, ddq)
+        return np.reshape(columns, (model.nv, -1)) @ arm.shift
+
+    assert_close(arm.compiled.regressor(*arm.states), per_state(arm, theirs))
+
+
+def test_link_parameters(arm):
+    """Ours, moved to Pinocchio's frames, are what Pinocchio holds."""
+    theirs = np.concatenate([body.toDynamicParameters() for body in arm.pinocchio.inertias[1:]])
+    assert_close(arm.shift @ arm.robot.link_parameters, theirs)
+
+
+def test_mass_matrix(arm):
+    def theirs(model, data, q, dq, ddq):
+        upper = np.triu(np.reshape(pin.crba(model, data, q), (model.nv, model.nv)))
+        return upper + np.triu(upper, 1).T
+
+    expected = per_state(arm, theirs)
+    assert_close(arm.compiled.mass_matrix(arm.states[0], arm.robot.link_parameters), expected)
+
+
+def test_gravity(arm):
+    def theirs(model, data, q, dq, ddq):
+        return pin.computeGeneralizedGravity(model, data, q)
+
+    ours = arm.compiled.gravity(arm.states[0], arm.robot.link_parameters)
+    assert_close(ours, per_state(arm, theirs))
+
+
+def jacobians(arm):
+    def theirs(model, data, q, dq, ddq):
+        frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        linear_first = pin.computeFrameJacobian(model, data, q, arm.tool, frame)
+        return np.vstack([linear_first[3:], linear_first[:3]])
+
+    return per_state(arm, theirs)
+
+
+def test_jacobian(arm):
+    assert_close(arm.compiled.jacobian(arm.states[0]), jacobians(arm))
+
+
+def test_tool_pose(arm):
+    def ours(robot, motion, parameters):
+        pose = recursion.tool_in_base(robot, motion)
+        return ca.horzcat(pose.rotation, pose.translation)
+
+    def theirs(model, data, q, dq, ddq):
+        pin.framesForwardKinematics(model, data, q)
+        return data.oMf[arm.tool].homogeneous[:3]
+
+    assert_close(arm.evaluate(ours), per_state(arm, theirs))
+
+
+def coriolis_torques(arm):
+    def theirs(model, data, q, dq, ddq):
+        still = pin.computeGeneralizedGravity(model, data, q).copy()
+        return pin.nonLinearEffects(model, data, q, dq) - still
+
+    return per_state(arm, theirs)
+
+
+@pytest.mark.parametrize("matrix", [closed_form.velocity_matrix, closed_form.coriolis_matrix])
+def test_coriolis_and_centripetal_torque(arm, matrix):
+    def ours(robot, motion, parameters):
+        return ca.mtimes(matrix(robot, motion, parameters), motion.dq)
+
+    assert_close(arm.evaluate(ours)[:, :, 0], coriolis_torques(arm))
+
+
+def test_compiled_coriolis_matrix(arm):
+    q, dq, _ = arm.states
+    ours = arm.compiled.coriolis_matrix(q, dq, arm.robot.link_parameters)
+    assert_close(np.einsum("kij,kj->ki", ours, dq), coriolis_torques(arm))
+
+
+def not_skew(arm, matrix):
+    """The symmetric part of Ṁ − 2·matrix and, for scale, Ṁ."""
+
+    def rate(robot, motion, parameters):
+        mass = closed_form.mass_matrix(robot, motion, parameters)
+        return ca.reshape(ca.jtimes(ca.vec(mass), motion.q, motion.dq), mass.shape)
+
+    def difference(robot, motion, parameters):
+        return rate(robot, motion, parameters) - 2 * matrix(robot, motion, parameters)
+
+    values = arm.evaluate(difference)
+    return values + values.transpose(0, 2, 1), arm.evaluate(rate)
+
+
+def test_mass_rate_minus_2c_is_skew(arm):
+    symmetric, rate = not_skew(arm, closed_form.coriolis_matrix)
+    assert np.abs(symmetric).max() < 1e-12 * np.abs(rate).max()
+
+
+@pytest.mark.parametrize("arm", ["panda"], indirect=True)
+def test_mass_rate_minus_2v_is_not_skew(arm):
+    """So V of Eq. 5 is not the C of a passivity proof."""
+    symmetric, rate = not_skew(arm, closed_form.velocity_matrix)
+    assert np.abs(symmetric).max() > 0.1 * np.abs(rate).max()
+
+
+def test_wrench_exerted_by_the_tool(arm):
+    """τ grows by Jᵀ·F; Pinocchio is told the reaction, −F, on its last body."""
+    rng = np.random.default_rng(5)
+    wrench = rng.normal(size=6) * [3, 3, 3, 30, 30, 30]  # [m; f], base axes, tool's origin
+
+    def in_tool_axes(robot, motion, parameters):
+        turn = recursion.tool_in_base(robot, motion).rotation.T
+        turned = ca.vertcat(ca.mtimes(turn, wrench[:3]), ca.mtimes(turn, wrench[3:]))
+        return recursion.inverse_dynamics(robot, motion, parameters, tool_wrench=turned)
+
+    def theirs(model, data, q, dq, ddq):
+        pin.framesForwardKinematics(model, data, q)
+        at_tool = pin.SE3(np.eye(3), data.oMf[arm.tool].translation)
+        in_base = at_tool.act(pin.Force(wrench[3:], wrench[:3]))
+        forces = [pin.Force.Zero() for _ in range(model.njoints)]
+        forces[-1] = -data.oMi[model.njoints - 1].actInv(in_base)
+        return pin.rnea(model, data, q, dq, ddq, forces)
+
+    expected = per_state(arm, theirs)
+    assert_close(arm.evaluate(in_tool_axes)[:, :, 0], expected)
+    with_jacobian = torques(arm) + np.einsum(
+        "kij,i->kj", arm.compiled.jacobian(arm.states[0]), wrench
+    )
+    assert_close(with_jacobian, expected)
+
+
+def test_power_is_the_rate_of_energy(arm):
+    """d(T + U)/dt = τᵀq̇ along a motion, the energies by Pinocchio, the rate by differences."""
+    q0, amplitude, _ = (values[0] for values in arm.states)
+    frequency = np.linspace(1.0, 2.0, arm.robot.n)
+    step, data = 1e-3, arm.pinocchio.createData()
+
+    def motion(t):
+        angle = frequency * t
+        rate = amplitude * np.cos(angle)
+        return (
+            q0 + amplitude / frequency * np.sin(angle),
+            rate,
+            -amplitude * frequency * np.sin(angle),
+        )
+
+    def energy(t):
+        q, dq, _ = motion(t)
+        kinetic = pin.computeKineticEnergy(arm.pinocchio, data, q, dq)
+        return kinetic + pin.computePotentialEnergy(arm.pinocchio, data, q)
+
+    times = np.linspace(0.1, 3.0, 15)
+    weights = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))
+    rate = [sum(w * energy(t + k * step) for k, w in weights) / step for t in times]
+    q, dq, ddq = (np.array(values) for values in zip(*map(motion, times), strict=True))
+    torque = arm.compiled.inverse_dynamics(q, dq, ddq, arm.robot.link_parameters)
+    assert_close((torque * dq).sum(axis=1), rate, 1e-8)
