@@ -1,5 +1,6 @@
 """Recordings of arms: load, check, process."""
 
+from lieid_casadi.recording.checks import check
 from lieid_casadi.recording.processing import Processed, Processing, process
 from lieid_casadi.recording.recording import Recording, join
 from lieid_casadi.recording.spectrum import choose_cutoff, noise_dead_zone
@@ -8,6 +9,7 @@ __all__ = [
     "Processed",
     "Processing",
     "Recording",
+    "check",
     "choose_cutoff",
     "join",
     "noise_dead_zone",

@@ -15,7 +15,7 @@ BLOCK_SECONDS = 0.04
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Means over blocks of B; ``dq`` measured or derived, ``ddq`` from differences of dq.
+    """Means over B blocks; ``dq`` and ``ddq`` from differences of q, whatever dq says.
 
     Attributes
     ----------
@@ -46,11 +46,10 @@ def block_means(recording: Recording, nominal: Array | None = None) -> Blocks:
         rows = slice(first, last)
         t, q = recording.t[rows], recording.q[rows]
         measured = None if recording.dq is None else recording.dq[rows]
-        dq = np.gradient(q, t, axis=0) if measured is None else measured
-        time = _means(t[:, None], size)
+        time = _means(t[:, None], size)[:, 0]
         parts["q"].append(_means(q, size))
-        parts["dq"].append(_means(dq, size))
-        parts["ddq"].append(np.gradient(parts["dq"][-1], time[:, 0], axis=0))
+        parts["dq"].append(np.gradient(parts["q"][-1], time, axis=0))
+        parts["ddq"].append(np.gradient(parts["dq"][-1], time, axis=0))
         parts["travelled"].append(np.diff(q[::size], axis=0))
         if measured is not None:
             steps = 0.5 * (measured[1:] + measured[:-1]) * np.diff(t)[:, None]

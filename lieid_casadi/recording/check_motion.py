@@ -14,7 +14,7 @@ from lieid_casadi.errors import (
     RecordingError,
     VelocityMismatchWarning,
 )
-from lieid_casadi.recording.arrays import Array
+from lieid_casadi.recording.arrays import Array, Mask
 from lieid_casadi.recording.blocks import Blocks
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.spectrum import motion_band
@@ -80,7 +80,7 @@ def check_velocity(recording: Recording, blocks: Blocks) -> list[LieidWarning]:
     details = ", ".join(
         f"joint {j + 1} (gain {gain[j]:.2g}, correlation {correlation[j]:.2g}"
         f"{_runs_like(way, integral, moving, j)})"
-        for j in np.nonzero(wrong)[0]
+        for j in np.nonzero(wrong)[0].tolist()
     )
     return [VelocityMismatchWarning(f"{title}: dq is not the derivative of q: {details}")]
 
@@ -115,12 +115,12 @@ def check_rate(recording: Recording) -> list[LieidWarning]:
     ]
 
 
-def _moving_enough(way: Array, recording: Recording) -> Array:
+def _moving_enough(way: Array, recording: Recording) -> Mask:
     """Joints whose way per block stands above the resolution of q."""
     per_block = np.sqrt(np.mean(way**2, axis=0))
     distinct = [np.unique(column) for column in recording.q.T]
     quantum = np.array([np.min(np.diff(d)) if d.size > 1 else np.inf for d in distinct])
-    return (np.ptp(recording.q, axis=0) > 10.0 * STILL) & (per_block > 3.0 * quantum)
+    return np.asarray((np.ptp(recording.q, axis=0) > 10.0 * STILL) & (per_block > 3.0 * quantum))
 
 
 def _gain_and_correlation(way: Array, integral: Array) -> tuple[Array, Array]:
@@ -132,7 +132,7 @@ def _gain_and_correlation(way: Array, integral: Array) -> tuple[Array, Array]:
     return np.nan_to_num(gain), np.nan_to_num(correlation)
 
 
-def _runs_like(way: Array, integral: Array, moving: Array, joint: int) -> str:
+def _runs_like(way: Array, integral: Array, moving: Mask, joint: int) -> str:
     """Hint: the joint whose motion this column of dq shows instead."""
     column = np.repeat(integral[:, [joint]], way.shape[1], axis=1)
     _, correlation = _gain_and_correlation(way, column)

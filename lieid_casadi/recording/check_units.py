@@ -50,8 +50,8 @@ def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]
     if free.sum() >= 2 and np.median(largest[free]) > TWO_TURNS:
         joint = int(np.argmax(np.where(free, largest, 0.0)))
         raise RecordingError(
-            f"{title}: column q{joint + 1}: found {largest[joint]:.4g}, {largest[joint] / 6.2832:.0f} "
-            f"turns: degrees? Expected radians: {REMEDY}"
+            f"{title}: column q{joint + 1}: found {largest[joint]:.4g}, "
+            f"{largest[joint] / (2.0 * np.pi):.0f} turns: degrees? Expected radians: {REMEDY}"
         )
     return [
         *_suspicious(recording, title, free, largest),
@@ -59,9 +59,7 @@ def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]
     ]
 
 
-def _suspicious(
-    recording: Recording, title: str, free: Mask, largest: Array
-) -> list[LieidWarning]:
+def _suspicious(recording: Recording, title: str, free: Mask, largest: Array) -> list[LieidWarning]:
     turns = free & (largest > TWO_TURNS)
     if turns.any():
         return [
