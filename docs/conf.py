@@ -2,6 +2,7 @@
 
 import importlib
 import pkgutil
+import re
 from pathlib import Path
 
 import lieid_casadi
@@ -17,12 +18,14 @@ html_theme = "alabaster"
 html_theme_options = {"description": "Identification and diagnosis of robot arm dynamics"}
 html_sidebars = {"**": ["about.html", "navigation.html", "searchbox.html"]}
 autodoc_member_order = "bysource"
-autodoc_typehints = "description"
-autodoc_typehints_description_target = "documented"
+autodoc_typehints = "signature"
 autodoc_type_aliases = {"ArrayLike": "ArrayLike", "NDArray": "NDArray"}
 autodoc_mock_imports = ["rosbags", "pyarrow", "statsmodels", "pandas"]
 napoleon_google_docstring = False
 napoleon_use_ivar = True
+napoleon_use_param = False  # shapes such as (n,) stand where types do, and are not names to link
+napoleon_use_rtype = False
+suppress_warnings = ["ref.python"]  # the same, for attributes
 
 # In the order in which data flows; what is not named comes after, by name.
 ORDER = (
@@ -81,5 +84,12 @@ def write_rooms(_app):
     (folder / "index.rst").write_text("\n".join(toctree) + "\n", encoding="utf-8")
 
 
+def keep_bars(_app, _what, _name, _obj, _options, lines):
+    """Make |q| an absolute value, which reStructuredText would take for a substitution."""
+    bars = re.compile(r"(``.*?``)|\|(?=\S)([^|`]*?\S)\|")
+    lines[:] = [bars.sub(lambda m: m[1] or rf"\|{m[2]}\|", line) for line in lines]
+
+
 def setup(app):
     app.connect("builder-inited", write_rooms)
+    app.connect("autodoc-process-docstring", keep_bars)

@@ -14,13 +14,8 @@ PANDA = FOLDER / "franka_panda"
 
 
 def needs(path: Path) -> pytest.MarkDecorator:
-    """Skip where this file of a recording is not there."""
+    """Skip a test where this file of a recording is not there."""
     return pytest.mark.skipif(
         not path.exists(),
         reason=f"no {path.relative_to(FOLDER)} in {FOLDER.name}/ (set LIEID_RECORDINGS)",
     )
-
-
-def param(value: object, path: Path, *, id: str) -> object:
-    """A case of pytest.mark.parametrize that reads this file of a recording."""
-    return pytest.param(value, id=id, marks=[pytest.mark.real, needs(path)])

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from real_arms import PANDA, TX40, UR10E, param
+from real_arms import PANDA, TX40, UR10E, needs
 from robot.random_arms import random_arm, random_states, shift_to_axes, to_pinocchio
 
 from lieid_casadi.compiled import compile
@@ -71,7 +71,10 @@ REAL = {
 RANDOM = {f"random_{seed}_of_{2 + seed % 8}": seed for seed in range(20)}
 ARMS = [
     *(pytest.param(name, id=name) for name in BUNDLED),
-    *(param(name, path, id=name) for name, (path, *_) in REAL.items()),
+    *(
+        pytest.param(name, id=name, marks=[pytest.mark.real, needs(path)])
+        for name, (path, *_) in REAL.items()
+    ),
     *(pytest.param(name, id=name) for name in RANDOM),
 ]
 
