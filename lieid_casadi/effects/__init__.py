@@ -6,6 +6,7 @@ from lieid_casadi.effects import (
     load_friction,
     offset,
     stribeck,
+    transmission_coupling,
     viscous,
     viscous_asymmetric,
     viscous_polynomial,
@@ -22,6 +23,7 @@ LIBRARY = (
     stribeck.Stribeck,
     load_friction.LoadFriction,
     armature.Armature,
+    transmission_coupling.TransmissionCoupling,
 )
 
 __all__ = [

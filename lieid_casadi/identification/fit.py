@@ -52,14 +52,15 @@ class Fit:
     shapes : (s,)
         Shape parameters, as ``model.shapes``.
     covariance : (p + s, p + s)
-        Of values and shapes; NaN where a value sits on its bound.
+        Of values and shapes, allowing for residuals correlated in time.
     parameters : (10 n + m,)
         Link parameters and effect coefficients that give ``values``, nearest to the robot's
         nominal ones.
     noise : (n,)
         Standard deviation of the residual per joint, N·m.
     rms_train, rms_train_raw : (n,)
-        Of processed and of raw torque on the training recordings, N·m.
+        Error on the training recordings, N·m: measured and predicted through the same filter,
+        and raw, that is resampled to a uniform grid but not filtered.
     processing : Processing
         With the cut-off filled in.
     conditioning : Conditioning

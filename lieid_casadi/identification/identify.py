@@ -36,8 +36,8 @@ from lieid_casadi.identification.least_squares import (
     joint_factors,
     name_direction,
     remaining_fraction,
+    solve,
 )
-from lieid_casadi.identification.bounded import solve_bounded
 from lieid_casadi.identification.prediction import predict_recording, torque_along
 from lieid_casadi.identification.shape_fit import at_bound, fit_shapes, shape_columns
 from lieid_casadi.identification.weights import ESTIMATORS, Weighting
@@ -59,7 +59,6 @@ class _State:
     rows: Rows
     weighting: Weighting
     solution: Solution
-    fixed: NDArray[np.bool_]
     parameters: Array
 
 
@@ -124,7 +123,7 @@ def identify(
             )
         )
     report("evaluate", 0.9)
-    options = segments[0].options
+    rms, rms_raw = _rms(compiled, segments, state)
     fit = Fit(
         model=model,
         method=method,
@@ -133,9 +132,9 @@ def identify(
         covariance=covariance,
         parameters=state.parameters,
         noise=state.weighting.noise,
-        rms_train=_rms_processed(compiled, segments, state),
-        rms_train_raw=_rms_raw(compiled, given, options, state),
-        processing=options,
+        rms_train=rms,
+        rms_train_raw=rms_raw,
+        processing=segments[0].options,
         conditioning=conditioning(unweighted, model.base),
         warnings=_unique(found),
         provenance=_provenance(given),
@@ -207,9 +206,9 @@ def _fixed_point(design: Design, method: str, report: Progress) -> tuple[_State,
             shapes = fit_shapes(design, shapes, links, weighting.noise, search=search)
             rows = design.rows(shapes, links)
             weighting = estimator(rows)
-        solution, fixed = solve_bounded(weighting.factor, model.base_columns)
+        solution = solve(weighting.factor)
         parameters = model.base.lift(solution.values, _prior(model))
-        state = _State(shapes, rows, weighting, solution, fixed, parameters)
+        state = _State(shapes, rows, weighting, solution, parameters)
         if not moving:
             return state, weighting.converged
         links = parameters[: 10 * model.n]
@@ -230,7 +229,7 @@ def _prior(model: Model) -> Array:
 
 
 def _covariance(design: Design, state: _State) -> Array:
-    """Return the covariance of values and shapes (p + s, p + s); NaN on bounds."""
+    """Return the covariance of values and shapes (p + s, p + s)."""
     rows, values = state.rows, state.solution.values
     residuals = rows.residuals(values)
     unit = state.solution.unit_covariance
@@ -239,13 +238,8 @@ def _covariance(design: Design, state: _State) -> Array:
         slopes = shape_columns(design, values, state.shapes, links)
         rows = _with_columns(rows, slopes)
         weighted = combine(joint_factors(rows, state.weighting.rows), np.ones(design.model.n))
-        from lieid_casadi.identification.least_squares import solve
-
         unit = solve(weighted).unit_covariance
-    covariance = hac_covariance(rows, state.weighting.rows, residuals, unit)
-    on_bound = np.concatenate([state.fixed, np.zeros(len(state.shapes), dtype=bool)])
-    covariance[on_bound, :] = covariance[:, on_bound] = np.nan
-    return covariance
+    return hac_covariance(rows, state.weighting.rows, residuals, unit)
 
 
 def _with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
@@ -283,12 +277,17 @@ def _aliases(model: Model, remaining: Array) -> list[LieidWarning]:
 
 
 def _bounds(model: Model, state: _State) -> list[LieidWarning]:
+    """Tell coefficients beyond the physics' bounds and shapes that ran to the end of their range."""
     found: list[LieidWarning] = []
-    for parameter, value, fixed in zip(
-        model.base_columns, state.solution.values, state.fixed, strict=True
-    ):
-        if fixed:
-            found.append(BoundWarning(f"{parameter.label} ran to its bound {value:g} {parameter.unit}"))
+    for parameter, value in zip(model.base_columns, state.solution.values, strict=True):
+        if not parameter.lower <= value <= parameter.upper:
+            found.append(
+                BoundWarning(
+                    f"{parameter.label} = {value:.3g} {parameter.unit} is beyond its bound "
+                    f"[{parameter.lower:g}, {parameter.upper:g}]: the model lacks something, or "
+                    "the effect is not there"
+                )
+            )
     if len(state.shapes):
         lower = np.array([p.lower for p in model.shapes])
         upper = np.array([p.upper for p in model.shapes])
@@ -328,24 +327,19 @@ def _rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
     ]
 
 
-def _rms_processed(compiled: Compiled, segments: Sequence[Processed], state: _State) -> Array:
-    errors = [
-        s.filter(s.tau - torque_along(compiled, s, state.parameters, state.shapes))
-        for s in segments
-        if s.tau is not None
-    ]
-    return np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+def _rms(compiled: Compiled, segments: Sequence[Processed], state: _State) -> tuple[Array, Array]:
+    """Return the training error per joint (n,), filtered and as resampled only."""
+    filtered, raw = [], []
+    for segment in segments:
+        error = segment.tau - torque_along(compiled, segment, state.parameters, state.shapes)
+        raw.append(error)
+        filtered.append(segment.filter(error))
+    return root_mean_square(np.concatenate(filtered)), root_mean_square(np.concatenate(raw))
 
 
-def _rms_raw(
-    compiled: Compiled, recordings: Sequence[Recording], options: Processing, state: _State
-) -> Array:
-    errors = [
-        r.tau - predict_recording(compiled, r, options, state.parameters, state.shapes)
-        for r in recordings
-        if r.tau is not None
-    ]
-    return np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+def root_mean_square(error: Array) -> Array:
+    """Return the RMS of each column."""
+    return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
 
 def _unique(found: Sequence[LieidWarning]) -> tuple[LieidWarning, ...]:
