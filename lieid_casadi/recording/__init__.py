@@ -1,6 +1,7 @@
 """Recordings of arms: load, check, process."""
 
 from lieid_casadi.recording.checks import check
+from lieid_casadi.recording.periods import detect_period, period_noise
 from lieid_casadi.recording.processing import Processed, Processing, process
 from lieid_casadi.recording.recording import Recording, join
 from lieid_casadi.recording.spectrum import choose_cutoff, noise_dead_zone
@@ -11,7 +12,9 @@ __all__ = [
     "Recording",
     "check",
     "choose_cutoff",
+    "detect_period",
     "join",
     "noise_dead_zone",
+    "period_noise",
     "process",
 ]

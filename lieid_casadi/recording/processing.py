@@ -21,6 +21,7 @@ from lieid_casadi.recording.filtering import (
     straight_at,
     uniform_time,
 )
+from lieid_casadi.recording.periods import mean_period
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.spectrum import choose_cutoff, noise_dead_zone
 
@@ -158,14 +159,15 @@ def process(
 ) -> tuple[Processed, ...]:
     """Uniform, differentiated signals of every segment of the recordings.
 
-    Without a cut-off in the options one is chosen for all recordings together (the highest
-    that one of them asks for). Pass ``Processing(cutoff=...)`` with the cut-off of the
+    Without a cut-off in the options one is chosen for all recordings together (the median of
+    what each of them asks for). Pass ``Processing(cutoff=...)`` with the cut-off of the
     training data when processing a test.
 
     Raises
     ------
     RecordingError
-        Nothing long enough is left after trimming, or a cut-off that the rate cannot show.
+        Nothing long enough is left after trimming, a cut-off that the rate cannot show, or
+        periods to be averaged where there are none.
     MissingDependency
         RLOESS without the extra ``[loess]``.
     """
@@ -173,12 +175,13 @@ def process(
     if not given:
         raise RecordingError("no recordings, expected at least one")
     options = options or Processing()
-    cutoff = options.cutoff or max(choose_cutoff(recording) for recording in given)
+    cutoff = options.cutoff or float(np.median([choose_cutoff(r) for r in given]))
     options = replace(options, cutoff=cutoff)
     done: list[Processed] = []
     short: list[LieidWarning] = []
     for recording in given:
-        for segment in recording.segments():
+        for raw in recording.segments():
+            segment = mean_period(raw, options.trim) if options.average_periods else raw
             reason = _too_short(segment, cutoff, options.trim)
             if reason:
                 short.append(ShortSegmentWarning(reason))
