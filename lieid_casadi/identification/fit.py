@@ -61,6 +61,8 @@ class Fit:
     rms_train, rms_train_raw : (n,)
         Error on the training recordings, N·m: measured and predicted through the same filter,
         and raw, that is resampled to a uniform grid but not filtered.
+    rms_cv : (n,)
+        Error on held-out blocks of the training recordings, joints in motion, N·m.
     processing : Processing
         With the cut-off filled in.
     conditioning : Conditioning
@@ -79,6 +81,7 @@ class Fit:
     noise: Array
     rms_train: Array
     rms_train_raw: Array
+    rms_cv: Array
     processing: Processing
     conditioning: Conditioning
     warnings: tuple[LieidWarning, ...]
@@ -195,6 +198,7 @@ class Fit:
             "method": self.method,
             "rms_train": self.rms_train.tolist(),
             "rms_train_raw": self.rms_train_raw.tolist(),
+            "rms_cv": [float(x) if np.isfinite(x) else None for x in self.rms_cv],
             "cutoff": self.processing.cutoff,
             "warnings": warning_list(self.warnings),
             "base_parameter_count": self.model.base.count,

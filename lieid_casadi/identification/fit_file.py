@@ -56,6 +56,7 @@ class Content(msgspec.Struct, forbid_unknown_fields=True):
     noise: list[float]
     rms_train: list[float]
     rms_train_raw: list[float]
+    rms_cv: list[float | None]
     processing: dict[str, Any]
     conditioning: dict[str, float]
     warnings: list[dict[str, str]]
@@ -80,6 +81,7 @@ def save(fit: Fit, path: str | Path) -> None:
         noise=fit.noise.tolist(),
         rms_train=fit.rms_train.tolist(),
         rms_train_raw=fit.rms_train_raw.tolist(),
+        rms_cv=_nullable(fit.rms_cv),
         processing=asdict(fit.processing),
         conditioning=asdict(fit.conditioning),
         warnings=warning_list(fit.warnings),
@@ -108,6 +110,7 @@ def load(path: str | Path) -> Fit:
             noise=np.array(content.noise),
             rms_train=np.array(content.rms_train),
             rms_train_raw=np.array(content.rms_train_raw),
+            rms_cv=np.array([np.nan if x is None else x for x in content.rms_cv]),
             processing=Processing(**msgspec.to_builtins(options)),
             conditioning=Conditioning(**content.conditioning),
             warnings=tuple(_warning(w) for w in content.warnings),
@@ -197,6 +200,7 @@ def _check_sizes(fit: Fit, content: Content, path: str | Path) -> None:
         "noise": (fit.noise, (n,)),
         "rms_train": (fit.rms_train, (n,)),
         "rms_train_raw": (fit.rms_train_raw, (n,)),
+        "rms_cv": (fit.rms_cv, (n,)),
     }
     for name, (array, shape) in expected.items():
         if array.shape != shape:

@@ -22,6 +22,10 @@ from lieid_casadi.errors import (
 )
 from lieid_casadi.identification.conditioning import conditioning
 from lieid_casadi.identification.covariance import hac_covariance
+from lieid_casadi.identification.cross_validation import (
+    BLOCK_OVER_CUTOFF,
+    cross_validated_rms,
+)
 from lieid_casadi.identification.design import (
     Design,
     JointRows,
@@ -134,6 +138,7 @@ def identify(
         noise=state.weighting.noise,
         rms_train=rms,
         rms_train_raw=rms_raw,
+        rms_cv=_rms_cv(segments, state),
         processing=segments[0].options,
         conditioning=conditioning(unweighted, model.base),
         warnings=_unique(found),
@@ -335,6 +340,13 @@ def _rms(compiled: Compiled, segments: Sequence[Processed], state: _State) -> tu
         raw.append(error)
         filtered.append(segment.filter(error))
     return root_mean_square(np.concatenate(filtered)), root_mean_square(np.concatenate(raw))
+
+
+def _rms_cv(segments: Sequence[Processed], state: _State) -> Array:
+    first = segments[0]
+    step = first.filtered_time[1] - first.filtered_time[0] if len(first.filtered_time) > 1 else 1.0
+    block = max(int(BLOCK_OVER_CUTOFF / first.cutoff / step), 1)
+    return cross_validated_rms(state.rows, state.weighting.noise, block=block)
 
 
 def root_mean_square(error: Array) -> Array:
