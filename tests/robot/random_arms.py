@@ -174,7 +174,7 @@ def to_mujoco(robot):
 
 
 def _placement(pose):
-    quaternion = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
+    quaternion = np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)  # w first
     return f'pos="{_text(pose[:3, 3])}" quat="{_text(quaternion)}"'
 
 
