@@ -154,13 +154,15 @@ def to_mujoco(robot):
     for joint in robot.joints:
         direction, point = axis_in_link(joint)
         mass, com, inertia = mass_com_inertia(joint.link)
-        i = inertia
-        full = _text([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]])
+        # Principal axes are found here: older MuJoCo finds those of a fullinertia to 1e-6 only.
+        moments, principal = np.linalg.eigh(inertia)
+        axes = np.eye(4)
+        axes[:3, :3], axes[:3, 3] = principal * np.linalg.det(principal), com
         kind = "hinge" if joint.screw[:3].any() else "slide"
         head.append(
             f'<body name="{joint.name}" {_placement(np.linalg.solve(before, joint.home))}>'
             f'<joint type="{kind}" axis="{_text(direction)}" pos="{_text(point)}"/>'
-            f'<inertial pos="{_text(com)}" mass="{_text([mass])}" fullinertia="{full}"/>'
+            f'<inertial {_placement(axes)} mass="{_text([mass])}" diaginertia="{_text(moments)}"/>'
         )
         tail.append("</body>")
         before = joint.home
