@@ -22,9 +22,9 @@ LEAST_BANDS, MOST_BANDS = 6.0, 25.0
 TORQUE_RATE = 400.0
 #: Joints that move less say nothing about the band of their torque, rad or m.
 ENOUGH_MOTION = 0.05
-#: Part of the top speed that is in the dead zone even without noise. On recordings of a UR10e
-#: and a TX40 a tenth of it and five times it are both worse on a test.
-TOP_SPEED_PART = 2e-3
+#: Part of the top speed that is in the dead zone even without noise. On test recordings a
+#: tenth of it is worse for a TX40, three times as much is worse for a UR10e.
+TOP_SPEED_PART = 3e-3
 
 
 def choose_cutoff(recording: Recording) -> float:
@@ -123,7 +123,7 @@ def noise_dead_zone(dq: Array, *, kept: float = 1.0) -> Array:
 
     Three standard deviations of the velocity's noise, which is the robust spread of the
     fourth difference of dq (motion leaves nothing there, white noise √70 σ), but at least
-    1.5 steps of dq's resolution and a five-hundredth of the joint's top speed: a reversal
+    1.5 steps of dq's resolution and 0.3 % of the joint's top speed: a reversal
     passes through that within a sample or so, and the sign there is anyone's guess.
 
     Parameters
@@ -145,7 +145,9 @@ def noise_dead_zone(dq: Array, *, kept: float = 1.0) -> Array:
     noise = 3.0 * spread / np.sqrt(70.0) * np.sqrt(min(kept, 1.0))
     top = np.percentile(np.abs(dq), 99.0, axis=0)
     resolution = np.array([_resolution(column) for column in dq.T])
-    return np.asarray(np.maximum.reduce([noise, 1.5 * resolution, TOP_SPEED_PART * top, 0 * top + 1e-6]))
+    return np.asarray(
+        np.maximum.reduce([noise, 1.5 * resolution, TOP_SPEED_PART * top, 0 * top + 1e-6])
+    )
 
 
 def _resolution(values: Array) -> float:

@@ -1,0 +1,12 @@
+from pathlib import Path
+
+import pytest
+from real_arms import FOLDER
+
+
+@pytest.fixture
+def recordings() -> Path:
+    """Folder of the recordings of real arms; skips where it is not."""
+    if not FOLDER.is_dir():
+        pytest.skip(f"no recordings of real arms in {FOLDER.name}/ (set LIEID_RECORDINGS)")
+    return FOLDER

@@ -1,0 +1,133 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording.planar_arm import measured
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from lieid_casadi.errors import RecordingError
+from lieid_casadi.recording import Recording
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+NAMES = ["shoulder", "elbow"]
+START = 1_700_000_000_000_000_000
+
+
+def write(path: Path, messages, plugin=StoragePlugin.SQLITE3):
+    """Bag folder with messages (topic, nanoseconds, names, q, dq, tau, stamped)."""
+    types, empty = STORE.types, np.zeros(0)
+    with Writer(path, version=9, storage_plugin=plugin) as writer:
+        connections = {
+            topic: writer.add_connection(topic, "sensor_msgs/msg/JointState", typestore=STORE)
+            for topic in sorted({m[0] for m in messages})
+        }
+        for topic, time, names, q, dq, tau, stamped in messages:
+            sec, nanosec = divmod(time if stamped else 0, 1_000_000_000)
+            message = types["sensor_msgs/msg/JointState"](
+                header=types["std_msgs/msg/Header"](
+                    stamp=types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec),
+                    frame_id="",
+                ),
+                name=list(names),
+                position=np.asarray(q, dtype=float),
+                velocity=empty if dq is None else np.asarray(dq, dtype=float),
+                effort=empty if tau is None else np.asarray(tau, dtype=float),
+            )
+            raw = STORE.serialize_cdr(message, "sensor_msgs/msg/JointState")
+            writer.write(connections[topic], time, raw)
+    return path
+
+
+def arm_messages(recording, *, names=NAMES, topic="/joint_states", stamped=True):
+    order = [NAMES.index(name) for name in names]
+    return [
+        (topic, START + round(t * 1e9), names, q[order], dq[order], tau[order], stamped)
+        for t, q, dq, tau in zip(recording.t, recording.q, recording.dq, recording.tau, strict=True)
+    ]
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return measured(duration=2, rate=100)
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+@pytest.mark.parametrize("stamped", [True, False])
+def test_a_bag_comes_back(tmp_path, arm, plugin, stamped):
+    bag = write(tmp_path / "bag", arm_messages(arm, stamped=stamped), plugin)
+    suffix = ".mcap" if plugin is StoragePlugin.MCAP else ".db3"
+    files = [bag, *(p for p in bag.iterdir() if p.suffix == ".mcap" == suffix)]
+    for file in files:
+        recording = Recording.load(file)
+        np.testing.assert_allclose(recording.t, arm.t, atol=1e-9)
+        np.testing.assert_array_equal(recording.q, arm.q)
+        np.testing.assert_array_equal(recording.dq, arm.dq)
+        np.testing.assert_array_equal(recording.tau, arm.tau)
+        assert len(recording.source_hash) == 64
+
+
+def test_a_part_of_an_mcap_file(tmp_path, arm):
+    bag = write(tmp_path / "bag", arm_messages(arm), StoragePlugin.MCAP)
+    (file,) = bag.glob("*.mcap")
+    recording = Recording.load(f"{file}@0.5:1")
+    np.testing.assert_array_equal(recording.q, arm.q[50:100])
+
+
+def test_joints_are_ordered_by_the_robot(tmp_path, arm):
+    bag = write(tmp_path / "bag", arm_messages(arm, names=["elbow", "shoulder"]))
+    np.testing.assert_array_equal(Recording.load(bag).q, arm.q[:, ::-1])
+    ordered = Recording.load(bag, joint_names=NAMES)
+    np.testing.assert_array_equal(ordered.q, arm.q)
+    np.testing.assert_array_equal(ordered.tau, arm.tau)
+
+
+def test_messages_of_a_gripper_are_passed_over(tmp_path, arm):
+    gripper = [
+        ("/joint_states", START + 3_000_000 + k * 50_000_000, ["finger"], [0.0], None, None, True)
+        for k in range(20)
+    ]
+    messages = sorted(arm_messages(arm) + gripper, key=lambda m: m[1])
+    bag = write(tmp_path / "bag", messages)
+    np.testing.assert_array_equal(Recording.load(bag, joint_names=NAMES).q, arm.q)
+
+
+def test_several_topics_need_a_choice(tmp_path, arm):
+    other = [
+        (m[0].replace("/", "/left/", 1), *m[1:3], m[3] + 1.0, *m[4:]) for m in arm_messages(arm)
+    ]
+    bag = write(tmp_path / "bag", arm_messages(arm) + other)
+    with pytest.raises(RecordingError, match=r"/joint_states, /left/joint_states.*topic="):
+        Recording.load(bag)
+    recording = Recording.load(bag, topic="/left/joint_states")
+    np.testing.assert_array_equal(recording.q, arm.q + 1.0)
+    with pytest.raises(RecordingError, match="expected /right among them"):
+        Recording.load(bag, topic="/right")
+
+
+def test_positions_alone(tmp_path, arm):
+    messages = [(*m[:4], None, None, True) for m in arm_messages(arm)]
+    recording = Recording.load(write(tmp_path / "bag", messages))
+    assert recording.dq is None
+    assert recording.tau is None
+
+
+def test_bad_bags(tmp_path, arm):
+    messages = arm_messages(arm)
+    bag = write(tmp_path / "good", messages)
+    with pytest.raises(RecordingError, match=r"found 2 joints \(shoulder, elbow\), expected 7"):
+        Recording.load(bag, n=7)
+    with pytest.raises(RecordingError, match="no joint 'wrist'"):
+        Recording.load(bag, joint_names=[*NAMES, "wrist"])
+    with pytest.raises(RecordingError, match="no JointState message with the joints wrist"):
+        Recording.load(bag, joint_names=["wrist"])
+    mixed = [messages[0], (*messages[1][:5], None, True), *messages[2:]]
+    with pytest.raises(RecordingError, match="1 of 200 messages lack effort"):
+        Recording.load(write(tmp_path / "mixed", mixed))
+    file = tmp_path / "broken.mcap"
+    file.write_bytes(b"not an mcap file")
+    with pytest.raises(RecordingError, match="not a bag that can be read"):
+        Recording.load(file)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RecordingError, match="not a bag that can be read"):
+        Recording.load(tmp_path / "empty")
