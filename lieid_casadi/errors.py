@@ -65,7 +65,7 @@ class BoundWarning(LieidWarning):
 
 
 class FrictionAtRestWarning(LieidWarning):
-    """Samples at rest left the fit: friction is undetermined there."""
+    """Friction is undetermined at rest: samples left a fit, or weigh in a test's error."""
 
 
 class ConvergenceWarning(LieidWarning):
@@ -114,3 +114,7 @@ class JointLimitWarning(LieidWarning):
 
 class ShortSegmentWarning(LieidWarning):
     """A segment that is too short to be filtered was left out."""
+
+
+class SameRecordingWarning(LieidWarning):
+    """A test on a recording that the fit was made from."""

@@ -105,7 +105,7 @@ def identify(
         raise IdentificationError(
             f"unknown method {method!r}; expected one of {', '.join(ESTIMATORS)}"
         )
-    _check_given(model, given)
+    check_recordings(model, given)
     compiled = compile(model)
     report("check", 0.0)
     found = [w for recording in given for w in check_with_model(compiled, recording)]
@@ -141,7 +141,7 @@ def identify(
         rms_cv=_rms_cv(segments, state),
         processing=segments[0].options,
         conditioning=conditioning(unweighted, model.base),
-        warnings=_unique(found),
+        warnings=unique_warnings(found),
         provenance=_provenance(given),
         temperature_mean=mean,
     )
@@ -163,7 +163,8 @@ def check_with_model(compiled: Compiled, recording: Recording) -> tuple[LieidWar
     return (*recording.warnings, *check(recording, robot, nominal_torque=nominal))
 
 
-def _check_given(model: Model, recordings: Sequence[Recording]) -> None:
+def check_recordings(model: Model, recordings: Sequence[Recording]) -> None:
+    """Raise where recordings lack what the model needs: joints, torque, temperature."""
     if not recordings:
         raise IdentificationError("no recordings given; expected at least one")
     needs = {s for p in model.placements for s in p.effect.signals}
@@ -354,7 +355,8 @@ def root_mean_square(error: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
 
-def _unique(found: Sequence[LieidWarning]) -> tuple[LieidWarning, ...]:
+def unique_warnings(found: Sequence[LieidWarning]) -> tuple[LieidWarning, ...]:
+    """Return warnings in their order, each once."""
     kept: dict[tuple[type, str], LieidWarning] = {}
     for warning in found:
         kept.setdefault((type(warning), str(warning)), warning)
