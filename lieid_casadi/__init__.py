@@ -10,6 +10,7 @@ __version__ = "0.1.0"
 # name → module that defines it; imported on first use, so that importing the package is quick
 _HOME = {
     "Coefficient": "lieid_casadi.effects",
+    "Comparison": "lieid_casadi.comparison",
     "Compiled": "lieid_casadi.compiled",
     "Effect": "lieid_casadi.effects",
     "Fit": "lieid_casadi.identification",
@@ -23,6 +24,7 @@ _HOME = {
     "Robot": "lieid_casadi.robot",
     "Shape": "lieid_casadi.effects",
     "Signals": "lieid_casadi.effects",
+    "compare": "lieid_casadi.comparison",
     "compile": "lieid_casadi.compiled",
     "effect": "lieid_casadi.effects",
     "identify": "lieid_casadi.identification",
@@ -33,6 +35,8 @@ __all__ = [*sorted(_HOME), "__version__", "robots"]  # noqa: PLE0604
 
 if TYPE_CHECKING:
     from lieid_casadi import robots as robots
+    from lieid_casadi.comparison import Comparison as Comparison
+    from lieid_casadi.comparison import compare as compare
     from lieid_casadi.compiled import Compiled as Compiled
     from lieid_casadi.compiled import compile as compile
     from lieid_casadi.effects import Coefficient as Coefficient

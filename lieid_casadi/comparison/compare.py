@@ -1,0 +1,107 @@
+"""Compare a fit with recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.comparison.comparison import Comparison
+from lieid_casadi.comparison.findings import findings
+from lieid_casadi.comparison.moments import worst_moments
+from lieid_casadi.comparison.noise import noise_floor
+from lieid_casadi.comparison.series import series_along
+from lieid_casadi.identification.fit import Fit, Source
+from lieid_casadi.identification.identify import (
+    center_temperature,
+    check_recordings,
+    check_with_model,
+    root_mean_square,
+    unique_warnings,
+)
+from lieid_casadi.recording import Recording, process
+
+Array = NDArray[np.float64]
+
+
+def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison:
+    """Compare a fit's torque with what was measured.
+
+    Parameters
+    ----------
+    fit : Fit
+    recordings : Recording or sequence of Recording
+        With torques, best of motion that the fit has not seen. All of them together give one
+        number per joint.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    RecordingError
+        A recording that is certainly wrong, or too short or too slow for the fit's filter.
+    ModelError, EffectError
+        A recording without torque, with another number of joints, or without a signal that
+        an effect needs.
+    """
+    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    check_recordings(fit.model, given)
+    found = [w for recording in given for w in check_with_model(fit.compiled, recording)]
+    # Averaging periods would hide what the model cannot do: a test is taken as it is.
+    options = replace(fit.processing, average_periods=False)
+    segments, _ = center_temperature(process(given, options), fit.temperature_mean)
+    both = [series_along(fit, segment) for segment in segments]
+    series = tuple(each for each, _ in both)
+    raw_errors = [raw for _, raw in both]
+    measured = np.concatenate([s.measured for s in series])
+    predicted = np.concatenate([s.predicted for s in series])
+    moving = np.concatenate([s.moving for s in series])
+    error = measured - predicted
+    rms, torque_rms = root_mean_square(error), root_mean_square(measured)
+    floor, source = noise_floor(given, segments, raw_errors)
+    comparison = Comparison(
+        joint_names=tuple(joint.name for joint in fit.model.robot.joints),
+        units=tuple("N·m" if joint.revolute else "N" for joint in fit.model.robot.joints),
+        rms=rms,
+        rms_raw=root_mean_square(np.concatenate(raw_errors)),
+        rms_moving=_rms_where(error, moving),
+        rms_at_rest=_rms_where(error, ~moving),
+        at_rest=1.0 - moving.mean(axis=0),
+        torque_rms=torque_rms,
+        relative_rms=_ratio(rms, torque_rms),
+        correlation=_correlation(measured, predicted),
+        bias=error.mean(axis=0),
+        noise_floor=floor,
+        noise_source=source,
+        worst=worst_moments(series),
+        series=series,
+        cutoff=segments[0].cutoff,
+        recordings=tuple(Source(r.name, r.source_hash) for r in given),
+        duration=float(sum(s.time[-1] - s.time[0] for s in series)),
+        warnings=(),
+    )
+    found += [w for segment in segments for w in segment.warnings]
+    found += findings(fit, comparison)
+    return replace(comparison, warnings=unique_warnings(found))
+
+
+def _rms_where(error: Array, use: NDArray[np.bool_]) -> Array:
+    """Return the RMS per joint over the marked samples (n,), NaN where none is marked."""
+    count = use.sum(axis=0)
+    squares = np.sum(np.where(use, error, 0.0) ** 2, axis=0)
+    return np.where(count > 0, np.sqrt(squares / np.maximum(count, 1)), np.nan)
+
+
+def _ratio(part: Array, whole: Array) -> Array:
+    return np.where(whole > 0.0, part / np.where(whole > 0.0, whole, 1.0), np.nan)
+
+
+def _correlation(a: Array, b: Array) -> Array:
+    """Return the correlation of each pair of columns (n,), NaN where one is constant."""
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    norm = np.sqrt(np.sum(a**2, axis=0) * np.sum(b**2, axis=0))
+    return _ratio(np.sum(a * b, axis=0), norm)

@@ -1,0 +1,76 @@
+"""The errors per joint as a table: rows for the terminal, HTML for notebooks."""
+
+from __future__ import annotations
+
+import math
+from html import escape
+
+from lieid_casadi.comparison.comparison import Comparison
+
+HEADINGS = (
+    "joint",
+    "RMS",
+    "moving",
+    "at rest",
+    "raw",
+    "of torque",
+    "correlation",
+    "bias",
+    "noise",
+    "unit",
+)
+
+
+def table_rows(comparison: Comparison) -> list[tuple[str, ...]]:
+    """Return one row of text per joint, as `HEADINGS`."""
+    c = comparison
+    return [
+        (
+            joint_title(c, j),
+            digits(c.rms[j]),
+            digits(c.rms_moving[j]),
+            digits(c.rms_at_rest[j]),
+            digits(c.rms_raw[j]),
+            percent(c.relative_rms[j]),
+            "–" if math.isnan(c.correlation[j]) else f"{c.correlation[j]:.4f}",
+            digits(c.bias[j], sign="+"),
+            digits(c.noise_floor[j]),
+            c.units[j],
+        )
+        for j in range(c.n)
+    ]
+
+
+def joint_title(comparison: Comparison, joint: int) -> str:
+    """Return a joint's number from 1, and its name where that says more."""
+    name = comparison.joint_names[joint]
+    return f"{joint + 1} {name}" if name and name != str(joint + 1) else f"{joint + 1}"
+
+
+def digits(value: float, *, sign: str = "") -> str:
+    """Return three significant digits, an en dash for NaN."""
+    return "–" if math.isnan(value) else f"{value:{sign}#.3g}"
+
+
+def percent(value: float) -> str:
+    """Return a part of one in percent, an en dash for NaN."""
+    return "–" if math.isnan(value) else f"{100.0 * value:.2g} %"
+
+
+def html_table(comparison: Comparison) -> str:
+    """Return the table and the warnings as HTML; text from outside is escaped."""
+    names = ", ".join(source.name or "recording" for source in comparison.recordings)
+    head = "".join(f"<th>{escape(title)}</th>" for title in HEADINGS)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
+        for row in table_rows(comparison)
+    )
+    told = "".join(
+        f"<li><b>{escape(type(w).__name__)}</b>: {escape(str(w))}</li>" for w in comparison.warnings
+    )
+    return (
+        f"<p>{escape(names)}, {comparison.duration:.4g} s, low-pass {comparison.cutoff:.3g} Hz, "
+        f"noise from {escape(comparison.noise_source.replace('_', ' '))}</p>"
+        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        + (f"<ul>{told}</ul>" if told else "")
+    )
