@@ -120,12 +120,13 @@ def base_parameters(
 
 def reduce(null: Matrix, names: tuple[str, ...]) -> BaseParameters:
     """Return the base parameters given a basis (d, P) of the invisible parameter changes."""
-    rows, dropped = _eliminate_from_the_right(null)
+    dropped = _last_touched(null)
     kept = np.setdiff1d(np.arange(len(names)), dropped)
+    rows = np.linalg.solve(null[:, dropped], null[:, kept])
     combination = np.zeros((len(kept), len(names)))
     combination[np.arange(len(kept)), kept] = 1.0
     # null row: y_dropped + Σ row_k y_k = 0, so π_dropped adds −row_k to the kept k
-    combination[:, dropped] = -rows[:, kept].T
+    combination[:, dropped] = -rows.T
     return BaseParameters(names, kept, _rounded(combination))
 
 
@@ -295,11 +296,14 @@ def _null(rows: Matrix) -> Matrix:
     return np.asarray(basis[rank:])
 
 
-def _eliminate_from_the_right(null: Matrix) -> tuple[Matrix, NDArray[np.intp]]:
-    """Reduce so that each row has a 1 in its own dropped column, the last it touches."""
+def _last_touched(null: Matrix) -> NDArray[np.intp]:
+    """Return the columns that are combinations of columns before them, last first.
+
+    Elimination from the right: each invisible change is named after the last column it needs.
+    """
     rows, dropped = null.copy(), []
-    done = 0
     for column in reversed(range(rows.shape[1])):
+        done = len(dropped)
         if done == len(rows):
             break
         pivot = done + int(np.argmax(np.abs(rows[done:, column])))
@@ -308,11 +312,9 @@ def _eliminate_from_the_right(null: Matrix) -> tuple[Matrix, NDArray[np.intp]]:
             continue
         rows[[done, pivot]] = rows[[pivot, done]]
         rows[done] /= rows[done, column]
-        others = np.arange(len(rows)) != done
-        rows[others] -= np.outer(rows[others, column], rows[done])
+        rows[done + 1 :] -= np.outer(rows[done + 1 :, column], rows[done])
         dropped.append(column)
-        done += 1
-    return rows[:done], np.array(dropped, dtype=np.intp)
+    return np.array(dropped, dtype=np.intp)
 
 
 def _rounded(values: Matrix) -> Matrix:

@@ -22,7 +22,7 @@ class LoadFriction(Effect):
     """
 
     name = "load_friction"
-    signals = ("dq", "sign", "load")
+    signals = ("sign", "load")
 
     def __init__(self, *, option: str = "") -> None:
         self.option = option
@@ -33,6 +33,7 @@ class LoadFriction(Effect):
         elif option == "paper":
             self.formula = "(f_τ·|τ_load| + f_τ1·e^{−f_τ2·|τ_load|/√(q̇²+ε²)})·sgn(q̇)"
             self.coefficients = (proportional, Coefficient("f_tau1", "N·m"))
+            self.signals = ("dq", "sign", "load")
             self.shapes = (Shape("f_tau2", "rad/(N·m·s)", 0.01, 1e-5, 1.0),)
         elif option == "motoring":
             self.formula = "(f_m or f_g, by the sign of τ_load·q̇)·|τ_load|·sgn(q̇)"

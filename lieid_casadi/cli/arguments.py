@@ -1,0 +1,120 @@
+"""Options that several commands share, and how they become objects."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from lieid_casadi.errors import UsageError
+
+if TYPE_CHECKING:
+    from lieid_casadi.model import Model
+    from lieid_casadi.recording import Processing, Recording
+    from lieid_casadi.robot import Robot
+
+DEFAULT_EFFECTS = "coulomb,viscous,offset"
+
+
+def add_robot(parser: argparse.ArgumentParser) -> None:
+    """Add ROBOT with --tip and --lock."""
+    parser.add_argument("robot", metavar="ROBOT", help="URDF or YAML file, or a bundled name")
+    parser.add_argument("--tip", metavar="LINK", help="last link of the chain (URDF)")
+    parser.add_argument("--lock", nargs="+", default=[], metavar="JOINT", help="joints to lock")
+
+
+def add_recording_options(parser: argparse.ArgumentParser) -> None:
+    """Add what turns recordings into torques and signals."""
+    parser.add_argument(
+        "--torque-constants", metavar="K1,…,Kn", help="N·m/A, for recordings with currents i1…in"
+    )
+
+
+def add_processing(parser: argparse.ArgumentParser) -> None:
+    """Add filter options."""
+    parser.add_argument("--cutoff", type=float, metavar="HZ", help="of the low-pass; default: chosen")
+    parser.add_argument(
+        "--average-periods", action="store_true", help="average periodic recordings over periods"
+    )
+
+
+def add_effects(parser: argparse.ArgumentParser, *, default: str = DEFAULT_EFFECTS) -> None:
+    """Add --effects and --effects-file."""
+    parser.add_argument(
+        "--effects", default=default, metavar="A,B:2+3,…", help=f"default: {default}"
+    )
+    add_effects_file(parser)
+
+
+def add_effects_file(parser: argparse.ArgumentParser) -> None:
+    """Add --effects-file, Python code of the user's own that is run."""
+    parser.add_argument("--effects-file", metavar="F.py", help="registers effects of your own")
+
+
+def add_outputs(parser: argparse.ArgumentParser, *, html: bool = False) -> None:
+    """Add --json, and --html where there is a report."""
+    parser.add_argument("--json", metavar="FILE", help="write the result for machines")
+    if html:
+        parser.add_argument("--html", metavar="FILE", help="write a self-contained report")
+
+
+def robot_of(args: argparse.Namespace) -> Robot:
+    """Return the robot that ROBOT, --tip and --lock name."""
+    from lieid_casadi.robot import Robot
+
+    return Robot.load(args.robot, tip=args.tip, lock=args.lock)
+
+
+def model_of(args: argparse.Namespace) -> Model:
+    """Return the model of the robot with --effects."""
+    from lieid_casadi.model import Model
+
+    load_effects_file(args.effects_file)
+    return Model(robot_of(args), args.effects)
+
+
+def recordings_of(paths: Sequence[str], args: argparse.Namespace, robot: Robot) -> list[Recording]:
+    """Load recordings; currents become torques by --torque-constants or the robot's own."""
+    from lieid_casadi.recording import Recording
+
+    constants = _torque_constants(args, robot)
+    return [Recording.load(path, torque_constants=constants, n=robot.n) for path in paths]
+
+
+def processing_of(args: argparse.Namespace) -> Processing:
+    """Return the filter options."""
+    from lieid_casadi.recording import Processing
+
+    return Processing(cutoff=args.cutoff, average_periods=args.average_periods)
+
+
+def load_effects_file(path: str | None) -> None:
+    """Run the user's own Python file, which registers effects."""
+    if path is None:
+        return
+    import runpy
+    from pathlib import Path
+
+    if not Path(path).is_file():
+        raise UsageError(f"{path}: no such file; --effects-file expects a Python file of your own")
+    runpy.run_path(path)
+
+
+def _torque_constants(args: argparse.Namespace, robot: Robot) -> list[float] | None:
+    import numpy as np
+
+    if args.torque_constants is not None:
+        try:
+            constants = [float(text) for text in args.torque_constants.split(",")]
+        except ValueError:
+            raise UsageError(
+                f"--torque-constants {args.torque_constants}: expected numbers K1,…,K{robot.n}"
+            ) from None
+        if len(constants) != robot.n:
+            raise UsageError(
+                f"--torque-constants: {len(constants)} numbers; expected {robot.n}, one a joint"
+            )
+        return constants
+    if np.all(np.isfinite(robot.torque_constants)):
+        return [float(k) for k in robot.torque_constants]
+    return None

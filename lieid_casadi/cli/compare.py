@@ -1,0 +1,89 @@
+"""``lieid compare FIT REC…``: where a fit fails on recordings."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import arguments, output
+
+if TYPE_CHECKING:
+    from lieid_casadi.comparison import Comparison
+    from lieid_casadi.identification import Fit
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser("compare", help="errors of a fit on recordings, per joint")
+    parser.add_argument("fit", metavar="FIT")
+    parser.add_argument("recordings", nargs="+", metavar="REC")
+    parser.add_argument("--plot", metavar="FILE", help="draw measured, predicted and residual torque")
+    arguments.add_recording_options(parser)
+    arguments.add_effects_file(parser)
+    arguments.add_outputs(parser, html=True)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Compare, print and write."""
+    from lieid_casadi.comparison import compare
+    from lieid_casadi.identification import Fit
+
+    output.check_writable(args.json, args.html, args.plot)
+    arguments.load_effects_file(args.effects_file)
+    fit = Fit.load(args.fit)
+    recordings = arguments.recordings_of(args.recordings, args, fit.model.robot)
+    comparison = compare(fit, recordings)
+    output.write_json(args.json, comparison.to_dict())
+    if args.html is not None:
+        from lieid_casadi.report import comparison_report
+
+        output.write_file(args.html, comparison_report(fit, comparison).encode())
+    if args.plot is not None:
+        save_figure(args.plot, comparison.plot())
+    print_comparison(fit, comparison)
+
+
+def save_figure(path: str, figure: Any) -> None:
+    """Write a figure; the file's ending gives its format."""
+    import io
+    from pathlib import Path
+
+    from lieid_casadi.errors import UsageError
+
+    kind = Path(path).suffix.lstrip(".").lower() or "png"
+    if kind not in figure.canvas.get_supported_filetypes():
+        raise UsageError(f"{path}: cannot draw {kind!r} files; expected e.g. .png, .pdf or .svg")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=kind, dpi=110)
+    output.write_file(path, buffer.getvalue())
+
+
+def print_comparison(fit: Fit, comparison: Comparison) -> None:
+    """Print errors per joint and the worst moments."""
+    rows: list[list[object]] = []
+    for j, joint in enumerate(fit.model.robot.joints):
+        rows.append(
+            [
+                f"{j + 1} {joint.name}",
+                float(comparison.rms[j]),
+                float(comparison.rms_raw[j]),
+                100.0 * float(comparison.relative_rms[j]),
+                f"{comparison.correlation[j]:.5f}",
+                float(comparison.noise_floor[j]),
+                float(comparison.rms_moving[j]),
+                float(comparison.rms_at_rest[j]),
+            ]
+        )
+    output.table(
+        f"RMS error, N·m (low-pass {fit.processing.cutoff:.3g} Hz; noise floor: "
+        f"{comparison.noise_source})",
+        ["joint", "RMS", "raw", "% of torque", "correlation", "noise floor", "moving", "at rest"],
+        rows,
+    )
+    output.table(
+        "Worst moments",
+        ["recording", "time, s", "joint", "error, N·m"],
+        [[w.recording, float(w.time), w.joint + 1, float(w.error)] for w in comparison.worst],
+    )
+    output.show_warnings(comparison.warnings)

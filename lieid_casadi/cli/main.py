@@ -1,0 +1,96 @@
+"""Entry point of ``lieid``: parse, run one command, turn its outcome into an exit status."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from lieid_casadi import __version__
+
+DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
+COMMANDS = ("demo", "show", "identify", "predict", "compare")
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print one line on stderr and exit with status 2."""
+        self.exit(BAD_INPUT, f"{self.prog}: {' '.join(message.split())}\n")
+
+
+def build_parser() -> Parser:
+    """Return the parser of all commands."""
+    parser = Parser(
+        prog="lieid",
+        description="Identify the dynamic model of a robot arm and learn what it lacks.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"lieid {__version__}")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name in COMMANDS:
+        importlib.import_module(f"lieid_casadi.cli.{name}").add_parser(commands)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``lieid`` and return its exit status (DESIGN: 0, 1, 2, 3 or 130)."""
+    args = build_parser().parse_args(arguments)
+    _log_to_stderr()
+    try:
+        return int(args.run(args) or DONE)
+    except KeyboardInterrupt:
+        _say(f"lieid {args.command}: interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # the reader of our output has gone; nothing more can be said to it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except Exception as error:  # noqa: BLE001 - the outermost frame names what it can
+        if args.debug:
+            raise
+        return _status(args.command, error)
+
+
+def _status(command: str, error: Exception) -> int:
+    """Print one line for an error and return its exit status."""
+    from lieid_casadi.errors import LieidError, NoSolution
+
+    text = " ".join(str(error).split())
+    if isinstance(error, NoSolution):
+        _say(f"lieid {command}: {text}")
+        return NO_SOLUTION
+    if isinstance(error, LieidError):
+        _say(f"lieid {command}: {text}")
+        return BAD_INPUT
+    if isinstance(error, OSError) and error.filename is not None:
+        _say(f"lieid {command}: {error.filename}: {error.strerror}")
+        return BAD_INPUT
+    _say(f"lieid {command}: internal error: {type(error).__name__}: {text} (--debug shows where)")
+    return INTERNAL
+
+
+def _say(line: str) -> None:
+    with contextlib.suppress(OSError):
+        print(line, file=sys.stderr)
+
+
+def _log_to_stderr() -> None:
+    """Show the library's notices on a terminal; elsewhere stderr stays empty."""
+    if sys.stderr.isatty():
+        handler = logging.StreamHandler()
+        handler.setFormatter(logging.Formatter("lieid: %(message)s"))
+        logging.getLogger("lieid_casadi").addHandler(handler)
+    else:
+        logging.getLogger("lieid_casadi").addHandler(logging.NullHandler())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,41 @@
+"""``lieid predict FIT REC -o pred.csv``: torque at the recording's own times."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from lieid_casadi.cli import arguments, output
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser("predict", help="torque of a fit along a recording")
+    parser.add_argument("fit", metavar="FIT")
+    parser.add_argument("recording", metavar="REC")
+    parser.add_argument("-o", "--output", required=True, metavar="pred.csv")
+    arguments.add_recording_options(parser)
+    arguments.add_effects_file(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Write ``t,tau1…taun``, one row per row of the recording."""
+    import io
+
+    import numpy as np
+
+    from lieid_casadi.identification import Fit
+
+    output.check_writable(args.output)
+    arguments.load_effects_file(args.effects_file)
+    fit = Fit.load(args.fit)
+    (recording,) = arguments.recordings_of([args.recording], args, fit.model.robot)
+    torque = fit.predict(recording)
+    header = ",".join(["t", *(f"tau{j}" for j in range(1, fit.model.n + 1))])
+    text = io.StringIO()
+    table = np.column_stack([recording.t, torque])
+    formats = ["%.15g", *["%.9g"] * fit.model.n]
+    np.savetxt(text, table, fmt=formats, delimiter=",", header=header, comments="")
+    output.write_file(args.output, text.getvalue().encode())
+    output.say(f"{len(torque)} rows written to {args.output}")

@@ -1,0 +1,166 @@
+"""Models: placement of effects, columns, batches of samples."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from robot.random_arms import random_arm
+
+import lieid_casadi as lieid
+from lieid_casadi.effects import LIBRARY, make
+from lieid_casadi.effects.effect import REGISTER, Signals
+from lieid_casadi.errors import EffectError, ModelError
+
+
+def test_placements_follow_the_order_of_the_text():
+    model = lieid.Model(lieid.robots.panda(), "viscous:7+2,coulomb,transmission_coupling:5<6")
+    labels = [p.label for p in model.placements]
+    assert labels[:2] == ["viscous:7", "viscous:2"]
+    assert labels[-1] == "transmission_coupling:5<6"
+    assert model.effects == ["viscous:7+2", "coulomb", "transmission_coupling:5<6"]
+
+
+def test_python_counts_joints_from_zero():
+    model = lieid.Model(lieid.robots.panda()).with_effect("stribeck", joints=[3])
+    assert model.effects == ["stribeck:4"]
+    assert [s.joint for s in model.shapes] == [3]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("coulom", "unknown effect 'coulom'"),
+        ("coulomb:9", "no joint 9"),
+        ("coulomb:x", "'x' is not a joint"),
+        ("coulomb:0", "no joint 0"),
+        ("transmission_coupling", "couples two joints"),
+        ("coulomb:1<2", "acts on one joint"),
+        ("coulomb,coulomb:2", "given twice"),
+        ("stribeck/wide", "unknown effect 'stribeck/wide'"),
+    ],
+)
+def test_bad_effects_are_named(text, message):
+    with pytest.raises(EffectError, match=message):
+        lieid.Model(lieid.robots.two_link(), text)
+
+
+def test_base_regressor_is_full_regressor_times_parameters():
+    rng = np.random.default_rng(5)
+    for robot in (lieid.robots.panda(), random_arm(rng, 5)):
+        model = lieid.Model(robot, "coulomb,viscous,offset,armature,stribeck,load_friction/paper")
+        arm = lieid.compile(model)
+        q, dq, ddq, load = rng.normal(size=(4, 20, robot.n))
+        full = np.concatenate(
+            [arm.regressor(q, dq, ddq), arm.effect_columns(q, dq, ddq, load=load)], axis=2
+        )
+        parameters = rng.normal(size=full.shape[2])
+        base = arm.base_regressor(q, dq, ddq, load=load)
+        torque = full @ parameters
+        error = base @ (model.base.combination @ parameters) - torque
+        assert np.abs(error).max() <= 1e-10 * np.abs(torque).max()
+
+
+def test_rest_has_no_dry_friction():
+    arm = lieid.compile(lieid.Model(lieid.robots.two_link(), "coulomb,viscous"))
+    dq = np.array([[0.0, 0.01], [0.2, -0.2]])
+    columns = arm.effect_columns(dq * 0, dq, dq * 0, dead_zone=[0.05, 0.05])
+    np.testing.assert_array_equal(columns[:, :, :2], [np.zeros((2, 2)), np.diag([1.0, -1.0])])
+
+
+@pytest.mark.parametrize("bad", [np.zeros((3, 3)), np.zeros(2), np.zeros((4, 2))])
+def test_wrong_shapes_are_named(bad):
+    arm = lieid.compile(lieid.Model(lieid.robots.two_link()))
+    with pytest.raises(ModelError, match="expected"):
+        arm.regressor(np.zeros((3, 2)), bad, np.zeros((3, 2)))
+
+
+def by_hand(name, s, shape):
+    """The formulas of the library once more, in NumPy."""
+    q, dq, ddq, sign, load = (s[k] for k in ("q", "dq", "ddq", "sign", "load"))
+    speed = np.sqrt(dq**2 + 1e-6)
+    return {
+        "coulomb": [sign],
+        "viscous": [dq],
+        "offset": [np.ones_like(q)],
+        "viscous_polynomial": [sign * dq**2, dq**3],
+        "viscous_asymmetric": [np.abs(dq)],
+        "stribeck": [sign * np.exp(-((dq / shape[0]) ** 2))] if shape else None,
+        "load_friction": [np.abs(load) * sign],
+        "load_friction/paper": [
+            np.abs(load) * sign,
+            np.exp(-shape[0] * np.abs(load) / speed) * sign,
+        ]
+        if shape
+        else None,
+        "load_friction/motoring": [
+            np.where(load * sign > 0, np.abs(load), 0) * sign,
+            np.where(load * sign < 0, np.abs(load), 0) * sign,
+        ],
+        "armature": [ddq],
+    }[name]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "coulomb", "viscous", "offset", "viscous_polynomial", "viscous_asymmetric", "stribeck",
+        "load_friction", "load_friction/paper", "load_friction/motoring", "armature",
+    ],
+)  # fmt: skip
+def test_formulas_against_numpy(name):
+    rng = np.random.default_rng(1)
+    effect = make(name)
+    values = {k: rng.normal(size=30) for k in ("q", "dq", "ddq", "load")}
+    values["dq"][:5] = 0.0
+    values["sign"] = np.sign(values["dq"])
+    symbols = {k: ca.SX.sym(k) for k in values}
+    shape = {s.name: ca.SX(s.initial) for s in effect.shapes}
+    signals = Signals(**symbols, temperature=ca.SX(0), time=ca.SX(0))
+    columns = ca.vertcat(*effect.columns(signals, shape))
+    function = ca.Function("f", list(symbols.values()), [columns])
+    result = np.array([np.array(function(*v)).ravel() for v in zip(*values.values(), strict=True)])
+    expected = by_hand(name, values, [s.initial for s in effect.shapes])
+    np.testing.assert_allclose(result.T, expected, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", sorted(REGISTER))
+def test_an_effect_states_what_it_uses(name):
+    """The stated signals are exactly those that the columns depend on."""
+    effect = make(name)
+    names = ["q", "dq", "ddq", "sign", "load", "temperature", "time"]
+    own = {k: ca.SX.sym(k) for k in names}
+    other = {k: ca.SX.sym(f"other_{k}") for k in names}
+    partner = Signals(**other) if effect.couples else None
+    shape = {s.name: ca.SX.sym(s.name) for s in effect.shapes}
+    columns = ca.vertcat(*effect.columns(Signals(**own, other=partner), shape))
+    assert columns.shape[0] == len(effect.coefficients)
+    used = {k for k in names if ca.depends_on(columns, ca.vertcat(own[k], other[k]))}
+    assert used == set(effect.signals) - {"other"}
+
+
+def test_the_library_states_formula_units_and_bounds():
+    for kind in LIBRARY:
+        effect = make(kind.name)
+        assert effect.formula
+        assert all(c.unit for c in effect.coefficients)
+        assert all(s.lower <= s.initial <= s.upper < np.inf for s in effect.shapes)
+
+
+def test_own_effect_with_the_decorator():
+    @lieid.effect("test_cogging", formula="a·sin(6q)", coefficients={"a": "N·m"}, signals=["q"])
+    def cogging(s, shape):
+        return [ca.sin(6 * s.q)]
+
+    arm = lieid.compile(lieid.Model(lieid.robots.two_link(), "test_cogging:2"))
+    q = np.array([[0.1, 0.2]])
+    columns = arm.effect_columns(q, q, q)
+    np.testing.assert_allclose(columns[0, :, 0], [0.0, np.sin(1.2)])
+    with pytest.raises(EffectError, match="taken"):
+        lieid.effect("coulomb", formula="", coefficients={})(lambda s, shape: [])
+
+
+def test_sliding_joints_have_newtons():
+    robot = random_arm(np.random.default_rng(2), 3)
+    model = lieid.Model(robot, "viscous,coulomb")
+    for column in model.columns:
+        revolute = robot.joints[column.joint].revolute
+        assert ("N·m" in column.unit) == revolute
