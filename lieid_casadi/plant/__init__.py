@@ -1,0 +1,98 @@
+"""An arm to measure when none is there: Pinocchio dynamics, control, sensors, hidden effects.
+
+Nothing of the package's own dynamics or effects is used here, so that a mistake in them shows.
+"""
+
+from lieid_casadi.plant.along import measure_along, move_along
+from lieid_casadi.plant.arm import Arm, JointFriction, Thermal
+from lieid_casadi.plant.arm_effects import (
+    BaseTilt,
+    BiasDrift,
+    EncoderOffset,
+    ExternalWrench,
+    Payload,
+    TorqueDelay,
+    TorqueGain,
+)
+from lieid_casadi.plant.demo import (
+    HIDDEN_EFFECT_NAMES,
+    demo_arm,
+    demo_sensors,
+    hidden_effect,
+)
+from lieid_casadi.plant.effect import HiddenEffect, JointEffect, State
+from lieid_casadi.plant.inertias import perturbed_inertias, with_payload
+from lieid_casadi.plant.joint_effects import (
+    Armature,
+    ForeignTorque,
+    JointElasticity,
+    JointOffset,
+    LoadFriction,
+    PositionFriction,
+    PositionSpring,
+    Presliding,
+    Stribeck,
+    TemperatureFriction,
+    TorqueRipple,
+    TransmissionCoupling,
+    ViscousAsymmetric,
+    ViscousPolynomial,
+    WarmUp,
+)
+from lieid_casadi.plant.motion import Motion, Trajectory
+from lieid_casadi.plant.rigid import build_pinocchio
+from lieid_casadi.plant.sensors import Sensors, measure
+from lieid_casadi.plant.simulate import Control, move, simulate
+from lieid_casadi.plant.size import torque_scale
+from lieid_casadi.plant.trajectories import FourierTrajectory, point_to_point, sweep
+
+__all__ = [
+    "HIDDEN_EFFECT_NAMES",
+    "Arm",
+    "Armature",
+    "BaseTilt",
+    "BiasDrift",
+    "Control",
+    "EncoderOffset",
+    "ExternalWrench",
+    "ForeignTorque",
+    "FourierTrajectory",
+    "HiddenEffect",
+    "JointEffect",
+    "JointElasticity",
+    "JointFriction",
+    "JointOffset",
+    "LoadFriction",
+    "Motion",
+    "Payload",
+    "PositionFriction",
+    "PositionSpring",
+    "Presliding",
+    "Sensors",
+    "State",
+    "Stribeck",
+    "TemperatureFriction",
+    "Thermal",
+    "TorqueDelay",
+    "TorqueGain",
+    "TorqueRipple",
+    "Trajectory",
+    "TransmissionCoupling",
+    "ViscousAsymmetric",
+    "ViscousPolynomial",
+    "WarmUp",
+    "build_pinocchio",
+    "demo_arm",
+    "demo_sensors",
+    "hidden_effect",
+    "measure",
+    "measure_along",
+    "move",
+    "move_along",
+    "perturbed_inertias",
+    "point_to_point",
+    "simulate",
+    "sweep",
+    "torque_scale",
+    "with_payload",
+]

@@ -1,0 +1,111 @@
+"""Ideal tracking: the torques that a given motion takes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieid_casadi.plant.arm import Arm
+from lieid_casadi.plant.drive import Drive
+from lieid_casadi.plant.effect import State
+from lieid_casadi.plant.motion import Motion
+from lieid_casadi.plant.rigid import rigid_torques, wrench_torque
+from lieid_casadi.plant.sensors import Sensors, measure
+from lieid_casadi.recording import Recording
+
+Array = NDArray[np.float64]
+
+AT_REST = 1e-7  # rad/s: an exact path has exact rests, a smoothed one leaves rounding
+
+
+def measure_along(
+    arm: Arm,
+    t: ArrayLike,
+    q: ArrayLike,
+    dq: ArrayLike,
+    ddq: ArrayLike,
+    *,
+    sensors: Sensors | None = None,
+    seed: int = 0,
+    name: str = "",
+) -> Recording:
+    """Measure an arm that tracks a motion perfectly; far quicker than a simulation.
+
+    Parameters
+    ----------
+    t : (N,)
+    q, dq, ddq : (N, n)
+        True motion of the links; must fit one another.
+    sensors
+        Without them the sensors are ideal, one row per instant.
+    """
+    motion = move_along(arm, t, q, dq, ddq, seed=seed)
+    return measure(arm, motion, sensors or Sensors(rate=None), seed=seed, name=name)
+
+
+def move_along(
+    arm: Arm, t: ArrayLike, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, *, seed: int = 0
+) -> Motion:
+    """Return the true signals of an arm that makes a given motion.
+
+    At rest dry friction is undetermined: each rest of a joint keeps one random part of it.
+    """
+    t, q, dq, ddq = (np.asarray(x, dtype=float) for x in (t, q, dq, ddq))
+    rigid = rigid_torques(arm.rigid_model(), q, dq, ddq) + _tool_torques(arm, q)
+    motor_q, motor_dq, motor_ddq = _motors(arm, t, (q, dq, ddq), rigid)
+    temperature = arm.thermal.at(t, arm.n)
+    drive = Drive(arm)
+    resting = np.abs(motor_dq) <= AT_REST
+    sign = np.where(resting, 0.0, np.sign(motor_dq))
+    resting &= ~drive.hysteretic
+    state = State(t, motor_q, motor_dq, sign, rigid, temperature)
+    level, smooth = drive.level(state), drive.smooth(state)
+    direction = np.where(resting, _held(resting, seed), sign)
+    if drive.hysteretic.any():
+        direction[:, drive.hysteretic] = _hysteresis(drive, motor_q)[:, drive.hysteretic]
+    dry = direction * level
+    tau = rigid + smooth + dry + arm.armature * motor_ddq
+    return Motion(
+        t, q, dq, ddq, motor_q, motor_dq, motor_ddq, tau, rigid, dry, smooth, resting, temperature
+    )
+
+
+def _tool_torques(arm: Arm, q: Array) -> Array:
+    wrench = arm.tool_wrench
+    if not wrench.any():
+        return np.zeros_like(q)
+    model = arm.rigid_model()
+    data = model.createData()
+    return np.array([wrench_torque(model, data, row, wrench) for row in q])
+
+
+def _motors(
+    arm: Arm, t: Array, link: tuple[Array, Array, Array], rigid: Array
+) -> tuple[Array, Array, Array]:
+    """Motor angle = link angle + τ/K and its derivatives, on the elastic joints."""
+    elastic = arm.compliance > 0.0
+    if not elastic.any():
+        return link
+    from scipy.interpolate import CubicSpline
+
+    wound_up = CubicSpline(t, rigid * arm.compliance)
+    return link[0] + wound_up(t), link[1] + wound_up(t, 1), link[2] + wound_up(t, 2)
+
+
+def _held(resting: NDArray[np.bool_], seed: int) -> Array:
+    """Return the part −1…1 of its dry friction that each rest of each joint keeps (N, n)."""
+    random = np.random.default_rng([seed, 1])
+    begins = np.diff(resting, axis=0, prepend=False) & resting
+    held = np.zeros(resting.shape)
+    for joint in range(resting.shape[1]):
+        rest = np.cumsum(begins[:, joint])
+        parts = random.uniform(-1, 1, int(rest[-1]) + 1)
+        held[:, joint] = parts[rest]
+    return held
+
+
+def _hysteresis(drive: Drive, q: Array) -> Array:
+    z = np.zeros_like(q)
+    for k in range(1, q.shape[0]):
+        z[k] = drive.next_hysteresis(z[k - 1], q[k] - q[k - 1])
+    return z

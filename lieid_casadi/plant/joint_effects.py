@@ -1,0 +1,224 @@
+"""Hidden effects on the torque of one joint; their methods are described in ``JointEffect``."""
+
+# ruff: noqa: D102
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from lieid_casadi.plant.effect import Array, HiddenEffect, JointEffect, State
+
+SLOWEST = 1e-12  # rad/s: keeps |τ|/|q̇| finite at rest
+
+
+@dataclass(frozen=True)
+class ViscousPolynomial(JointEffect):
+    """f2·sgn(q̇)·q̇² + f3·q̇³."""
+
+    name: ClassVar[str] = "viscous_polynomial"
+    quadratic: float = 0.0
+    cubic: float = 0.0
+
+    def viscous(self, s: State) -> Array:
+        dq = s.dq[..., self.joint]
+        return (self.quadratic * np.abs(dq) + self.cubic * dq * dq) * dq
+
+
+@dataclass(frozen=True)
+class ViscousAsymmetric(JointEffect):
+    """f·|q̇|: another viscous coefficient backward than forward."""
+
+    name: ClassVar[str] = "viscous_asymmetric"
+    coefficient: float = 0.0
+
+    def viscous(self, s: State) -> Array:
+        return self.coefficient * np.abs(s.dq[..., self.joint])
+
+
+@dataclass(frozen=True)
+class Stribeck(JointEffect):
+    """Dry friction that is larger by ``extra`` (N·m) at rest and falls with (q̇/velocity)²."""
+
+    name: ClassVar[str] = "stribeck"
+    extra: float = 0.0
+    velocity: float = 0.1
+
+    def level(self, s: State) -> Array:
+        ratio = s.dq[..., self.joint] / self.velocity
+        return np.asarray(self.extra * np.exp(-ratio * ratio))
+
+
+@dataclass(frozen=True)
+class LoadFriction(JointEffect):
+    """Dry friction that grows with the load: f·|τ| + f1·exp(−f2·|τ|/|q̇|).
+
+    ``generating`` takes the place of ``gain`` where the load drives the joint (τ·q̇ < 0).
+    """
+
+    name: ClassVar[str] = "load_friction"
+    gain: float = 0.0
+    generating: float | None = None
+    extra: float = 0.0
+    rate: float = 0.0
+
+    def level(self, s: State) -> Array:
+        load, speed = np.abs(s.load[..., self.joint]), np.abs(s.dq[..., self.joint])
+        level = self._gain(s) * load
+        if self.extra:
+            level = level + self.extra * np.exp(-self.rate * load / np.maximum(speed, SLOWEST))
+        return level
+
+    def level_slope(self, s: State) -> Array:
+        load, speed = s.load[..., self.joint], np.abs(s.dq[..., self.joint])
+        slope = self._gain(s)
+        if self.extra:
+            rate = self.rate / np.maximum(speed, SLOWEST)
+            slope = slope - self.extra * rate * np.exp(-rate * np.abs(load))
+        return slope * np.sign(load)
+
+    def _gain(self, s: State) -> Array:
+        if self.generating is None:
+            return np.asarray(self.gain)
+        driven = s.load[..., self.joint] * s.sign[..., self.joint] < 0.0
+        return np.where(driven, self.generating, self.gain)
+
+
+@dataclass(frozen=True)
+class TemperatureFriction(JointEffect):
+    """Friction that falls with warmth: f_v·exp(−decay·(T − T̄)), f_c·(1 − slope·(T − T̄))."""
+
+    name: ClassVar[str] = "temperature_friction"
+    viscous_decay: float = 0.0
+    dry_slope: float = 0.0
+    reference: float = 25.0
+
+    def viscous_scale(self, s: State) -> Array:
+        warmer = s.temperature[..., self.joint] - self.reference
+        return np.asarray(np.exp(-self.viscous_decay * warmer))
+
+    def level_scale(self, s: State) -> Array:
+        return 1.0 - self.dry_slope * (s.temperature[..., self.joint] - self.reference)
+
+
+@dataclass(frozen=True)
+class WarmUp(JointEffect):
+    """Friction × (1 + change·(1 − exp(−t/time_constant)))."""
+
+    name: ClassVar[str] = "warm_up"
+    change: float = -0.3
+    time_constant: float = 30.0
+
+    def viscous_scale(self, s: State) -> Array:
+        return 1.0 + self.change * (1.0 - np.exp(-s.t / self.time_constant))
+
+    def level_scale(self, s: State) -> Array:
+        return self.viscous_scale(s)
+
+
+@dataclass(frozen=True)
+class PositionFriction(JointEffect):
+    """Dry friction that varies along the turn: amplitude·sin(harmonic·q + phase)."""
+
+    name: ClassVar[str] = "position_friction"
+    amplitude: float = 0.0
+    harmonic: float = 1.0
+    phase: float = 0.0
+
+    def level(self, s: State) -> Array:
+        return self.amplitude * np.sin(self.harmonic * s.q[..., self.joint] + self.phase)
+
+
+@dataclass(frozen=True)
+class Presliding(HiddenEffect):
+    """Dahl's hysteresis in place of the sign in dry friction, built up over ``width`` (rad)."""
+
+    name: ClassVar[str] = "presliding"
+    joint: int
+    width: float = 0.01
+
+
+@dataclass(frozen=True)
+class Armature(HiddenEffect):
+    """I·q̈ of the motor's rotor, kg·m² at the joint."""
+
+    name: ClassVar[str] = "armature"
+    joint: int
+    inertia: float = 0.0
+
+
+@dataclass(frozen=True)
+class TorqueRipple(JointEffect):
+    """amplitude·sin(k·q + phase)."""
+
+    name: ClassVar[str] = "torque_ripple"
+    amplitude: float = 0.0
+    harmonic: float = 2.0
+    phase: float = 0.0
+
+    def torque(self, s: State) -> Array:
+        return self.amplitude * np.sin(self.harmonic * s.q[..., self.joint] + self.phase)
+
+
+@dataclass(frozen=True)
+class PositionSpring(JointEffect):
+    """stiffness·(q − rest): balancer, hose, cable."""
+
+    name: ClassVar[str] = "position_spring"
+    stiffness: float = 0.0
+    rest: float = 0.0
+
+    def torque(self, s: State) -> Array:
+        return self.stiffness * (s.q[..., self.joint] - self.rest)
+
+
+@dataclass(frozen=True)
+class TransmissionCoupling(JointEffect):
+    """Friction on this joint from the motion of joint ``source``: a gear that both share."""
+
+    name: ClassVar[str] = "transmission_coupling"
+    source: int = 0
+    viscous_coefficient: float = 0.0
+    coulomb: float = 0.0
+
+    def torque(self, s: State) -> Array:
+        dq, sign = s.dq[..., self.source], s.sign[..., self.source]
+        return self.viscous_coefficient * dq + self.coulomb * sign
+
+
+@dataclass(frozen=True)
+class JointElasticity(HiddenEffect):
+    """The measured motor angle leads the link by (rigid torque)/stiffness, N·m/rad."""
+
+    name: ClassVar[str] = "joint_elasticity"
+    joint: int
+    stiffness: float = 1e4
+
+
+@dataclass(frozen=True)
+class JointOffset(JointEffect):
+    """A constant torque."""
+
+    name: ClassVar[str] = "offset"
+    value: float = 0.0
+
+    def torque(self, s: State) -> Array:
+        return np.full(s.q[..., self.joint].shape, self.value)
+
+
+@dataclass(frozen=True)
+class ForeignTorque(JointEffect):
+    """Any torque, for effects that no library knows.
+
+    ``function`` takes the :class:`State` and returns the torque of this joint; it must work
+    on (n,) and on (N, n) arrays (index with ``[..., joint]``).
+    """
+
+    name: ClassVar[str] = "foreign"
+    function: Callable[[State], Array] = lambda s: np.zeros(())
+
+    def torque(self, s: State) -> Array:
+        return np.asarray(self.function(s))

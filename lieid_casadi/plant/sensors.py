@@ -1,0 +1,183 @@
+"""Sensors of the plant: rate, encoder, torque and temperature as a recording has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import RecordingError
+from lieid_casadi.plant.arm import Arm
+from lieid_casadi.plant.arm_effects import BiasDrift, EncoderOffset, TorqueDelay, TorqueGain
+from lieid_casadi.plant.motion import Motion
+from lieid_casadi.recording import Recording
+
+Array = NDArray[np.float64]
+PerJoint = float | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What is recorded, and how well. The default is ideal; numbers are for all joints or each.
+
+    Attributes
+    ----------
+    rate
+        Hz; None: every instant. Where it does not divide the control rate, the nearest
+        instants are taken, with their true stamps.
+    counts_per_turn
+        Encoder counts per turn of the joint; 0: no quantization.
+    counts_per_metre
+        The same for sliding joints.
+    position_noise
+        White noise on q before quantization, rad or m.
+    velocity
+        ``"exact"``: true velocity and ``velocity_noise``; ``"difference"``: central difference
+        of the measured position over ``velocity_span``; ``"none"``: not recorded.
+    velocity_noise
+        White noise, rad/s.
+    torque_noise
+        White noise, N·m.
+    coloured_noise, correlation_time
+        First-order coloured noise: standard deviation in N·m, correlation time in s.
+    torque_step
+        Quantization of the torque, N·m; 0: none.
+    temperature
+        Whether there is a temperature column (0.1 °C resolution).
+    """
+
+    rate: float | None = 200.0
+    counts_per_turn: float = 0.0
+    counts_per_metre: float = 0.0
+    position_noise: PerJoint = 0.0
+    velocity: Literal["exact", "difference", "none"] = "exact"
+    velocity_noise: PerJoint = 0.0
+    velocity_span: float = 0.01
+    torque_noise: PerJoint = 0.0
+    coloured_noise: PerJoint = 0.0
+    correlation_time: float = 0.02
+    torque_step: PerJoint = 0.0
+    temperature: bool = False
+
+
+def measure(
+    arm: Arm, motion: Motion, sensors: Sensors, *, seed: int = 0, name: str = ""
+) -> Recording:
+    """Return what the sensors say of a motion.
+
+    Raises
+    ------
+    RecordingError
+        A rate above that of the motion.
+    """
+    random = [np.random.default_rng([seed, 2, stream]) for stream in range(5)]
+    rows = sampled_rows(motion.t, sensors.rate)
+    encoder = _encoder(arm, motion, sensors, random[0])
+    t = motion.t[rows]
+    torque = _torque(arm, motion, t)
+    torque = torque + random[1].standard_normal(torque.shape) * _each(sensors.torque_noise)
+    torque = torque + _each(sensors.coloured_noise) * coloured_noise(
+        t, arm.n, sensors.correlation_time, random[2]
+    )
+    temperature = None
+    if sensors.temperature:
+        noisy = motion.temperature[rows] + 0.05 * random[4].standard_normal(torque.shape)
+        temperature = _quantized(noisy, np.asarray(0.1))
+    return Recording.from_arrays(
+        t,
+        encoder[rows],
+        _velocity(motion, encoder, rows, sensors, random[3]),
+        _quantized(torque, _each(sensors.torque_step)),
+        temperature=temperature,
+        name=name,
+    )
+
+
+def sampled_rows(t: Array, rate: float | None) -> NDArray[np.intp]:
+    """Return the instants nearest to those of a clock of ``rate`` Hz, or all of them.
+
+    Raises
+    ------
+    RecordingError
+        A rate above that of t.
+    """
+    if rate is None:
+        return np.arange(t.size)
+    own = (t.size - 1) / (t[-1] - t[0])
+    if rate > own * (1.0 + 1e-9):
+        raise RecordingError(
+            f"sensors at {rate:g} Hz on a motion at {own:g} Hz; expected at most that"
+        )
+    ticks = np.arange(int((t[-1] - t[0]) * rate + 1e-9) + 1) * (own / rate)
+    rows: NDArray[np.intp] = np.floor(ticks + 0.5 + 1e-9).astype(np.intp)
+    return rows
+
+
+def coloured_noise(t: Array, n: int, correlation_time: float, random: np.random.Generator) -> Array:
+    """First-order stationary noise (N, n) of unit variance; correlation exp(−Δt/time)."""
+    white = random.standard_normal((t.size, n))
+    keep = np.exp(-np.diff(t) / correlation_time)
+    noise = np.empty_like(white)
+    noise[0] = white[0]
+    for k in range(1, t.size):
+        noise[k] = keep[k - 1] * noise[k - 1] + np.sqrt(1.0 - keep[k - 1] ** 2) * white[k]
+    return noise
+
+
+def _encoder(arm: Arm, motion: Motion, sensors: Sensors, random: np.random.Generator) -> Array:
+    q = motion.motor_q + random.standard_normal(motion.q.shape) * _each(sensors.position_noise)
+    for effect in arm.effects_of(EncoderOffset):
+        q[:, effect.joint] -= effect.offset
+    turn = 2.0 * np.pi / sensors.counts_per_turn if sensors.counts_per_turn else 0.0
+    metre = 1.0 / sensors.counts_per_metre if sensors.counts_per_metre else 0.0
+    return _quantized(q, np.array([turn if j.revolute else metre for j in arm.robot.joints]))
+
+
+def _velocity(
+    motion: Motion,
+    encoder: Array,
+    rows: NDArray[np.intp],
+    sensors: Sensors,
+    random: np.random.Generator,
+) -> Array | None:
+    if sensors.velocity == "none":
+        return None
+    noise = random.standard_normal((rows.size, encoder.shape[1])) * _each(sensors.velocity_noise)
+    if sensors.velocity == "exact":
+        return motion.motor_dq[rows] + noise
+    step = float(np.median(np.diff(motion.t)))
+    half = max(1, round(0.5 * sensors.velocity_span / step))
+    before, after = np.maximum(rows - half, 0), np.minimum(rows + half, motion.t.size - 1)
+    span = (motion.t[after] - motion.t[before])[:, None]
+    return (encoder[after] - encoder[before]) / span + noise
+
+
+def _torque(arm: Arm, motion: Motion, t: Array) -> Array:
+    """Return what torque sensors without noise say at t: delay, then gain, then drift."""
+    from scipy.interpolate import PchipInterpolator
+
+    at = np.searchsorted(motion.t, t)
+    torque = motion.tau[at].copy()
+    delays = np.zeros(arm.n)
+    for late in arm.effects_of(TorqueDelay):
+        delays[late.joint] += late.delay
+    for joint in np.flatnonzero(delays):
+        when = np.clip(t - delays[joint], motion.t[0], motion.t[-1])
+        torque[:, joint] = PchipInterpolator(motion.t, motion.tau[:, joint])(when)
+    for gain in arm.effects_of(TorqueGain):
+        torque[:, gain.joint] *= 1.0 + gain.gain
+    for drift in arm.effects_of(BiasDrift):
+        torque[:, drift.joint] += drift.rate * (t - t.mean())
+    return torque
+
+
+def _each(value: PerJoint) -> Array:
+    return np.asarray(value, dtype=float)
+
+
+def _quantized(x: Array, step: Array) -> Array:
+    stated = step > 0.0
+    safe = np.where(stated, step, 1.0)
+    return np.asarray(np.where(stated, np.round(x / safe) * safe, x))

@@ -1,0 +1,239 @@
+"""An arm under joint control, integrated at the control rate."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import EffectError
+from lieid_casadi.plant.along import move_along
+from lieid_casadi.plant.arm import Arm
+from lieid_casadi.plant.arm_effects import EncoderOffset
+from lieid_casadi.plant.motion import Motion, Trajectory
+from lieid_casadi.plant.rigid import build_pinocchio, rigid_torques
+from lieid_casadi.plant.sensors import Sensors, measure
+from lieid_casadi.plant.size import torque_scale
+from lieid_casadi.plant.step import Command, Stepper, StepResult
+from lieid_casadi.recording import Recording
+
+Array = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+logger = logging.getLogger("lieid_casadi")
+
+SETTLING = 0.5  # s at the start pose before the recording: the controller finds its balance
+ELASTIC_BANDWIDTH = 20.0  # Hz: an elastic arm's links move more smoothly than a rigid one's
+REPORTS = 100
+
+
+@dataclass(frozen=True)
+class Control:
+    """Joint PD control with the nominal model, critically damped at the least nominal inertia.
+
+    Attributes
+    ----------
+    bandwidth
+        rad/s, of each joint alone.
+    stiffness
+        At least this part of the torque scale per radian (metre), so that light joints, too,
+        overcome friction: 20 lets friction of 4 % of the torque limit pull a joint off by 0.002.
+    feedforward
+        Nominal rigid torques along the reference; else gravity at the actual pose only.
+    """
+
+    bandwidth: float = 100.0
+    stiffness: float = 20.0
+    feedforward: bool = True
+
+
+def simulate(
+    arm: Arm,
+    trajectory: Trajectory,
+    *,
+    duration: float | None = None,
+    rate: float = 1000.0,
+    sensors: Sensors | None = None,
+    control: Control | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+    name: str = "",
+) -> Recording:
+    """Let an arm track a trajectory and record it.
+
+    Parameters
+    ----------
+    duration
+        s; the trajectory's own if not given.
+    rate
+        Of control and integration, Hz.
+    sensors
+        Ideal ones at 200 Hz if not given.
+    seed
+        For the sensors' noise.
+    progress
+        Called with the part done, 0…1.
+
+    Raises
+    ------
+    EffectError
+        A presliding stiffness that this rate cannot follow.
+    RecordingError
+        Sensors faster than the control.
+    """
+    motion = move(arm, trajectory, duration=duration, rate=rate, control=control, progress=progress)
+    return measure(arm, motion, sensors or Sensors(), seed=seed, name=name)
+
+
+def move(
+    arm: Arm,
+    trajectory: Trajectory,
+    *,
+    duration: float | None = None,
+    rate: float = 1000.0,
+    control: Control | None = None,
+    progress: Progress | None = None,
+) -> Motion:
+    """Let an arm track a trajectory and return the true signals, one row per control period.
+
+    The drift-kick-drift rule: torques are those at q + h/2·q̇ with the mean velocity of the
+    step, and each row holds exactly that instant, so τ = rigid + effects to rounding. Joints
+    stick and slip by an implicit rule (friction takes any value up to its level that stops the
+    joint), so rest is rest.
+
+    With elastic joints the links follow the path of the rigid arm, smoothed to 20 Hz, and
+    motors and torques are what this path takes.
+
+    Raises
+    ------
+    EffectError
+        A presliding stiffness that this rate cannot follow.
+    """
+    span = trajectory.duration if duration is None else duration
+    settling = round(SETTLING * rate)
+    last = settling + round(span * rate)
+    elastic = bool(arm.compliance.any())
+    # The path of an elastic arm is smoothed: keep the ends of the filter out of the recording.
+    t = np.arange(-settling, last + 1 - settling + elastic * settling) / rate
+    temperature = arm.thermal.at(t, arm.n)
+    controller = _Controller(arm, trajectory, t, control or Control())
+    stepper = Stepper(arm, 1.0 / rate, controller.reference[0])
+    _check_presliding(arm, stepper, controller.inertia, 1.0 / rate)
+    rows = _Rows(t.size, arm.n)
+    every = max(1, t.size // REPORTS)
+    for k in range(t.size):
+        command = controller.command(k, stepper.q, stepper.dq)
+        rows.put(k, stepper.step(t[k], command, temperature[k]))
+        if progress is not None and k % every == 0:
+            progress(k / t.size)
+    if stepper.unsettled:
+        logger.debug("%d of %d steps did not settle stick and slip", stepper.unsettled, t.size)
+    recorded = slice(settling, last + 1)
+    if elastic:
+        motion = _elastic(arm, t, rows.q, recorded)
+    else:
+        motion = rows.motion(t, temperature, recorded)
+    if progress is not None:
+        progress(1.0)
+    return motion
+
+
+class _Controller:
+    """Torques of PD control, limited to what the drives can deliver."""
+
+    def __init__(self, arm: Arm, trajectory: Trajectory, t: Array, control: Control) -> None:
+        q, dq, ddq = trajectory.at(np.clip(t, 0.0, trajectory.duration))
+        for effect in arm.effects_of(EncoderOffset):  # the controller sees the encoders
+            q[:, effect.joint] += effect.offset
+        self.reference = q
+        self._goal, self._goal_velocity = _next(q), _next(dq)
+        self._model = build_pinocchio(arm.robot)
+        self._data = self._model.createData()
+        self._feedforward = rigid_torques(self._model, q, dq, ddq) if control.feedforward else None
+        self.inertia = _least_inertia(self._model, q)
+        self._stiffness = np.maximum(
+            self.inertia * control.bandwidth**2, control.stiffness * torque_scale(arm.robot)
+        )
+        self._damping = 2.0 * np.sqrt(self._stiffness * self.inertia)
+        h = t[1] - t[0]
+        self._h, self._gain = h, self._stiffness * 0.5 * h * h + self._damping * h
+        limit = arm.robot.limit("torque")
+        self._limit = np.where(np.isfinite(limit), limit, np.inf)
+
+    def command(self, k: int, q: Array, dq: Array) -> Command:
+        """PD on where the step from q, dq (n,) leads."""
+        import pinocchio as pin
+
+        if self._feedforward is None:
+            model = pin.computeGeneralizedGravity(self._model, self._data, q)
+        else:
+            model = self._feedforward[k]
+        constant = (
+            model
+            + self._stiffness * (self._goal[k] - q - self._h * dq)
+            + self._damping * (self._goal_velocity[k] - dq)
+        )
+        return Command(constant, self._gain, self._limit)
+
+
+def _next(rows: Array) -> Array:
+    """Each row's successor; the last stays."""
+    return np.concatenate([rows[1:], rows[-1:]])
+
+
+def _least_inertia(model: Any, path: Array) -> Array:
+    """Least inertia of each joint with the others free (n,), along a path."""
+    import pinocchio as pin
+
+    data = model.createData()
+    rows = path[np.linspace(0, len(path) - 1, 50).astype(int)]
+    inverses = [np.diag(np.linalg.inv(pin.crba(model, data, q))) for q in rows]
+    least: Array = np.reciprocal(np.max(inverses, axis=0))
+    return least
+
+
+def _check_presliding(arm: Arm, stepper: Stepper, inertia: Array, h: float) -> None:
+    stiffness = stepper.presliding_stiffness()
+    for joint in np.flatnonzero(stiffness * h * h > inertia + arm.armature):
+        rate = np.sqrt(stiffness[joint] / (inertia[joint] + arm.armature[joint]))
+        raise EffectError(
+            f"presliding on joint {joint + 1}: too stiff for control at {1.0 / h:g} Hz; "
+            f"expected a larger width, or a rate of at least {rate:.0f} Hz"
+        )
+
+
+class _Rows:
+    """The simulation's memory."""
+
+    def __init__(self, size: int, n: int) -> None:
+        self.q, self.dq, self.ddq, self.tau, self.rigid, self.dry, self.smooth = np.zeros(
+            (7, size, n)
+        )
+        self.resting = np.zeros((size, n), dtype=bool)
+
+    def put(self, k: int, step: StepResult) -> None:
+        self.q[k], self.dq[k], self.ddq[k] = step.q, step.dq, step.ddq
+        self.tau[k], self.rigid[k] = step.tau, step.rigid
+        self.smooth[k], self.dry[k] = step.smooth, step.dry
+        self.resting[k] = step.resting
+
+    def motion(self, t: Array, temperature: Array, rows: slice) -> Motion:
+        q, dq, ddq = self.q[rows], self.dq[rows], self.ddq[rows]
+        return Motion(
+            t[rows], q, dq, ddq, q, dq, ddq, self.tau[rows], self.rigid[rows],
+            self.dry[rows], self.smooth[rows], self.resting[rows], temperature[rows],
+        )  # fmt: skip
+
+
+def _elastic(arm: Arm, t: Array, q: Array, recorded: slice) -> Motion:
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import butter, sosfiltfilt
+
+    sos = butter(4, ELASTIC_BANDWIDTH, fs=1.0 / (t[1] - t[0]), output="sos")
+    path = CubicSpline(t, sosfiltfilt(sos, q, axis=0))
+    t = t[recorded]
+    return move_along(arm, t, path(t), path(t, 1), path(t, 2))

@@ -1,0 +1,187 @@
+"""One step of the plant: rigid dynamics, effects, and dry friction that sticks and slips."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.plant.arm import Arm
+from lieid_casadi.plant.drive import Drive
+from lieid_casadi.plant.effect import State
+from lieid_casadi.plant.rigid import wrench_torque
+
+Array = NDArray[np.float64]
+
+MOST_ITERATIONS = 30
+MOST_CHANGES = 4  # of one joint between stick and slip within a step
+TOLERANCE = 1e-10  # N·m, relative to the torques at hand
+
+
+@dataclass(slots=True)
+class Command:
+    """Torque of the drives within a step, (n,) each: constant − gain·a, cut off at ±limit.
+
+    The gain is that of a drive whose own loop is much faster than the step: it sees where the
+    acceleration a of the step leads.
+    """
+
+    constant: Array
+    gain: Array
+    limit: Array
+
+    def torque(self, a: Array) -> Array:
+        """Torque (n,) at an acceleration (n,)."""
+        return np.minimum(np.maximum(self.constant - self.gain * a, -self.limit), self.limit)
+
+
+@dataclass(slots=True)
+class StepResult:
+    """The instant in the middle of a step, (n,) each; see ``Motion``."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+    rigid: Array
+    smooth: Array
+    dry: Array
+    resting: NDArray[np.bool_]
+
+
+class Stepper:
+    """State of an arm (``q``, ``dq``), advanced by drift, kick, drift.
+
+    q̄ = q + h/2·q̇;  q̇ ← q̇ + h·a;  q ← q̄ + h/2·q̇, where a solves
+
+        M(q̄)·a + b(q̄, v̄) + smooth(q̄, v̄) + armature·a + dry = τ,   v̄ = q̇ + h/2·a.
+
+    Each joint either slips, dry = ±level with the sign of its velocity after the step, or
+    sticks: velocity 0 after the step, |dry| ≤ level. Newton's method with the set of sticking
+    joints revised between iterations.
+    """
+
+    def __init__(self, arm: Arm, h: float, q: Array) -> None:
+        import pinocchio as pin
+        from scipy.linalg.lapack import dgesv
+
+        self._pin, self._solve = pin, dgesv
+        self._model = arm.rigid_model()
+        self._data = self._model.createData()
+        self._wrench = arm.tool_wrench
+        self._armature = arm.armature
+        self._drive = Drive(arm)
+        self._h = h
+        self.q = np.array(q, dtype=float)
+        self.dq = np.zeros(arm.n)
+        self._a = np.zeros(arm.n)
+        self._hysteresis = np.zeros(arm.n)
+        self._last_q = self.q
+        self.unsettled = 0
+
+    def step(self, t: float, command: Command, temperature: Array) -> StepResult:
+        """Advance by one step under the drives' torque."""
+        h, drive = self._h, self._drive
+        q = self.q + 0.5 * h * self.dq
+        if drive.hysteretic.any():
+            self._hysteresis = drive.next_hysteresis(self._hysteresis, q - self._last_q)
+            self._last_q = q
+        state = State(np.asarray(t), q, self.dq, np.sign(self.dq), self.dq, temperature)
+        a, sign, rigid, smooth, level = self._accelerate(state, command)
+        torque = command.torque(a)
+        resting = (sign == 0.0) & ~drive.hysteretic
+        v = state.dq
+        needed = torque - rigid - smooth - self._armature * a
+        dry = np.where(resting, needed, np.where(drive.hysteretic, self._hysteresis, sign) * level)
+        self._a = a
+        self.dq = self.dq + h * a
+        self.dq[resting] = 0.0
+        self.q = q + 0.5 * h * self.dq
+        return StepResult(q, v, a, torque, rigid, smooth, dry, resting)
+
+    def presliding_stiffness(self) -> Array:
+        """Stiffness at reversals (n,), N·m/rad; 0 without hysteresis."""
+        drive, zero = self._drive, np.zeros(self.q.size)
+        rest = State(np.zeros(()), self.q, zero, zero, zero, zero)
+        width = np.where(drive.hysteretic, drive.hysteresis_width, np.inf)
+        return np.asarray(2.0 * drive.level(rest) / width)
+
+    def _accelerate(
+        self, state: State, command: Command
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Solve for the acceleration; ``state`` is left at the mean velocity of the step."""
+        h, drive, dq = self._h, self._drive, self.dq
+        inertia = self._pin.crba(self._model, self._data, state.q)
+        constant = self._tool_torque(state.q)
+        free = drive.hysteretic
+        sign = np.where(free, 0.0, np.sign(dq))
+        changes = np.zeros(dq.size, dtype=int)
+        a = np.where((dq == 0.0) & ~free, 0.0, self._a)
+        for _ in range(MOST_ITERATIONS):
+            state.dq = dq + 0.5 * h * a
+            rigid = (
+                inertia @ a + self._pin.nle(self._model, self._data, state.q, state.dq) + constant
+            )
+            state.load = rigid
+            level, smooth = drive.level(state), drive.smooth(state)
+            stuck = (sign == 0.0) & ~free
+            direction = np.where(free, self._hysteresis, sign)
+            torque = command.torque(a)
+            balance = rigid + smooth + self._armature * a - torque
+            residual = np.where(stuck, a + dq / h, balance + direction * level)
+            if np.abs(residual).max() < TOLERANCE * (1.0 + np.abs(torque).max()):
+                revised = _revised(sign, stuck, free, dq + h * a, -balance, level, changes)
+                if revised is None:
+                    return a, sign, rigid, smooth, level
+                sign = revised
+                state.sign = np.where(free, state.sign, sign)
+                continue
+            gain = np.where(np.abs(torque) < command.limit, command.gain, 0.0)
+            a = a - self._newton_step(state, inertia, gain, direction, stuck, residual)
+        self.unsettled += 1
+        return a, sign, rigid, smooth, level
+
+    def _newton_step(
+        self,
+        state: State,
+        inertia: Array,
+        gain: Array,
+        direction: Array,
+        stuck: NDArray[np.bool_],
+        residual: Array,
+    ) -> Array:
+        drive = self._drive
+        slope = drive.level_slope(state)
+        matrix = inertia.copy() if slope is None else (1.0 + direction * slope)[:, None] * inertia
+        matrix.flat[:: matrix.shape[0] + 1] += (
+            self._armature + gain + 0.5 * self._h * drive.damping(state)
+        )
+        if stuck.any():
+            matrix[stuck] = np.eye(stuck.size)[stuck]
+        step: Array = self._solve(matrix, residual)[2]
+        return step
+
+    def _tool_torque(self, q: Array) -> Array:
+        if not self._wrench.any():
+            return np.zeros(q.size)
+        return wrench_torque(self._model, self._data, q, self._wrench)
+
+
+def _revised(
+    sign: Array,
+    stuck: NDArray[np.bool_],
+    free: NDArray[np.bool_],
+    after: Array,
+    needed: Array,
+    level: Array,
+    changes: NDArray[np.int_],
+) -> Array | None:
+    """Return signs with joints that must stick or slip changed; None if all is well."""
+    turned = ~stuck & ~free & (after * sign < 0.0)
+    broken_loose = stuck & (np.abs(needed) > level)
+    wrong = (turned | broken_loose) & (changes < MOST_CHANGES)
+    if not wrong.any():
+        return None
+    changes[wrong] += 1
+    return np.where(wrong, np.where(turned, 0.0, np.sign(needed)), sign)

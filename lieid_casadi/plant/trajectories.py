@@ -1,0 +1,281 @@
+"""Motions to try the plant with: random Fourier series, point to point, constant-speed sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieid_casadi.errors import RobotError
+from lieid_casadi.robot import Robot
+
+Array = NDArray[np.float64]
+
+DEFAULT_ACCELERATION = 5.0  # rad/s² (m/s²) where the robot states no limit
+DEFAULT_VELOCITY = {True: 2.0, False: 0.5}  # rad/s revolute, m/s sliding
+DEFAULT_REACH = {True: np.pi, False: 0.5}  # rad, m either side
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """What motions keep to, (n,) each: the robot's limits, or defaults where it states none."""
+
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+
+    @classmethod
+    def of(cls, robot: Robot, *, margin: float = 0.9) -> Envelope:
+        """Return the part ``margin`` of a robot's ranges and speeds."""
+        revolute = [joint.revolute for joint in robot.joints]
+        reach = np.array([DEFAULT_REACH[kind] for kind in revolute])
+        lower = _or(robot.limit("position_lower"), -reach)
+        upper = _or(robot.limit("position_upper"), reach)
+        middle = 0.5 * (lower + upper)
+        half = margin * np.minimum(0.5 * (upper - lower), reach)
+        velocity = _or(
+            robot.limit("velocity"), np.array([DEFAULT_VELOCITY[kind] for kind in revolute])
+        )
+        acceleration = _or(robot.limit("acceleration"), np.full(robot.n, np.inf))
+        return cls(
+            middle - half,
+            middle + half,
+            margin * velocity,
+            margin * np.minimum(acceleration, DEFAULT_ACCELERATION),
+        )
+
+    @property
+    def middle(self) -> Array:
+        """Middle of the ranges (n,)."""
+        return 0.5 * (self.lower + self.upper)
+
+
+class FourierTrajectory:
+    """A random periodic motion within the robot's limits, at rest at the start of each period.
+
+    q(t) = q0 + Σ a_l/(lω)·sin(lωt) − b_l/(lω)·cos(lωt), with Σ a_l = Σ l·b_l = 0, so that
+    velocity and acceleration vanish at the ends. Accelerations keep to 5 rad/s² or the robot's
+    own limit, whichever is less.
+
+    Parameters
+    ----------
+    harmonics : int
+        At least 2.
+    base_frequency : float
+        Hz: one over the period.
+    periods : int
+        How many are run.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        harmonics: int = 5,
+        base_frequency: float = 0.1,
+        periods: int = 1,
+        seed: int,
+    ) -> None:
+        if harmonics < 2:
+            raise RobotError(f"a Fourier trajectory of {harmonics} harmonics; expected at least 2")
+        self.duration = periods / base_frequency
+        self._multiples = np.arange(1, harmonics + 1)
+        self._omega = 2.0 * np.pi * base_frequency * self._multiples
+        random = np.random.default_rng(seed)
+        ones, ranks = np.ones(harmonics), self._multiples.astype(float)
+        self._a = _without(random.standard_normal((harmonics, robot.n)), ones)
+        self._b = _without(random.standard_normal((harmonics, robot.n)), ranks)
+        self._centre = np.zeros(robot.n)
+        self._fit(Envelope.of(robot), random.uniform(0.7, 1.0, robot.n))
+
+    def _fit(self, envelope: Envelope, amplitude: Array) -> None:
+        fastest = float(self._omega[-1])
+        one_period = np.linspace(0.0, 2.0 * np.pi / float(self._omega[0]), 200 * self._omega.size)
+        q, dq, ddq = self.at(one_period)
+        half = np.pi / 200.0 / fastest  # between the points a signal exceeds them by < 0.1 %
+        scale = 0.998 * amplitude * np.min(
+            [
+                (envelope.upper - envelope.lower) / np.ptp(q, axis=0),
+                envelope.velocity / (np.abs(dq).max(axis=0) + half * np.abs(ddq).max(axis=0)),
+                envelope.acceleration / np.abs(ddq).max(axis=0),
+            ],
+            axis=0,
+        )  # fmt: skip
+        self._a *= scale
+        self._b *= scale
+        self._centre = envelope.middle - 0.5 * scale * (q.max(axis=0) + q.min(axis=0))
+
+    def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
+        """q, dq, ddq (N, n) at times (N,); at rest before the start and after the end."""
+        times = np.asarray(t, dtype=float)
+        inside = (times > 0.0) & (times < self.duration)
+        phase = np.where(inside, times, 0.0)[:, None] * self._omega
+        sine, cosine, w = np.sin(phase), np.cos(phase), self._omega[:, None]
+        q = self._centre + sine @ (self._a / w) - cosine @ (self._b / w)
+        dq = cosine @ self._a + sine @ self._b
+        ddq = cosine @ (self._b * w) - sine @ (self._a * w)
+        return q, dq * inside[:, None], ddq * inside[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoints:
+    """Moves between poses, each a quintic with rest at both ends, and dwells between them.
+
+    Attributes
+    ----------
+    poses : (P, n)
+    starts, moves : (P − 1,)
+        When each move starts and how long it takes, s.
+    duration
+        s.
+    """
+
+    poses: Array
+    starts: Array
+    moves: Array
+    duration: float
+
+    def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
+        """q, dq, ddq (N, n) at times (N,)."""
+        times = np.asarray(t, dtype=float)
+        leg = np.clip(np.searchsorted(self.starts, times, side="right") - 1, 0, None)
+        length = self.moves[leg][:, None]
+        s = np.clip((times - self.starts[leg]) / self.moves[leg], 0.0, 1.0)[:, None]
+        way = self.poses[leg + 1] - self.poses[leg]
+        q = self.poses[leg] + way * (s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
+        dq = way / length * (30.0 * s * s * (1.0 - s) ** 2)
+        ddq = way / length**2 * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s))
+        return q, dq, ddq
+
+
+def point_to_point(
+    robot: Robot, *, poses: int = 8, dwell: float = 1.0, speed: float = 0.7, seed: int
+) -> Waypoints:
+    """Return moves between random poses with dwells (s) between them.
+
+    ``speed`` is the part of the velocity limits that the fastest joint of a move reaches.
+    """
+    envelope = Envelope.of(robot)
+    random = np.random.default_rng(seed)
+    stops = random.uniform(envelope.lower, envelope.upper, (poses, robot.n))
+    way = np.abs(np.diff(stops, axis=0))
+    # A quintic peaks at 15/8 of its mean velocity and 10/√3 of way/time².
+    by_velocity = 15.0 / 8.0 * way / (speed * envelope.velocity)
+    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / envelope.acceleration)
+    moves = np.maximum(np.maximum(by_velocity, by_acceleration).max(axis=1), 0.1)
+    starts = dwell + np.concatenate([[0.0], np.cumsum(moves[:-1] + dwell)])
+    return Waypoints(stops, starts, moves, float(starts[-1] + moves[-1] + dwell))
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """One joint forward and back at constant speeds; the others hold their pose.
+
+    Attributes
+    ----------
+    pose : (n,)
+        Pose of the others; the joint starts from ``lower``.
+    speeds : (S,)
+        One run forward and one back for each.
+    """
+
+    pose: Array
+    joint: int
+    lower: float
+    upper: float
+    speeds: tuple[float, ...]
+    acceleration: float
+    dwell: float
+
+    def _run(self, speed: float) -> tuple[float, float]:
+        """Ramp time and total time of one run."""
+        ramp = 1.5 * speed / self.acceleration  # the smooth ramp peaks at 1.5 of its mean
+        return ramp, ramp + (self.upper - self.lower) / speed
+
+    @property
+    def duration(self) -> float:
+        """Time from start to end, s."""
+        return self.dwell + sum(2.0 * (self._run(speed)[1] + self.dwell) for speed in self.speeds)
+
+    def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
+        """q, dq, ddq (N, n) at times (N,)."""
+        times = np.asarray(t, dtype=float)
+        q = np.tile(self.pose, (times.size, 1))
+        dq, ddq = np.zeros_like(q), np.zeros_like(q)
+        q[:, self.joint] = self.lower
+        begin = self.dwell
+        for speed in self.speeds:
+            ramp, total = self._run(speed)
+            for origin, sign in ((self.lower, 1.0), (self.upper, -1.0)):
+                on = times >= begin
+                way, rate, growth = _run(times[on] - begin, speed, ramp, total)
+                q[on, self.joint] = origin + sign * way
+                dq[on, self.joint], ddq[on, self.joint] = sign * rate, sign * growth
+                begin += total + self.dwell
+        return q, dq, ddq
+
+
+def sweep(
+    robot: Robot,
+    joint: int,
+    *,
+    speeds: Sequence[float] | None = None,
+    pose: ArrayLike | None = None,
+    dwell: float = 0.5,
+) -> Sweep:
+    """Return forward and backward runs of one joint (from 0) across its range.
+
+    Speeds (rad/s) are 5, 15, 40 % of the joint's limit if not given; ramps keep to its
+    acceleration.
+
+    Raises
+    ------
+    RobotError
+        No such joint, a speed that is not positive, or one that the range is too short for.
+    """
+    if not 0 <= joint < robot.n:
+        raise RobotError(f"sweep of joint {joint} (from 0); robot {robot.name!r} has {robot.n}")
+    envelope = Envelope.of(robot)
+    lower, upper = float(envelope.lower[joint]), float(envelope.upper[joint])
+    acceleration = float(envelope.acceleration[joint])
+    limit = float(envelope.velocity[joint])
+    chosen = tuple(float(x) for x in (speeds or (0.05 * limit, 0.15 * limit, 0.4 * limit)))
+    for speed in chosen:
+        if not 0.0 < 1.5 * speed * speed / acceleration < upper - lower:
+            raise RobotError(
+                f"sweep of joint {joint} (from 0) at {speed:g} rad/s does not fit its range"
+            )
+    middle = envelope.middle if pose is None else np.asarray(pose, dtype=float)
+    return Sweep(middle, joint, lower, upper, chosen, acceleration, dwell)
+
+
+def _run(t: Array, speed: float, ramp: float, total: float) -> tuple[Array, Array, Array]:
+    """Way, velocity, acceleration of a run from rest to rest with smooth ramps."""
+    up = np.clip(t / ramp, 0.0, 1.0)
+    down = np.clip((t - (total - ramp)) / ramp, 0.0, 1.0)
+    velocity = speed * (_step(up) - _step(down))
+    acceleration = speed / ramp * (6.0 * up * (1.0 - up) - 6.0 * down * (1.0 - down))
+    cruise = np.clip(t - ramp, 0.0, total - ramp)
+    way = speed * (ramp * _step_integral(up) + cruise - ramp * _step_integral(down))
+    return way, velocity, acceleration
+
+
+def _step(s: Array) -> Array:
+    return s * s * (3.0 - 2.0 * s)
+
+
+def _step_integral(s: Array) -> Array:
+    return s**3 - 0.5 * s**4
+
+
+def _without(coefficients: Array, direction: Array) -> Array:
+    """Remove a direction (H,) from coefficients (H, n)."""
+    unit = direction / np.linalg.norm(direction)
+    return coefficients - np.outer(unit, unit @ coefficients)
+
+
+def _or(stated: Array, default: Array) -> Array:
+    return np.where(np.isfinite(stated), stated, default)
