@@ -62,15 +62,27 @@ class BaseParameters:
         return self.dropped[~visible]
 
     def expression(self, k: int, *, digits: int = 6) -> str:
-        """Return base parameter k as a sum of link parameters, e.g. ``Izz1 + Iyy2 + 0.09 m3``."""
+        """Return base parameter k as a sum of link parameters, equal factors grouped.
+
+        E.g. ``mcx3 + 0.0825 (m4 + m5 + m6 + m7)``.
+        """
         row = self.combination[k]
         first = int(self.kept[k])
-        terms = [self.names[first]]
+        groups: dict[str, list[str]] = {}
         for index in np.flatnonzero(row):
             if index != first:
+                sign = "-" if row[index] < 0 else "+"
                 size = f"{abs(row[index]):.{digits}g}"
-                factor = "" if size == "1" else f"{size} "
-                terms.append(f"{'-' if row[index] < 0 else '+'} {factor}{self.names[index]}")
+                groups.setdefault(f"{sign} {size}", []).append(self.names[index])
+        terms = [self.names[first]]
+        for factor, members in groups.items():
+            sign, size = factor.split()
+            if size == "1":
+                terms += [f"{sign} {name}" for name in members]
+            elif len(members) == 1:
+                terms.append(f"{factor} {members[0]}")
+            else:
+                terms.append(f"{factor} ({' + '.join(members)})")
         return " ".join(terms)
 
     def lift(self, base: Matrix, prior: Matrix | None = None) -> Matrix:

@@ -1,0 +1,109 @@
+"""``lieid demo [-o DIR]``: the main job on a simulated arm, no robot or data needed."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import arguments, output
+from lieid_casadi.errors import UsageError
+
+if TYPE_CHECKING:
+    from lieid_casadi.demo import Demo
+
+MARK = "lieid-demo.txt"  # says that a folder was made here and may be replaced
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser("demo", help="the whole loop on a simulated arm")
+    parser.add_argument("-o", "--output", default="lieid-demo", metavar="DIR")
+    parser.add_argument("--robot", default="panda", metavar="ROBOT", help="default: panda")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--force", action="store_true", help="replace a folder with other content")
+    arguments.add_outputs(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Run the loop and write recordings, fits, plots and the report into a folder."""
+    from lieid_casadi.demo import run_demo
+    from lieid_casadi.robot import Robot
+
+    folder = Path(args.output)
+    check_replaceable(folder, force=args.force)
+    output.check_writable(args.json)
+    with output.progress("demo") as report:
+        demo = run_demo(Robot.load(args.robot), seed=args.seed, progress=report)
+    write(demo, folder)
+    output.write_json(args.json, content(demo))
+    show(demo, folder)
+
+
+def check_replaceable(folder: Path, *, force: bool) -> None:
+    """Refuse a non-empty folder that the demo did not make, unless forced."""
+    output.check_writable(folder / MARK)
+    if folder.is_file():
+        raise UsageError(f"{folder}: is a file; expected a folder")
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / MARK).exists() and not force:
+        raise UsageError(f"{folder}: not empty and not made by lieid demo; --force replaces it")
+
+
+def write(demo: Demo, folder: Path) -> None:
+    """Write everything beside the folder first, then put it in place at once."""
+    from lieid_casadi.cli.compare import save_figure
+    from lieid_casadi.report import comparison_report
+
+    fresh = folder.with_name(f".{folder.name}.new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    fresh.mkdir(parents=True)
+    (fresh / MARK).write_text("Made by lieid demo, which replaces this folder.\n")
+    demo.train.save(fresh / "train.csv.gz")
+    demo.test.save(fresh / "test.csv.gz")
+    demo.fit.save(fresh / "fit.json")
+    demo.better.save(fresh / "better.json")
+    save_figure(str(fresh / "comparison.png"), demo.comparison.plot())
+    save_figure(str(fresh / "errors.png"), demo.comparison.plot_errors())
+    report = comparison_report(demo.fit, demo.comparison)
+    (fresh / "report.html").write_text(report, encoding="utf-8")
+    if folder.exists():
+        shutil.rmtree(folder)
+    fresh.replace(folder)
+
+
+def content(demo: Demo) -> dict[str, Any]:
+    """Return the demo's numbers for machines."""
+    return {
+        "before": {"effects": demo.fit.model.effects, **demo.comparison.to_dict()},
+        "after": {"effects": demo.better.model.effects, **demo.better_comparison.to_dict()},
+    }
+
+
+def show(demo: Demo, folder: Path) -> None:
+    """Print the error per joint before and after."""
+    before, after = demo.comparison, demo.better_comparison
+    added = [e for e in demo.better.model.effects if e not in demo.fit.model.effects]
+    rows: list[list[object]] = [
+        [
+            f"{j + 1} {name}",
+            float(before.rms_moving[j]),
+            float(after.rms_moving[j]),
+            float(after.noise_floor[j]),
+            float(after.torque_rms[j]),
+        ]
+        for j, name in enumerate(before.joint_names)
+    ]
+    output.table(
+        f"RMS error on a run that was not fitted, joints in motion, N·m ({demo.fit.model.robot.name})",
+        [
+            "joint",
+            ", ".join(demo.fit.model.effects),
+            f"with {', '.join(added)}",
+            "noise floor",
+            "torque itself",
+        ],
+        rows,
+    )
+    output.say(f"Report, plots, recordings and fits are in {folder}/ (open report.html).")

@@ -1,0 +1,274 @@
+"""Bad input through the command line: status 2, one line that names the place, nothing written."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi.cli.main import main
+
+URDF = """<robot name="arm">
+  <link name="base"/><link name="upper">{inertial}</link><link name="fore">{inertial}</link>
+  <joint name="shoulder" type="{kind}"><parent link="base"/><child link="upper"/>
+    <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="50" velocity="3"/></joint>
+  <joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/>
+    <origin xyz="0.5 0 0"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="50" velocity="3"/></joint>{more}
+</robot>"""
+INERTIAL = (
+    '<inertial><origin xyz="0.2 0 0"/><mass value="3"/>'
+    '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial>'
+)
+
+
+def urdf(*, kind="revolute", inertial=INERTIAL, more=""):
+    return URDF.format(kind=kind, inertial=inertial, more=more)
+
+
+def columns(n=2, seconds=8.0, rate=100.0):
+    """A motion of the two-link arm with the torques of Pinocchio's plant, as named columns."""
+    from lieid_casadi.plant import Arm, JointFriction, measure_along
+
+    robot = lieid.robots.two_link()
+    t = np.arange(0, seconds, 1 / rate)
+    phase = 2 * np.pi * np.outer(t, [0.31, 0.47])
+    w = 2 * np.pi * np.array([0.31, 0.47])
+    q, dq, ddq = np.sin(phase), w * np.cos(phase), -(w**2) * np.sin(phase)
+    friction = JointFriction(np.array([1.0, 0.5]), np.array([0.3, 0.2]), np.zeros(2))
+    recording = measure_along(Arm(robot, robot.link_parameters, friction), t, q, dq, ddq)
+    table = {"t": recording.t}
+    for name, values in (("q", recording.q), ("dq", recording.dq), ("tau", recording.tau)):
+        for j in range(n):
+            table[f"{name}{j + 1}"] = values[:, j]
+    return table
+
+
+def write(path, table):
+    data = np.column_stack(list(table.values()))
+    np.savetxt(path, data, delimiter=",", header=",".join(table), comments="", fmt="%.10g")
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("good") / "run.csv", columns())
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        try:
+            status = main([str(a) for a in arguments])
+        except SystemExit as stop:
+            status = stop.code
+        output = capsys.readouterr()
+        return status, output.out, output.err
+
+    return call
+
+
+def refused(outcome, *words):
+    """The outcome is status 2 with one line on stderr that has these words."""
+    status, _, err = outcome
+    assert status == 2, err
+    assert err.count("\n") == 1
+    assert err.endswith("\n")
+    for word in words:
+        assert word in err
+
+
+def test_missing_file(run, tmp_path):
+    refused(run("identify", "two_link", tmp_path / "no.csv"), "no.csv", "no such file")
+
+
+def test_missing_robot(run, good):
+    refused(run("identify", "no.urdf", good), "no.urdf", "no such file")
+    refused(run("identify", "armadillo", good), "armadillo", "two_link")
+
+
+def test_not_a_csv(run, tmp_path):
+    path = tmp_path / "picture.csv"
+    path.write_bytes(bytes(range(256)) * 20)
+    refused(run("identify", "two_link", path), "picture.csv")
+
+
+def test_header_without_a_torque(run, tmp_path):
+    table = columns()
+    del table["tau2"]
+    refused(run("identify", "two_link", write(tmp_path / "a.csv", table)), "a.csv", "tau2")
+
+
+def test_wrong_number_of_joints(run, good):
+    refused(run("identify", "panda", good), "run.csv", "2", "7")
+
+
+def test_text_in_a_number(run, tmp_path, good):
+    path = tmp_path / "a.csv"
+    lines = open(good).read().splitlines()
+    lines[10] = lines[10].replace(lines[10].split(",")[3], "fast", 1)
+    path.write_text("\n".join(lines))
+    refused(run("identify", "two_link", path), "a.csv", "fast", "11")
+
+
+def test_empty_file(run, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("")
+    refused(run("identify", "two_link", path), "a.csv", "empty")
+
+
+def test_one_row(run, tmp_path):
+    table = {k: v[:1] for k, v in columns().items()}
+    refused(run("identify", "two_link", write(tmp_path / "a.csv", table)), "a.csv")
+
+
+def test_nan(run, tmp_path):
+    table = columns()
+    table["dq2"] = table["dq2"].copy()
+    table["dq2"][20] = np.nan
+    refused(run("identify", "two_link", write(tmp_path / "a.csv", table)), "a.csv", "dq2")
+
+
+def test_time_going_back(run, tmp_path):
+    table = columns()
+    table["t"] = table["t"].copy()
+    table["t"][30] = table["t"][10]
+    refused(run("identify", "two_link", write(tmp_path / "a.csv", table)), "a.csv", "t")
+
+
+def test_degrees(run, tmp_path):
+    table = {k: np.degrees(v) if "q" in k else v for k, v in columns().items()}
+    refused(run("identify", "two_link", write(tmp_path / "a.csv", table)), "a.csv", "rad")
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar", "ball"])
+def test_joint_types(run, tmp_path, good, kind):
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf(kind=kind))
+    refused(run("identify", path, good), "arm.urdf", "shoulder", kind)
+
+
+def test_urdf_with_a_loop(run, tmp_path, good):
+    path = tmp_path / "arm.urdf"
+    closing = (
+        '<joint name="bar" type="revolute"><parent link="base"/><child link="fore"/>'
+        '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+    )
+    path.write_text(urdf(more=closing))
+    refused(run("identify", path, good), "arm.urdf", "loop", "fore")
+
+
+def test_not_xml(run, tmp_path, good):
+    path = tmp_path / "arm.urdf"
+    path.write_text("robot: arm")
+    refused(run("identify", path, good), "arm.urdf", "not XML")
+
+
+def test_a_urdf_without_inertias_identifies_all_the_same(run, tmp_path, good):
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf(inertial=""))
+    status, _, err = run("identify", path, good, "--json", tmp_path / "a.json")
+    assert status == 0, err
+    assert json.loads((tmp_path / "a.json").read_text())["base_parameter_count"] == 12
+
+
+@pytest.mark.parametrize(
+    ("screw", "words"),
+    [("[0, 2, 0, 0, 0, 0]", ["unit"]), ("[0, 1, 0, 0, 1, 0]", ["screw"])],
+)
+def test_screws(run, tmp_path, good, screw, words):
+    path = tmp_path / "arm.yaml"
+    path.write_text(f"name: arm\njoints:\n  - {{name: a, screw: {screw}}}\n")
+    refused(run("identify", path, good), "arm.yaml", "joints[0]", *words)
+
+
+def test_unknown_effect_and_joint(run, good):
+    refused(run("identify", "two_link", good, "--effects", "coulom"), "coulom", "expected")
+    refused(run("identify", "two_link", good, "--effects", "coulomb:3"), "joint 3")
+
+
+@pytest.fixture(scope="module")
+def fit_text(good, tmp_path_factory):
+    path = tmp_path_factory.mktemp("fit") / "fit.json"
+    assert main(["identify", "two_link", good, "-o", str(path)]) == 0
+    return path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda text: text[: len(text) // 2], ["truncated"]),
+        (lambda text: text.replace('"schema": 1', '"schema": 99'), ["99", "newer"]),
+        (lambda text: text.replace('"values": [\n  ', '"values": [\n  NaN, '), ["NaN"]),
+        (lambda text: text.replace('"kind": "lieid-fit"', '"kind": "other"'), ["not a fit"]),
+        (lambda text: text.replace('"values": [\n  ', '"values": [\n  1.5, '), ["values"]),
+        (lambda text: text.replace('"coulomb:1"', '"cuolomb:1"'), ["cuolomb"]),
+        (lambda text: "[]", ["not a fit"]),
+    ],
+)
+def test_fit_files(run, tmp_path, good, fit_text, damage, words):
+    damaged = damage(fit_text)
+    assert damaged != fit_text
+    path = tmp_path / "fit.json"
+    path.write_text(damaged)
+    refused(run("compare", path, good), *words)
+    refused(run("predict", path, good, "-o", tmp_path / "p.csv"), *words)
+    assert not (tmp_path / "p.csv").exists()
+
+
+def test_output_that_cannot_be_written(run, tmp_path, good):
+    (tmp_path / "file").write_text("")
+    place = tmp_path / "file" / "fit.json"
+    refused(run("identify", "two_link", good, "-o", place), "file", "not a folder")
+    refused(run("identify", "two_link", good, "-o", tmp_path), "folder")
+
+
+def test_bad_input_writes_nothing(run, tmp_path):
+    out = tmp_path / "new" / "fit.json"
+    refused(run("identify", "two_link", tmp_path / "no.csv", "-o", out))
+    assert not out.parent.exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["identify", "two_link"],
+        ["identify", "two_link", "x.csv", "--method", "magic"],
+        ["identify", "two_link", "x.csv", "--cutoff", "fast"],
+        ["identify", "two_link", "x.csv", "--torque-constants", "1,b"],
+        ["fly"],
+        [],
+    ],
+)
+def test_usage(run, arguments):
+    refused(run(*arguments))
+
+
+def test_cutoff_beyond_the_rate(run, good):
+    refused(run("identify", "two_link", good, "--cutoff", 400), "400", "Hz")
+
+
+def test_demo_leaves_a_strangers_folder_alone(run, tmp_path):
+    (tmp_path / "thesis.txt").write_text("years of work")
+    refused(run("demo", "-o", tmp_path), "not empty", "--force")
+    assert (tmp_path / "thesis.txt").exists()
+
+
+def test_a_killed_run_leaves_no_half_written_fit(tmp_path, good):
+    """Kill the process in the middle of the write: the old file is still whole."""
+    path = tmp_path / "fit.json"
+    path.write_text("old")
+    script = (
+        "import os, sys\n"
+        "import lieid_casadi.recording.atomic_file as atomic\n"
+        "replace = os.replace\n"
+        "def die(*a): os.kill(os.getpid(), 9)\n"
+        "os.replace = die\n"
+        "from lieid_casadi.cli.main import main\n"
+        f"main(['identify', 'two_link', {good!r}, '-o', {str(path)!r}])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
+    assert done.returncode == -9
+    assert path.read_text() == "old"
