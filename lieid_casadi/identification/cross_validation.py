@@ -2,23 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.identification.design import JointRows, Rows
-from lieid_casadi.identification.least_squares import combine, joint_factors, solve
+from lieid_casadi.identification.least_squares import Factor, combine, joint_factors
 
 Array = NDArray[np.float64]
+Estimate = Callable[[Factor], Array]
 FOLDS = 3
 BLOCK_OVER_CUTOFF = 12.0  # block length in periods of the cut-off: many times the filter's memory
 
 
-def cross_validated_rms(rows: Rows, noise: Array, *, block: int) -> Array:
-    """Return the RMS (n,) of each joint's held-out rows, N·m.
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """One held-out part of the rows: what the rest says, and its own rows per joint.
 
-    Blocks of consecutive instants go to the folds in turn; each fold is predicted from the
-    linear parameters of the others (weights, load and shape parameters are those of the whole
-    fit). NaN for a joint without rows.
+    ``rest`` is the factor of all other rows, weighted; ``held`` holds one unweighted factor
+    per joint.
+    """
+
+    rest: Factor
+    held: tuple[Factor, ...]
+
+    def squares(self, values: Array) -> Array:
+        """Return the sum of squared held-out residuals per joint (n,)."""
+        return np.array([factor.misfit(values) for factor in self.held])
+
+
+def fold_factors(rows: Rows, noise: Array, *, block: int) -> tuple[Fold, ...]:
+    """Return the folds: blocks of consecutive instants go to them in turn.
 
     Parameters
     ----------
@@ -28,14 +44,30 @@ def cross_validated_rms(rows: Rows, noise: Array, *, block: int) -> Array:
         Instants per block.
     """
     fold = _folds(rows, block)
-    squares, counts = np.zeros(len(rows.joints)), np.zeros(len(rows.joints))
-    for held in range(FOLDS):
-        kept = _select(rows, fold != held)
-        values = solve(combine(joint_factors(kept), 1.0 / noise)).values
-        for j, error in enumerate(_select(rows, fold == held).residuals(values)):
-            squares[j] += np.sum(error**2)
-            counts[j] += len(error)
-    return np.sqrt(np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0))
+    parts = [tuple(joint_factors(_select(rows, fold == held))) for held in range(FOLDS)]
+    folds = []
+    for held, own in enumerate(parts):
+        others = [factor for k, part in enumerate(parts) if k != held for factor in part]
+        weights = np.tile(1.0 / noise, FOLDS - 1)
+        folds.append(Fold(combine(others, weights), own))
+    return tuple(folds)
+
+
+def cross_validated_rms(folds: Sequence[Fold], estimate: Estimate) -> Array:
+    """Return the RMS (n,) of each joint's held-out rows, N·m; NaN for a joint without rows.
+
+    Each fold is predicted from the linear parameters of the others (weights, load and shape
+    parameters are those of the whole fit).
+
+    Parameters
+    ----------
+    estimate : callable
+        Weighted factor to base values (p,).
+    """
+    squares = sum(fold.squares(estimate(fold.rest)) for fold in folds)
+    counts = sum(np.array([factor.rows for factor in fold.held], dtype=float) for fold in folds)
+    mean = np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0)
+    return np.asarray(np.sqrt(mean))
 
 
 def _folds(rows: Rows, block: int) -> NDArray[np.intp]:

@@ -51,6 +51,10 @@ class Rows:
         """Return measured − predicted torque per joint (R,)."""
         return [rows.torque - rows.matrix @ values[rows.columns] for rows in self.joints]
 
+    def predicted(self, values: Array) -> Array:
+        """Return the predicted torque of all rows, joint after joint."""
+        return np.concatenate([rows.matrix @ values[rows.columns] for rows in self.joints])
+
 
 class Design:
     """Columns of one model along processed segments.

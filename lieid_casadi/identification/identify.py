@@ -2,68 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import (
-    AliasWarning,
-    BoundWarning,
     ConvergenceWarning,
     EffectError,
-    FrictionAtRestWarning,
     IdentificationError,
     LieidWarning,
     ModelError,
-    UnidentifiableWarning,
 )
+from lieid_casadi.identification import findings
 from lieid_casadi.identification.conditioning import conditioning
 from lieid_casadi.identification.covariance import hac_covariance
 from lieid_casadi.identification.cross_validation import (
     BLOCK_OVER_CUTOFF,
     cross_validated_rms,
+    fold_factors,
 )
-from lieid_casadi.identification.design import (
-    Design,
-    JointRows,
-    Rows,
-    has_dry_friction,
-    varying_columns,
-)
+from lieid_casadi.identification.design import Design, JointRows, Rows
 from lieid_casadi.identification.fit import Fit, Provenance, Source
+from lieid_casadi.identification.fixed_point import ROUNDS, Progress, State, fixed_point
 from lieid_casadi.identification.least_squares import (
-    Solution,
     combine,
     joint_factors,
-    name_direction,
     remaining_fraction,
     solve,
 )
 from lieid_casadi.identification.prediction import predict_recording, torque_along
-from lieid_casadi.identification.shape_fit import at_bound, fit_shapes, shape_columns
-from lieid_casadi.identification.weights import ESTIMATORS, Weighting
+from lieid_casadi.identification.shape_fit import shape_columns
+from lieid_casadi.identification.weights import ESTIMATORS
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
-WEAK = 0.05  # of a column's norm left beside the others: told, and fitted with care
-ROUNDS = 30  # of the fixed point over load and shapes
-SETTLED = 1e-6  # relative change of the predicted torque
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """One round's result."""
-
-    shapes: Array
-    rows: Rows
-    weighting: Weighting
-    solution: Solution
-    parameters: Array
 
 
 def identify(
@@ -113,12 +89,13 @@ def identify(
     segments, mean = center_temperature(process(given, processing))
     report("regress", 0.3)
     design = Design(compiled, segments)
-    state, settled = _fixed_point(design, method, report)
+    state, settled = fixed_point(design, method, report)
     covariance = _covariance(design, state)
     unweighted = combine(joint_factors(state.rows), np.ones(model.n))
     found += [w for segment in segments for w in segment.warnings]
-    found += _aliases(model, remaining_fraction(unweighted))
-    found += _bounds(model, state) + _hidden(model, state.solution) + _rest(model, segments)
+    found += findings.aliases(model, remaining_fraction(unweighted))
+    found += findings.bounds(model, state) + findings.hidden(model, state.solution)
+    found += findings.rest(model, segments)
     if not settled:
         found.append(
             ConvergenceWarning(
@@ -190,51 +167,16 @@ def center_temperature(
     if any(segment.temperature is None for segment in segments):
         return tuple(segments), mean
     if mean is None:
-        mean = np.concatenate([s.temperature for s in segments if s.temperature is not None]).mean(0)
+        mean = np.concatenate([s.temperature for s in segments if s.temperature is not None]).mean(
+            0
+        )
     centered = [
         replace(s, temperature=s.temperature - mean) for s in segments if s.temperature is not None
     ]
     return tuple(centered), mean
 
 
-def _fixed_point(design: Design, method: str, report: Progress) -> tuple[_State, bool]:
-    """Alternate linear fit, shapes and load until the predicted torque settles."""
-    model = design.model
-    estimator = ESTIMATORS[method]
-    shapes, links = model.initial_shapes, None
-    moving = bool(varying_columns(model).any())
-    before: Array | None = None
-    for round_ in range(ROUNDS):
-        rows = design.rows(shapes, links)
-        weighting = estimator(rows)
-        if len(shapes):
-            search = round_ == 0
-            shapes = fit_shapes(design, shapes, links, weighting.noise, search=search)
-            rows = design.rows(shapes, links)
-            weighting = estimator(rows)
-        solution = solve(weighting.factor)
-        parameters = model.base.lift(solution.values, _prior(model))
-        state = _State(shapes, rows, weighting, solution, parameters)
-        if not moving:
-            return state, weighting.converged
-        links = parameters[: 10 * model.n]
-        predicted = np.concatenate([r.matrix @ solution.values[r.columns] for r in rows.joints])
-        if before is not None:
-            change = np.linalg.norm(predicted - before)
-            if change <= SETTLED * np.linalg.norm(predicted):
-                return state, weighting.converged
-        before = predicted
-        report("regress", 0.3 + 0.6 * (round_ + 1) / ROUNDS)
-    return state, False
-
-
-def _prior(model: Model) -> Array:
-    """Return nominal link parameters (zero where none are stated) and no effects."""
-    links = model.robot.link_parameters if model.robot.has_inertia else np.zeros(10 * model.n)
-    return np.concatenate([links, np.zeros(len(model.columns))])
-
-
-def _covariance(design: Design, state: _State) -> Array:
+def _covariance(design: Design, state: State) -> Array:
     """Return the covariance of values and shapes (p + s, p + s)."""
     rows, values = state.rows, state.solution.values
     residuals = rows.residuals(values)
@@ -263,91 +205,23 @@ def _with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
     return Rows(joints, count, rows.segments)
 
 
-def _aliases(model: Model, remaining: Array) -> list[LieidWarning]:
-    """Tell effects that the other columns absorb by structure, or almost by this data."""
-    found: list[LieidWarning] = []
-    base, first = model.base, 10 * model.n
-    for k in base.dropped[base.dropped >= first]:
-        users = [base.names[base.kept[i]] for i in np.flatnonzero(base.combination[:, k])]
-        inside = f"part of {', '.join(users)}" if users else "without any torque"
-        found.append(AliasWarning(f"{base.names[k]} is absorbed: {inside}; no data can tell"))
-    for position, k in enumerate(base.kept):
-        if k >= first and 0.0 < remaining[position] < WEAK:
-            found.append(
-                AliasWarning(
-                    f"{base.names[k]} is weak: the other columns explain all but "
-                    f"{remaining[position]:.1%} of its column on this data"
-                )
-            )
-    return found
-
-
-def _bounds(model: Model, state: _State) -> list[LieidWarning]:
-    """Tell coefficients beyond the physics' bounds and shapes that ran to the end of their range."""
-    found: list[LieidWarning] = []
-    for parameter, value in zip(model.base_columns, state.solution.values, strict=True):
-        if not parameter.lower <= value <= parameter.upper:
-            found.append(
-                BoundWarning(
-                    f"{parameter.label} = {value:.3g} {parameter.unit} is beyond its bound "
-                    f"[{parameter.lower:g}, {parameter.upper:g}]: the model lacks something, or "
-                    "the effect is not there"
-                )
-            )
-    if len(state.shapes):
-        lower = np.array([p.lower for p in model.shapes])
-        upper = np.array([p.upper for p in model.shapes])
-        for k in np.flatnonzero(at_bound(state.shapes, lower, upper)):
-            shape = model.shapes[k]
-            found.append(
-                BoundWarning(
-                    f"{shape.label} ran to its bound {state.shapes[k]:.3g} {shape.unit} "
-                    f"(range {shape.lower:g} to {shape.upper:g}); its effect is hardly there"
-                )
-            )
-    return found
-
-
-def _hidden(model: Model, solution: Solution) -> list[LieidWarning]:
-    labels = [p.label for p in model.base_columns]
-    return [
-        UnidentifiableWarning(
-            f"not excited by this data: {name_direction(direction, labels)}; "
-            "the smallest value was taken"
-        )
-        for direction in solution.hidden
-    ]
-
-
-def _rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
-    moving = np.concatenate([segment.filtered_moving for segment in segments])
-    share = 1.0 - moving.mean(axis=0)
-    dry = has_dry_friction(model)
-    still = [f"joint {j + 1} {share[j]:.0%}" for j in range(model.n) if dry[j] and share[j] > 0.01]
-    if not still:
-        return []
-    return [
-        FrictionAtRestWarning(
-            f"at rest friction is undetermined; samples left out of the fit: {', '.join(still)}"
-        )
-    ]
-
-
-def _rms(compiled: Compiled, segments: Sequence[Processed], state: _State) -> tuple[Array, Array]:
+def _rms(compiled: Compiled, segments: Sequence[Processed], state: State) -> tuple[Array, Array]:
     """Return the training error per joint (n,), filtered and as resampled only."""
     filtered, raw = [], []
     for segment in segments:
+        assert segment.tau is not None  # checked before
         error = segment.tau - torque_along(compiled, segment, state.parameters, state.shapes)
         raw.append(error)
         filtered.append(segment.filter(error))
     return root_mean_square(np.concatenate(filtered)), root_mean_square(np.concatenate(raw))
 
 
-def _rms_cv(segments: Sequence[Processed], state: _State) -> Array:
+def _rms_cv(segments: Sequence[Processed], state: State) -> Array:
     first = segments[0]
     step = first.filtered_time[1] - first.filtered_time[0] if len(first.filtered_time) > 1 else 1.0
     block = max(int(BLOCK_OVER_CUTOFF / first.cutoff / step), 1)
-    return cross_validated_rms(state.rows, state.weighting.noise, block=block)
+    folds = fold_factors(state.rows, state.weighting.noise, block=block)
+    return cross_validated_rms(folds, lambda factor: solve(factor).values)
 
 
 def root_mean_square(error: Array) -> Array:
