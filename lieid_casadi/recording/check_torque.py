@@ -38,8 +38,8 @@ def check_torque(recording: Recording, blocks: Blocks, robot: Robot | None) -> l
     title = recording.name or "recording"
     found = _clipped(recording, title, robot)
     moving = np.ptp(blocks.q, axis=0) > ENOUGH_MOTION if len(blocks.q) else np.zeros(0, bool)
-    common = 2 + 3 * int(moving.sum())
-    if blocks.tau is None or len(blocks.q) < 4 * common or not moving.any():
+    columns = 7 * int(moving.sum())
+    if blocks.tau is None or len(blocks.q) < 4 * columns or not moving.any():
         return found
     exchanged = _exchanged(blocks, moving)
     if exchanged:
@@ -70,11 +70,15 @@ def _exchanged(blocks: Blocks, moving: Mask) -> dict[int, int]:
 
 def _gravity_like(blocks: Blocks, joint: int, moving: Mask) -> Array:
     """Columns of the rigid body: the nominal torque, or sines and cosines of all joints."""
-    ones = np.ones(len(blocks.q))
     if blocks.nominal is not None:
-        return np.column_stack([ones, blocks.nominal[:, joint]])
-    q = blocks.q[:, moving]
-    return np.column_stack([ones, np.sin(q), np.cos(q)])
+        return np.column_stack([np.ones(len(blocks.q)), blocks.nominal[:, joint]])
+    return _angles(blocks.q[:, moving])
+
+
+def _angles(q: Array) -> Array:
+    """1, sines and cosines of all joints, and of sums and differences of neighbours."""
+    angles = np.column_stack([q, q[:, 1:] + q[:, :-1], q[:, 1:] - q[:, :-1]])
+    return np.column_stack([np.ones(len(q)), np.sin(angles), np.cos(angles)])
 
 
 def _own(blocks: Blocks, joint: int) -> Array:
@@ -135,7 +139,7 @@ def _driving_friction(blocks: Blocks, moving: Mask) -> Mask:
     """
     assert blocks.tau is not None
     q, ddq = blocks.q[:, moving], blocks.ddq[:, moving]
-    common = np.column_stack([np.ones(len(q)), np.sin(q), np.cos(q), ddq])
+    common = np.column_stack([_angles(q), ddq])
     driving = np.zeros(moving.size, dtype=bool)
     for j in np.nonzero(moving)[0]:
         dq, tau = blocks.dq[:, j], blocks.tau[:, j]
@@ -202,5 +206,5 @@ def _in_motion(recording: Recording, magnitude: Array) -> Mask:
     if dq is None:
         dq = np.gradient(recording.q, recording.t, axis=0)
     top = magnitude >= 0.999 * magnitude.max(axis=0)
-    speed = np.array([np.mean(np.abs(v[at])) for v, at in zip(dq.T, top.T, strict=True)])
+    speed = np.array([np.median(np.abs(v[at])) for v, at in zip(dq.T, top.T, strict=True)])
     return np.asarray(speed > 0.01 * np.abs(dq).max(axis=0))

@@ -54,12 +54,13 @@ def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]
             f"{largest[joint] / (2.0 * np.pi):.0f} turns: degrees? Expected radians: {REMEDY}"
         )
     return [
-        *_suspicious(recording, title, free, largest),
+        *_suspicious(recording, title, free, revolute),
         *_beyond_limits(recording, title, lower, upper),
     ]
 
 
-def _suspicious(recording: Recording, title: str, free: Mask, largest: Array) -> list[LieidWarning]:
+def _suspicious(recording: Recording, title: str, free: Mask, revolute: Mask) -> list[LieidWarning]:
+    largest = np.max(np.abs(recording.q), axis=0)
     turns = free & (largest > TWO_TURNS)
     if turns.any():
         return [
@@ -70,7 +71,7 @@ def _suspicious(recording: Recording, title: str, free: Mask, largest: Array) ->
         ]
     if recording.dq is None:
         return []
-    fast = np.max(np.abs(recording.dq), axis=0) > FASTEST
+    fast = revolute & (np.max(np.abs(recording.dq), axis=0) > FASTEST)
     if not fast.any():
         return []
     top = float(np.abs(recording.dq[:, fast]).max())

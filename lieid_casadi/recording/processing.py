@@ -23,6 +23,7 @@ from lieid_casadi.recording.filtering import (
 )
 from lieid_casadi.recording.periods import mean_period
 from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.robust_loess import robust_loess
 from lieid_casadi.recording.spectrum import choose_cutoff, noise_dead_zone
 
 #: q, dq, ddq keep this many cut-offs: the columns' filter does the rest, and does it alone.
@@ -216,11 +217,14 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
     rate = (grid.size - 1) / (grid[-1] - grid[0])
     q, dq, ddq, dead_zone = _motion(segment, grid, rate, cutoff)
     tau = None if segment.tau is None else straight_at(segment.t, segment.tau, grid)
+    if options.smoother == "rloess":
+        ddq = robust_loess(grid, ddq, cutoff)
+        tau = None if tau is None else robust_loess(grid, tau, cutoff)
     temperature = segment.temperature
     if temperature is not None:
         temperature = straight_at(segment.t, temperature, grid)
     step = max(1, int(rate / (GRID_OVER_CUTOFF * cutoff)))
-    done = Processed(
+    return Processed(
         t=read_only(grid[::step]),
         q=read_only(q[::step]),
         dq=read_only(dq[::step]),
@@ -235,11 +239,6 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
         moving=np.abs(dq[::step]) > dead_zone,
         options=options,
     )
-    if options.smoother == "rloess":
-        from lieid_casadi.recording.robust_loess import smooth
-
-        done = smooth(done)
-    return done
 
 
 def _motion(

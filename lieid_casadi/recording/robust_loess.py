@@ -2,48 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from lieid_casadi.errors import MissingDependency
-from lieid_casadi.recording.arrays import Array, read_only
+from lieid_casadi.recording.arrays import Array
 
-if TYPE_CHECKING:
-    from lieid_casadi.recording.processing import Processed
+#: Length of the window in periods of the cut-off: shorter ones follow single outliers,
+#: longer ones round off the steps of friction.
+WINDOW = 1.5
 
 
-def smooth(processed: Processed) -> Processed:
-    """The same segment with ddq and tau smoothed over one period of the cut-off.
+def robust_loess(t: Array, x: Array, cutoff: float) -> Array:
+    """Smooth columns x (K, n) at times t (K,) over 1.5 periods of the cut-off, Hz.
 
     Outliers lose their weight, which no linear filter can do; for the same reason the
-    smoothed torque is no longer the columns' own filter, so the window is kept short.
+    smoothed torque has no longer gone through the filter of the columns alone.
 
     Raises
     ------
     MissingDependency
         statsmodels is not installed.
     """
-    window = max(7.0, processed.rate / processed.cutoff)
-    fraction = min(1.0, window / len(processed))
-    tau = processed.tau
-    return replace(
-        processed,
-        ddq=_loess(processed.t, processed.ddq, fraction),
-        tau=None if tau is None else _loess(processed.t, tau, fraction),
-    )
-
-
-def _loess(t: Array, x: Array, fraction: float) -> Array:
     try:
         from statsmodels.nonparametric.smoothers_lowess import lowess
     except ImportError as error:
         raise MissingDependency(
             "RLOESS needs statsmodels: pip install 'lieid-casadi[loess]'"
         ) from error
+    window = WINDOW / cutoff
+    count = max(7.0, window * (t.size - 1) / (t[-1] - t[0]))
     smoothed = [
-        lowess(column, t, frac=fraction, it=3, is_sorted=True, return_sorted=False)
+        lowess(
+            column,
+            t,
+            frac=min(1.0, count / t.size),
+            it=3,
+            delta=0.02 * window,
+            is_sorted=True,
+            return_sorted=False,
+        )
         for column in x.T
     ]
-    return read_only(np.column_stack(smoothed))
+    return np.column_stack(smoothed)

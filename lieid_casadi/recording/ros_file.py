@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sqlite3
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -129,15 +130,28 @@ def _messages(file: Path, topic: str | None) -> Iterator[tuple[int, Any]]:
         ) from error
     old = file.suffix.lower() == ".bag"
     store = get_typestore(Stores.ROS1_NOETIC if old else Stores.LATEST)
+    damage: tuple[type[Exception], ...] = (AnyReaderError, ReaderError, ValueError, OSError)
+    damage += _database_errors()
     try:
         with AnyReader([file], default_typestore=store) as reader:
             chosen = _choose(file, reader, topic)
             connections = [c for c in reader.connections if c.topic == chosen]
             for connection, arrival, raw in reader.messages(connections=connections):
                 yield arrival, reader.deserialize(raw, connection.msgtype)
-    except (AnyReaderError, ReaderError, FileNotFoundError) as error:
-        reason = str(error).splitlines()[0]
+    except RecordingError:
+        raise
+    except damage as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
         raise RecordingError(f"{file}: not a bag that can be read ({reason})") from error
+
+
+def _database_errors() -> tuple[type[Exception], ...]:
+    """What a damaged ``.db3`` raises, whichever SQLite binding rosbags came with."""
+    try:
+        import apsw
+    except ImportError:
+        return (sqlite3.Error,)
+    return (sqlite3.Error, apsw.Error)
 
 
 def _choose(file: Path, reader: Any, topic: str | None) -> str:

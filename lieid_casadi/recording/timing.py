@@ -29,4 +29,4 @@ def dropout_limit(t: Array) -> float:
     90th percentile), and above 1.75 sample periods.
     """
     steps = np.diff(t)
-    return float(max(1.75 * np.median(steps), 1.25 * np.percentile(steps, 90.0)))
+    return float(max(1.75 * np.median(steps), 1.45 * np.percentile(steps, 90.0)))

@@ -93,13 +93,11 @@ def test_messages_of_a_gripper_are_passed_over(tmp_path, arm):
 
 
 def test_several_topics_need_a_choice(tmp_path, arm):
-    other = [
-        (m[0].replace("/", "/left/", 1), *m[1:3], m[3] + 1.0, *m[4:]) for m in arm_messages(arm)
-    ]
+    other = [(*m[:3], m[3] + 1.0, *m[4:]) for m in arm_messages(arm, topic="/left")]
     bag = write(tmp_path / "bag", arm_messages(arm) + other)
-    with pytest.raises(RecordingError, match=r"/joint_states, /left/joint_states.*topic="):
+    with pytest.raises(RecordingError, match=r"/joint_states, /left.*topic="):
         Recording.load(bag)
-    recording = Recording.load(bag, topic="/left/joint_states")
+    recording = Recording.load(bag, topic="/left")
     np.testing.assert_array_equal(recording.q, arm.q + 1.0)
     with pytest.raises(RecordingError, match="expected /right among them"):
         Recording.load(bag, topic="/right")
@@ -124,10 +122,12 @@ def test_bad_bags(tmp_path, arm):
     mixed = [messages[0], (*messages[1][:5], None, True), *messages[2:]]
     with pytest.raises(RecordingError, match="1 of 200 messages lack effort"):
         Recording.load(write(tmp_path / "mixed", mixed))
-    file = tmp_path / "broken.mcap"
-    file.write_bytes(b"not an mcap file")
-    with pytest.raises(RecordingError, match="not a bag that can be read"):
-        Recording.load(file)
+    (database,) = bag.glob("*.db3")
+    for content in (b"no bag", b"", database.read_bytes()[:9000]):
+        for name in ("broken.mcap", "broken.db3", "broken.bag"):
+            (tmp_path / name).write_bytes(content)
+            with pytest.raises(RecordingError, match="not a bag that can be read"):
+                Recording.load(tmp_path / name)
     (tmp_path / "empty").mkdir()
     with pytest.raises(RecordingError, match="not a bag that can be read"):
         Recording.load(tmp_path / "empty")

@@ -1,0 +1,249 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recording.planar_arm import measured, motion, nominal_torque
+
+from lieid_casadi import errors
+from lieid_casadi.errors import RecordingError
+from lieid_casadi.recording import Recording, check
+from lieid_casadi.robot.robot import Joint, Limits, Robot
+
+DEGREES = 180 / np.pi
+
+
+def robot(lower=-3.0, upper=3.0, torque=np.nan, joints=2, revolute=True):
+    screw = np.array([0, -1, 0, 0, 0, 0.0] if revolute else [0, 0, 0, 0, 0, 1.0])
+    limits = Limits(position_lower=lower, position_upper=upper, torque=torque)
+    made = tuple(Joint(f"joint_{j}", screw, np.eye(4), limits) for j in range(joints))
+    return Robot("planar", made)
+
+
+def names(warnings):
+    return [type(warning).__name__ for warning in warnings]
+
+
+def only(warnings, kind):
+    (warning,) = warnings
+    assert isinstance(warning, kind)
+    return str(warning)
+
+
+@pytest.fixture(scope="module")
+def good():
+    return measured()
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.9])
+@pytest.mark.parametrize("rate", [50, 200, 1000])
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_good_recording_raises_nothing(jitter, rate, noise):
+    recording = measured(rate=rate, jitter=jitter, noise=noise)
+    assert check(recording) == ()
+    assert check(recording, robot(torque=100.0)) == ()
+    assert check(recording, robot(), nominal_torque=nominal_torque(recording)) == ()
+
+
+def test_positions_alone_raise_nothing(good):
+    assert check(Recording.from_arrays(good.t, good.q), robot()) == ()
+
+
+def test_warnings_of_loading_come_along(good):
+    loaded = errors.UnknownColumnWarning("voltage")
+    assert check(replace(good, warnings=(loaded,))) == (loaded,)
+
+
+# -- certainly wrong ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("field", ["q", "dq", "tau"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_numbers_that_are_none(good, field, value):
+    values = getattr(good, field).copy()
+    values[7, 1] = value
+    with pytest.raises(RecordingError, match=f"row 8, column {field}2: found {value:g}"):
+        check(replace(good, **{field: values}))
+
+
+def test_time_that_stands_still_or_goes_back(good):
+    t = good.t.copy()
+    t[5] = t[4]
+    with pytest.raises(RecordingError, match=r"row 6, column t: found the time 0\.02 s twice"):
+        check(replace(good, t=t))
+    t[5] = t[3]
+    with pytest.raises(RecordingError, match="time goes back"):
+        check(replace(good, t=t))
+
+
+def test_another_number_of_joints(good):
+    with pytest.raises(RecordingError, match=r"found 2 joints \(q1…q2\), expected 7"):
+        check(good, robot(joints=7))
+
+
+@pytest.mark.parametrize("limited", [True, False])
+def test_degrees_are_refused(good, limited):
+    arm = robot() if limited else None
+    with pytest.raises(RecordingError, match=r"column q1.*radians.*deg2rad"):
+        check(replace(good, q=good.q * DEGREES, dq=good.dq * DEGREES), arm)
+
+
+def test_a_small_motion_in_degrees_is_refused_by_the_limits(good):
+    small = replace(good, q=good.q * DEGREES / 5, dq=good.dq * DEGREES / 5)
+    with pytest.raises(RecordingError, match="limits"):
+        check(small, robot())
+
+
+def test_millimetres_are_not_taken_for_degrees(good):
+    far = replace(good, q=100 * good.q, dq=100 * good.dq)
+    found = check(far, robot(lower=-np.inf, upper=np.inf, revolute=False))
+    assert "UnitsWarning" not in names(found)
+
+
+def test_degrees_per_second_beside_radians(good):
+    with pytest.raises(RecordingError, match=r"column dq1: found 57\.3 times the derivative"):
+        check(replace(good, dq=good.dq * DEGREES))
+    with pytest.raises(RecordingError, match=r"column dq1: found 0\.0175 times the derivative"):
+        check(replace(good, q=good.q * DEGREES * 0.1, dq=good.dq * 0.1))
+
+
+def test_nominal_torque_of_another_shape(good):
+    with pytest.raises(RecordingError, match="nominal_torque has shape"):
+        check(good, nominal_torque=np.zeros((3, 2)))
+
+
+# -- suspicious -----------------------------------------------------------------------
+
+
+def test_one_joint_beyond_two_turns(good):
+    turning = good.q + [[0, 1]] * good.t[:, None] * 0.6
+    turning_speed = good.dq + np.array([[0, 0.6]])
+    text = only(check(replace(good, q=turning, dq=turning_speed, tau=None)), errors.UnitsWarning)
+    assert "joint 2" in text
+
+
+def test_a_speed_no_arm_has():
+    t = np.arange(0, 4, 0.001)
+    q = np.column_stack([3 * np.sin(12 * t), np.sin(t)])
+    dq = np.column_stack([36 * np.cos(12 * t), np.cos(t)])
+    assert "joint 1" in only(check(Recording.from_arrays(t, q, dq)), errors.UnitsWarning)
+
+
+def test_beyond_the_limits(good):
+    text = only(check(good, robot(lower=-0.9, upper=3.0)), errors.JointLimitWarning)
+    assert "joint 1 " in text
+
+
+def test_lost_samples_and_gaps(good):
+    keep = np.ones(len(good), dtype=bool)
+    keep[[500, 900]] = False
+    fields = {f: getattr(good, f)[keep] for f in ("t", "q", "dq", "tau")}
+    text = only(check(replace(good, **fields)), errors.DropoutWarning)
+    assert "2 dropouts" in text
+    assert "interpolated" in text
+    keep[2000:2100] = False
+    fields = {f: getattr(good, f)[keep] for f in ("t", "q", "dq", "tau")}
+    text = only(check(replace(good, **fields)), errors.DropoutWarning)
+    assert "3 dropouts, the longest 0.505 s" in text
+    assert "split into 2 segments" in text
+
+
+@pytest.mark.parametrize(
+    ("change", "hint"),
+    [
+        (np.array([[1.0, 0.5]]), "joint 2 (gain 0.5"),
+        (np.array([[1.0, -1.0]]), "joint 2 (gain 1, correlation -1, sign swapped)"),
+    ],
+)
+def test_velocity_of_another_gain_or_sign(good, change, hint):
+    text = only(check(replace(good, dq=good.dq * change)), errors.VelocityMismatchWarning)
+    assert hint in text
+
+
+def test_velocities_of_other_joints(good):
+    text = only(check(replace(good, dq=good.dq[:, ::-1])), errors.VelocityMismatchWarning)
+    assert "runs like joint 2" in text
+    assert "runs like joint 1" in text
+
+
+def test_noisy_velocity_is_still_the_derivative(good):
+    noisy = good.dq + 0.1 * np.random.default_rng(0).normal(size=good.dq.shape)
+    assert check(replace(good, dq=noisy)) == ()
+
+
+def test_a_joint_that_never_moves(good):
+    still = np.array([[1.0, 0.0]])
+    text = only(
+        check(replace(good, q=good.q * still, dq=good.dq * still)), errors.JointStillWarning
+    )
+    assert "joint 2 never moved" in text
+
+
+def test_a_rate_too_low_for_the_motion(good):
+    every = slice(None, None, 80)  # 2.5 Hz for harmonics up to 0.6 Hz
+    fields = {f: getattr(good, f)[every] for f in ("t", "q", "dq", "tau")}
+    assert "LowRateWarning" in names(check(replace(good, **fields)))
+    every = slice(None, None, 10)
+    fields = {f: getattr(good, f)[every] for f in ("t", "q", "dq", "tau")}
+    assert check(replace(good, **fields)) == ()
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("model", [True, False])
+def test_swapped_sign(good, joint, model):
+    tau = good.tau.copy()
+    tau[:, joint] *= -1
+    nominal = nominal_torque(good) if model else None
+    text = only(check(replace(good, tau=tau), nominal_torque=nominal), errors.TorqueSignWarning)
+    assert f"joint {joint + 1}" in text
+
+
+@pytest.mark.parametrize("model", [True, False])
+def test_exchanged_torques(good, model):
+    nominal = nominal_torque(good) if model else None
+    swapped = replace(good, tau=good.tau[:, ::-1])
+    text = only(check(swapped, nominal_torque=nominal), errors.TorqueOrderWarning)
+    assert "tau1 runs like joint 2, tau2 runs like joint 1" in text
+
+
+def test_a_poor_nominal_model_accuses_nobody(good):
+    nominal = 0.5 * nominal_torque(good)[:, ::1] + [[5.0, -2.0]]
+    assert check(good, nominal_torque=nominal) == ()
+
+
+def test_clipped_torque(good):
+    limit = 0.8 * np.abs(good.tau).max(axis=0)
+    text = only(
+        check(replace(good, tau=np.clip(good.tau, -limit, limit))), errors.TorqueClippedWarning
+    )
+    assert "joints 1, 2" in text
+    one = np.clip(good.tau, -np.inf, [np.inf, limit[1]])
+    assert "joint 2 is" in only(check(replace(good, tau=one)), errors.TorqueClippedWarning)
+
+
+def test_quantized_torque_is_not_clipped(good):
+    assert check(replace(good, tau=np.round(good.tau))) == ()
+    smooth = measured(noise=0.0)
+    assert check(replace(smooth, tau=np.round(smooth.tau))) == ()
+
+
+def test_torque_at_the_robots_limit(good):
+    text = only(
+        check(replace(good, tau=np.clip(good.tau, -30, 30)), robot(torque=30.0)),
+        errors.TorqueClippedWarning,
+    )
+    assert "joint 1 reaches the robot's torque limit" in text
+
+
+def test_holding_still_at_the_largest_torque_is_not_clipping():
+    t = np.arange(0, 20, 0.005)
+    ramp = np.clip(t - 5, 0, 5)
+    q = np.column_stack([1.5 - 0.3 * ramp, 0.1 * ramp])
+    tau = np.column_stack([40 * np.cos(q[:, 0]), np.cos(q[:, 1])])
+    found = check(Recording.from_arrays(t, q, tau=tau))
+    assert "TorqueClippedWarning" not in names(found)
+
+
+def test_little_data_is_checked_as_far_as_it_goes():
+    t = np.arange(5) * 0.01
+    recording = Recording.from_arrays(t, motion(t)[0], motion(t)[1], np.ones((5, 2)))
+    assert set(names(check(recording))) <= {"JointStillWarning", "LowRateWarning"}

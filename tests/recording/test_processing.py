@@ -1,0 +1,293 @@
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from recording.planar_arm import (
+    COULOMB,
+    PERIOD,
+    VISCOUS,
+    measured,
+    motion,
+    rigid_torque,
+)
+
+from lieid_casadi.errors import MissingDependency, RecordingError, ShortSegmentWarning
+from lieid_casadi.recording import Processing, Recording, join, process
+
+
+def one(recording, **options):
+    (processed,) = process(recording, Processing(**options))
+    return processed
+
+
+@pytest.fixture(scope="module")
+def processed():
+    return one(measured(), cutoff=5.0)
+
+
+def test_motion_is_recovered(processed):
+    inner = slice(100, -100)
+    q, dq, ddq = motion(processed.t)
+    np.testing.assert_allclose(processed.q[inner], q[inner], atol=2e-4)
+    np.testing.assert_allclose(processed.dq[inner], dq[inner], atol=8e-3)
+    error = (processed.filter(processed.ddq) - processed.filter(ddq)).std(axis=0)
+    assert np.all(error < 0.01 * ddq.std(axis=0))
+
+
+def test_velocity_and_acceleration_are_derived_where_missing():
+    full = measured(noise=0.2)
+    bare = one(Recording.from_arrays(full.t, full.q, tau=full.tau), cutoff=5.0)
+    _, dq, ddq = motion(bare.t)
+    inner = slice(100, -100)
+    np.testing.assert_allclose(bare.dq[inner], dq[inner], atol=0.01)
+    assert np.all((bare.filter(bare.ddq) - bare.filter(ddq)).std(axis=0) < 0.02)
+
+
+def test_measured_acceleration_is_used():
+    recording = measured(ddq=np.full((4800, 2), 7.0))
+    np.testing.assert_allclose(one(recording, cutoff=5.0).ddq, 7.0)
+
+
+def test_torque_is_resampled_and_not_filtered():
+    recording = measured(noise=1.0)
+    np.testing.assert_allclose(one(recording, cutoff=12.0).tau, recording.tau, atol=1e-9)
+
+
+def test_the_same_friction_comes_back_from_regular_and_irregular_stamps():
+    for jitter in (0.0, 0.9):
+        p = one(measured(jitter=jitter), cutoff=6.0)
+        assert np.allclose(np.diff(p.t), p.t[1] - p.t[0])
+        for j in range(2):
+            columns = np.column_stack([np.sign(p.dq[:, j]) * p.moving[:, j], p.dq[:, j]])
+            rest = p.filter((p.tau - rigid_torque(p.q, p.dq, p.ddq))[:, j])
+            found = np.linalg.lstsq(p.filter(columns), rest, rcond=None)[0]
+            np.testing.assert_allclose(found, [COULOMB[j], VISCOUS[j]], rtol=0.05)
+
+
+# -- the filter -----------------------------------------------------------------------
+
+
+@given(st.integers(0, 2**31), st.floats(-10, 10), st.floats(-10, 10))
+def test_the_filter_is_linear(processed, seed, a, b):
+    random = np.random.default_rng(seed)
+    x, y = random.normal(size=(2, len(processed), 3))
+    together = processed.filter(a * x + b * y)
+    np.testing.assert_allclose(
+        together, a * processed.filter(x) + b * processed.filter(y), atol=1e-9
+    )
+
+
+def test_torque_and_columns_go_through_the_same_filter(processed):
+    random = np.random.default_rng(0)
+    columns = random.normal(size=(len(processed), 2, 4))
+    beta = np.array([1.0, -2.0, 0.5, 3.0])
+    filtered = processed.filter(columns)
+    assert filtered.shape == (processed.filtered_time.size, 2, 4)
+    np.testing.assert_allclose(filtered @ beta, processed.filter(columns @ beta), atol=1e-12)
+
+
+@pytest.mark.parametrize("frequency", [0.3, 1.0, 2.0])
+def test_a_sine_passes_unshifted(processed, frequency):
+    sine = np.sin(2 * np.pi * frequency * processed.t)
+    expected = np.sin(2 * np.pi * frequency * processed.filtered_time)
+    np.testing.assert_allclose(processed.filter(sine), expected, atol=2e-3)
+
+
+def test_the_gain_at_the_cutoff_and_beyond(processed):
+    for frequency in (2.5, 5.0, 10.0):
+        wave = np.exp(2j * np.pi * frequency * processed.t)
+        filtered = processed.filter(wave.real) + 1j * processed.filter(wave.imag)
+        expected = 1.0 / (1.0 + (frequency / 5.0) ** 8)  # both ways
+        np.testing.assert_allclose(np.abs(filtered), expected, atol=4e-3)
+
+
+def test_half_a_second_is_trimmed_and_the_band_is_kept(processed):
+    assert processed.filtered_time[0] == pytest.approx(processed.t[0] + 0.5, abs=0.01)
+    assert processed.filtered_time[-1] == pytest.approx(processed.t[-1] - 0.5, abs=0.06)
+    assert 1.0 / np.diff(processed.filtered_time).max() >= 4 * processed.cutoff * (1 - 1e-9)
+
+
+def test_other_lengths_are_refused(processed):
+    with pytest.raises(RecordingError, match="filter: found shape"):
+        processed.filter(np.zeros(len(processed) + 1))
+
+
+def test_another_order():
+    recording = measured()
+    gains = []
+    for order in (6, 1):
+        p = one(recording, cutoff=5.0, order=order)
+        gains.append(np.abs(p.filter(np.sin(2 * np.pi * 8 * p.t))).max())
+    assert gains[0] < 0.01 < 0.1 < gains[1]
+
+
+# -- rate, rest, segments -------------------------------------------------------------
+
+
+def test_a_high_rate_is_brought_down_but_stays_above_twenty_cutoffs():
+    recording = measured(duration=6, rate=5000)
+    p = one(recording, cutoff=10.0)
+    assert 200 <= p.rate < 400
+    tau = p.filter(p.tau)
+    assert np.all(np.isfinite(tau))
+    exact = one(measured(duration=6, rate=400, noise=0), cutoff=10.0)
+    reference = np.column_stack(
+        [np.interp(p.filtered_time, exact.filtered_time, x) for x in exact.filter(exact.tau).T]
+    )
+    assert np.sqrt(np.mean((tau - reference) ** 2)) < 0.15
+
+
+def test_noise_above_the_new_nyquist_does_not_fold_back():
+    recording = measured(duration=6, rate=5000, noise=0)
+    p = one(recording, cutoff=10.0)
+    hum = 5.0 * np.sin(2 * np.pi * (p.rate + 2.0) * recording.t)  # would look like 2 Hz
+    noisy = Recording.from_arrays(
+        recording.t, recording.q, recording.dq, recording.tau + hum[:, None]
+    )
+    q = one(noisy, cutoff=10.0)
+    assert q.rate == p.rate
+    np.testing.assert_allclose(q.filter(q.tau), p.filter(p.tau), atol=0.05)
+
+
+def dwelling(noise):
+    """One joint: moves 3 s, rests 3 s, moves 3 s …"""
+    random = np.random.default_rng(0)
+    t = np.arange(0, 12, 0.005)
+    moving = (t // 3) % 2 == 0
+    dq = np.where(moving, np.sin(np.pi * (t % 3) / 3) ** 2, 0.0)
+    q = np.cumsum(dq) * 0.005
+    return Recording.from_arrays(t, q[:, None], (dq + noise * random.normal(size=t.size))[:, None])
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 5e-3])
+def test_rest_is_told_from_motion(noise):
+    p = one(dwelling(noise), cutoff=5.0)
+    inside = (p.filtered_time % 3 > 0.4) & (p.filtered_time % 3 < 2.6)
+    truth = (p.filtered_time // 3) % 2 == 0
+    np.testing.assert_array_equal(p.filtered_moving[inside, 0], truth[inside])
+    assert p.dead_zone[0] < 0.05
+
+
+def test_a_reversal_is_no_rest(processed):
+    assert processed.filtered_moving.all()
+    assert not processed.moving.all()
+
+
+def test_segments_are_never_joined_across_a_gap():
+    whole = measured(duration=12, noise=0)
+    parts = join([whole.cut(0, 5), whole.cut(7, None)])
+    first, second = process(parts, Processing(cutoff=5.0))
+    assert first.t[-1] < 5.0
+    assert second.t[0] >= 7.0
+    alone = one(whole.cut(7, None), cutoff=5.0)
+    np.testing.assert_array_equal(second.filter(second.tau), alone.filter(alone.tau))
+    # a step between the segments does not leak into either
+    np.testing.assert_array_equal(second.t, alone.t)
+
+
+def test_short_segments_are_left_out_and_named():
+    whole = measured(duration=12)
+    parts = join([whole.cut(0, 0.8), whole.cut(2, None)])
+    (p,) = process(parts, Processing(cutoff=5.0))
+    (warning,) = p.warnings
+    assert isinstance(warning, ShortSegmentWarning)
+    assert "0 to 0.795 s is too short" in str(warning)
+
+
+def test_nothing_is_left_after_trimming():
+    with pytest.raises(RecordingError, match=r"planar: 0 to 0\.995 s is too short: 0 s are left"):
+        process(measured(duration=1.0), Processing(cutoff=5.0))
+    assert one(measured(duration=1.0), cutoff=5.0, trim=0.1)
+
+
+def test_a_cutoff_that_the_rate_cannot_show():
+    with pytest.raises(RecordingError, match=r"cutoff 30 Hz, expected less than 22\.5 Hz"):
+        process(measured(rate=50), Processing(cutoff=30.0))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"cutoff": 0}, {"cutoff": np.nan}, {"trim": -1}, {"order": 0}, {"smoother": "spline"}],
+)
+def test_bad_options(options):
+    with pytest.raises(RecordingError, match=next(iter(options))):
+        Processing(**options)
+
+
+def test_nothing_to_process():
+    with pytest.raises(RecordingError, match="no recordings"):
+        process([])
+
+
+def test_one_cutoff_for_all_recordings():
+    slow, fast = measured(), measured(seed=1)
+    both = process([slow, fast])
+    assert both[0].cutoff == both[1].cutoff == both[0].options.cutoff
+
+
+def test_temperature_and_missing_torque():
+    t = np.arange(0, 5, 0.01)
+    heat = np.column_stack([20 + t, 30 - t])
+    p = one(Recording.from_arrays(t, motion(t)[0], temperature=heat), cutoff=5.0)
+    np.testing.assert_allclose(p.temperature[:, 0], 20 + p.t, atol=1e-9)
+    assert p.tau is None
+
+
+# -- periods, RLOESS ------------------------------------------------------------------
+
+
+def test_periods_are_averaged_only_when_asked():
+    recording = measured(duration=4 * PERIOD + 1)
+    assert one(recording, cutoff=5.0).t[-1] == pytest.approx(recording.t[-1], abs=0.01)
+    mean = one(recording, cutoff=5.0, average_periods=True)
+    spanned = mean.filtered_time[-1] - mean.filtered_time[0]
+    assert spanned == pytest.approx(PERIOD, abs=0.06)
+    _, dq, _ = motion(mean.t)
+    np.testing.assert_allclose(mean.dq, dq, atol=5e-3)
+    single = one(recording.cut(0, PERIOD + 1), cutoff=5.0)
+
+    def noise(p):
+        q, dq, ddq = motion(p.t)
+        true = rigid_torque(q, dq, ddq) + COULOMB * np.sign(dq) + VISCOUS * dq
+        return (p.filter(p.tau) - p.filter(true)).std()
+
+    assert noise(mean) < 0.65 * noise(single)  # 1/2 of it in the limit
+
+
+def test_motion_without_a_period_is_not_averaged():
+    with pytest.raises(RecordingError, match="no period found"):
+        process(measured(duration=1.5 * PERIOD), Processing(cutoff=5.0, average_periods=True))
+
+
+@pytest.mark.parametrize("rate", [100, 500])
+def test_rloess_takes_outliers_away(rate):
+    clean = measured(duration=8, rate=rate)
+    tau = clean.tau.copy()
+    tau[50:-50:97] += 200.0
+    spiked = Recording.from_arrays(clean.t, clean.q, clean.dq, tau)
+    truth = one(clean, cutoff=5.0)
+    truth = truth.filter(truth.tau)
+    errors = {}
+    for smoother in ("butterworth", "rloess"):
+        p = one(spiked, cutoff=5.0, smoother=smoother)
+        errors[smoother] = np.sqrt(np.mean((p.filter(p.tau) - truth) ** 2))
+    assert errors["rloess"] < 0.1 * errors["butterworth"]
+
+
+def test_rloess_names_its_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "statsmodels.nonparametric.smoothers_lowess", None)
+    with pytest.raises(MissingDependency, match=r"lieid-casadi\[loess\]"):
+        process(measured(duration=4, rate=100), Processing(cutoff=5.0, smoother="rloess"))
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "extra"),
+    [("pyarrow", "run.parquet", "parquet"), ("rosbags.highlevel", "run.mcap", "ros")],
+)
+def test_formats_name_their_extra(monkeypatch, tmp_path, module, name, extra):
+    (tmp_path / name).write_bytes(b"x")
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingDependency, match=rf"lieid-casadi\[{extra}\]"):
+        Recording.load(tmp_path / name)

@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+
+from lieid_casadi.recording import Recording, check, process
+from lieid_casadi.robot import Robot
+
+pytestmark = pytest.mark.real
+
+RUNS = {
+    "ur10e/excitation_30s": ("ur10e/ur10e.urdf", 6, 94, (5, 12)),
+    "ur10e/excitation_50s": ("ur10e/ur10e.urdf", 6, 94, (5, 12)),
+    "ur10e/excitation_14_harmonics": ("ur10e/ur10e.urdf", 6, 94, (5, 12)),
+    "ur10e/point_to_point": ("ur10e/ur10e.urdf", 6, 94, (3, 12)),
+    "ur10e/joint_2_alone_currents": ("ur10e/ur10e.urdf", 6, 94, (1, 12)),
+    "staubli_tx40/excitation": ("staubli_tx40/tx40.urdf", 6, 5000, (12, 30)),
+    "franka_panda/excitation": ("franka_panda/panda.urdf", 7, 30, (1.5, 4)),
+}
+UR10E_CONSTANTS = [14.87, 13.26, 11.13, 10.62, 11.03, 11.47]
+
+
+@pytest.fixture(params=RUNS)
+def run(request, recordings):
+    urdf, n, rate, cutoff = RUNS[request.param]
+    lock = ("panda_finger_joint1", "panda_finger_joint2") if "panda" in urdf else ()
+    robot = Robot.load(recordings / urdf, lock=lock)
+    constants = UR10E_CONSTANTS if "currents" in request.param else None
+    file = recordings / f"{request.param}.csv.gz"
+    recording = Recording.load(file, torque_constants=constants)
+    return recording, robot, n, rate, cutoff
+
+
+def test_it_loads_without_false_alarms(run):
+    recording, robot, n, rate, _ = run
+    assert recording.n == n
+    assert len(recording) / recording.duration == pytest.approx(rate, rel=0.02)
+    assert len(recording.segments()) == 1
+    found = [type(warning).__name__ for warning in check(recording, robot)]
+    # joint 2 moves alone there, and says so
+    alone = "joint_2_alone" in recording.name
+    assert found == (["JointStillWarning"] if alone else [])
+
+
+def test_it_is_processed_without_options(run):
+    recording, _, _, _, (lowest, highest) = run
+    (processed,) = process(recording)
+    assert lowest <= processed.cutoff <= highest
+    assert processed.rate < 30 * processed.cutoff or processed.rate < 110
+    assert np.all(np.isfinite(processed.filter(processed.tau)))
+
+
+@pytest.mark.parametrize("joint", range(6))
+@pytest.mark.parametrize(
+    "name", ["ur10e/excitation_50s", "ur10e/point_to_point", "staubli_tx40/excitation"]
+)
+def test_a_swapped_sign_is_told_without_a_model(recordings, name, joint):
+    recording = Recording.load(recordings / f"{name}.csv.gz")
+    signs = np.where(np.arange(6) == joint, -1.0, 1.0)
+    swapped = Recording.from_arrays(recording.t, recording.q, recording.dq, recording.tau * signs)
+    (warning,) = check(swapped)
+    assert type(warning).__name__ == "TorqueSignWarning"
+    assert f"joint {joint + 1} " in str(warning)
+
+
+def test_the_dwells_of_point_to_point_are_rest(recordings):
+    recording = Recording.load(recordings / "ur10e/point_to_point.csv.gz")
+    (processed,) = process(recording)
+    moving = processed.filtered_moving.mean(axis=0)
+    # joints 1 to 4 hardly stop, 5 and 6 wait for others
+    assert np.all(moving[:4] > 0.98)
+    assert 0.7 < moving[4] < 0.95
+    assert 0.3 < moving[5] < 0.6
