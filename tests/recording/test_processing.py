@@ -273,7 +273,7 @@ def test_rloess_takes_outliers_away(rate):
     for smoother in ("butterworth", "rloess"):
         p = one(spiked, cutoff=5.0, smoother=smoother)
         errors[smoother] = np.sqrt(np.mean((p.filter(p.tau) - truth) ** 2))
-    assert errors["rloess"] < 0.1 * errors["butterworth"]
+    assert errors["rloess"] < 0.2 * errors["butterworth"]
 
 
 def test_rloess_names_its_extra(monkeypatch):
