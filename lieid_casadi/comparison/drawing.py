@@ -1,0 +1,115 @@
+"""One look for all pictures: colours, axes, thinning; Matplotlib's settings stay untouched."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+# Okabe and Ito's colours: told apart by colour-blind readers too
+MEASURED, PREDICTED, ERROR = "#a3a9ae", "#0b4f8a", "#c44e00"
+FORWARD, BACKWARD, REST = "#0072b2", "#d55e00", "#8a8a8a"
+NOISE, GRID, TEXT = "#cfd8dc", "#e3e6e8", "#333333"
+SMALL, NORMAL, LARGE = 8.0, 9.0, 11.0  # pt
+
+MOST_COLUMNS = 1500  # of a line, in pixels: more cannot be seen
+MOST_POINTS = 2500  # of one colour in a cloud
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure, inches, that belongs to no window."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained", facecolor="white")
+
+
+def root_figure(ax: Axes) -> Figure:
+    """Return the figure that axes belong to, also when they lie in a part of it."""
+    from matplotlib.figure import Figure
+
+    figure = ax.figure
+    while not isinstance(figure, Figure):
+        figure = figure.figure
+    return figure
+
+
+def style(ax: Axes) -> None:
+    """Give axes the project's look."""
+    ax.set_facecolor("white")
+    ax.grid(True, color=GRID, linewidth=0.6)
+    ax.set_axisbelow(True)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        ax.spines[side].set_color("#9aa0a6")
+        ax.spines[side].set_linewidth(0.8)
+    ax.locator_params(nbins=6)
+    ax.tick_params(labelsize=SMALL, colors=TEXT, length=3.0, width=0.8)
+
+
+def title(ax: Axes, text: str) -> None:
+    """Write a heading above axes, on the left."""
+    ax.set_title(plain(text), loc="left", fontsize=NORMAL, color=TEXT, pad=3.0)
+
+
+def label(ax: Axes, *, x: str = "", y: str = "") -> None:
+    """Name the axes' quantities."""
+    if x:
+        ax.set_xlabel(x, fontsize=SMALL, color=TEXT)
+    if y:
+        ax.set_ylabel(y, fontsize=SMALL, color=TEXT)
+
+
+def plain(text: str) -> str:
+    """Return text that Matplotlib does not take for mathematics: names come from files."""
+    return text.replace("$", r"\$")
+
+
+def shortened(text: str, most: int = 22) -> str:
+    """Return text that fits beside axes."""
+    return plain(text if len(text) <= most else text[: most - 1] + "…")
+
+
+def envelope(x: Array, y: Array, columns: int = MOST_COLUMNS) -> tuple[Array, Array]:
+    """Thin a line for drawing: the least and the largest value of each stretch stay."""
+    if len(x) <= 2 * columns:
+        return x, y
+    length = -(-len(x) // columns)
+    keep: list[int] = []
+    for first in range(0, len(x), length):
+        part = y[first : first + length]
+        keep += sorted({first + int(np.argmin(part)), first + int(np.argmax(part))})
+    return x[keep], y[keep]
+
+
+def thin(marked: NDArray[np.bool_], most: int = MOST_POINTS) -> NDArray[np.intp]:
+    """Return positions of marked samples, evenly fewer than ``most``."""
+    found = np.flatnonzero(marked)
+    return found[:: max(1, -(-len(found) // most))]
+
+
+def axis_times(recordings: Sequence[str], times: Sequence[Array]) -> tuple[list[Array], str]:
+    """Return each segment's times on one axis, and what the axis shows.
+
+    One recording keeps its own clock; several are put one after the other, a little apart.
+    """
+    if len(set(recordings)) <= 1:
+        return list(times), "time [s]"
+    span = sum(float(t[-1] - t[0]) for t in times)
+    shifted, start, previous = [], 0.0, None
+    for name, t in zip(recordings, times, strict=True):
+        if previous is not None and name == previous[0]:
+            start += float(t[0] - previous[1])
+        elif previous is not None:
+            start += 0.02 * span
+        shifted.append(t - t[0] + start)
+        start, previous = float(shifted[-1][-1]), (name, float(t[-1]))
+    return shifted, "time, recordings one after the other [s]"

@@ -1,0 +1,164 @@
+"""The error against what it may depend on: position, speed, direction, load, time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.comparison import drawing
+from lieid_casadi.comparison.comparison import Comparison
+from lieid_casadi.comparison.table import joint_title
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+BINS = 16
+FEWEST = 8  # samples of a bin that has a mean
+SHOWN = 99.5  # per cent of the errors lie inside the axes
+DIRECTIONS = ((1.0, drawing.FORWARD), (-1.0, drawing.BACKWARD), (0.0, drawing.REST))
+
+
+def plot_errors(comparison: Comparison) -> Figure:
+    """Draw one row per joint and one column per signal.
+
+    Points are samples, coloured by the direction of motion; thick lines are their means over
+    stretches of the signal (over time, of both directions); the band is the noise floor.
+    Friction that grows with load opens the two lines over τ_load like scissors; a wrong inertia
+    or gravity bends both alike.
+    """
+    n = comparison.n
+    figure = drawing.new_figure(15.0, 0.9 + 1.9 * n)
+    axes = figure.subplots(n, 5, sharey="row", squeeze=False, width_ratios=(3, 3, 1.4, 3, 3))
+    times, clock = drawing.axis_times(
+        [s.recording for s in comparison.series], [s.time for s in comparison.series]
+    )
+    time = np.concatenate(times)
+    for joint in range(n):
+        _draw_row(comparison, joint, axes[joint], time)
+    for ax, text in zip(axes[0], _HEADINGS, strict=True):
+        drawing.title(ax, text)
+    drawing.label(axes[-1, 4], x=clock)
+    _legend(figure, comparison)
+    return figure
+
+
+_HEADINGS = ("position q", "speed q̇", "direction", "load τ_load (rigid torque)", "time")
+
+
+def _draw_row(comparison: Comparison, joint: int, axes: Array, time: Array) -> None:
+    series, unit = comparison.series, comparison.units[joint]
+    slides = unit == "N"
+    error, sign, q, dq, load = (
+        np.concatenate([getattr(s, name)[:, joint] for s in series])
+        for name in ("error", "sign", "q", "dq", "load")
+    )
+    position, speed, direction, over_load, over_time = axes
+    for ax, signal in ((position, q), (speed, dq), (over_load, load), (over_time, time)):
+        _draw_cloud(ax, signal, error, sign)
+    for ax, signal, edges in (
+        (position, q, stretches(q)),
+        (speed, dq, stretches(dq, around_zero=True)),
+        (over_load, load, stretches(load)),
+    ):
+        for way, colour in DIRECTIONS[:2]:
+            here = sign == way
+            _draw_mean(ax, signal[here], error[here], edges, colour)
+    _draw_mean(over_time, time, error, stretches(time), drawing.TEXT)
+    _draw_directions(direction, error, sign)
+    floor = comparison.noise_floor[joint]
+    limit = max(float(np.percentile(np.abs(error), SHOWN)), 0.0) or 1.0
+    for ax in axes:
+        drawing.style(ax)
+        if np.isfinite(floor):
+            ax.axhspan(-floor, floor, color=drawing.NOISE, linewidth=0.0, zorder=0.5)
+        ax.axhline(0.0, color=drawing.TEXT, linewidth=0.6, zorder=0.6)
+    position.set_ylim(-1.1 * limit, 1.1 * limit)
+    name = drawing.shortened(joint_title(comparison, joint))
+    drawing.label(position, x="m" if slides else "rad", y=f"joint {name}\nerror [{unit}]")
+    drawing.label(speed, x="m/s" if slides else "rad/s")
+    drawing.label(over_load, x=unit)
+
+
+def _draw_cloud(ax: Axes, signal: Array, error: Array, sign: Array) -> None:
+    for direction, colour in reversed(DIRECTIONS):
+        use = drawing.thin(sign == direction)
+        ax.plot(
+            signal[use], error[use], ".", color=colour, alpha=0.4, markersize=3.0, mew=0.0,
+            rasterized=True, zorder=1.5,
+        )  # fmt: skip
+
+
+def _draw_mean(ax: Axes, signal: Array, error: Array, edges: Array, colour: str) -> None:
+    from matplotlib.patheffects import Normal, Stroke
+
+    centre, mean = binned_mean(signal, error, edges)
+    (line,) = ax.plot(centre, mean, "-o", color=colour, linewidth=1.8, markersize=2.5, zorder=3)
+    line.set_path_effects([Stroke(linewidth=3.4, foreground="white"), Normal()])
+
+
+def stretches(signal: Array, *, around_zero: bool = False) -> Array:
+    """Return the limits (B + 1,) of equal stretches of a signal's usual range.
+
+    Around zero they start anew on either side, so that no stretch mixes both directions.
+    """
+    low, high = (float(x) for x in np.percentile(signal, [0.5, 99.5]))
+    if not (around_zero and low < 0.0 < high):
+        return np.linspace(low, high, BINS + 1)
+    below = max(1, round(BINS * -low / (high - low)))
+    above = max(1, BINS - below)
+    return np.concatenate([np.linspace(low, 0.0, below + 1), np.linspace(0.0, high, above + 1)[1:]])
+
+
+def binned_mean(x: Array, y: Array, edges: Array) -> tuple[Array, Array]:
+    """Return the middle of each stretch (B,) and the mean of y there, NaN where x is rare."""
+    count, _ = np.histogram(x, edges)
+    total, _ = np.histogram(x, edges, weights=y)
+    mean = np.where(count >= FEWEST, total / np.maximum(count, 1), np.nan)
+    return (edges[1:] + edges[:-1]) / 2.0, mean
+
+
+def _draw_directions(ax: Axes, error: Array, sign: Array) -> None:
+    places, names = {-1.0: 0, 0.0: 1, 1.0: 2}, ("−", "rest", "+")
+    for direction, colour in DIRECTIONS:
+        here = error[sign == direction]
+        if len(here) < FEWEST:
+            continue
+        ax.boxplot(
+            here, positions=[places[direction]], widths=0.6, whis=(5, 95), showfliers=False,
+            patch_artist=True, manage_ticks=False, zorder=2,
+            boxprops={"facecolor": colour, "edgecolor": colour, "alpha": 0.55},
+            medianprops={"color": "black", "linewidth": 1.4},
+            whiskerprops={"color": colour}, capprops={"color": colour},
+        )  # fmt: skip
+    ax.set_xlim(-0.6, 2.6)
+    ax.set_xticks([0, 1, 2], names)
+
+
+def _legend(figure: Figure, comparison: Comparison) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    names = {1.0: "moving forward", -1.0: "moving backward", 0.0: "at rest"}
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=colour, marker="o", markersize=4, linewidth=1.8, label=names[key])
+        for key, colour in DIRECTIONS
+    ]
+    handles[2] = Line2D(
+        [], [], color=drawing.REST, marker="o", markersize=4, linewidth=0, label="at rest"
+    )
+    if np.isfinite(comparison.noise_floor).any():
+        handles.append(Patch(color=drawing.NOISE, label="± noise floor"))
+    figure.legend(
+        handles=handles,
+        title="error = measured − predicted; lines: mean of each stretch",
+        title_fontsize=drawing.NORMAL,
+        loc="outside upper left",
+        alignment="left",
+        ncols=4,
+        frameon=False,
+        fontsize=drawing.NORMAL,
+    )

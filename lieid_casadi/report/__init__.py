@@ -1,0 +1,8 @@
+"""Reports: one HTML file with its pictures inside, to read anywhere and attach to a ticket."""
+
+from lieid_casadi.report.page import render
+from lieid_casadi.report.picture import data_uri
+from lieid_casadi.report.reports import comparison_report, fit_report
+from lieid_casadi.report.section import Section
+
+__all__ = ["Section", "comparison_report", "data_uri", "fit_report", "render"]

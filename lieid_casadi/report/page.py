@@ -1,0 +1,46 @@
+"""From sections to one HTML file that fetches nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import TYPE_CHECKING
+
+from lieid_casadi.report.section import Section
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+
+def render(title: str, sections: Sequence[Section]) -> str:
+    """Return a page with these sections in their order.
+
+    Style and pictures are inside; a content policy in the page forbids it to load anything.
+    """
+    from lieid_casadi import __version__
+
+    environment = _environment()
+    parts = [
+        {
+            "title": section.title,
+            "anchor": f"section-{number}",
+            "folded": section.folded,
+            "body": environment.get_template(section.template).render(section.data),
+        }
+        for number, section in enumerate(sections, start=1)
+    ]
+    page = environment.get_template("page.html")
+    return page.render(title=title, parts=parts, version=__version__)
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader("lieid_casadi.report", "sections"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )

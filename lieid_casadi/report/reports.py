@@ -1,0 +1,57 @@
+"""Which sections a report has."""
+
+from __future__ import annotations
+
+from lieid_casadi.comparison import Comparison
+from lieid_casadi.identification import Fit
+from lieid_casadi.report.page import render
+from lieid_casadi.report.section import Section
+from lieid_casadi.report.sections.errors import errors_section
+from lieid_casadi.report.sections.moments import moments_section
+from lieid_casadi.report.sections.parameters import effects_section, links_section
+from lieid_casadi.report.sections.pictures import dependence_section, torques_section
+from lieid_casadi.report.sections.provenance import provenance_section
+from lieid_casadi.report.sections.training import training_section
+from lieid_casadi.report.sections.verdict import verdict_section
+from lieid_casadi.report.sections.warnings import warnings_section
+
+
+def comparison_report(fit: Fit, comparison: Comparison) -> str:
+    """Return the HTML report of a fit on test recordings.
+
+    The verdict comes first, then what must be known to believe it, then the details.
+    """
+    return render(
+        f"{fit.model.robot.name}: model and measurement",
+        [
+            *comparison_sections(fit, comparison),
+            *fit_sections(fit),
+            provenance_section(fit, comparison),
+        ],
+    )
+
+
+def fit_report(fit: Fit) -> str:
+    """Return the HTML report of a fit that has not been tested."""
+    return render(
+        f"{fit.model.robot.name}: identified model",
+        [warnings_section(fit.warnings), *fit_sections(fit), provenance_section(fit)],
+    )
+
+
+def comparison_sections(fit: Fit, comparison: Comparison) -> list[Section]:
+    """Return what a comparison adds to any report."""
+    return [
+        verdict_section(comparison),
+        warnings_section(comparison.warnings, fit.warnings),
+        errors_section(comparison),
+        torques_section(comparison),
+        dependence_section(comparison),
+        moments_section(comparison),
+    ]
+
+
+def fit_sections(fit: Fit) -> list[Section]:
+    """Return what a fit adds to any report."""
+    sections = [training_section(fit), effects_section(fit), links_section(fit)]
+    return [section for section in sections if section.data.get("rows") != []]
