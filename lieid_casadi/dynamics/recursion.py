@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -11,7 +12,6 @@ from lieid_casadi.dynamics.lie import (
     constant,
     cross,
     hat,
-    inverse_adjoint_times,
     inverse_adjoint_transpose_times,
 )
 from lieid_casadi.dynamics.motion import Motion, axes, relative_poses, tool_pose
@@ -19,52 +19,105 @@ from lieid_casadi.robot.robot import Robot
 
 
 @dataclass(frozen=True)
-class BodyMotion:
-    """Motion of one link frame, expressed in it.
+class Reference:
+    """A second motion q̇_r, q̈_r (n,) through the same pose."""
 
-    ``velocity`` is the twist V (6,); ``angular_acceleration`` (3,) and ``acceleration`` (3,)
-    are those of the frame's origin against free fall (gravity included, A₀ = [0; −g]).
+    dq: ca.SX
+    ddq: ca.SX
+
+
+@dataclass(frozen=True)
+class BodyMotion:
+    """Accelerations of one link, expressed in its frame: a + K·r at the point r, K = α̂ + ω̂².
+
+    ``angular_acceleration`` is α (3,), ``centripetal`` ω̂² (3, 3), ``acceleration`` that of the
+    frame's origin (3,) against free fall (gravity included, A₀ = [0; −g]).
     """
 
-    velocity: ca.SX
     angular_acceleration: ca.SX
+    centripetal: ca.SX
     acceleration: ca.SX
 
+    @property
+    def turning(self) -> ca.SX:
+        """K (3, 3)."""
+        return hat(self.angular_acceleration) + self.centripetal
 
-def body_motions(robot: Robot, motion: Motion) -> list[BodyMotion]:
-    """Forward recursion, Eq. 2: V_i = Ad⁻¹V_{i−1} + ξq̇, A_i = Ad⁻¹A_{i−1} + ad_{Ad⁻¹V}(ξq̇) + ξq̈."""
-    velocity, acceleration = ca.SX(6, 1), ca.vertcat(ca.SX(3, 1), constant(-robot.gravity))
-    motions = []
+
+def body_motions(
+    robot: Robot, motion: Motion, *, reference: Reference | None = None
+) -> list[BodyMotion]:
+    """Forward recursion, Eq. 2, on the accelerations of points instead of twists.
+
+    V_i = Ad⁻¹V_{i−1} + ξq̇ and A_i = Ad⁻¹A_{i−1} + ad_{Ad⁻¹V}(ξq̇) + ξq̈, with the origin's
+    acceleration A_v + ω × v in place of A_v: linear velocities drop out.
+
+    With a reference, q̈ is q̈_r and every product of two velocities becomes half the sum of the two
+    mixed products: the bilinear form whose torque is C(q, q̇)·q̇_r with Ṁ − 2C skew-symmetric.
+    """
+    rates = [motion.dq] if reference is None else [motion.dq, reference.dq]
+    ddq = motion.ddq if reference is None else reference.ddq
+    omega = [ca.SX(3, 1)] * len(rates)
+    body = BodyMotion(ca.SX(3, 1), ca.SX(3, 3), constant(-robot.gravity))
+    bodies = []
     for i, (g, xi) in enumerate(zip(relative_poses(robot, motion), axes(robot), strict=True)):
-        carried = inverse_adjoint_times(g, velocity)
-        rate = xi * motion.dq[i]
-        velocity = carried + rate
-        bracket = ca.vertcat(
-            cross(carried[:3], rate[:3]),
-            cross(carried[3:], rate[:3]) + cross(carried[:3], rate[3:]),
+        back = g.rotation.T
+        turns, slides = [xi[:3] * dq[i] for dq in rates], [xi[3:] * dq[i] for dq in rates]
+        carried = [ca.mtimes(back, w) for w in omega]
+        omega = [w + turn for w, turn in zip(carried, turns, strict=True)]
+        at_joint = body.acceleration + ca.mtimes(body.turning, g.translation)
+        body = BodyMotion(
+            ca.mtimes(back, body.angular_acceleration)
+            + _mixed(cross, carried, turns)
+            + xi[:3] * ddq[i],
+            _mixed(_centripetal, omega, omega),
+            ca.mtimes(back, at_joint)
+            + 2 * _mixed(cross, carried, slides)
+            + _mixed(cross, turns, slides)
+            + xi[3:] * ddq[i],
         )
-        acceleration = inverse_adjoint_times(g, acceleration) + bracket + xi * motion.ddq[i]
-        omega, v = velocity[:3], velocity[3:]
-        # the spatial acceleration lacks ω × v to be that of the point at the origin
-        motions.append(
-            BodyMotion(velocity, acceleration[:3], acceleration[3:] + cross(omega, v))
-        )
-    return motions
+        bodies.append(body)
+    return bodies
+
+
+def _mixed(
+    product: Callable[[ca.SX, ca.SX], ca.SX], a: Sequence[ca.SX], b: Sequence[ca.SX]
+) -> ca.SX:
+    """Return a product of two velocities of one motion, or the mean of the two mixed ones."""
+    if len(a) == 1:
+        return product(a[0], b[0])
+    return (product(a[0], b[1]) + product(a[1], b[0])) / 2
+
+
+def _centripetal(w: ca.SX, u: ca.SX) -> ca.SX:
+    """Return (ŵ·û + û·ŵ)/2 (3, 3), ω̂² for w = u = ω, with its symmetry in the expressions."""
+    product = ca.mtimes(hat(w), hat(u))
+    if w is not u:
+        product = (product + product.T) / 2
+    return ca.triu2symm(ca.triu(product))
 
 
 def body_wrench(link: ca.SX, body: BodyMotion) -> ca.SX:
-    """Return E·A − ad_Vᵀ·(E·V) (6,), the wrench that moves a link with parameters (10,)."""
-    omega, alpha, a = body.velocity[:3], body.angular_acceleration, body.acceleration
-    mass, moment = link[0], link[1:4]
-    inertia = ca.vertcat(
-        ca.horzcat(link[4], link[5], link[7]),
-        ca.horzcat(link[5], link[6], link[8]),
-        ca.horzcat(link[7], link[8], link[9]),
-    )
-    turning = hat(alpha) + ca.mtimes(hat(omega), hat(omega))
+    """Return E·A − ad_Vᵀ·(E·V) (6,), the wrench that moves a link with parameters (10,).
+
+    The inertia's moment I·α + ω × I·ω is written in the entries of K and ω̂², which the force
+    needs anyway.
+    """
+    moment, turning = link[1:4], body.turning
+    force = link[0] * body.acceleration + ca.mtimes(turning, moment)
     return ca.vertcat(
-        ca.mtimes(inertia, alpha) + cross(omega, ca.mtimes(inertia, omega)) + cross(moment, a),
-        mass * a + ca.mtimes(turning, moment),
+        ca.mtimes(inertia_moments(body), link[4:10]) + cross(moment, body.acceleration), force
+    )
+
+
+def inertia_moments(body: BodyMotion) -> ca.SX:
+    """Return (3, 6), I·α + ω × I·ω per element of the inertia: xx, xy, yy, xz, yz, zz."""
+    x, y, z = 0, 1, 2
+    alpha, k, s = body.angular_acceleration, body.turning, body.centripetal
+    return ca.vertcat(
+        ca.horzcat(alpha[x], -k[z, x], -s[y, z], k[y, x], k[y, y] - k[z, z], s[y, z]),
+        ca.horzcat(s[x, z], k[z, y], alpha[y], k[z, z] - k[x, x], -k[x, y], -s[x, z]),
+        ca.horzcat(-s[x, y], k[x, x] - k[y, y], s[x, y], -k[y, z], k[x, z], alpha[z]),
     )
 
 

@@ -2,23 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 
-from lieid_casadi.dynamics.lie import cross, hat, inverse_adjoint_times
+from lieid_casadi.dynamics.lie import cross, inverse_adjoint_times
 from lieid_casadi.dynamics.motion import Motion, axes, relative_poses
-from lieid_casadi.dynamics.recursion import BodyMotion, body_motions
+from lieid_casadi.dynamics.recursion import (
+    BodyMotion,
+    Reference,
+    body_motions,
+    inertia_moments,
+)
 from lieid_casadi.robot.robot import Robot
 
 
 def regressor(robot: Robot, motion: Motion) -> ca.SX:
-    """Return Y (n, 10 n), upper block triangular: joint j feels the links from j on.
+    """Return Y (n, 10 n), upper block triangular: joint j feels the links from j on."""
+    return _projected(robot, motion, body_motions(robot, motion))
+
+
+def slotine_li_regressor(robot: Robot, motion: Motion, reference: Reference) -> ca.SX:
+    """Return Y(q, q̇, q̇_r, q̈_r) (n, 10 n) with Y·π = M·q̈_r + C·q̇_r + G, Ṁ − 2C skew-symmetric.
+
+    For adaptive control: Slotine, Li, "On the adaptive control of robot manipulators", IJRR 1987.
+    """
+    return _projected(robot, motion, body_motions(robot, motion, reference=reference))
+
+
+def _projected(robot: Robot, motion: Motion, bodies: Sequence[BodyMotion]) -> ca.SX:
+    """Return the torque of each link parameter, given the links' accelerations.
 
     Row j of link i's block is z_{ij}ᵀ·W_i, with z_{ij} = joint j's unit twist seen in frame i
     and W_i (6, 10) the link's wrench per parameter. Projecting axes forward costs less than
     carrying ten wrenches backward.
     """
     blocks = ca.SX(robot.n, 10 * robot.n)
-    bodies = body_motions(robot, motion)
     twists: list[ca.SX] = []
     for i, (g, xi) in enumerate(zip(relative_poses(robot, motion), axes(robot), strict=True)):
         twists = [inverse_adjoint_times(g, twist) for twist in twists] + [xi]
@@ -32,12 +51,9 @@ class LinkWrench:
     """The wrench of one link per parameter, split so that a projection costs few products."""
 
     def __init__(self, body: BodyMotion) -> None:
-        omega, alpha = body.velocity[:3], body.angular_acceleration
         self.acceleration = body.acceleration
-        self.turning = hat(alpha) + ca.mtimes(hat(omega), hat(omega))
-        self.rotating = ca.horzcat(
-            *(ca.mtimes(unit, alpha) + cross(omega, ca.mtimes(unit, omega)) for unit in UNITS)
-        )
+        self.turning = body.turning
+        self.rotating = inertia_moments(body)
 
     def along(self, twist: ca.SX) -> ca.SX:
         """Return zᵀ·W (1, 10)."""
@@ -47,12 +63,3 @@ class LinkWrench:
             (ca.mtimes(self.turning.T, v) + cross(self.acceleration, z)).T,
             ca.mtimes(z.T, self.rotating),
         )
-
-
-def _unit(i: int, j: int) -> ca.SX:
-    matrix = ca.SX(3, 3)
-    matrix[i, j] = matrix[j, i] = 1
-    return matrix
-
-
-UNITS = tuple(_unit(i, j) for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))
