@@ -14,6 +14,9 @@ from lieid_casadi.dynamics.motion import Motion
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.model import EffectSignals, Model
 
+SIGNAL_NAMES = ("q", "dq", "ddq", "load", "temperature", "time")
+STEPS = 256  # samples per call of the unrolled step of states
+
 
 @dataclass(frozen=True)
 class SparseFunction:
@@ -29,7 +32,9 @@ class SparseFunction:
     shape: tuple[int, int]
 
 
-def sparse_function(name: str, inputs: list[ca.SX], names: list[str], matrix: ca.SX) -> SparseFunction:
+def sparse_function(
+    name: str, inputs: list[ca.SX], names: list[str], matrix: ca.SX
+) -> SparseFunction:
     """Return a `SparseFunction` of an SX matrix."""
     matrix = ca.sparsify(matrix)
     rows, columns = matrix.sparsity().get_triplet()
@@ -57,6 +62,7 @@ class ModelFunctions:
         self.load = ca.SX.sym("load", n)
         self.temperature = ca.SX.sym("temperature", n)
         self.time = ca.SX.sym("time")
+        self.states = ca.SX.sym("states", len(model.states))
 
     @property
     def _state(self) -> tuple[list[ca.SX], list[str]]:
@@ -94,17 +100,46 @@ class ModelFunctions:
         kept = self.model.base.kept
         rigid = [int(k) for k in kept[kept < 10 * self.model.n]]
         inputs, names = self._state
-        matrix = ca.horzcat(self.rigid_matrix[:, rigid], ca.SX(self.model.n, len(kept) - len(rigid)))
+        matrix = ca.horzcat(
+            self.rigid_matrix[:, rigid], ca.SX(self.model.n, len(kept) - len(rigid))
+        )
         return sparse_function("base_regressor", inputs, names, matrix)
 
     @cached_property
     def effect_columns(self) -> SparseFunction:
-        """Effect columns (n, m), all of them, of motion, load, temperature, time and shapes."""
+        """Effect columns (n, m), all of them, of motion, load, temperature, time and shapes.
+
+        With effects that have memory, ``states`` (S,) is a further input.
+        """
         s = self.signals
         inputs = [s.q, s.dq, s.ddq, s.load, s.temperature, s.time, self.shapes, self.dead_zone]
-        names = ["q", "dq", "ddq", "load", "temperature", "time", "shapes", "dead_zone"]
-        matrix = self.model.effect_columns(s, self.shapes)
+        names = [*SIGNAL_NAMES, "shapes", "dead_zone"]
+        if self.model.states:
+            inputs, names = [*inputs, self.states], [*names, "states"]
+        matrix = self.model.effect_columns(s, self.shapes, self.states)
         return sparse_function("effect_columns", inputs, names, matrix)
+
+    @cached_property
+    def advance(self) -> ca.Function:
+        """States (S,) at a sample, of the states and signals at the one before and its own."""
+        now = self.signals
+        symbols = [now.q, now.dq, now.ddq, now.load, now.temperature, now.time]
+        past = [
+            ca.SX.sym(f"before_{name}", symbol.size1())
+            for name, symbol in zip(SIGNAL_NAMES, symbols, strict=True)
+        ]
+        q, dq, ddq, load, temperature, time = past
+        moving = ca.fabs(dq) > self.dead_zone
+        before = EffectSignals(q, dq, ddq, ca.sign(dq) * moving, load, temperature, time)
+        after = self.model.advance(before, now, self.shapes, self.states)
+        inputs = [self.states, *past, *symbols, self.shapes, self.dead_zone]
+        names = ["states", *(f"before_{name}" for name in SIGNAL_NAMES), *SIGNAL_NAMES]
+        return ca.Function("advance", inputs, [after], [*names, "shapes", "dead_zone"], ["after"])
+
+    @cached_property
+    def steps(self) -> ca.Function:
+        """`advance` over STEPS samples in a row: inputs (·, STEPS), states (S, STEPS)."""
+        return self.advance.mapaccum("steps", STEPS).expand()
 
     @cached_property
     def inverse_dynamics(self) -> SparseFunction:
@@ -112,7 +147,10 @@ class ModelFunctions:
         inputs, names = self._state
         torque = recursion.inverse_dynamics(self.model.robot, self.motion, self.parameters)
         return sparse_function(
-            "inverse_dynamics", [*inputs, self.parameters], [*names, "parameters"], ca.densify(torque)
+            "inverse_dynamics",
+            [*inputs, self.parameters],
+            [*names, "parameters"],
+            ca.densify(torque),
         )
 
     @cached_property

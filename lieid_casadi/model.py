@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +17,7 @@ from lieid_casadi.dynamics.base_parameters import (
 )
 from lieid_casadi.effects import Effect, Placement, Signals, parse_effects, place
 from lieid_casadi.effects.placement import labels
+from lieid_casadi.errors import ModelError
 from lieid_casadi.robot.inertia import LINK_PARAMETER_UNITS
 from lieid_casadi.robot.robot import Joint, Robot
 
@@ -38,7 +39,8 @@ class Parameter:
     @property
     def label(self) -> str:
         """Name with its joint from 1: ``Izz3``, ``stribeck.v_s:4``."""
-        return f"{self.name}:{self.joint + 1}" if "." in self.name else f"{self.name}{self.joint + 1}"
+        between = ":" if "." in self.name else ""
+        return f"{self.name}{between}{self.joint + 1}"
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,21 @@ class EffectSignals:
     temperature: ca.SX
     time: ca.SX
 
-    def of(self, joint: int, source: int | None = None) -> Signals:
-        """Return one joint's signals."""
-        other = None if source is None else self.of(source)
-        per_joint = (self.q, self.dq, self.ddq, self.sign, self.load, self.temperature)
-        return Signals(*(signal[joint] for signal in per_joint), time=self.time, other=other)
+    def of(
+        self, joint: int, source: int | None = None, state: Mapping[str, ca.SX] | None = None
+    ) -> Signals:
+        """Return one joint's signals, with an effect's own states."""
+        return Signals(
+            q=self.q[joint],
+            dq=self.dq[joint],
+            ddq=self.ddq[joint],
+            sign=self.sign[joint],
+            load=self.load[joint],
+            temperature=self.temperature[joint],
+            time=self.time,
+            other=None if source is None else self.of(source),
+            state=state or {},
+        )
 
 
 class Model:
@@ -154,6 +166,25 @@ class Model:
         return np.array([shape.initial for shape in self.shapes])
 
     @cached_property
+    def states(self) -> tuple[Parameter, ...]:
+        """What effects with memory carry along, in the order of the state vector."""
+        return tuple(
+            Parameter(
+                f"{p.effect.label}.{s.name}",
+                p.joint,
+                _unit(s.unit, self.robot.joints[p.joint]),
+                initial=s.initial,
+            )
+            for p in self.placements
+            for s in p.effect.states
+        )
+
+    @property
+    def initial_states(self) -> NDArray[np.float64]:
+        """States at the first sample of a segment."""
+        return np.array([state.initial for state in self.states])
+
+    @cached_property
     def link_parameters(self) -> tuple[Parameter, ...]:
         """The 10 n link parameters."""
         from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
@@ -180,18 +211,53 @@ class Model:
         every = (*self.link_parameters, *self.columns)
         return tuple(every[k] for k in self.base.kept)
 
-    def effect_columns(self, signals: EffectSignals, shapes: ca.SX) -> ca.SX:
-        """Return the effects' columns (n, m), sparse, given shape parameters (s,)."""
+    def effect_columns(
+        self, signals: EffectSignals, shapes: ca.SX, states: ca.SX | None = None
+    ) -> ca.SX:
+        """Return the effects' columns (n, m), sparse, given shape parameters (s,).
+
+        Raises
+        ------
+        ModelError
+            An effect has memory and no states were given.
+        """
         matrix = ca.SX(self.n, len(self.columns))
-        column, first = 0, 0
-        for p in self.placements:
-            count = len(p.effect.shapes)
-            named = {s.name: shapes[first + k] for k, s in enumerate(p.effect.shapes)}
-            for expression in p.effect.columns(signals.of(p.joint, p.source), named):
+        column = 0
+        for p, shape, state in self._named(shapes, states):
+            for expression in p.effect.columns(signals.of(p.joint, p.source, state), shape):
                 matrix[p.joint, column] = expression
                 column += 1
-            first += count
         return matrix
+
+    def advance(
+        self, before: EffectSignals, now: EffectSignals, shapes: ca.SX, states: ca.SX
+    ) -> ca.SX:
+        """Return the states at one sample from the states at the sample before it."""
+        after: list[ca.SX] = []
+        for p, shape, state in self._named(shapes, states):
+            if state:
+                past = before.of(p.joint, p.source, state)
+                after += p.effect.advance(past, now.of(p.joint, p.source), shape)
+        return ca.vertcat(*after)
+
+    def _named(
+        self, shapes: ca.SX, states: ca.SX | None
+    ) -> Iterator[tuple[Placement, dict[str, ca.SX], dict[str, ca.SX]]]:
+        """Yield each placement with its own shape parameters and states by name."""
+        if states is None and self.states:
+            remembering = ", ".join(p.label for p in self.placements if p.effect.states)
+            raise ModelError(f"{remembering} has memory; expected states beside the signals")
+        first_shape = first_state = 0
+        for p in self.placements:
+            shape = {s.name: shapes[first_shape + k] for k, s in enumerate(p.effect.shapes)}
+            state = {
+                s.name: states[first_state + k]
+                for k, s in enumerate(p.effect.states)
+                if states is not None
+            }
+            first_shape += len(shape)
+            first_state += len(state)
+            yield p, shape, state
 
     def __repr__(self) -> str:
         return f"Model({self.robot.name}, effects={self.effects})"

@@ -5,13 +5,27 @@ from lieid_casadi.effects import (
     coulomb,
     load_friction,
     offset,
+    position_friction,
+    presliding,
+    sigmoid_friction,
     stribeck,
+    temperature_friction,
     transmission_coupling,
     viscous,
     viscous_asymmetric,
     viscous_polynomial,
+    warm_up,
 )
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals, effect, make, register
+from lieid_casadi.effects.effect import (
+    Coefficient,
+    Effect,
+    Shape,
+    Signals,
+    State,
+    effect,
+    make,
+    register,
+)
 from lieid_casadi.effects.placement import Placement, parse_effects, place
 
 LIBRARY = (
@@ -22,6 +36,11 @@ LIBRARY = (
     viscous_asymmetric.ViscousAsymmetric,
     stribeck.Stribeck,
     load_friction.LoadFriction,
+    temperature_friction.TemperatureFriction,
+    warm_up.WarmUp,
+    position_friction.PositionFriction,
+    presliding.Presliding,
+    sigmoid_friction.SigmoidFriction,
     armature.Armature,
     transmission_coupling.TransmissionCoupling,
 )
@@ -33,6 +52,7 @@ __all__ = [
     "Placement",
     "Shape",
     "Signals",
+    "State",
     "effect",
     "make",
     "parse_effects",

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import casadi as ca
@@ -30,13 +30,28 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape parameter, on which the torque depends nonlinearly; bounds are finite."""
+    """A shape parameter, on which the torque depends nonlinearly; bounds are finite.
+
+    It is searched on a logarithmic scale where ``lower`` is above zero, else on a linear one.
+    """
 
     name: str
     unit: str
     initial: float
     lower: float
     upper: float
+
+
+@dataclass(frozen=True)
+class State:
+    """A number that an effect with memory carries from sample to sample.
+
+    ``initial`` is its value at the first sample of every segment.
+    """
+
+    name: str
+    unit: str
+    initial: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -57,6 +72,8 @@ class Signals:
         s since the start of the segment.
     other
         Signals of the joint that acts on this one, for couplings.
+    state
+        The effect's own states at this sample, by name.
     """
 
     q: ca.SX
@@ -67,20 +84,25 @@ class Signals:
     temperature: ca.SX
     time: ca.SX
     other: Signals | None = None
+    state: Mapping[str, ca.SX] = field(default_factory=dict)
 
 
 class Effect(ABC):
     """One physical effect on one joint: τ_i += Σ coefficient · column(signals, shapes).
 
-    Subclasses state the class attributes and write `columns`. Register a subclass with
+    Subclasses state the class attributes and write `columns`; with memory, also ``states`` and
+    `advance`. ``signals`` names what they use. Dry friction, which is undetermined at rest, is
+    told by the signal ``sign`` or, in its absence, by ``dry``. Register a subclass with
     `register`, or use the `effect` decorator on a function.
     """
 
     name: ClassVar[str]
-    formula: ClassVar[str]
+    formula: str
     coefficients: tuple[Coefficient, ...]
     shapes: tuple[Shape, ...] = ()
+    states: tuple[State, ...] = ()
     signals: tuple[str, ...] = ("dq",)
+    dry: bool = False  # undetermined at rest, although no column has the sign
     couples: ClassVar[bool] = False
     energy: ClassVar[str | None] = None  # "armature" or "offset": what links can imitate
     option: str = ""
@@ -88,6 +110,14 @@ class Effect(ABC):
     @abstractmethod
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
         """Return one expression per linear coefficient."""
+
+    def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+        """Return the states at the sample ``now``, one expression per state.
+
+        ``before`` holds the signals of the sample before it, and ``before.state`` the states
+        there. Motion between two samples is theirs to bridge: nothing is said about the rate.
+        """
+        raise NotImplementedError(f"effect {self.name} has states but no advance")
 
     @property
     def label(self) -> str:

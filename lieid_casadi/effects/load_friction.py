@@ -16,31 +16,51 @@ class LoadFriction(Effect):
     """Dry friction in proportion to the joint's load.
 
     τ_load is the model's rigid torque, iterated to a fixed point, never the measured one.
-    Options: ``paper``, both terms of Eq. 8 with |q̇| written as √(q̇² + ε²);
-    ``motoring``, one coefficient where the load is driven and one where it drives (Hamon,
-    Gautier, Garrec, IROS 2010).
+
+    Options
+    -------
+    paper
+        Both terms of Eq. 8, with |q̇| written as √(q̇² + ε²).
+    motoring
+        One coefficient where the load is driven and one where it drives (Hamon, Gautier,
+        Garrec, IROS 2010).
+    square
+        In proportion to τ_load² (AURT, Madsen et al.).
+    stribeck
+        A part of it fades with velocity (Bittencourt et al., IROS 2010, with exponent 2).
     """
 
     name = "load_friction"
-    signals = ("sign", "load")
+    signals: tuple[str, ...] = ("sign", "load")
 
     def __init__(self, *, option: str = "") -> None:
         self.option = option
-        proportional = Coefficient("f_tau", "1")
+        self.coefficients = (Coefficient("f_tau", "1"),)
         if option == "":
             self.formula = "f_τ·|τ_load|·sgn(q̇)"
-            self.coefficients = (proportional,)
         elif option == "paper":
-            self.formula = "(f_τ·|τ_load| + f_τ1·e^{−f_τ2·|τ_load|/√(q̇²+ε²)})·sgn(q̇)"
-            self.coefficients = (proportional, Coefficient("f_tau1", "N·m"))
-            self.signals = ("dq", "sign", "load")
+            self.formula = (
+                "(f_τ·|τ_load| + f_τ1·e^{−f_τ2·|τ_load|/√(q̇²+ε²)})·sgn(q̇), "
+                f"ε = {REST_SPEED:g} rad/s"
+            )
+            self.coefficients += (Coefficient("f_tau1", "N·m"),)
             self.shapes = (Shape("f_tau2", "rad/(N·m·s)", 0.01, 1e-5, 1.0),)
+            self.signals = ("dq", "sign", "load")
         elif option == "motoring":
             self.formula = "(f_m or f_g, by the sign of τ_load·q̇)·|τ_load|·sgn(q̇)"
             self.coefficients = (Coefficient("f_motor", "1"), Coefficient("f_generator", "1"))
+        elif option == "square":
+            self.formula = "f_τ²·τ_load²·sgn(q̇)"
+            self.coefficients = (Coefficient("f_tau_square", "1/(N·m)"),)
+        elif option == "stribeck":
+            self.formula = "(f_τ + f_τs·e^{−(q̇/v_τ)²})·|τ_load|·sgn(q̇)"
+            self.coefficients += (Coefficient("f_tau_s", "1"),)
+            self.shapes = (Shape("v_tau", "rad/s", 0.1, 1e-3, 2.0),)
+            self.signals = ("dq", "sign", "load")
         else:
             raise EffectError(
-                f"load_friction has no option {option!r}; expected paper or motoring"
+                f"load_friction has no option {option!r}; expected paper, motoring, square or "
+                "stribeck"
             )
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
@@ -52,7 +72,11 @@ class LoadFriction(Effect):
         if self.option == "motoring":
             driven = (s.load * s.sign + size) / 2
             return [driven * s.sign, (size - driven) * s.sign]
+        if self.option == "square":
+            return [s.load**2 * s.sign]
+        if self.option == "stribeck":
+            return [size * s.sign, size * s.sign * ca.exp(-((s.dq / shape["v_tau"]) ** 2))]
         return [size * s.sign]
 
 
-register(LoadFriction, options=["paper", "motoring"])
+register(LoadFriction, options=["paper", "motoring", "square", "stribeck"])

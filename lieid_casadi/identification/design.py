@@ -152,10 +152,10 @@ def varying_columns(model: Model) -> NDArray[np.bool_]:
 
 
 def has_dry_friction(model: Model) -> NDArray[np.bool_]:
-    """Mark the joints (n,) with an effect that depends on the sign of q̇."""
+    """Mark the joints (n,) with an effect that is undetermined at rest."""
     dry = np.zeros(model.n, dtype=bool)
     for placement in model.placements:
-        if "sign" in placement.effect.signals:
+        if placement.effect.dry or "sign" in placement.effect.signals:
             dry[placement.joint] = True
     return dry
 

@@ -131,8 +131,13 @@ def test_an_effect_states_what_it_uses(name):
     other = {k: ca.SX.sym(f"other_{k}") for k in names}
     partner = Signals(**other) if effect.couples else None
     shape = {s.name: ca.SX.sym(s.name) for s in effect.shapes}
-    columns = ca.vertcat(*effect.columns(Signals(**own, other=partner), shape))
+    state = {s.name: ca.SX.sym(s.name) for s in effect.states}
+    now = Signals(**own, other=partner, state=state)
+    columns = ca.vertcat(*effect.columns(now, shape))
     assert columns.shape[0] == len(effect.coefficients)
+    if state:
+        past = Signals(**{k: ca.SX.sym(f"past_{k}") for k in names}, state=state)
+        columns = ca.vertcat(columns, *effect.advance(past, now, shape))
     used = {k for k in names if ca.depends_on(columns, ca.vertcat(own[k], other[k]))}
     assert used == set(effect.signals) - {"other"}
 
