@@ -45,8 +45,8 @@ class Motion:
     smooth
         Everything else: viscous friction, offset, spring, ripple …
     resting : bool
-        Where the joint was at rest, or came to rest within the step: dry friction is then
-        what was needed, not what the law of motion says.
+        Where the joint was at rest, or came to rest or turned within the step: dry friction is
+        then not what the law of motion says at this velocity.
     temperature
         °C.
     """

@@ -78,6 +78,7 @@ class Stepper:
         self._a = np.zeros(arm.n)
         self._hysteresis = np.zeros(arm.n)
         self._last_q = self.q
+        self._lead = self._velocity_lead(arm)
         self.unsettled = 0
 
     def step(self, t: float, command: Command, temperature: Array) -> StepResult:
@@ -90,15 +91,26 @@ class Stepper:
         state = State(np.asarray(t), q, self.dq, np.sign(self.dq), self.dq, temperature)
         a, sign, rigid, smooth, level = self._accelerate(state, command)
         torque = command.torque(a)
-        resting = (sign == 0.0) & ~drive.hysteretic
+        stuck = (sign == 0.0) & ~drive.hysteretic
         v = state.dq
         needed = torque - rigid - smooth - self._armature * a
-        dry = np.where(resting, needed, np.where(drive.hysteretic, self._hysteresis, sign) * level)
+        dry = np.where(stuck, needed, np.where(drive.hysteretic, self._hysteresis, sign) * level)
         self._a = a
         self.dq = self.dq + h * a
-        self.dq[resting] = 0.0
+        self.dq[stuck] = 0.0
         self.q = q + 0.5 * h * self.dq
-        return StepResult(q, v, a, torque, rigid, smooth, dry, resting)
+        turning = sign * v < 0.0  # through zero within the step, against its mean velocity
+        return StepResult(q, v, a, torque, rigid, smooth, dry, stuck | turning)
+
+    def _velocity_lead(self, arm: Arm) -> Array:
+        """Time (n,) from a step's start to where its velocity is taken: h/2.
+
+        Where damping stops a joint within a step, the mean velocity would leave the ends of the
+        steps swinging from one to the next: there it is the velocity at the end, h.
+        """
+        inertia = self._pin.crba(self._model, self._data, self.q) + np.diag(self._armature)
+        overdamped = self._h * arm.friction.viscous * np.diag(np.linalg.inv(inertia)) > 1.0
+        return np.where(overdamped, self._h, 0.5 * self._h)
 
     def presliding_stiffness(self) -> Array:
         """Stiffness at reversals (n,), N·m/rad; 0 without hysteresis."""
@@ -119,7 +131,7 @@ class Stepper:
         changes = np.zeros(dq.size, dtype=int)
         a = np.where((dq == 0.0) & ~free, 0.0, self._a)
         for _ in range(MOST_ITERATIONS):
-            state.dq = dq + 0.5 * h * a
+            state.dq = dq + self._lead * a
             rigid = (
                 inertia @ a + self._pin.nle(self._model, self._data, state.q, state.dq) + constant
             )
@@ -155,7 +167,7 @@ class Stepper:
         slope = drive.level_slope(state)
         matrix = inertia.copy() if slope is None else (1.0 + direction * slope)[:, None] * inertia
         matrix.flat[:: matrix.shape[0] + 1] += (
-            self._armature + gain + 0.5 * self._h * drive.damping(state)
+            self._armature + gain + self._lead * drive.damping(state)
         )
         if stuck.any():
             matrix[stuck] = np.eye(stuck.size)[stuck]

@@ -1,0 +1,243 @@
+"""Each hidden effect adds what its formula says, in a simulation and along a path."""
+
+import numpy as np
+import pytest
+from plant.arms import MujocoArm, arm_of
+
+from lieid_casadi import robots
+from lieid_casadi.errors import EffectError
+from lieid_casadi.plant import (
+    HIDDEN_EFFECT_NAMES,
+    Arm,
+    Armature,
+    ForeignTorque,
+    FourierTrajectory,
+    JointElasticity,
+    JointFriction,
+    JointOffset,
+    LoadFriction,
+    PositionFriction,
+    PositionSpring,
+    Presliding,
+    Stribeck,
+    TemperatureFriction,
+    Thermal,
+    TorqueRipple,
+    TransmissionCoupling,
+    ViscousAsymmetric,
+    ViscousPolynomial,
+    WarmUp,
+    demo_arm,
+    demo_sensors,
+    hidden_effect,
+    measure,
+    move,
+    move_along,
+)
+
+J, OTHER = 3, 4
+COULOMB, VISCOUS, OFFSET = 0.5, 0.3, 0.1
+
+# Effect, and what joint J's drive then takes: m is the motion, r its rigid torque on joint J.
+FORMULAS = {
+    "none": (None, lambda q, v, r, m: 0 * q),
+    "viscous_polynomial": (
+        ViscousPolynomial(J, quadratic=-0.2, cubic=0.1),
+        lambda q, v, r, m: -0.2 * np.sign(v) * v**2 + 0.1 * v**3,
+    ),
+    "viscous_asymmetric": (
+        ViscousAsymmetric(J, coefficient=0.2),
+        lambda q, v, r, m: 0.2 * np.abs(v),
+    ),
+    "stribeck": (
+        Stribeck(J, extra=0.8, velocity=0.1),
+        lambda q, v, r, m: 0.8 * np.sign(v) * np.exp(-((v / 0.1) ** 2)),
+    ),
+    "load": (LoadFriction(J, gain=0.15), lambda q, v, r, m: 0.15 * np.abs(r) * np.sign(v)),
+    "load, both terms": (
+        LoadFriction(J, gain=0.1, extra=0.5, rate=0.02),
+        lambda q, v, r, m: (
+            np.sign(v) * (0.1 * np.abs(r) + 0.5 * np.exp(-0.02 * np.abs(r) / np.abs(v)))
+        ),
+    ),
+    "load, generating": (
+        LoadFriction(J, gain=0.15, generating=0.05),
+        lambda q, v, r, m: np.where(r * v < 0, 0.05, 0.15) * np.abs(r) * np.sign(v),
+    ),
+    "position_friction": (
+        PositionFriction(J, amplitude=0.3, harmonic=2.0, phase=0.4),
+        lambda q, v, r, m: 0.3 * np.sin(2 * q + 0.4) * np.sign(v),
+    ),
+    "armature": (Armature(J, inertia=0.7), lambda q, v, r, m: 0.7 * m.ddq[:, J]),
+    "torque_ripple": (
+        TorqueRipple(J, amplitude=0.4, harmonic=7.0, phase=0.2),
+        lambda q, v, r, m: 0.4 * np.sin(7 * q + 0.2),
+    ),
+    "position_spring": (
+        PositionSpring(J, stiffness=2.0, rest=0.5),
+        lambda q, v, r, m: 2.0 * (q - 0.5),
+    ),
+    "transmission_coupling": (
+        TransmissionCoupling(J, source=OTHER, viscous_coefficient=0.4, coulomb=0.3),
+        lambda q, v, r, m: (
+            0.4 * m.dq[:, OTHER] + 0.3 * np.sign(m.dq[:, OTHER]) * ~m.resting[:, OTHER]
+        ),
+    ),
+    "warm_up": (
+        WarmUp(J, change=-0.4, time_constant=3.0),
+        lambda q, v, r, m: -0.4 * (1 - np.exp(-m.t / 3.0)) * (COULOMB * np.sign(v) + VISCOUS * v),
+    ),
+    "temperature_friction": (
+        TemperatureFriction(J, viscous_decay=0.05, dry_slope=0.02, reference=25.0),
+        lambda q, v, r, m: (
+            VISCOUS * v * (np.exp(-0.05 * (m.temperature[:, J] - 25.0)) - 1.0)
+            - COULOMB * np.sign(v) * 0.02 * (m.temperature[:, J] - 25.0)
+        ),
+    ),
+    "offset": (JointOffset(J, value=-0.6), lambda q, v, r, m: -0.6 + 0 * q),
+    "foreign": (
+        ForeignTorque(J, function=lambda s: 0.3 * s.q[..., J] * s.dq[..., OTHER]),
+        lambda q, v, r, m: 0.3 * q * m.dq[:, OTHER],
+    ),
+}
+
+
+def _arm(effect):
+    thermal = Thermal(start=25.0, rise=15.0, time_constant=4.0)
+    effects = () if effect is None else (effect,)
+    arm = arm_of(robots.panda(), coulomb=COULOMB, viscous=VISCOUS, offset=OFFSET, effects=effects)
+    return Arm(arm.robot, arm.parameters, arm.friction, arm.effects, thermal)
+
+
+def _residual(motion, robot):
+    """τ less MuJoCo's rigid torque."""
+    rigid = MujocoArm(robot).torques(motion.q, motion.dq, motion.ddq)
+    return motion.tau - rigid, rigid
+
+
+@pytest.mark.parametrize("case", FORMULAS)
+def test_simulated_torque_is_the_rigid_torque_and_the_formula(case):
+    effect, formula = FORMULAS[case]
+    arm = _arm(effect)
+    motion = move(arm, FourierTrajectory(arm.robot, seed=3, base_frequency=0.5))
+    friction, rigid = _residual(motion, arm.robot)
+    base = OFFSET + COULOMB * np.sign(motion.dq) + VISCOUS * motion.dq
+    expected = base.copy()
+    q, v = motion.q[:, J], motion.dq[:, J]
+    with np.errstate(divide="ignore"):
+        expected[:, J] += formula(q, v, rigid[:, J], motion)
+    moving = ~motion.resting & (motion.dq != 0.0)
+    assert moving.mean() > 0.7
+    np.testing.assert_allclose(friction[moving], expected[moving], atol=1e-6)
+
+
+@pytest.mark.parametrize("case", FORMULAS)
+def test_torque_along_a_path_is_the_rigid_torque_and_the_formula(case):
+    effect, formula = FORMULAS[case]
+    arm = _arm(effect)
+    t = np.linspace(0.01, 1.99, 300)
+    motion = move_along(arm, t, *FourierTrajectory(arm.robot, seed=3, base_frequency=0.5).at(t))
+    friction, rigid = _residual(motion, arm.robot)
+    expected = OFFSET + COULOMB * np.sign(motion.dq) + VISCOUS * motion.dq
+    expected[:, J] += formula(motion.q[:, J], motion.dq[:, J], rigid[:, J], motion)
+    assert not motion.resting.any()
+    np.testing.assert_allclose(friction, expected, atol=1e-8)
+
+
+def test_presliding_follows_dahl():
+    """Dahl's dz/dq = (1 − z·sgn q̇)/w has the solution 1 − 2·e^{−x/w} after a reversal."""
+    arm = _arm(Presliding(J, width=0.02))
+    t = np.linspace(0.0, 4.0, 4001)
+    q = np.tile([0.0, 0.0, 0.0, -1.5, 0.0, 1.5, 0.0], (t.size, 1))
+    dq, ddq = np.zeros_like(q), np.zeros_like(q)
+    forward = t <= 2.0
+    q[:, J] += np.where(forward, 0.1 * t, 0.4 - 0.1 * t)
+    dq[:, J] = np.where(forward, 0.1, -0.1)
+    dry = move_along(arm, t, q, dq, ddq).dry[:, J]
+    way = np.where(forward, 0.1 * t, 0.1 * (t - 2.0))
+    full = 1.0 - np.exp(-0.2 / 0.02)
+    z = np.where(forward, 1.0 - np.exp(-way / 0.02), -1.0 + (1.0 + full) * np.exp(-way / 0.02))
+    np.testing.assert_allclose(dry, COULOMB * z, atol=1e-9)
+    coarse = move_along(arm, t[::50], q[::50], dq[::50], ddq[::50]).dry[:, J]
+    np.testing.assert_allclose(coarse, dry[::50], atol=1e-9)
+
+
+def test_presliding_in_a_simulation_lags_at_reversals_only():
+    arm = _arm(Presliding(J, width=0.01))
+    motion = move(arm, FourierTrajectory(arm.robot, seed=3, base_frequency=0.5))
+    z = motion.dry[:, J] / COULOMB
+    assert np.all(np.abs(z) <= 1.0)
+    step = np.abs(np.diff(motion.q[:, J], prepend=motion.q[0, J]))
+    turn = np.flatnonzero(np.diff(np.sign(motion.dq[:, J])))
+    travelled = np.cumsum(step)
+    since = travelled - np.array([travelled[turn[turn <= k][-1]] if (turn <= k).any() else 0.0
+                                  for k in range(z.size)])  # fmt: skip
+    far = since > 0.06
+    assert far.mean() > 0.3
+    np.testing.assert_allclose(z[far], np.sign(motion.dq[far, J]), atol=6e-3)
+
+
+def test_presliding_too_stiff_for_the_rate_is_refused():
+    arm = _arm(Presliding(J, width=1e-7))
+    trajectory = FourierTrajectory(arm.robot, seed=3, base_frequency=0.5)
+    with pytest.raises(EffectError, match=f"joint {J + 1}: too stiff"):
+        move(arm, trajectory, duration=0.1)
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_elastic_joint_winds_up_by_its_torque(simulated):
+    arm = _arm(JointElasticity(J, stiffness=2000.0))
+    trajectory = FourierTrajectory(arm.robot, seed=3, base_frequency=0.25)
+    if simulated:
+        motion = move(arm, trajectory)
+    else:
+        t = np.linspace(0.0, 4.0, 2001)
+        motion = move_along(arm, t, *trajectory.at(t))
+    _, rigid = _residual(motion, arm.robot)
+    lead = motion.motor_q - motion.q
+    np.testing.assert_allclose(lead[:, J], rigid[:, J] / 2000.0, atol=1e-9)
+    assert np.abs(lead[:, J]).max() > 1e-3
+    assert np.all(np.delete(lead, J, axis=1) == 0.0)
+    slope = np.gradient(motion.motor_q[:, J], motion.t)
+    np.testing.assert_allclose(motion.motor_dq[5:-5, J], slope[5:-5], atol=5e-4)
+    recording = measure(arm, motion, demo_sensors(arm.robot))
+    step = 2 * np.pi / 2**19
+    rows = np.searchsorted(motion.t, recording.t)
+    np.testing.assert_allclose(recording.q, motion.motor_q[rows], atol=step)
+
+
+@pytest.mark.parametrize("name", HIDDEN_EFFECT_NAMES)
+def test_every_named_effect_changes_what_is_measured(name):
+    robot = robots.panda()
+    plain, changed = demo_arm(robot, hidden=None), demo_arm(robot, hidden=name, joint=2)
+    assert [effect.name for effect in changed.effects] == [name]
+    t = np.linspace(0.0, 10.0, 501)
+    states = FourierTrajectory(robot, seed=3).at(t)
+    sensors = demo_sensors(robot, rate=50.0)
+    records = [
+        measure(arm, move_along(arm, t, *states), sensors, seed=1) for arm in (plain, changed)
+    ]
+    signal = "q" if name in ("encoder_offset", "joint_elasticity") else "tau"
+    difference = np.abs(getattr(records[0], signal) - getattr(records[1], signal))
+    noise = np.max(sensors.torque_noise[2]) if signal == "tau" else 2 * np.pi / 2**19
+    assert np.percentile(difference[:, 2], 90) > 0.5 * noise
+    if name in ("stribeck", "torque_gain", "torque_ripple", "encoder_offset", "load_friction"):
+        assert np.all(np.delete(difference, 2, axis=1) == 0.0)
+
+
+def test_strength_scales_the_size():
+    arm = demo_arm(robots.panda(), hidden=None)
+    single, double = (hidden_effect(arm, "stribeck", 1, strength=s) for s in (1.0, 2.0))
+    assert double.extra == pytest.approx(2 * single.extra)
+
+
+def test_unknown_effects_and_joints_are_refused():
+    arm = demo_arm(robots.two_link(), hidden=None)
+    with pytest.raises(EffectError, match="the plant knows armature"):
+        hidden_effect(arm, "warp", 0)
+    with pytest.raises(EffectError, match=r"joint 2 \(from 0\), but robot 'two_link' has 2"):
+        arm.with_effects(Armature(2, inertia=1.0))
+
+
+def test_friction_without_numbers_is_zero():
+    assert not np.concatenate(list(vars(JointFriction.none(3)).values())).any()

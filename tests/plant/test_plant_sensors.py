@@ -1,0 +1,165 @@
+"""Sensors: rate, quantization, noise, and effects on what is measured."""
+
+import numpy as np
+import pytest
+from plant.arms import arm_of
+
+from lieid_casadi import robots
+from lieid_casadi.errors import RecordingError
+from lieid_casadi.plant import (
+    BiasDrift,
+    EncoderOffset,
+    FourierTrajectory,
+    Sensors,
+    Thermal,
+    TorqueDelay,
+    TorqueGain,
+    measure,
+    measure_along,
+    move_along,
+)
+from lieid_casadi.plant.arm import Arm
+
+ROBOT = robots.two_link()
+T = np.arange(20001) / 1000.0
+PATH = FourierTrajectory(ROBOT, seed=7, base_frequency=0.1, periods=2).at(T)
+
+
+def _measure(sensors, *effects, seed=0):
+    arm = arm_of(ROBOT, effects=effects)
+    return measure(arm, move_along(arm, T, *PATH), sensors, seed=seed)
+
+
+TRUTH = move_along(arm_of(ROBOT), T, *PATH)
+
+
+def test_ideal_sensors_tell_the_truth():
+    recording = _measure(Sensors(rate=None))
+    np.testing.assert_array_equal(recording.t, T)
+    np.testing.assert_array_equal(recording.q, TRUTH.q)
+    np.testing.assert_array_equal(recording.dq, TRUTH.dq)
+    np.testing.assert_array_equal(recording.tau, TRUTH.tau)
+    assert recording.temperature is None
+
+
+def test_rate_that_divides_the_control_rate():
+    recording = _measure(Sensors(rate=125.0))
+    np.testing.assert_allclose(np.diff(recording.t), 0.008, atol=1e-12)
+    assert recording.t[-1] == pytest.approx(20.0)
+    np.testing.assert_array_equal(recording.q, TRUTH.q[::8])
+
+
+def test_other_rates_take_the_nearest_instants_with_their_stamps():
+    recording = _measure(Sensors(rate=300.0))
+    steps = np.diff(recording.t)
+    assert set(np.round(steps * 1000).astype(int)) == {3, 4}
+    assert len(recording) == 6001
+    rows = np.round(recording.t * 1000).astype(int)
+    np.testing.assert_array_equal(recording.tau, TRUTH.tau[rows])
+
+
+def test_a_rate_above_the_control_is_refused():
+    with pytest.raises(RecordingError, match="sensors at 2000 Hz on a motion at 1000 Hz"):
+        _measure(Sensors(rate=2000.0))
+
+
+def test_encoder_steps():
+    step = 2 * np.pi / 4096
+    recording = _measure(Sensors(rate=1000.0, counts_per_turn=4096))
+    counts = recording.q / step
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+    error = recording.q - TRUTH.q
+    assert np.abs(error).max() <= 0.5 * step * (1 + 1e-9)
+    assert error.std() == pytest.approx(step / np.sqrt(12), rel=0.05)
+
+
+def test_velocity_from_the_encoder():
+    recording = _measure(
+        Sensors(rate=200.0, counts_per_turn=2**16, velocity="difference", velocity_span=0.01)
+    )
+    error = (recording.dq - TRUTH.dq[::5])[2:-2]
+    bound = 2 * np.pi / 2**16 / 0.01
+    assert np.abs(error).max() <= 1.1 * bound
+    assert error.std() == pytest.approx(bound / np.sqrt(6), rel=0.15)
+    assert _measure(Sensors(velocity="none")).dq is None
+    noisy = _measure(Sensors(rate=None, velocity_noise=0.02))
+    assert (noisy.dq - TRUTH.dq).std() == pytest.approx(0.02, rel=0.03)
+
+
+def test_white_noise_is_as_large_as_stated_per_joint():
+    noise = _measure(Sensors(rate=None, torque_noise=(0.3, 0.05))).tau - TRUTH.tau
+    np.testing.assert_allclose(noise.std(axis=0), [0.3, 0.05], rtol=0.03)
+    assert abs(np.corrcoef(noise.T)[0, 1]) < 0.03
+    assert abs(np.corrcoef(noise[1:, 0], noise[:-1, 0])[0, 1]) < 0.03
+
+
+@pytest.mark.parametrize("rate", [None, 100.0])
+def test_coloured_noise_has_its_correlation_time(rate):
+    sensors = Sensors(rate=rate, coloured_noise=0.2, correlation_time=0.03)
+    recording = _measure(sensors)
+    rows = np.round(recording.t * 1000).astype(int)
+    noise = recording.tau - TRUTH.tau[rows]
+    assert noise.std() == pytest.approx(0.2, rel=0.1)
+    step = recording.t[1] - recording.t[0]
+    lag = np.corrcoef(noise[1:, 0], noise[:-1, 0])[0, 1]
+    assert lag == pytest.approx(np.exp(-step / 0.03), abs=0.04)
+
+
+def test_torque_steps():
+    recording = _measure(Sensors(rate=None, torque_step=(0.1, 0.0)))
+    np.testing.assert_allclose(recording.tau[:, 0] % 0.1 % 0.1, 0, atol=0.1 + 1e-9)
+    counts = recording.tau[:, 0] / 0.1
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+    np.testing.assert_array_equal(recording.tau[:, 1], TRUTH.tau[:, 1])
+
+
+def test_gain():
+    recording = _measure(Sensors(rate=None), TorqueGain(1, gain=0.07))
+    np.testing.assert_allclose(recording.tau[:, 1], 1.07 * TRUTH.tau[:, 1])
+    np.testing.assert_array_equal(recording.tau[:, 0], TRUTH.tau[:, 0])
+
+
+@pytest.mark.parametrize("delay", [0.012, 0.0125])
+def test_delay(delay):
+    recording = _measure(Sensors(rate=None), TorqueDelay(0, delay=delay))
+    late = np.interp(T - delay, T, TRUTH.tau[:, 0])
+    far = slice(50, None)
+    jumps = np.abs(np.diff(TRUTH.tau[:, 0], prepend=0)) > 0.2
+    near_jump = np.convolve(jumps, np.ones(40), "same") > 0
+    smooth = ~near_jump[far]
+    np.testing.assert_allclose(recording.tau[far, 0][smooth], late[far][smooth], atol=1e-3)
+    assert np.abs(recording.tau[:, 0] - TRUTH.tau[:, 0]).max() > 0.05
+    np.testing.assert_array_equal(recording.tau[:, 1], TRUTH.tau[:, 1])
+
+
+def test_drift_has_no_mean():
+    added = _measure(Sensors(rate=None), BiasDrift(0, rate=0.02)).tau - TRUTH.tau
+    np.testing.assert_allclose(added[:, 0], 0.02 * (T - 10.0), atol=1e-9)
+
+
+def test_encoder_offset_is_what_the_encoder_lacks():
+    recording = _measure(Sensors(rate=None), EncoderOffset(1, offset=0.05))
+    np.testing.assert_allclose(recording.q[:, 1] + 0.05, TRUTH.q[:, 1])
+    np.testing.assert_array_equal(recording.tau, TRUTH.tau)
+
+
+def test_temperature_rises_to_its_end():
+    plain = arm_of(ROBOT)
+    warm = Arm(
+        ROBOT, plain.parameters, plain.friction, (),
+        Thermal(start=22.0, rise=18.0, time_constant=3.0),
+    )  # fmt: skip
+    recording = measure_along(warm, T, *PATH, sensors=Sensors(temperature=True))
+    assert recording.temperature[0] == pytest.approx([22.0, 22.0], abs=0.3)
+    assert recording.temperature[-1] == pytest.approx([40.0, 40.0], abs=0.3)
+    tenths = recording.temperature * 10
+    np.testing.assert_allclose(tenths, np.round(tenths), atol=1e-6)
+    np.testing.assert_array_equal(recording.tau, TRUTH.tau[::5])
+
+
+def test_noise_follows_the_seed():
+    sensors = Sensors(torque_noise=0.1, coloured_noise=0.1, position_noise=1e-4)
+    one, same, other = (_measure(sensors, seed=s) for s in (3, 3, 4))
+    np.testing.assert_array_equal(one.tau, same.tau)
+    assert np.all(one.tau != other.tau)
+    assert np.all(one.q != other.q)

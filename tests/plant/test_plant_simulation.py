@@ -1,0 +1,241 @@
+"""Integration, stick and slip, energy, control."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from plant.arms import arm_of, slider
+from scipy.integrate import solve_ivp
+
+from lieid_casadi import robots
+from lieid_casadi.plant import (
+    Control,
+    FourierTrajectory,
+    LoadFriction,
+    PositionFriction,
+    Sensors,
+    Stribeck,
+    demo_arm,
+    demo_sensors,
+    move,
+    move_along,
+    point_to_point,
+    simulate,
+)
+from lieid_casadi.plant.step import Command, Stepper
+
+H = 1e-3
+
+
+def _constant(torque):
+    torque = np.asarray(torque, dtype=float)
+    return Command(torque, np.zeros(torque.size), np.full(torque.size, np.inf))
+
+
+def _run(stepper, torque, steps):
+    command, cold = _constant(torque), np.full(stepper.q.size, 25.0)
+    return [stepper.step(k * H, command, cold) for k in range(steps)]
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (),
+        (Stribeck(1, extra=2.0, velocity=0.05),),
+        (LoadFriction(1, gain=0.2),),
+        (PositionFriction(1, amplitude=0.3, phase=1.5),),
+    ],
+)
+def test_friction_at_rest_holds_and_never_moves_the_arm(effects):
+    robot = robots.panda()
+    arm = arm_of(robot, coulomb=3.0, offset=0.0, effects=effects)
+    q0 = np.array([0.1, -0.5, 0.2, -1.8, 0.3, 1.5, 0.4])
+    model = arm.rigid_model()
+    gravity = pin.computeGeneralizedGravity(model, model.createData(), q0)
+    pushes = 2.95 * np.array([1, -1, 1, -1, 1, -1, 1])
+    stepper = Stepper(arm, H, q0)
+    for push in (0.0, 0.5, 1.0, -1.0):
+        rows = _run(stepper, gravity + push * pushes, 50)
+        np.testing.assert_array_equal(stepper.q, q0)
+        np.testing.assert_array_equal(stepper.dq, np.zeros(7))
+        np.testing.assert_allclose(rows[-1].dry, push * pushes, atol=1e-9)
+        assert rows[-1].resting.all()
+
+
+def test_a_push_beyond_the_level_moves_the_arm():
+    arm = arm_of(slider(), coulomb=3.0, viscous=0.0, offset=0.0)
+    held, pushed = (Stepper(arm, H, np.zeros(1)) for _ in range(2))
+    _run(held, [2.999], 100)
+    _run(pushed, [-3.2], 100)
+    assert held.q[0] == 0.0
+    assert pushed.q[0] == pytest.approx(-0.5 * (0.2 / 2.0) * 0.1**2, rel=1e-6)
+
+
+def test_a_sliding_mass_stops_where_friction_stops_it_and_stays():
+    arm = arm_of(slider(mass=2.0), coulomb=3.0, viscous=0.0, offset=0.0)
+    stepper = Stepper(arm, H, np.zeros(1))
+    stepper.dq = np.array([0.75])
+    rows = _run(stepper, [0.0], 700)
+    assert stepper.dq[0] == 0.0
+    assert stepper.q[0] == pytest.approx(0.75**2 * 2.0 / (2 * 3.0), abs=1e-6)
+    speed = np.array([row.dq[0] for row in rows])
+    assert np.all(speed >= 0.0)
+    assert rows[-1].dry[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_stick_slip_of_a_dragged_mass():
+    """A mass dragged by a spring with more friction at rest sticks and slips."""
+    arm = arm_of(
+        slider(1.0), coulomb=1.0, viscous=0.1, offset=0.0,
+        effects=(Stribeck(0, extra=1.0, velocity=0.02),),
+    )  # fmt: skip
+    stepper = Stepper(arm, H, np.zeros(1))
+    resting = []
+    for k in range(8000):
+        force = 200.0 * (0.02 * k * H - stepper.q)
+        resting.append(stepper.step(k * H, _constant(force), np.full(1, 25.0)).resting[0])
+    slips = np.count_nonzero(np.diff(np.array(resting).astype(int)) == -1)
+    assert slips >= 3
+    assert 0.3 < np.mean(resting) < 0.99
+    # it breaks loose at the level of rest: 2 N = 200 N/m · stretch
+    first = resting.index(False)
+    assert first * H * 0.02 * 200.0 == pytest.approx(2.0, rel=0.01)
+
+
+def _reference(arm, q0, dq0, torque, until):
+    model = arm.rigid_model()
+    data = model.createData()
+
+    def rate(_, y):
+        q, v = y[:7], y[7:]
+        drive = torque - arm.friction.viscous * v - arm.friction.offset
+        return np.concatenate([v, pin.aba(model, data, q, v, drive)])
+
+    state = np.concatenate([q0, dq0])
+    return solve_ivp(rate, (0, until), state, rtol=1e-11, atol=1e-12).y[:, -1]
+
+
+def test_integration_is_of_second_order():
+    arm = arm_of(robots.panda(), coulomb=0.0, viscous=0.8, offset=0.1)
+    rng = np.random.default_rng(1)
+    q0, dq0, torque = rng.normal(size=7), 0.3 * rng.normal(size=7), rng.normal(size=7)
+    exact = _reference(arm, q0, dq0, torque, 0.2)
+    errors = []
+    for h in (2e-3, 1e-3, 5e-4):
+        stepper = Stepper(arm, h, q0)
+        stepper.dq = dq0.copy()
+        for k in range(round(0.2 / h)):
+            stepper.step(k * h, _constant(torque), np.full(7, 25.0))
+        errors.append(np.abs(np.concatenate([stepper.q, stepper.dq]) - exact).max())
+    assert errors[1] < 1e-2
+    order = np.log2(np.array(errors[:-1]) / errors[1:])
+    np.testing.assert_allclose(order, 2.0, atol=0.3)
+
+
+@pytest.mark.parametrize("hidden", [None, "stribeck", "load_friction", "position_friction"])
+def test_friction_dissipates_and_energy_balances(hidden):
+    arm = demo_arm(robots.panda(), hidden=hidden, joint=1)
+    motion = move(arm, FourierTrajectory(arm.robot, seed=3, base_frequency=0.2))
+    moving = ~motion.resting
+    assert np.all((motion.dry * motion.dq)[moving] >= -1e-12)
+    model = arm.rigid_model()
+    data = model.createData()
+
+    def energy(k):
+        kinetic = pin.computeKineticEnergy(model, data, motion.q[k], motion.dq[k])
+        return kinetic + pin.computePotentialEnergy(model, data, motion.q[k])
+
+    power = np.sum((motion.tau - motion.dry - motion.smooth) * motion.dq, axis=1)
+    work = np.trapezoid(power, motion.t)
+    absolute = np.trapezoid(np.abs(power), motion.t)
+    assert work == pytest.approx(energy(-1) - energy(0), abs=1e-4 * absolute)
+
+
+def test_signals_are_derivatives_of_one_another():
+    arm = demo_arm(robots.panda(), hidden=None)
+    motion = move(arm, FourierTrajectory(arm.robot, seed=3, base_frequency=0.2))
+    dq = np.gradient(motion.q, motion.t, axis=0)
+    np.testing.assert_allclose(motion.dq[2:-2], dq[2:-2], atol=2e-3)
+    assert np.abs(np.mean(motion.dq - dq, axis=0)).max() < 1e-6
+    # not shifted in time: a lag of half a sample would correlate with the acceleration
+    smooth = np.abs(np.gradient(motion.ddq, motion.t, axis=0)) < 50.0
+    for joint in range(7):
+        rows = smooth[:, joint]
+        a = motion.ddq[rows, joint]
+        lag = a @ (motion.dq - dq)[rows, joint] / (a @ a)
+        assert abs(lag) < 0.02 * H
+
+
+@pytest.mark.parametrize("make", [robots.panda, robots.two_link])
+@pytest.mark.parametrize("feedforward", [True, False])
+def test_control_tracks(make, feedforward):
+    arm = demo_arm(make(), seed=2)
+    trajectory = FourierTrajectory(arm.robot, seed=3, base_frequency=0.2)
+    motion = move(arm, trajectory, control=Control(feedforward=feedforward))
+    q, _, _ = trajectory.at(motion.t)
+    assert np.abs(motion.q - q).max() < (0.02 if feedforward else 0.1)
+
+
+def test_an_arm_that_dwells_rests():
+    arm = demo_arm(robots.panda(), seed=2, hidden=None)
+    path = point_to_point(arm.robot, poses=3, dwell=1.0, seed=1)
+    motion = move(arm, path)
+    last = motion.t > path.duration - 0.5
+    assert motion.resting[last].all()
+    assert np.ptp(motion.q[last], axis=0).max() == 0.0
+    assert np.all(np.abs(motion.dry[last]) <= arm.friction.coulomb + 1e-9)
+
+
+def test_torques_keep_to_the_limits():
+    arm = demo_arm(robots.panda(), hidden="payload", strength=30.0)
+    motion = move(arm, FourierTrajectory(arm.robot, seed=3, base_frequency=0.2), duration=1.0)
+    limit = arm.robot.limit("torque")
+    assert np.all(np.abs(motion.tau) <= limit)
+    assert np.any(np.abs(motion.tau) == limit)
+
+
+def test_measuring_along_the_simulated_motion_gives_its_torques():
+    arm = demo_arm(robots.panda(), hidden="load_friction", joint=2)
+    motion = move(arm, FourierTrajectory(arm.robot, seed=3, base_frequency=0.2))
+    again = move_along(arm, motion.t, motion.q, motion.dq, motion.ddq)
+    same = ~motion.resting & ~again.resting
+    np.testing.assert_allclose(again.tau[same], motion.tau[same], atol=1e-6)
+
+
+def test_at_rest_along_a_path_friction_stays_within_its_level_and_holds():
+    arm = demo_arm(robots.panda(), hidden=None)
+    path = point_to_point(arm.robot, poses=3, dwell=1.0, seed=1)
+    t = np.arange(0.0, path.duration, 0.01)
+    motion = move_along(arm, t, *path.at(t), seed=4)
+    first = t < 1.0
+    assert motion.resting[first].all()
+    held = motion.dry[first] / arm.friction.coulomb
+    assert np.ptp(held, axis=0).max() == 0.0
+    assert np.all(np.abs(held) < 1.0)
+    assert np.ptp(held[0]) > 0.1
+
+
+def test_same_seed_same_recording():
+    arm = demo_arm(robots.two_link(), seed=5)
+    trajectory = FourierTrajectory(arm.robot, seed=3, base_frequency=0.5)
+    sensors = demo_sensors(arm.robot)
+    one, two, other = (simulate(arm, trajectory, sensors=sensors, seed=seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.tau, two.tau)
+    np.testing.assert_array_equal(one.q, two.q)
+    assert np.abs(one.tau - other.tau).max() > 0.0
+    np.testing.assert_array_equal(demo_arm(robots.two_link(), seed=5).parameters, arm.parameters)
+    assert np.abs(demo_arm(robots.two_link(), seed=6).parameters - arm.parameters).max() > 1e-3
+
+
+def test_progress_runs_from_nought_to_one():
+    arm = demo_arm(robots.two_link())
+    seen = []
+    simulate(
+        arm,
+        FourierTrajectory(arm.robot, seed=1, base_frequency=1.0),
+        sensors=Sensors(),
+        progress=seen.append,
+    )
+    assert seen == sorted(seen)
+    assert seen[0] == 0.0
+    assert seen[-1] == 1.0
+    assert len(seen) > 50

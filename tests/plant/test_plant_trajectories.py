@@ -1,0 +1,95 @@
+"""Trajectories keep to the limits, start and end at rest, and are smooth."""
+
+import numpy as np
+import pytest
+from robot.random_arms import random_arm
+
+from lieid_casadi import robots
+from lieid_casadi.errors import RobotError
+from lieid_casadi.plant import FourierTrajectory, point_to_point, sweep
+from lieid_casadi.robot import Joint, Robot
+
+ARMS = [robots.panda, robots.two_link, lambda: random_arm(np.random.default_rng(1), 5)]
+
+
+def _fourier(robot):
+    return FourierTrajectory(robot, harmonics=6, base_frequency=0.2, periods=2, seed=4)
+
+
+def _moves(robot):
+    return point_to_point(robot, poses=5, dwell=0.4, seed=4)
+
+
+def _sweep(robot):
+    return sweep(robot, 1)
+
+
+@pytest.mark.parametrize("robot", [make() for make in ARMS], ids=lambda r: r.name)
+@pytest.mark.parametrize("make", [_fourier, _moves, _sweep])
+def test_motion_is_feasible_smooth_and_rests_at_both_ends(robot, make):
+    path = make(robot)
+    t = np.linspace(-0.5, path.duration + 0.5, 40001)
+    q, dq, ddq = path.at(t)
+    assert np.all(q >= robot.limit("position_lower") - 1e-9)
+    assert np.all(q <= robot.limit("position_upper") + 1e-9)
+    assert np.all(np.abs(dq) <= robot.limit("velocity"))
+    acceleration = np.minimum(robot.limit("acceleration"), 5.0)
+    assert np.all(np.abs(ddq) <= acceleration + 1e-9)
+    assert np.abs(dq).max() > 0.2 * np.max(robot.limit("velocity")[1:2])
+    outside = (t <= 0) | (t >= path.duration)
+    assert not dq[outside].any()
+    assert not ddq[outside].any()
+    step = t[1] - t[0]
+    np.testing.assert_allclose(np.gradient(q, step, axis=0), dq, atol=5 * step)
+    np.testing.assert_allclose(np.gradient(dq, step, axis=0), ddq, atol=400 * step)
+
+
+def test_every_joint_of_a_fourier_trajectory_moves():
+    _, dq, _ = _fourier(robots.panda()).at(np.linspace(0, 5, 500))
+    assert np.all(dq.std(axis=0) > 0.2)
+
+
+def test_fourier_trajectories_are_periodic_and_follow_their_seed():
+    robot = robots.panda()
+    t = np.linspace(0.1, 4.9, 100)
+    one = _fourier(robot)
+    np.testing.assert_allclose(one.at(t)[0], one.at(t + 5.0)[0], atol=1e-12)
+    np.testing.assert_array_equal(one.at(t)[0], _fourier(robot).at(t)[0])
+    other = FourierTrajectory(robot, harmonics=6, base_frequency=0.2, seed=5)
+    assert np.abs(one.at(t)[0] - other.at(t)[0]).max() > 0.1
+
+
+def test_limits_that_are_not_stated_are_taken_as_usual():
+    plain = robots.two_link()
+    joints = tuple(Joint(j.name, j.screw, j.home, link=j.link) for j in plain.joints)
+    q, dq, ddq = FourierTrajectory(Robot("bare", joints), seed=1).at(np.linspace(0, 10, 5001))
+    assert np.abs(q).max() <= np.pi
+    assert np.abs(dq).max() <= 2.0
+    assert np.abs(ddq).max() <= 5.0
+
+
+def test_moves_dwell_at_their_poses():
+    path = _moves(robots.panda())
+    for pose, start in zip(path.poses[:-1], path.starts, strict=True):
+        q, dq, _ = path.at(np.linspace(start - 0.39, start, 10))
+        np.testing.assert_allclose(q, np.tile(pose, (10, 1)), atol=1e-12)
+        assert not dq.any()
+
+
+def test_sweep_runs_at_its_speeds_both_ways_while_the_others_hold():
+    path = sweep(robots.panda(), 3, speeds=(0.2, 0.6), dwell=0.5)
+    t = np.linspace(0, path.duration, 200001)
+    q, dq, _ = path.at(t)
+    assert not np.delete(dq, 3, axis=1).any()
+    for speed in (0.2, -0.2, 0.6, -0.6):
+        on = np.abs(dq[:, 3] - speed) < 1e-9
+        assert np.ptp(q[on, 3]) > 0.6 * np.ptp(q[:, 3])
+
+
+def test_sweeps_that_cannot_be_are_refused():
+    with pytest.raises(RobotError, match="sweep of joint 2"):
+        sweep(robots.two_link(), 2)
+    with pytest.raises(RobotError, match="does not fit"):
+        sweep(robots.two_link(), 0, speeds=(50.0,))
+    with pytest.raises(RobotError, match="expected at least 2"):
+        FourierTrajectory(robots.two_link(), harmonics=1, seed=0)
