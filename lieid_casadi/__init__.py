@@ -1,4 +1,4 @@
-"""Dynamic models of serial robot arms: identify them, see where they fail, learn what is missing."""
+"""Dynamic models of serial robot arms: identified, compared with measurements, completed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,32 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-# name → module that defines it; imported on first use, so that importing the package is quick
+__all__ = [
+    "Coefficient",
+    "Comparison",
+    "Compiled",
+    "Effect",
+    "Fit",
+    "Joint",
+    "LieidError",
+    "LieidWarning",
+    "Limits",
+    "Model",
+    "Processing",
+    "Recording",
+    "Robot",
+    "Shape",
+    "Signals",
+    "__version__",
+    "compare",
+    "compile",
+    "effect",
+    "identify",
+    "register",
+    "robots",
+]
+
+# where each name is defined; imported on first use, so that importing the package is quick
 _HOME = {
     "Coefficient": "lieid_casadi.effects",
     "Comparison": "lieid_casadi.comparison",
@@ -31,30 +56,18 @@ _HOME = {
     "register": "lieid_casadi.effects",
 }
 
-__all__ = [*sorted(_HOME), "__version__", "robots"]  # noqa: PLE0604
-
 if TYPE_CHECKING:
-    from lieid_casadi import robots as robots
-    from lieid_casadi.comparison import Comparison as Comparison
-    from lieid_casadi.comparison import compare as compare
-    from lieid_casadi.compiled import Compiled as Compiled
-    from lieid_casadi.compiled import compile as compile
-    from lieid_casadi.effects import Coefficient as Coefficient
-    from lieid_casadi.effects import Effect as Effect
-    from lieid_casadi.effects import Shape as Shape
-    from lieid_casadi.effects import Signals as Signals
-    from lieid_casadi.effects import effect as effect
-    from lieid_casadi.effects import register as register
-    from lieid_casadi.errors import LieidError as LieidError
-    from lieid_casadi.errors import LieidWarning as LieidWarning
-    from lieid_casadi.identification import Fit as Fit
-    from lieid_casadi.identification import identify as identify
-    from lieid_casadi.model import Model as Model
-    from lieid_casadi.recording import Processing as Processing
-    from lieid_casadi.recording import Recording as Recording
-    from lieid_casadi.robot import Joint as Joint
-    from lieid_casadi.robot import Limits as Limits
-    from lieid_casadi.robot import Robot as Robot
+    from lieid_casadi import robots
+    from lieid_casadi.comparison.compare import compare
+    from lieid_casadi.comparison.comparison import Comparison
+    from lieid_casadi.compiled import Compiled, compile
+    from lieid_casadi.effects import Coefficient, Effect, Shape, Signals, effect, register
+    from lieid_casadi.errors import LieidError, LieidWarning
+    from lieid_casadi.identification.fit import Fit
+    from lieid_casadi.identification.identify import identify
+    from lieid_casadi.model import Model
+    from lieid_casadi.recording import Processing, Recording
+    from lieid_casadi.robot import Joint, Limits, Robot
 
 
 def __getattr__(name: str) -> Any:

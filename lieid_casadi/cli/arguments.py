@@ -32,7 +32,9 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
 
 def add_processing(parser: argparse.ArgumentParser) -> None:
     """Add filter options."""
-    parser.add_argument("--cutoff", type=float, metavar="HZ", help="of the low-pass; default: chosen")
+    parser.add_argument(
+        "--cutoff", type=float, metavar="HZ", help="of the low-pass; default: chosen"
+    )
     parser.add_argument(
         "--average-periods", action="store_true", help="average periodic recordings over periods"
     )

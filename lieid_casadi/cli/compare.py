@@ -17,7 +17,9 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser("compare", help="errors of a fit on recordings, per joint")
     parser.add_argument("fit", metavar="FIT")
     parser.add_argument("recordings", nargs="+", metavar="REC")
-    parser.add_argument("--plot", metavar="FILE", help="draw measured, predicted and residual torque")
+    parser.add_argument(
+        "--plot", metavar="FILE", help="draw measured, predicted and residual torque"
+    )
     arguments.add_recording_options(parser)
     arguments.add_effects_file(parser)
     arguments.add_outputs(parser, html=True)

@@ -62,7 +62,11 @@ def result(fit: Fit, comparison: Comparison | None) -> dict[str, Any]:
     """Return the JSON of ``lieid identify``."""
     content = fit.to_dict()
     tested = comparison.to_dict() if comparison is not None else None
-    for key, name in (("rms_test", "rms"), ("rms_test_raw", "rms_raw"), ("correlation_test", "correlation")):
+    for key, name in (
+        ("rms_test", "rms"),
+        ("rms_test_raw", "rms_raw"),
+        ("correlation_test", "correlation"),
+    ):
         content[key] = tested[name] if tested is not None else None
     if tested is not None:
         content["test"] = tested
@@ -75,10 +79,18 @@ def result(fit: Fit, comparison: Comparison | None) -> dict[str, Any]:
 def print_fit(fit: Fit, comparison: Comparison | None) -> None:
     """Print errors per joint, parameters and warnings."""
     columns = ["joint", "train", "train raw"]
-    columns += ["test", "test raw", "% of torque", "moving", "at rest", "correlation"] if comparison else ["cross-validated"]
+    columns += (
+        ["test", "test raw", "% of torque", "moving", "at rest", "correlation"]
+        if comparison
+        else ["cross-validated"]
+    )
     rows: list[list[object]] = []
     for j, joint in enumerate(fit.model.robot.joints):
-        row: list[object] = [f"{j + 1} {joint.name}", float(fit.rms_train[j]), float(fit.rms_train_raw[j])]
+        row: list[object] = [
+            f"{j + 1} {joint.name}",
+            float(fit.rms_train[j]),
+            float(fit.rms_train_raw[j]),
+        ]
         if comparison is not None:
             row += [
                 float(comparison.rms[j]),
@@ -101,7 +113,9 @@ def print_fit(fit: Fit, comparison: Comparison | None) -> None:
                 row["expression"],
                 row["value"],
                 row["std"],
-                None if not row["value"] or row["std"] is None else 100 * row["std"] / abs(row["value"]),
+                None
+                if not row["value"] or row["std"] is None
+                else 100 * row["std"] / abs(row["value"]),
                 row["unit"],
             ]
             for row in fit.parameter_table()

@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # the reader of our output has gone; nothing more can be said to it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
-    except Exception as error:  # noqa: BLE001 - the outermost frame names what it can
+    except Exception as error:  # the outermost frame: every cause gets its status
         if args.debug:
             raise
         return _status(args.command, error)

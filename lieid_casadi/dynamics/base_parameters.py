@@ -59,7 +59,7 @@ class BaseParameters:
     def invisible(self) -> NDArray[np.intp]:
         """Dropped columns that act on no torque at all."""
         visible = np.abs(self.combination[:, self.dropped]).max(axis=0, initial=0.0) > 0.0
-        return self.dropped[~visible]
+        return np.asarray(self.dropped[~visible])
 
     def expression(self, k: int, *, digits: int = 6) -> str:
         """Return base parameter k as a sum of link parameters, equal factors grouped.
@@ -221,7 +221,8 @@ class _Reach:
         mixed = [_kinetic_row(joint.axis, v) for rows in carried for v in rows]
         own = _kinetic_row(joint.axis, joint.axis)
         after.twists = _span(np.vstack([*carried, joint.axis]))
-        after.kinetic = _span(np.vstack([*(self.kinetic @ p for p in joint.transport), *mixed, own]))
+        seen = [self.kinetic @ p for p in joint.transport]
+        after.kinetic = _span(np.vstack([*seen, *mixed, own]))
         after.potential = self.potential @ joint.transport[0]
         varying = [self.varying @ p for p in joint.transport]
         turned = [self.potential @ p for p in joint.transport[1:]]
@@ -313,7 +314,8 @@ def _last_touched(null: Matrix) -> NDArray[np.intp]:
 
     Elimination from the right: each invisible change is named after the last column it needs.
     """
-    rows, dropped = null.copy(), []
+    rows = null.copy()
+    dropped: list[int] = []
     for column in reversed(range(rows.shape[1])):
         done = len(dropped)
         if done == len(rows):

@@ -92,7 +92,7 @@ def _joints(part: str, spec: str) -> tuple[int, int | None]:
 def _placement(effect: Effect, joint: int, source: int | None, n: int, spec: object) -> Placement:
     for j in (joint, source):
         if j is not None and not 0 <= j < n:
-            raise EffectError(f"effect {str(spec)!r}: no joint {j + 1}; the arm has joints 1 to {n}")
+            raise EffectError(f"effect {str(spec)!r}: no joint {j + 1}; the arm has 1 to {n}")
     if effect.couples and (source is None or source == joint):
         raise EffectError(f"effect {str(spec)!r} couples two joints; write e.g. {effect.name}:5<6")
     if not effect.couples and source is not None:

@@ -68,10 +68,11 @@ def long_run_covariance(segments: Sequence[Array]) -> Array:
 
 def _memory(segments: Sequence[Array]) -> Array:
     """Return the lag-1 autocorrelation of each column (p,)."""
-    power = sum((np.sum(s * s, axis=0) for s in segments))
-    lagged = sum((np.sum(s[1:] * s[:-1], axis=0) for s in segments if len(s) > 1))
+    zero = np.zeros(segments[0].shape[1])
+    power = sum((np.sum(s * s, axis=0) for s in segments), start=zero)
+    lagged = sum((np.sum(s[1:] * s[:-1], axis=0) for s in segments if len(s) > 1), start=zero)
     ratio = np.divide(lagged, power, out=np.zeros_like(power), where=power > 0)
-    return np.clip(ratio, -STRONGEST_MEMORY, STRONGEST_MEMORY)
+    return np.asarray(np.clip(ratio, -STRONGEST_MEMORY, STRONGEST_MEMORY))
 
 
 def _bandwidth(segments: Sequence[Array], count: int) -> int:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 import lieid_casadi.errors as causes
 from lieid_casadi.errors import FitFileError, LieidWarning, RobotError
 from lieid_casadi.identification.conditioning import Conditioning
-from lieid_casadi.identification.fit import Fit, Provenance, Source, warning_list
+from lieid_casadi.identification.fit import Fit, Provenance, warning_list
 from lieid_casadi.model import Model
 from lieid_casadi.recording.atomic_file import atomic_binary
 from lieid_casadi.recording.processing import Processing

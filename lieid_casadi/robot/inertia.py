@@ -45,8 +45,7 @@ def link_parameters(
         About the centre of mass, in the axes of the link frame, kg·m².
     """
     c = np.asarray(com, dtype=float)
-    about_origin = np.asarray(inertia_about_com, dtype=float) + mass * (c @ c * np.eye(3) - np.outer(c, c))
-    i = about_origin
+    i = np.asarray(inertia_about_com, dtype=float) + mass * _steiner(c)
     return np.array([mass, *(mass * c), i[0, 0], i[0, 1], i[1, 1], i[0, 2], i[1, 2], i[2, 2]])
 
 
@@ -55,7 +54,12 @@ def body_inertia(parameters: ArrayLike) -> BodyInertia:
     p = np.asarray(parameters, dtype=float)
     mass = float(p[0])
     com = p[1:4] / mass if mass != 0.0 else np.zeros(3)
-    return BodyInertia(mass, com, symmetric(p[4:]) - mass * (com @ com * np.eye(3) - np.outer(com, com)))
+    return BodyInertia(mass, com, symmetric(p[4:]) - mass * _steiner(com))
+
+
+def _steiner(c: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inertia (3, 3) of a unit mass at c."""
+    return np.asarray(c @ c * np.eye(3) - np.outer(c, c))
 
 
 def pseudo_inertia(parameters: ArrayLike) -> NDArray[np.float64]:

@@ -134,7 +134,8 @@ def _check_names(
     movable = [joint.name for joint in joints if joint.kind in MOVABLE]
     for name in lock:
         if name not in movable:
-            raise RobotError(f"{origin}: no movable joint {name!r}; joints are {', '.join(movable)}")
+            known = ", ".join(movable)
+            raise RobotError(f"{origin}: no movable joint {name!r}; joints are {known}")
 
 
 def _chain(
@@ -191,9 +192,7 @@ def _reduced_model(
         reason = " ".join(str(error).split())
         raise RobotError(f"{origin}: Pinocchio cannot read it: {reason}") from None
     names = {joint.name for joint in chain}
-    locked = [
-        full.getJointId(j.name) for j in joints if j.kind in MOVABLE and j.name not in names
-    ]
+    locked = [full.getJointId(j.name) for j in joints if j.kind in MOVABLE and j.name not in names]
     model = pin.buildReducedModel(full, locked, np.zeros(full.nq))
     frame = model.frames[model.getFrameId(tip)]
     if frame.parentJoint != model.njoints - 1:

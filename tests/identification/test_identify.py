@@ -1,0 +1,265 @@
+"""Identification on the plant, whose dynamics and effects are written out apart from the model."""
+
+import json
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.errors import (
+    AliasWarning,
+    BoundWarning,
+    FrictionAtRestWarning,
+    IdentificationError,
+    ModelError,
+    UnidentifiableWarning,
+)
+from lieid_casadi.recording import Processing
+
+ROBOT = lieid.robots.two_link()
+FRICTION = plant.JointFriction(np.array([1.2, 0.5]), np.array([0.6, 0.3]), np.array([0.2, -0.1]))
+CUTOFF = Processing(cutoff=8.0)
+
+
+def measured(*effects, robot=ROBOT, friction=FRICTION, seed=0, duration=20.0, **sensors):
+    """A run of an arm with inertias off the nominal ones, tracked ideally at 200 Hz."""
+    arm = plant.Arm(robot, plant.perturbed_inertias(robot, seed=3), friction, tuple(effects))
+    motion = plant.FourierTrajectory(robot, base_frequency=1 / duration, seed=seed)
+    t = np.arange(0.0, duration, 0.005)
+    ideal = plant.Sensors(rate=200.0, **sensors)
+    return arm, plant.measure_along(arm, t, *motion.at(t), sensors=ideal, seed=seed)
+
+
+def true_base(model, arm):
+    links = arm.parameters
+    friction = {"coulomb": arm.friction.coulomb, "viscous": arm.friction.viscous}
+    friction["offset"] = arm.friction.offset
+    effects = [friction[c.name.split(".")[0]][c.joint] for c in model.columns]
+    return model.base.combination @ np.concatenate([links, effects])
+
+
+@pytest.mark.parametrize("method", ["ols", "wls", "robust"])
+def test_base_parameters_are_recovered(method):
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
+    arm, recording = measured(torque_noise=0.05)
+    fit = lieid.identify(model, recording, method=method, processing=CUTOFF)
+    error = fit.values - true_base(model, arm)
+    assert np.abs(error / fit.std).max() < 4.0
+    # the noise of 0.05 N·m left by an 8 Hz low-pass at 200 Hz
+    assert np.all(fit.rms_train < 0.05)
+    assert np.all(fit.std > 0.0)
+
+
+def test_without_noise_the_error_is_that_of_the_filter_alone():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
+    arm, recording = measured()
+    fit = lieid.identify(model, recording, processing=CUTOFF)
+    assert np.abs(fit.values - true_base(model, arm)).max() < 5e-3
+
+
+def test_the_fit_is_the_least_squares_solution_of_filtered_columns():
+    """Against numpy.linalg.lstsq on columns that this test filters and stacks itself."""
+    from scipy.signal import butter, sosfiltfilt
+
+    model = lieid.Model(ROBOT, "viscous,offset")
+    _, recording = measured(torque_noise=0.1)
+    fit = lieid.identify(model, recording, method="ols", processing=CUTOFF)
+    (segment,) = lieid.recording.process(recording, fit.processing)
+    columns = lieid.compile(model).base_regressor(segment.q, segment.dq, segment.ddq)
+    filter_ = butter(4, CUTOFF.cutoff, fs=segment.rate, output="sos")
+    edge, step = round(0.5 * segment.rate), int(segment.rate / (4 * CUTOFF.cutoff))
+    inside = slice(edge, len(segment.t) - edge, step)
+    matrix = sosfiltfilt(filter_, columns, axis=0)[inside].reshape(-1, model.base.count)
+    torque = sosfiltfilt(filter_, segment.tau, axis=0)[inside].reshape(-1)
+    expected = np.linalg.lstsq(matrix, torque, rcond=None)[0]
+    np.testing.assert_allclose(fit.values, expected, rtol=1e-6, atol=1e-8)
+
+
+def test_joint_noise_sets_the_weights():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
+    _, recording = measured(torque_noise=(1.0, 0.01))
+    fit = lieid.identify(model, recording, processing=CUTOFF)
+    ratio = fit.noise[0] / fit.noise[1]
+    assert 40 < ratio < 250
+    ols = lieid.identify(model, recording, method="ols", processing=CUTOFF)
+    elbow = [k for k, p in enumerate(model.base_columns) if p.joint == 1]
+    assert np.all(fit.std[elbow] < ols.std[elbow])
+
+
+def test_outliers_move_robust_less_than_wls():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
+    arm, recording = measured(torque_noise=0.05)
+    tau = recording.tau.copy()
+    for start in range(400, 3600, 400):
+        tau[start : start + 30] += 15.0
+    hit = lieid.Recording.from_arrays(recording.t, recording.q, recording.dq, tau)
+    truth = true_base(model, arm)
+    error = {
+        method: np.linalg.norm(
+            lieid.identify(model, hit, method=method, processing=CUTOFF).values - truth
+        )
+        for method in ("wls", "robust")
+    }
+    assert error["robust"] < 0.5 * error["wls"]
+
+
+def test_shape_parameters_are_found():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1")
+    arm, recording = measured(
+        plant.Stribeck(0, extra=0.8, velocity=0.15), torque_noise=0.02, duration=40.0
+    )
+    fit = lieid.identify(model, recording, processing=CUTOFF)
+    assert fit.shapes[0] == pytest.approx(0.15, rel=0.15)
+    (row,) = [r for r in fit.parameter_table() if r["name"] == "stribeck.f_s-f_c"]
+    assert row["value"] == pytest.approx(0.8, rel=0.15)
+    assert np.isfinite(fit.std).all()
+
+
+def test_a_shape_that_runs_to_its_bound_is_told():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1")
+    _, recording = measured(torque_noise=0.0)
+    fit = lieid.identify(model, recording, processing=CUTOFF)
+    strength = abs(fit.effect_coefficients[-1])
+    told = [w for w in fit.warnings if isinstance(w, BoundWarning | AliasWarning)]
+    assert strength < 0.05 or told
+
+
+def test_load_friction_reaches_its_fixed_point():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset,load_friction:1+2")
+    _, recording = measured(
+        plant.LoadFriction(0, 0.06), plant.LoadFriction(1, 0.09), torque_noise=0.02
+    )
+    fit = lieid.identify(model, recording, processing=CUTOFF)
+    np.testing.assert_allclose(fit.effect_coefficients[-2:], [0.06, 0.09], rtol=0.05)
+
+
+def test_armature_of_the_first_joint_is_absorbed_and_said():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset,armature")
+    _, recording = measured(torque_noise=0.02)
+    fit = lieid.identify(model, recording, processing=CUTOFF)
+    (told,) = [w for w in fit.warnings if isinstance(w, AliasWarning) and "armature.I_a:1" in str(w)]
+    assert "Izz1" in str(told)
+    assert "armature.I_a:1" not in {p.label for p in model.base_columns}
+
+
+def test_samples_at_rest_leave_the_fit_and_are_counted():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
+    arm, moving = measured(torque_noise=0.02)
+    rest = np.full((1000, 2), 1.0)
+    recording = lieid.Recording.from_arrays(
+        np.arange(5000) * 0.005,
+        np.vstack([moving.q, np.tile(moving.q[-1], (1000, 1))]),
+        np.vstack([moving.dq, 0 * rest]),
+        # at rest dry friction holds up to its limit: any torque
+        np.vstack([moving.tau, moving.tau[-1] + 3.0 * rest]),
+    )
+    fit = lieid.identify(model, recording, processing=CUTOFF)
+    assert np.abs((fit.values - true_base(model, arm)) / fit.std).max() < 5.0
+    (told,) = [w for w in fit.warnings if isinstance(w, FrictionAtRestWarning)]
+    assert "joint 1 2" in str(told)  # twenty-odd per cent
+
+
+def test_what_is_not_excited_is_named():
+    model = lieid.Model(ROBOT, "viscous")
+    arm, recording = measured()
+    q, dq = recording.q.copy(), recording.dq.copy()
+    q[:, 1], dq[:, 1] = 0.3, 0.0
+    t = recording.t
+    ddq = np.gradient(dq, t, axis=0)
+    still = plant.measure_along(arm, t, q, dq, ddq, sensors=plant.Sensors(rate=200.0))
+    fit = lieid.identify(model, still, processing=CUTOFF)
+    names = " ".join(str(w) for w in fit.warnings if isinstance(w, UnidentifiableWarning))
+    assert "viscous.f_v:2" in names
+    assert np.isfinite(fit.values).all()
+
+
+def test_condition_number_does_not_depend_on_the_choice_of_base():
+    """σ₁/σ_r of the stacked full regressor, by NumPy on the full columns."""
+    model = lieid.Model(ROBOT, "viscous,offset")
+    _, recording = measured()
+    fit = lieid.identify(model, recording, method="ols", processing=CUTOFF)
+    (segment,) = lieid.recording.process(recording, fit.processing)
+    arm = lieid.compile(model)
+    full = np.concatenate(
+        [
+            arm.regressor(segment.q, segment.dq, segment.ddq),
+            arm.effect_columns(segment.q, segment.dq, segment.ddq),
+        ],
+        axis=2,
+    )
+    sizes = np.linalg.svd(segment.filter(full).reshape(-1, full.shape[2]), compute_uv=False)
+    rank = model.base.count
+    assert fit.conditioning.condition_number == pytest.approx(sizes[0] / sizes[rank - 1], rel=1e-6)
+    assert sizes[rank] < 1e-10 * sizes[0]
+
+
+def test_segments_are_not_joined_across_a_gap():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
+    arm, recording = measured(torque_noise=0.02)
+    keep = (recording.t < 8.0) | (recording.t > 13.0)
+    cut = lieid.Recording.from_arrays(
+        recording.t[keep], recording.q[keep], recording.dq[keep], recording.tau[keep]
+    )
+    fit = lieid.identify(model, cut, processing=CUTOFF)
+    assert np.abs((fit.values - true_base(model, arm)) / fit.std).max() < 4.5
+    assert "Dropout" in " ".join(type(w).__name__ for w in fit.warnings)
+
+
+def test_prediction_is_finite_in_every_row_at_its_own_times():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
+    _, recording = measured(torque_noise=0.02)
+    fit = lieid.identify(model, recording, processing=CUTOFF)
+    t = recording.t.copy()
+    t[2000:] += 4.0  # a gap
+    short = np.r_[0:3, 10:2000, 2000:4000]  # and a first segment of three rows
+    t[10:] += 1.0
+    odd = lieid.Recording.from_arrays(t[short], recording.q[short], recording.dq[short])
+    torque = fit.predict(odd)
+    assert torque.shape == (len(short), 2)
+    assert np.isfinite(torque).all()
+    inside = slice(200, 1800)
+    error = torque[inside] - recording.tau[short][inside]
+    assert np.sqrt(np.mean(error**2)) < 0.2
+
+
+def test_a_fit_survives_its_file(tmp_path):
+    model = lieid.Model(lieid.robots.panda(), "coulomb,viscous,offset,armature,stribeck:4")
+    robot = model.robot
+    size = plant.torque_scale(robot)
+    friction = plant.JointFriction(0.03 * size, 0.02 * size, 0.0 * size)
+    _, recording = measured(robot=robot, friction=friction, torque_noise=tuple(0.001 * size))
+    fit = lieid.identify(model, recording, processing=CUTOFF)
+    path = tmp_path / "folder" / "fit.json"
+    path.parent.mkdir()
+    fit.save(path)
+    again = lieid.Fit.load(path)
+    for name in ("values", "shapes", "covariance", "parameters", "noise", "rms_train", "rms_cv"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(fit, name))
+    assert again.to_dict() == fit.to_dict()
+    np.testing.assert_array_equal(again.predict(recording), fit.predict(recording))
+    assert json.loads(path.read_text())["robot"]["text"] == robot.source.text
+    assert [path.name] == [p.name for p in path.parent.iterdir()]
+
+
+def test_errors_name_the_remedy():
+    model = lieid.Model(ROBOT, "coulomb")
+    _, recording = measured(duration=5.0)
+    with pytest.raises(IdentificationError, match="unknown method 'magic'"):
+        lieid.identify(model, recording, method="magic")
+    with pytest.raises(IdentificationError, match="no recordings"):
+        lieid.identify(model, [])
+    no_torque = lieid.Recording.from_arrays(recording.t, recording.q, recording.dq)
+    with pytest.raises(ModelError, match="no torque"):
+        lieid.identify(model, no_torque)
+    with pytest.raises(ModelError, match="2 joints; robot 'panda' has 7"):
+        lieid.identify(lieid.Model(lieid.robots.panda()), recording)
+
+
+def test_cross_validation_sees_overfitting():
+    """With noise alone the held-out error is above the training error, by as much as it should."""
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset,viscous_polynomial,viscous_asymmetric")
+    _, recording = measured(torque_noise=0.3, duration=6.0)
+    fit = lieid.identify(model, recording, processing=CUTOFF)
+    assert np.all(fit.rms_cv > fit.rms_train)
+    assert np.all(fit.rms_cv < 3.0 * fit.rms_train)
