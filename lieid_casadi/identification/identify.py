@@ -137,7 +137,7 @@ def check_with_model(compiled: Compiled, recording: Recording) -> tuple[LieidWar
         nominal = predict_recording(
             compiled, recording, Processing(cutoff=5.0), nothing, compiled.model.initial_shapes
         )
-    return (*recording.warnings, *check(recording, robot, nominal_torque=nominal))
+    return check(recording, robot, nominal_torque=nominal)
 
 
 def check_recordings(model: Model, recordings: Sequence[Recording]) -> None:
