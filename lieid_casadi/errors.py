@@ -32,6 +32,10 @@ class IdentificationError(LieidError):
     """A request that identification cannot meet: no recordings, an unknown method."""
 
 
+class CompilerError(LieidError):
+    """No C compiler that works, or a processor that cannot run what was asked for."""
+
+
 class FitFileError(LieidError):
     """A fit file that is truncated, of a newer schema, or not a fit."""
 

@@ -1,0 +1,135 @@
+"""The system's C compiler, and what this processor can run."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import shutil
+import signal
+import subprocess
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from lieid_casadi.errors import CompilerError
+
+FLAGS = (
+    "-std=gnu11", "-O2", "-fPIC", "-shared",
+    "-ffp-contract=off",  # the same bits with any number of lanes, on any processor
+    "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi",
+)  # fmt: skip
+DEFAULT_TIMEOUT = 30.0  # s; a kernel takes well below one
+
+
+@dataclass(frozen=True)
+class Target:
+    """An instruction set: samples per register, and the flags that ask for it."""
+
+    name: str
+    lanes: int
+    flags: tuple[str, ...] = ()
+    needs: frozenset[str] = frozenset()
+
+
+AVX512 = frozenset({"avx512f", "avx512dq", "avx512vl", "avx512bw"})
+TARGETS = (
+    Target("avx512", 8, (*(f"-m{flag}" for flag in sorted(AVX512)), "-mavx2", "-mfma"), AVX512),
+    Target("avx2", 4, ("-mavx2", "-mfma"), frozenset({"avx2", "fma"})),
+    Target("sse2", 2, (), frozenset({"sse2"})),
+    Target("neon", 2, (), frozenset({"neon"})),
+    Target("scalar", 1),
+)
+
+
+@cache
+def processor_flags() -> frozenset[str]:
+    """Return the names of the instruction sets of `TARGETS` that this processor has."""
+    machine = platform.machine().lower()
+    if machine in ("aarch64", "arm64"):
+        return frozenset({"neon"})
+    if machine not in ("x86_64", "amd64"):
+        return frozenset()
+    try:
+        with open("/proc/cpuinfo", encoding="ascii", errors="replace") as lines:
+            flags = next((line for line in lines if line.startswith("flags")), "")
+    except OSError:
+        flags = ""
+    return frozenset(flags.partition(":")[2].split()) | {"sse2"}
+
+
+def available_targets() -> tuple[Target, ...]:
+    """Return what this processor can run, fastest first; ``scalar`` always comes last."""
+    return tuple(target for target in TARGETS if target.needs <= processor_flags())
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler: its command, and what tells it from another version of itself."""
+
+    command: tuple[str, ...]
+    identity: str
+
+
+def find_compiler() -> Compiler:
+    """Return the compiler of ``$CC``, else the first of cc, gcc, clang on the path.
+
+    Raises
+    ------
+    CompilerError
+        None is there.
+    """
+    stated = shlex.split(os.environ.get("CC", ""))
+    for command in [stated] if stated else [["cc"], ["gcc"], ["clang"]]:
+        found = shutil.which(command[0])
+        if found:
+            real = Path(found).resolve()
+            status = real.stat()
+            identity = f"{real} {status.st_size} {status.st_mtime_ns} {command[1:]}"
+            return Compiler((found, *command[1:]), identity)
+    wanted = f"$CC, which names {stated[0]!r}," if stated else "cc, gcc or clang"
+    raise CompilerError(f"no C compiler: {wanted} is not on the path")
+
+
+def build(compiler: Compiler, target: Target, source: Path, library: Path, include: Path) -> None:
+    """Compile one C file to a shared library.
+
+    Raises
+    ------
+    CompilerError
+        The compiler failed, or took longer than ``LIEID_COMPILER_TIMEOUT`` seconds (30).
+    """
+    command = [
+        *compiler.command, *FLAGS, *target.flags, f"-DLIEID_LANES={target.lanes}", f"-I{include}",
+        str(source), "-o", str(library), "-lm",
+    ]  # fmt: skip
+    name, limit = compiler.command[0], timeout()
+    try:
+        # a session of its own: the driver's children must end with it
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+            start_new_session=True, text=True, errors="replace",
+        )  # fmt: skip
+    except OSError as error:
+        raise CompilerError(f"{name} cannot be started: {error.strerror}") from None
+    try:
+        _, complaint = process.communicate(timeout=limit)
+    except subprocess.TimeoutExpired:
+        raise CompilerError(f"{name} did not finish within {limit:g} s") from None
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+    if process.returncode != 0 or not library.is_file():
+        first = next(
+            (line for line in complaint.splitlines() if "error" in line), complaint.strip()
+        )
+        raise CompilerError(f"{name} failed with status {process.returncode}: {first[:200]}")
+
+
+def timeout() -> float:
+    """Return how long a compiler may take, s."""
+    try:
+        return float(os.environ.get("LIEID_COMPILER_TIMEOUT", DEFAULT_TIMEOUT))
+    except ValueError:
+        return DEFAULT_TIMEOUT

@@ -1,0 +1,201 @@
+"""From a model to its kernels: found in the cache, or built."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import platform
+import tempfile
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+import casadi as ca
+import numpy as np
+
+from lieid_casadi.codegen_files import codegen_folder
+from lieid_casadi.compiled import cache as disk
+from lieid_casadi.compiled.c_source import UnsupportedOperation, kernel_source
+from lieid_casadi.compiled.compiler import (
+    FLAGS,
+    Compiler,
+    Target,
+    available_targets,
+    build,
+    find_compiler,
+)
+from lieid_casadi.compiled.functions import KernelFunctions
+from lieid_casadi.compiled.library import Kernel, Runtime, load_kernel, load_runtime
+from lieid_casadi.errors import CompilerError
+from lieid_casadi.functions import SparseFunction
+from lieid_casadi.robot.robot import Robot
+
+logger = logging.getLogger("lieid_casadi")
+
+Loaded = TypeVar("Loaded", Kernel, Runtime)
+
+# Functions that follow from the robot's geometry alone: they are found in the cache by its
+# numbers, without deriving anything. All others are small and are found by their C source.
+RIGID = frozenset(
+    {"regressor", "base_regressor", "slotine_li_regressor", "inverse_dynamics", "mass_matrix",
+     "coriolis_matrix", "gravity", "jacobian"}
+)  # fmt: skip
+
+
+class Kernels:
+    """The kernels of one model, for one instruction set; any thread may ask.
+
+    Parameters
+    ----------
+    lanes : int, optional
+        Samples per register; the most that this processor has if left out.
+    """
+
+    def __init__(self, functions: KernelFunctions, lanes: int | None = None) -> None:
+        self.functions = functions
+        self.target = target_of(lanes)
+        self._loaded: dict[str, Kernel] = {}
+
+    def get(self, names: Iterable[str]) -> tuple[Runtime, tuple[Kernel, ...]] | None:
+        """Return the runtime and kernels of functions; None without a working compiler.
+
+        The first failure of a process is told once, with its remedy.
+        """
+        names = tuple(names)
+        if _Failure.reason is None:
+            try:
+                missing = [name for name in names if name not in self._loaded]
+                with ThreadPoolExecutor(2) as pool:  # two compilers at once
+                    runtime = pool.submit(_runtime, self.target)
+                    built = list(pool.map(self._kernel, missing))
+                    self._loaded.update(zip(missing, built, strict=True))
+                return runtime.result(), tuple(self._loaded[name] for name in names)
+            except UnsupportedOperation as error:
+                logger.warning("%s; CasADi's virtual machine evaluates it", error)
+            except CompilerError as error:
+                _Failure.tell(str(error))
+            except OSError as error:
+                _Failure.tell(f"compiled code cannot be stored: {error}")
+        return None
+
+    def _kernel(self, name: str) -> Kernel:
+        def source() -> str:
+            sparse = getattr(self.functions, name)
+            assert isinstance(sparse, SparseFunction)
+            return kernel_source(sparse)
+
+        if name in RIGID:
+            content = _rigid_content(self.functions, name)
+            return _library(load_kernel, self.target, content, source)
+        text = source()
+        return _library(load_kernel, self.target, text, lambda: text)
+
+
+class _Failure:
+    """Why this process works without a compiler; set once, so that a hang is met once."""
+
+    reason: str | None = None
+
+    @classmethod
+    def tell(cls, reason: str) -> None:
+        if cls.reason is None:
+            cls.reason = reason
+            logger.warning(
+                "%s; models are evaluated by CasADi's virtual machine, some 50 times slower. "
+                "Remedy: install a C compiler (e.g. apt install gcc) or set CC to one that works",
+                reason,
+            )
+
+
+def target_of(lanes: int | None) -> Target:
+    """Return the fastest instruction set of this processor, or that of ``lanes`` samples.
+
+    Raises
+    ------
+    CompilerError
+        The processor has no registers of that many lanes.
+    """
+    targets = available_targets()
+    if lanes is None:
+        return targets[0]
+    for target in targets:
+        if target.lanes == lanes:
+            return target
+    known = ", ".join(str(target.lanes) for target in targets)
+    raise CompilerError(f"lanes: {lanes}; expected one of {known} on this processor")
+
+
+def _runtime(target: Target) -> Runtime:
+    text = (codegen_folder() / "lieid_batch.c").read_text(encoding="utf-8")
+    return _library(load_runtime, target, text, lambda: text)
+
+
+_libraries: dict[str, Kernel | Runtime] = {}  # by key, for every model of this process
+_lock = threading.Lock()
+
+
+def _library(
+    load: Callable[[Path], Loaded], target: Target, content: str, source: Callable[[], str]
+) -> Loaded:
+    compiler = find_compiler()
+    key = _key(compiler, target, content)
+    with _lock:
+        known = _libraries.get(key)
+    if known is not None:
+        return known  # type: ignore[return-value]  # the key's content says which
+    path = disk.find(key)
+    if path is None:
+        path = disk.store(key, _compiled(compiler, target, source()))
+    loaded = load(path)
+    with _lock:
+        _libraries[key] = loaded
+    return loaded
+
+
+def _compiled(compiler: Compiler, target: Target, text: str) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="lieid-casadi-") as folder:
+        source, library = Path(folder, "model.c"), Path(folder, "model.so")
+        source.write_text(text, encoding="utf-8")
+        build(compiler, target, source, library, codegen_folder())
+        return library.read_bytes()
+
+
+def _key(compiler: Compiler, target: Target, content: str) -> str:
+    flags = (*FLAGS, *target.flags)
+    parts = (platform.machine(), target.name, *flags, compiler.identity, _header(), content)
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:40]
+
+
+def _rigid_content(functions: KernelFunctions, name: str) -> str:
+    """Return what a rigid function depends on: geometry, kept columns, the code that derives it."""
+    model = functions.model
+    digest = hashlib.sha256(_robot_numbers(model.robot))
+    if name == "base_regressor":
+        kept = model.base.kept
+        digest.update(kept[kept < 10 * model.n].astype(np.int64).tobytes())
+    return f"{name} {digest.hexdigest()} {_derivation()}"
+
+
+def _robot_numbers(robot: Robot) -> bytes:
+    arrays = [robot.gravity, robot.tool, *(a for j in robot.joints for a in (j.screw, j.home))]
+    return b"".join(np.ascontiguousarray(array, dtype=np.float64).tobytes() for array in arrays)
+
+
+@cache
+def _header() -> str:
+    return (codegen_folder() / "lieid_lanes.h").read_text(encoding="utf-8")
+
+
+@cache
+def _derivation() -> str:
+    """Return a digest of the code between a robot and its C source."""
+    package = Path(__file__).parents[1]
+    files = [package / "functions.py", package / "robot" / "robot.py"]
+    files += [Path(__file__).with_name("c_source.py"), *(package / "dynamics").glob("*.py")]
+    digest = hashlib.sha256(ca.CasadiMeta.version().encode())
+    for path in sorted(files):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
