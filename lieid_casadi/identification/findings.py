@@ -17,7 +17,7 @@ from lieid_casadi.errors import (
 from lieid_casadi.identification.design import has_dry_friction
 from lieid_casadi.identification.fixed_point import State
 from lieid_casadi.identification.least_squares import Solution, name_direction
-from lieid_casadi.identification.shape_fit import at_bound
+from lieid_casadi.identification.shape_range import ShapeRange
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
 
@@ -57,9 +57,7 @@ def bounds(model: Model, state: State) -> list[LieidWarning]:
                 )
             )
     if len(state.shapes):
-        lower = np.array([p.lower for p in model.shapes])
-        upper = np.array([p.upper for p in model.shapes])
-        for k in np.flatnonzero(at_bound(state.shapes, lower, upper)):
+        for k in np.flatnonzero(ShapeRange.of(model.shapes).at_bound(state.shapes)):
             shape = model.shapes[k]
             found.append(
                 BoundWarning(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.errors import LieidWarning, ModelError
+from lieid_casadi.errors import EffectError, LieidWarning, ModelError
 from lieid_casadi.identification.conditioning import Conditioning
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording.processing import Processed, Processing
@@ -126,27 +126,41 @@ class Fit:
         ------
         ModelError
             If the recording has another number of joints.
+        EffectError
+            If an effect needs a temperature that the recording lacks.
         """
         from lieid_casadi.identification.prediction import predict_recording
 
         self.check_joints(recording)
         return predict_recording(
-            self.compiled, recording, self.processing, self.parameters, self.shapes
+            self.compiled,
+            recording,
+            self.processing,
+            self.parameters,
+            self.shapes,
+            self.temperature_mean,
         )
 
     def predict_processed(self, segment: Processed) -> Array:
-        """Return the filtered torque (M, n) of a processed segment."""
-        from lieid_casadi.identification.prediction import torque_along
+        """Return the filtered torque (M, n) of a segment as `process` returns it."""
+        from lieid_casadi.identification.prediction import relative_temperature, torque_along
 
+        segment = relative_temperature(segment, self.temperature_mean)
         torque = torque_along(self.compiled, segment, self.parameters, self.shapes)
         return segment.filter(torque)
 
     def check_joints(self, recording: Recording) -> None:
-        """Raise `ModelError` if a recording has not the model's joints."""
+        """Raise `ModelError` or `EffectError` if a recording lacks joints or temperatures."""
         if recording.n != self.model.n:
             raise ModelError(
                 f"{recording.name or 'recording'}: {recording.n} joints; "
                 f"the fit of {self.model.robot.name!r} has {self.model.n}"
+            )
+        warm = [p.label for p in self.model.placements if "temperature" in p.effect.signals]
+        if warm and recording.temperature is None:
+            raise EffectError(
+                f"{recording.name or 'recording'}: {warm[0]} needs temperature; expected columns "
+                f"temp1…temp{self.model.n}"
             )
 
     def save(self, path: str | Path) -> None:

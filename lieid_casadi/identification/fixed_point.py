@@ -46,13 +46,15 @@ def fixed_point(design: Design, method: str, report: Progress) -> tuple[State, b
     estimator = ESTIMATORS[method]
     shapes, links = model.initial_shapes, None
     moving = bool(varying_columns(model).any())
+    loaded = any("load" in p.effect.signals for p in model.placements)
+    searched = False
     before: Array | None = None
     for round_ in range(ROUNDS):
         rows = design.rows(shapes, links)
         weighting = estimator(rows)
-        if len(shapes):
-            search = round_ == 0
-            shapes = fit_shapes(design, shapes, links, weighting.noise, search=search)
+        if len(shapes) and not (loaded and links is None):  # shapes of a load need one
+            shapes = fit_shapes(design, shapes, links, weighting.noise, search=not searched)
+            searched = True
             rows = design.rows(shapes, links)
             weighting = estimator(rows)
         solution = solve(weighting.factor)

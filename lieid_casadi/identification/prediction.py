@@ -16,9 +16,7 @@ Array = NDArray[np.float64]
 HIGHEST_CUTOFF = 0.4  # of the recording's rate
 
 
-def torque_along(
-    compiled: Compiled, segment: Processed, parameters: Array, shapes: Array
-) -> Array:
+def torque_along(compiled: Compiled, segment: Processed, parameters: Array, shapes: Array) -> Array:
     """Return the model's torque (K, n) on a segment's grid, not filtered.
 
     Parameters
@@ -41,17 +39,29 @@ def predict_recording(
     processing: Processing,
     parameters: Array,
     shapes: Array,
+    temperature_mean: Array | None = None,
 ) -> Array:
-    """Return the torque (N, n) at the recording's own times, finite in every row."""
+    """Return the torque (N, n) at the recording's own times, finite in every row.
+
+    Temperatures are referred to ``temperature_mean`` (n,), °C.
+    """
     torque = np.zeros_like(recording.q)
     for first, segment in _segments_with_start(recording):
         here = slice(first, first + len(segment.t))
         for grid in _on_grid(segment, processing):
+            grid = relative_temperature(grid, temperature_mean)
             values = torque_along(compiled, grid, parameters, shapes)
             torque[here] = np.column_stack(
                 [np.interp(segment.t, grid.t, values[:, j]) for j in range(compiled.n)]
             )
     return torque
+
+
+def relative_temperature(segment: Processed, mean: Array | None) -> Processed:
+    """Return a segment whose temperatures are relative to a mean (n,), °C."""
+    if segment.temperature is None or mean is None:
+        return segment
+    return replace(segment, temperature=segment.temperature - mean)
 
 
 def _segments_with_start(recording: Recording) -> list[tuple[int, Recording]]:

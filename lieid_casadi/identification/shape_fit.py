@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from lieid_casadi.identification.design import Design, Rows
+from lieid_casadi.identification.shape_range import ShapeRange
 
 Array = NDArray[np.float64]
 STARTS = 7  # values tried over each shape's range before the descent
-STEP = 1e-5  # of a shape's logarithm, for the columns' derivative
-AT_BOUND = 1e-3  # nearer to a bound than this (relative) counts as having run to it
+STEP = 1e-5  # of a shape's range, for the columns' derivative
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,42 +45,33 @@ def fit_shapes(
     search : bool
         Whether to try values over the whole range first.
     """
-    parameters = design.model.shapes
-    lower = np.log([p.lower for p in parameters])
-    upper = np.log([p.upper for p in parameters])
+    ranges = ShapeRange.of(design.model.shapes)
     if search:
         start = _best_start(design, start, links, noise)
 
-    def residual(logarithm: Array) -> Array:
-        return _project(design.rows(np.exp(logarithm), links), noise).residual
+    def residual(place: Array) -> Array:
+        return _project(design.rows(ranges.shapes(place), links), noise).residual
 
-    def jacobian(logarithm: Array) -> Array:
-        rows = design.rows(np.exp(logarithm), links)
-        return _kaufman(design, rows, logarithm, links, noise)
+    def jacobian(place: Array) -> Array:
+        shapes = ranges.shapes(place)
+        rows = design.rows(shapes, links)
+        return _kaufman(design, rows, shapes, links, noise) * ranges.slope(shapes)
 
-    inside = np.clip(np.log(start), lower + 1e-6, upper - 1e-6)
+    inside = np.clip(ranges.place(start), 1e-6, 1.0 - 1e-6)
     result = least_squares(
-        residual, inside, jac=jacobian, bounds=(lower, upper), xtol=1e-5, ftol=1e-8, max_nfev=40
+        residual, inside, jac=jacobian, bounds=(0.0, 1.0), xtol=1e-6, ftol=1e-8, max_nfev=40
     )
-    return np.asarray(np.exp(result.x))
+    return ranges.shapes(np.asarray(result.x))
 
 
-def at_bound(shapes: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
-    """Mark shapes that ran to a bound of their range."""
-    span = np.log(upper / lower)
-    low, high = np.log(shapes / lower), np.log(upper / shapes)
-    return np.asarray(np.minimum(low, high) < AT_BOUND * span)
-
-
-def shape_columns(
-    design: Design, values: Array, shapes: Array, links: Array | None
-) -> list[Array]:
+def shape_columns(design: Design, values: Array, shapes: Array, links: Array | None) -> list[Array]:
     """Return ∂torque/∂shape per joint (R, s) at given linear values (p,)."""
     rows = design.rows(shapes, links)
+    steps = STEP * ShapeRange.of(design.model.shapes).slope(shapes)
     derivatives = [np.zeros((len(joint.torque), len(shapes))) for joint in rows.joints]
     for slot, members in _slots(design).items():
         step = np.zeros(len(shapes))
-        step[members] = STEP * shapes[members]
+        step[members] = steps[members]
         moved = design.rows(shapes + step, links)
         for k in members:
             j = design.model.shapes[k].joint
@@ -94,12 +85,9 @@ def _best_start(design: Design, start: Array, links: Array | None, noise: Array)
     """Return for each shape the value of a coarse grid that fits its joint best."""
     best = start.copy()
     for slot in _slots(design).values():
-        grids = np.array(
-            [
-                np.geomspace(p.lower, p.upper, STARTS + 2)[1:-1]
-                for p in (design.model.shapes[k] for k in slot)
-            ]
-        )
+        places = np.linspace(0.0, 1.0, STARTS + 2)[1:-1]
+        ranges = ShapeRange.of([design.model.shapes[k] for k in slot])
+        grids = np.array([ranges.shapes(np.full(len(slot), x)) for x in places]).T
         misfits = []
         for column in grids.T:
             trial = best.copy()
@@ -165,13 +153,10 @@ def _project(rows: Rows, noise: Array) -> Projection:
     return Projection(matrix, orthonormal, values, torque - orthonormal @ reduced)
 
 
-def _kaufman(
-    design: Design, rows: Rows, logarithm: Array, links: Array | None, noise: Array
-) -> Array:
-    """Return ∂residual/∂log(shapes) ≈ −(1 − QQᵀ)·(∂matrix/∂log shape)·β."""
+def _kaufman(design: Design, rows: Rows, shapes: Array, links: Array | None, noise: Array) -> Array:
+    """Return ∂residual/∂shapes ≈ −(1 − QQᵀ)·(∂matrix/∂shape)·β."""
     projection = _project(rows, noise)
-    shapes = np.exp(logarithm)
     per_joint = shape_columns(design, projection.values, shapes, links)
-    slopes = np.vstack([d / sigma for d, sigma in zip(per_joint, noise, strict=True)]) * shapes
+    slopes = np.vstack([d / sigma for d, sigma in zip(per_joint, noise, strict=True)])
     q = projection.orthonormal
     return np.asarray(-(slopes - q @ (q.T @ slopes)))
