@@ -41,13 +41,13 @@ class Control:
         rad/s, of each joint alone.
     stiffness
         At least this part of the torque scale per radian (metre), so that light joints, too,
-        overcome friction: 20 lets friction of 4 % of the torque limit pull a joint off by 0.002.
+        overcome friction: 100 lets friction of 4 % of the torque limit pull a joint off by 0.0004.
     feedforward
         Nominal rigid torques along the reference; else gravity at the actual pose only.
     """
 
     bandwidth: float = 100.0
-    stiffness: float = 20.0
+    stiffness: float = 100.0
     feedforward: bool = True
 
 
