@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
+REST_MATTERS = 0.25  # of a joint's squared error
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +97,19 @@ class Comparison:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(self.rms / self.noise_floor)
 
+    @property
+    def error_at_rest(self) -> Array:
+        """Fraction of the squared error that samples at rest make (n,)."""
+        at_rest = self.at_rest * np.nan_to_num(self.rms_at_rest) ** 2
+        squares = self.rms**2
+        return np.divide(at_rest, squares, out=np.zeros_like(squares), where=squares > 0.0)
+
+    @property
+    def rest_weighs(self) -> NDArray[np.bool_]:
+        """Joints (n,) whose RMS says more about rest than about motion."""
+        larger = np.nan_to_num(self.rms_at_rest) > np.nan_to_num(self.rms_moving)
+        return np.asarray(larger & (self.error_at_rest > REST_MATTERS))
+
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid compare --json`` writes; one number per joint, None for NaN."""
         return {
@@ -104,6 +118,7 @@ class Comparison:
             "rms_moving": numbers(self.rms_moving),
             "rms_at_rest": numbers(self.rms_at_rest),
             "at_rest": numbers(self.at_rest),
+            "error_at_rest": numbers(self.error_at_rest),
             "torque_rms": numbers(self.torque_rms),
             "relative_rms": numbers(self.relative_rms),
             "correlation": numbers(self.correlation),

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-BINS = 16
-FEWEST = 8  # samples of a bin that has a mean
+FEWEST_STRETCHES, MOST_STRETCHES = 6, 16
+PER_STRETCH = 40  # samples, as long as there are more stretches than the fewest
+FEWEST = 5  # samples of a stretch that has a mean
 SHOWN = 99.5  # per cent of the errors lie inside the axes
 DIRECTIONS = ((1.0, drawing.FORWARD), (-1.0, drawing.BACKWARD), (0.0, drawing.REST))
 
@@ -106,10 +107,11 @@ def stretches(signal: Array, *, around_zero: bool = False) -> Array:
     Around zero they start anew on either side, so that no stretch mixes both directions.
     """
     low, high = (float(x) for x in np.percentile(signal, [0.5, 99.5]))
+    count = int(np.clip(len(signal) // PER_STRETCH, FEWEST_STRETCHES, MOST_STRETCHES))
     if not (around_zero and low < 0.0 < high):
-        return np.linspace(low, high, BINS + 1)
-    below = max(1, round(BINS * -low / (high - low)))
-    above = max(1, BINS - below)
+        return np.linspace(low, high, count + 1)
+    below = max(1, round(count * -low / (high - low)))
+    above = max(1, count - below)
     return np.concatenate([np.linspace(low, 0.0, below + 1), np.linspace(0.0, high, above + 1)[1:]])
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.errors import FrictionAtRestWarning, LieidWarning, SameRecordingWarning
 from lieid_casadi.identification.design import has_dry_friction
-from lieid_casadi.identification.fit import Fit
+from lieid_casadi.identification.fit import Fit, Source
 
-MATTERS = 0.25  # of a joint's squared error from samples at rest
+_NUMBER = r"(?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?"
+_PART = re.compile(rf"@(?P<start>{_NUMBER}):(?P<end>{_NUMBER})$")
 
 
 def findings(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
@@ -18,8 +21,11 @@ def findings(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
 
 
 def _trained_on(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
-    trained = {source for source in fit.provenance.recordings if source.sha256}
-    again = [source.name or "a recording" for source in comparison.recordings if source in trained]
+    again = [
+        source.name or "a recording"
+        for source in comparison.recordings
+        if any(_overlap(source, trained) for trained in fit.provenance.recordings)
+    ]
     if not again:
         return []
     return [
@@ -30,13 +36,25 @@ def _trained_on(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
     ]
 
 
+def _overlap(a: Source, b: Source) -> bool:
+    """Whether two recordings share samples: same data, and parts of it that overlap."""
+    if not a.sha256 or a.sha256 != b.sha256:
+        return False
+    (start, end), (other_start, other_end) = _part(a.name), _part(b.name)
+    return start < other_end and other_start < end
+
+
+def _part(name: str) -> tuple[float, float]:
+    """Return the ends, s, of a part ``…@T0:T1``; everything if the name states none."""
+    match = _PART.search(name)
+    if match is None:
+        return -np.inf, np.inf
+    return float(match["start"] or -np.inf), float(match["end"] or np.inf)
+
+
 def _rest(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
     """Tell joints whose error at rest, where dry friction is anyone's guess, weighs in the RMS."""
-    squares = comparison.rms**2
-    at_rest = comparison.at_rest * np.nan_to_num(comparison.rms_at_rest) ** 2
-    part = np.divide(at_rest, squares, out=np.zeros_like(squares), where=squares > 0.0)
-    larger = np.nan_to_num(comparison.rms_at_rest) > np.nan_to_num(comparison.rms_moving)
-    told = np.flatnonzero(has_dry_friction(fit.model) & (part > MATTERS) & larger)
+    told = np.flatnonzero(has_dry_friction(fit.model) & comparison.rest_weighs)
     if not told.size:
         return []
     details = ", ".join(

@@ -49,12 +49,12 @@ def joint_title(comparison: Comparison, joint: int) -> str:
 
 def digits(value: float, *, sign: str = "") -> str:
     """Return three significant digits, an en dash for NaN."""
-    return "–" if math.isnan(value) else f"{value:{sign}#.3g}"
+    return "–" if math.isnan(value) else f"{value:{sign}#.3g}".rstrip(".")
 
 
 def percent(value: float) -> str:
     """Return a part of one in percent, an en dash for NaN."""
-    return "–" if math.isnan(value) else f"{100.0 * value:.2g} %"
+    return "–" if math.isnan(value) else f"{100.0 * value:#.2g}".rstrip(".") + " %"
 
 
 def html_table(comparison: Comparison) -> str:

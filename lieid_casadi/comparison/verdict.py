@@ -6,7 +6,7 @@ import numpy as np
 
 from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.comparison.table import digits, percent
-from lieid_casadi.errors import FrictionAtRestWarning
+from lieid_casadi.errors import FrictionAtRestWarning, SameRecordingWarning
 from lieid_casadi.recording.wording import joints_text
 
 AS_NOISE = 1.3  # times the noise floor: an error that is nothing but noise
@@ -17,12 +17,16 @@ def verdict(comparison: Comparison) -> str:
     """Say how large the error is, and whether more than noise is left."""
     c = comparison
     names = ", ".join(source.name or "the recording" for source in c.recordings)
-    sentences = [f"On {names} ({c.duration:.3g} s) {_size(c)}."]
+    seen = any(isinstance(warning, SameRecordingWarning) for warning in c.warnings)
+    trained = ", the motion that it was fitted to," if seen else ""
+    sentences = [f"On {names} ({c.duration:.3g} s){trained} {_size(c)}."]
     if np.isfinite(c.noise_floor).any():
         sentences.append(_noise(c))
     if any(isinstance(warning, FrictionAtRestWarning) for warning in c.warnings):
+        moving = ", ".join(digits(rms) for rms in c.rms_moving[c.rest_weighs])
         sentences.append(
-            "Part of the error is at rest, where friction is undetermined: see the warnings."
+            f"On {joints_text(c.rest_weighs)} much of the error is at rest, where friction is "
+            f"undetermined (RMS moving: {moving})."
         )
     return " ".join(sentences)
 
@@ -58,7 +62,8 @@ def _noise(c: Comparison) -> str:
             f"On joint {most + 1} it is {ratio[most]:.2g} times the noise floor{lower}: "
             "something systematic is left there."
         )
+    where = "every joint" if beyond.all() else joints_text(beyond)
     return (
-        f"On {joints_text(beyond)} it is more than {BEYOND_NOISE:g} times the noise floor{lower} "
+        f"On {where} it is more than {BEYOND_NOISE:g} times the noise floor{lower} "
         f"(joint {most + 1}: {ratio[most]:.2g} times): something systematic is left there."
     )

@@ -13,11 +13,11 @@ def moments_section(comparison: Comparison) -> Section:
         (
             joint_title(comparison, moment.joint),
             moment.recording,
-            f"{moment.time:.2f}",
+            f"{moment.time:z.2f}",
             digits(moment.error, sign="+"),
             digits(moment.measured, sign="+"),
-            f"{moment.q:.3f}",
-            f"{moment.dq:.3f}" if moment.moving else "at rest",
+            f"{moment.q:z.3f}",
+            f"{moment.dq:z.3f}" if moment.moving else "at rest",
             comparison.units[moment.joint],
         )
         for moment in comparison.worst

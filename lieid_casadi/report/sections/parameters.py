@@ -27,16 +27,26 @@ def _section(title: str, fit: Fit, table: list[dict[str, Any]], *, folded: bool 
         {
             "joint": row["joint"],
             "name": row["name"],
-            "expression": row["expression"],
+            "expression": _meaning(row),
             "value": value_text(row["value"], row["std"]),
-            "std": "–" if row["std"] is None else f"{row['std']:.2g}",
+            "std": "–" if row["std"] is None else f"{row['std']:#.2g}".rstrip("."),
             "unit": row["unit"],
             "weak": row["std"] is None or abs(row["value"]) < SIGNIFICANT * row["std"],
         }
         for row in table
     ]
-    data = {"rows": rows, "weak": any(row["weak"] for row in rows)}
+    data = {
+        "rows": rows,
+        "weak": any(row["weak"] for row in rows),
+        "combined": any(row["expression"] for row in rows),
+    }
     return Section(title, "parameters.html", data, folded=folded)
+
+
+def _meaning(row: dict[str, Any]) -> str:
+    """Return the combination that a number stands for, nothing if that is its own name."""
+    name, joint, expression = row["name"], row["joint"], str(row["expression"])
+    return "" if expression in (name, f"{name}{joint}", f"{name}:{joint}") else expression
 
 
 def value_text(value: float, std: float | None) -> str:
@@ -52,4 +62,4 @@ def value_text(value: float, std: float | None) -> str:
     if not std:
         return f"{value:.4g}"
     decimals = 1 - math.floor(math.log10(std))
-    return f"{value:.{decimals}f}" if 0 <= decimals <= 8 else f"{value:.4g}"
+    return f"{value:z.{decimals}f}" if 0 <= decimals <= 8 else f"{value:.4g}"

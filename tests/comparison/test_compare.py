@@ -1,0 +1,228 @@
+"""The numbers of a comparison, each computed a second time by hand."""
+
+import json
+
+import numpy as np
+import pytest
+from comparison import two_link_data as arm
+from scipy.signal import butter, sosfiltfilt
+
+import lieid_casadi as lieid
+from lieid_casadi.errors import (
+    FrictionAtRestWarning,
+    ModelError,
+    RecordingError,
+    SameRecordingWarning,
+)
+from lieid_casadi.recording import process
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return arm.fit()
+
+
+def white_through_filter(sigma, cutoff, *, samples=200_000):
+    """Standard deviation of white noise behind the low-pass, by simulation."""
+    noise = sigma * np.random.default_rng(5).standard_normal(samples)
+    return sosfiltfilt(butter(4, cutoff, fs=arm.RATE, output="sos"), noise).std()
+
+
+def test_errors_per_joint_are_those_of_the_filtered_torques(fit):
+    test = arm.recording(14.0, seed=2, noise=0.3, still_after=9.0)
+    (segment,) = process(test, fit.processing)
+    measured, predicted = segment.filter(segment.tau), fit.predict_processed(segment)
+    error, moving = measured - predicted, segment.filtered_moving
+
+    comparison = lieid.compare(fit, test)
+
+    np.testing.assert_allclose(comparison.rms, np.sqrt((error**2).mean(axis=0)))
+    np.testing.assert_allclose(comparison.bias, error.mean(axis=0))
+    np.testing.assert_allclose(comparison.torque_rms, np.sqrt((measured**2).mean(axis=0)))
+    np.testing.assert_allclose(comparison.relative_rms, comparison.rms / comparison.torque_rms)
+    for j in range(2):
+        expected = np.corrcoef(measured[:, j], predicted[:, j])[0, 1]
+        assert comparison.correlation[j] == pytest.approx(expected)
+    went, rested = error[moving[:, 1], 1], error[~moving[:, 1], 1]
+    assert comparison.rms_moving[1] == pytest.approx(np.sqrt(np.mean(went**2)))
+    assert comparison.rms_at_rest[1] == pytest.approx(np.sqrt(np.mean(rested**2)))
+    assert comparison.at_rest[1] == pytest.approx(len(rested) / len(error))
+    assert comparison.error_at_rest[1] == pytest.approx(
+        np.sum(rested**2) / np.sum(error[:, 1] ** 2)
+    )
+    assert 0.3 < comparison.at_rest[1] < 0.45  # 4.5 of 13 s
+    assert comparison.cutoff == 6.0
+
+
+def test_raw_error_is_of_torques_without_filter(fit):
+    test = arm.recording(14.0, seed=2, noise=0.3)
+    error = test.tau - fit.predict(test)
+    comparison = lieid.compare(fit, test)
+    np.testing.assert_allclose(comparison.rms_raw, np.sqrt((error**2).mean(axis=0)), rtol=1e-3)
+    assert np.all(comparison.rms_raw > 2.0 * comparison.rms)
+
+
+def test_on_its_own_training_data_a_fit_has_its_training_error():
+    train = [arm.recording(20.0, seed=s, noise=0.2, name=f"run {s}") for s in (3, 4)]
+    fit = arm.fit(*train)
+    comparison = lieid.compare(fit, train)
+    np.testing.assert_allclose(comparison.rms, fit.rms_train)
+    np.testing.assert_allclose(comparison.rms_raw, fit.rms_train_raw)
+
+
+def test_noise_from_period_to_period_is_the_noise_that_was_added(fit):
+    sigma = 0.4
+    comparison = lieid.compare(fit, arm.recording(30.0, seed=1, noise=sigma))
+    assert comparison.noise_source == "period_to_period"
+    expected = white_through_filter(sigma, 6.0)
+    np.testing.assert_allclose(comparison.noise_floor, expected, rtol=0.12)
+
+
+def test_noise_from_high_frequencies_is_the_noise_that_was_added(fit):
+    sigma = 0.4  # 10 s of a 6 s period: nothing repeats
+    comparison = lieid.compare(fit, arm.recording(10.0, seed=1, noise=sigma))
+    assert comparison.noise_source == "high_frequency"
+    expected = white_through_filter(sigma, 6.0)
+    np.testing.assert_allclose(comparison.noise_floor, expected, rtol=0.12)
+
+
+def test_a_missing_effect_raises_the_error_and_not_the_noise(fit):
+    _, q, _, _ = arm.motion(10.0, seed=1)
+    extra = np.column_stack([4.0 * q[:, 0], np.zeros(len(q))])  # a spring on joint 1
+    without = lieid.compare(fit, arm.recording(10.0, seed=1, noise=0.4))
+    comparison = lieid.compare(fit, arm.recording(10.0, seed=1, noise=0.4, extra=extra))
+    np.testing.assert_allclose(comparison.noise_floor, without.noise_floor, rtol=0.1)
+    assert comparison.over_noise[0] > 5.0
+    assert comparison.over_noise[1] < 1.5
+
+
+def test_noise_is_not_invented_where_the_filter_passes_everything():
+    fit = arm.fit(cutoff=80.0)
+    comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.2))
+    assert comparison.noise_source == "none"
+    assert np.isnan(comparison.noise_floor).all()
+    assert comparison.to_dict()["noise_floor"] == [None, None]
+
+
+def test_worst_moments_are_where_the_torque_was_disturbed(fit):
+    t = arm.motion(14.0)[0]
+    pulse = np.zeros((len(t), 2))
+    for joint, instant, size in ((0, 4.0, -30.0), (0, 9.0, 20.0), (1, 6.0, 15.0)):
+        pulse[:, joint] += size * np.exp(-(((t - instant) / 0.1) ** 2))
+    test = arm.recording(14.0, seed=2, noise=0.05, extra=pulse, name="disturbed")
+    worst = lieid.compare(fit, test).worst
+    first = [m for m in worst if m.joint == 0]
+    assert [round(m.time, 1) for m in first[:2]] == [4.0, 9.0]
+    assert first[0].error < -20.0
+    assert first[1].error > 13.0
+    assert next(round(m.time, 1) for m in worst if m.joint == 1) == 6.0
+    assert all(abs(a.time - b.time) >= 1.0 for a in first for b in first if a is not b)
+    assert {m.recording for m in worst} == {"disturbed"}
+    assert worst[0].to_dict()["joint"] == 1
+
+
+def test_several_recordings_count_by_their_samples(fit):
+    quiet = arm.recording(10.0, seed=2, noise=0.1, name="quiet")
+    loud = arm.recording(16.0, seed=3, noise=0.6, name="loud")
+    both, *each = (lieid.compare(fit, r) for r in ([quiet, loud], quiet, loud))
+    counts = [len(c.series[0].time) for c in each]
+    expected = np.sqrt(np.average([c.rms**2 for c in each], axis=0, weights=counts))
+    np.testing.assert_allclose(both.rms, expected)
+    assert [source.name for source in both.recordings] == ["quiet", "loud"]
+    assert both.duration == pytest.approx(sum(c.duration for c in each))
+    assert both.worst[0].recording == "loud"
+
+
+def test_friction_at_rest_is_told_for_the_joint_that_rests(fit):
+    t = arm.motion(14.0)[0]
+    stuck = np.where((t >= 7.0)[:, None], [0.0, 1.4], 0.0)  # static friction holds joint 2
+    test = arm.recording(14.0, seed=2, noise=0.1, still_after=7.0, extra=stuck)
+    comparison = lieid.compare(fit, test)
+    (told,) = (w for w in comparison.warnings if isinstance(w, FrictionAtRestWarning))
+    assert "joint 2 (RMS 1.4" in str(told)
+    assert "joint 1" not in str(told)
+    assert comparison.rms_moving[1] < 0.3
+
+
+def test_a_joint_that_never_rests_has_no_error_at_rest(fit):
+    comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.1))
+    assert comparison.to_dict()["rms_at_rest"] == [None, None]
+    assert not any(isinstance(w, FrictionAtRestWarning) for w in comparison.warnings)
+
+
+def test_rest_is_nothing_special_without_dry_friction():
+    fit = arm.fit(effects="viscous,offset")
+    t = arm.motion(14.0)[0]
+    stuck = np.where((t >= 7.0)[:, None], [0.0, 8.0], 0.0)
+    test = arm.recording(14.0, seed=2, noise=0.1, still_after=7.0, extra=stuck)
+    assert not any(isinstance(w, FrictionAtRestWarning) for w in lieid.compare(fit, test).warnings)
+
+
+@pytest.mark.parametrize(
+    ("train", "test", "told"),
+    [
+        ((0.0, 12.0), (12.0, 24.0), False),
+        ((0.0, 12.0), (8.0, 20.0), True),
+        ((0.0, 12.0), (None, None), True),
+        ((None, 12.0), (11.0, None), True),
+    ],
+)
+def test_testing_on_training_data_is_told(tmp_path, train, test, told):
+    arm.recording(24.0, seed=3, noise=0.2).save(tmp_path / "run.npz")
+    whole = lieid.Recording.load(tmp_path / "run.npz")
+    part = whole if test == (None, None) else whole.cut(*test)
+    comparison = lieid.compare(arm.fit(whole.cut(*train)), part)
+    assert any(isinstance(w, SameRecordingWarning) for w in comparison.warnings) is told
+
+
+def test_suspicious_recordings_are_told(fit):
+    t, q, dq, ddq = arm.motion(12.0, seed=2)
+    test = lieid.Recording.from_arrays(t, q, -dq, arm.torque(q, dq, ddq))
+    names = {type(w).__name__ for w in lieid.compare(fit, test).warnings}
+    assert "VelocityMismatchWarning" in names
+
+
+def test_what_cannot_be_compared_is_refused(fit):
+    t, q, dq, ddq = arm.motion(12.0)
+    with pytest.raises(ModelError, match="no torque; expected columns tau1…tau2"):
+        lieid.compare(fit, lieid.Recording.from_arrays(t, q, dq))
+    with pytest.raises(ModelError, match="1 joints"):
+        lieid.compare(fit, lieid.Recording.from_arrays(t, q[:, :1], dq[:, :1], dq[:, :1]))
+    with pytest.raises(RecordingError, match="too short"):
+        lieid.compare(fit, arm.recording(1.0, seed=2))
+    slow = slice(None, None, 25)  # 8 Hz, below what a filter of 6 Hz needs
+    tau = arm.torque(q, dq, ddq)
+    with pytest.raises(RecordingError, match="cutoff 6 Hz"):
+        lieid.compare(fit, lieid.Recording.from_arrays(t[slow], q[slow], dq[slow], tau[slow]))
+    with pytest.raises(lieid.LieidError, match="no recordings"):
+        lieid.compare(fit, [])
+
+
+def test_to_dict_is_strict_json_with_one_number_per_joint(fit):
+    comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.1, name="run"))
+    content = json.loads(json.dumps(comparison.to_dict(), allow_nan=False))
+    for key in (
+        "rms", "rms_raw", "rms_moving", "rms_at_rest", "relative_rms", "torque_rms",
+        "correlation", "bias", "noise_floor",
+    ):  # fmt: skip
+        assert len(content[key]) == 2, key
+    assert content["recordings"][0]["name"] == "run"
+    assert len(content["recordings"][0]["sha256"]) == 64
+    assert content["cutoff"] == 6.0
+
+
+def test_series_hold_what_an_error_may_depend_on(fit):
+    test = arm.recording(12.0, seed=2, name="run")
+    (series,) = lieid.compare(fit, test).series
+    inside = slice(5, -5)
+    at = lambda x: np.interp(series.time[inside], test.t, x)  # noqa: E731
+    for j in range(2):
+        np.testing.assert_allclose(series.q[inside, j], at(test.q[:, j]), atol=2e-3)
+        np.testing.assert_allclose(series.dq[inside, j], at(test.dq[:, j]), atol=2e-2)
+    assert set(np.unique(series.sign)) <= {-1.0, 0.0, 1.0}
+    fast = np.abs(series.dq) > 0.2
+    np.testing.assert_array_equal(series.sign[fast], np.sign(series.dq[fast]))
+    # at slow speed the load of this arm is gravity: what the links weigh
+    _, q, dq, ddq = arm.motion(12.0, seed=2)
+    rigid = arm.torque(q, dq, ddq) - np.sign(dq) * [3.0, 1.5] - dq * [2.0, 0.8]
+    np.testing.assert_allclose(series.load[inside, 1], at(rigid[:, 1]), atol=0.25)

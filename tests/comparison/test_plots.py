@@ -1,0 +1,152 @@
+"""Pictures show the numbers of the comparison, and leave Matplotlib as it was."""
+
+import io
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pytest
+from comparison import two_link_data as arm
+from matplotlib.figure import Figure
+
+import lieid_casadi as lieid
+from lieid_casadi.comparison import drawing
+from lieid_casadi.comparison.error_plots import binned_mean, stretches
+
+
+@pytest.fixture(scope="module")
+def comparison():
+    test = arm.recording(14.0, seed=2, noise=0.2, still_after=10.0, name="run_$1$.csv")
+    return lieid.compare(arm.fit(), test)
+
+
+def drawn(figure):
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=50)
+    return buffer.getvalue()
+
+
+def test_plots_are_figures_and_change_no_setting(comparison):
+    from matplotlib import pyplot
+
+    before, windows = dict(matplotlib.rcParams), pyplot.get_fignums()
+    figures = [comparison.plot(), comparison.plot(joint=1), comparison.plot_errors()]
+    for figure in figures:
+        assert type(figure) is Figure
+        assert drawn(figure).startswith(b"\x89PNG")
+    assert dict(matplotlib.rcParams) == before
+    assert pyplot.get_fignums() == windows
+
+
+def test_plot_draws_measured_predicted_and_error_of_every_joint(comparison):
+    axes = np.reshape(comparison.plot().axes, (2, 2))
+    (series,) = comparison.series
+    for joint in range(2):
+        measured, predicted = (line.get_ydata() for line in axes[joint, 0].get_lines())
+        np.testing.assert_array_equal(measured, series.measured[:, joint])
+        np.testing.assert_array_equal(predicted, series.predicted[:, joint])
+        np.testing.assert_allclose(axes[joint, 1].get_lines()[0].get_ydata(), measured - predicted)
+        assert f"RMS {comparison.rms[joint]:.3g}"[:7] in axes[joint, 1].get_title("left")
+
+
+def test_plot_draws_one_joint_into_given_axes(comparison):
+    figure = Figure()
+    ax = figure.subplots()
+    assert comparison.plot(ax, joint=1) is figure
+    measured = ax.get_lines()[0].get_ydata()
+    np.testing.assert_array_equal(measured, comparison.series[0].measured[:, 1])
+
+
+def test_without_a_joint_the_worst_one_is_drawn(comparison):
+    ax = Figure().subplots()
+    comparison.plot(ax)
+    worst = int(np.argmax(comparison.relative_rms))
+    assert ax.get_title("left").startswith(f"joint {worst + 1} ")
+
+
+def test_axes_of_a_part_of_a_figure_are_good_too(comparison):
+    figure = Figure()
+    ax = figure.subfigures(1, 2)[0].subplots()
+    assert comparison.plot(ax, joint=0) is figure
+
+
+def test_errors_are_drawn_against_each_signal(comparison):
+    axes = np.reshape(comparison.plot_errors().axes, (2, 5))
+    (series,) = comparison.series
+    for joint in range(2):
+        for column, signal in ((0, series.q), (1, series.dq), (3, series.load)):
+            clouds = [line for line in axes[joint, column].get_lines() if line.get_marker() == "."]
+            points = np.vstack([np.transpose(line.get_data()) for line in clouds])
+            expected = np.column_stack([signal[:, joint], series.error[:, joint]])
+            assert sorted(map(tuple, points)) == sorted(map(tuple, expected))
+
+
+@pytest.mark.parametrize("name", ["$x^2", "a_b", "\\frac", "{}", "ü" * 200, ""])
+def test_any_name_can_be_drawn(comparison, name):
+    named = replace(comparison, joint_names=(name, "elbow"))
+    drawn(named.plot())
+    drawn(named.plot_errors())
+
+
+def test_noise_that_is_not_known_is_not_drawn(comparison):
+    unknown = replace(comparison, noise_floor=np.full(2, np.nan), noise_source="none")
+    for figure in (unknown.plot(), unknown.plot_errors()):
+        drawn(figure)
+        assert "noise" not in " ".join(t.get_text() for t in figure.legends[0].get_texts())
+
+
+def test_several_recordings_lie_one_after_the_other():
+    fit = arm.fit()
+    given = [arm.recording(8.0, seed=s, noise=0.1, name=f"run {s}") for s in (2, 3)]
+    comparison = lieid.compare(fit, given)
+    figure = comparison.plot()
+    lines = figure.axes[0].get_lines()
+    first, second = lines[0].get_xdata(), lines[2].get_xdata()
+    assert first[-1] < second[0]
+    assert "recordings one after the other" in figure.axes[-1].get_xlabel()
+    drawn(comparison.plot_errors())
+
+
+def test_segments_of_one_recording_keep_its_clock():
+    times = [np.arange(3.0), np.arange(7.0, 9.0)]
+    shown, text = drawing.axis_times(["a", "a"], times)
+    np.testing.assert_array_equal(np.concatenate(shown), np.concatenate(times))
+    assert text == "time [s]"
+
+
+def test_thinned_lines_keep_their_peaks():
+    x = np.arange(200_000.0)
+    y = np.sin(x / 900.0)
+    y[123_456], y[77_777] = 9.0, -7.0
+    thin_x, thin_y = drawing.envelope(x, y)
+    assert len(thin_x) <= 2 * drawing.MOST_COLUMNS
+    assert thin_y.max() == 9.0
+    assert thin_y.min() == -7.0
+    assert np.all(np.diff(thin_x) > 0.0)
+    np.testing.assert_array_equal(y[thin_x.astype(int)], thin_y)
+
+
+def test_clouds_are_thinned_evenly():
+    marked = np.ones(100_000, dtype=bool)
+    marked[:1000] = False
+    kept = drawing.thin(marked)
+    assert 0.5 * drawing.MOST_POINTS < len(kept) <= drawing.MOST_POINTS
+    assert kept[0] == 1000
+    assert np.unique(np.diff(kept)).size == 1
+
+
+def test_means_of_stretches():
+    x = np.array([0.1] * 6 + [1.5] * 3 + [2.5] * 8)
+    y = np.array([1.0] * 3 + [2.0] * 3 + [9.0] * 3 + [4.0] * 8)
+    centre, mean = binned_mean(x, y, np.array([0.0, 1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(centre, [0.5, 1.5, 2.5])
+    np.testing.assert_allclose(mean, [1.5, np.nan, 4.0])
+
+
+def test_stretches_of_speed_part_at_zero():
+    signal = np.linspace(-1.0, 3.0, 4001)
+    edges = stretches(signal, around_zero=True)
+    assert 0.0 in edges
+    assert np.all(np.diff(edges) > 0.0)
+    assert edges[0] == pytest.approx(-0.98, abs=0.01)
+    assert edges[-1] == pytest.approx(2.98, abs=0.01)

@@ -1,0 +1,107 @@
+"""What is said about a comparison: verdict, table, notebook."""
+
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from comparison import two_link_data as arm
+
+import lieid_casadi as lieid
+from lieid_casadi.comparison.table import digits, percent, table_rows
+from lieid_casadi.comparison.verdict import verdict
+from lieid_casadi.errors import LieidWarning
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return arm.fit()
+
+
+def test_nothing_is_left_where_the_model_is_right(fit):
+    comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.4, name="run 2"))
+    text = verdict(comparison)
+    assert text.startswith("On run 2 (8.96 s) the error is ")
+    assert "nothing systematic is left" in text
+
+
+def test_the_joint_with_more_than_noise_is_named(fit):
+    _, q, _, _ = arm.motion(10.0, seed=2)
+    extra = np.column_stack([np.zeros(len(q)), 3.0 * q[:, 1]])
+    text = verdict(lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.2, extra=extra)))
+    assert "On joint 2 it is " in text
+    assert "something systematic is left there" in text
+    assert "lower bound" in text  # no period in 10 s
+
+
+def test_periods_give_a_floor_and_not_a_bound(fit):
+    _, q, _, _ = arm.motion(30.0, seed=2)
+    text = verdict(lieid.compare(fit, arm.recording(30.0, seed=2, noise=0.2, extra=4.0 * q)))
+    assert "On every joint it is more than 2 times the noise floor (joint" in text
+
+
+def test_verdict_tells_training_data_and_rest(fit):
+    train = arm.recording(24.0, seed=1, noise=0.2, name="train")
+    assert "train (23 s), the motion that it was fitted to, the error" in verdict(
+        lieid.compare(fit, train)
+    )
+    t = arm.motion(14.0)[0]
+    stuck = np.where((t >= 7.0)[:, None], [0.0, 1.4], 0.0)
+    rest = lieid.compare(fit, arm.recording(14.0, seed=2, noise=0.1, still_after=7.0, extra=stuck))
+    moving = digits(rest.rms_moving[1])
+    assert f"On joint 2 much of the error is at rest, where friction is undetermined (RMS moving: {moving})" in verdict(rest)  # fmt: skip  # noqa: E501
+
+
+def test_verdict_without_any_torque():
+    t = np.arange(0.0, 12.0, 0.005)
+    q = np.column_stack([np.sin(t), np.cos(2 * t)])
+    none = lieid.Recording.from_arrays(t, q, None, np.zeros((len(t), 2)))
+    comparison = lieid.compare(arm.fit(), none)
+    assert "no torque was measured" in verdict(comparison)
+    assert comparison.to_dict()["relative_rms"] == [None, None]
+    assert comparison.to_dict()["correlation"] == [None, None]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(121.3, "121"), (0.08, "0.0800"), (2.5, "2.50"), (float("nan"), "–"), (12345.0, "1.23e+04")],
+)
+def test_digits(value, text):
+    assert digits(value) == text
+
+
+def test_percent():
+    assert [percent(x) for x in (0.02, 0.512, 1.2, float("nan"))] == ["2.0 %", "51 %", "1.2e+02 %", "–"]  # fmt: skip  # noqa: E501
+
+
+def test_table_counts_joints_from_one_and_names_units(fit):
+    rows = table_rows(lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.1)))
+    assert [row[0] for row in rows] == ["1 shoulder", "2 elbow"]
+    assert {row[-1] for row in rows} == {"N·m"}
+
+
+class _Tags(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.tags, self.text = [], ""
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, attrs))
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_a_notebook_shows_the_table_and_no_foreign_tags(fit):
+    comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.1, name="<img src=x>"))
+    comparison = replace(
+        comparison,
+        joint_names=("<script>alert(1)</script>", "elbow"),
+        warnings=(LieidWarning("<b onclick=x>"),),
+    )
+    parser = _Tags()
+    parser.feed(comparison._repr_html_())
+    assert {tag for tag, _ in parser.tags} == {"p", "table", "thead", "tr", "th", "tbody", "td", "ul", "li", "b"}  # fmt: skip  # noqa: E501
+    assert all(not attributes for _, attributes in parser.tags)
+    for text in ("<script>alert(1)</script>", "<img src=x>", "<b onclick=x>"):
+        assert text in parser.text

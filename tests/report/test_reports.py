@@ -1,0 +1,170 @@
+"""Reports: one file, nothing fetched, nothing of a stranger's executed."""
+
+import re
+from base64 import b64decode
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+from comparison import two_link_data as arm
+
+import lieid_casadi as lieid
+from lieid_casadi.errors import LieidWarning
+from lieid_casadi.report import Section, comparison_report, fit_report, render
+from lieid_casadi.report.sections.parameters import value_text
+
+EVIL = "<script>alert(1)</script>"
+FETCHING = {"src", "href", "srcset", "data", "action", "poster", "background", "xlink:href"}
+
+
+class Page(HTMLParser):
+    """Tags, attributes and visible text of a page."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.attributes, self.text, self.style = [], [], [], ""
+        self._inside = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value) for name, value in attrs]
+        self._inside = tag
+
+    def handle_endtag(self, tag):
+        self._inside = ""
+
+    def handle_data(self, data):
+        if self._inside == "style":
+            self.style += data
+        else:
+            self.text.append(data)
+
+    def values(self, name):
+        return [value for _, key, value in self.attributes if key == name]
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return arm.fit()
+
+
+@pytest.fixture(scope="module")
+def comparison(fit):
+    return lieid.compare(fit, arm.recording(12.0, seed=2, noise=0.2, name="monday.csv"))
+
+
+@pytest.fixture(scope="module")
+def page(fit, comparison):
+    return Page(comparison_report(fit, comparison))
+
+
+def test_a_report_fetches_nothing(page):
+    for tag, name, value in page.attributes:
+        if name in FETCHING:
+            assert value.startswith("data:image/png;base64,"), (tag, name)
+        if name == "style":
+            assert re.fullmatch(r"--part: [\d.]+%", value)
+    assert not {"script", "link", "iframe", "object", "embed", "base"} & set(page.tags)
+    assert "url(" not in page.style
+    assert "@import" not in page.style
+    (policy,) = (v for v in page.values("content") if "default-src" in (v or ""))
+    assert "default-src 'none'" in policy
+
+
+def test_pictures_are_inside(page):
+    pictures = [b64decode(uri.split(",", 1)[1]) for uri in page.values("src")]
+    assert len(pictures) == 2
+    for png in pictures:
+        assert png.startswith(b"\x89PNG\r\n\x1a\n")
+        width = int.from_bytes(png[16:20], "big")
+        assert width > 1000
+    assert all(page.values("alt"))
+
+
+def test_verdict_comes_first_and_numbers_follow(page, comparison):
+    text = " ".join(" ".join(page.text).split())
+    verdict = text.index("On monday.csv (11 s) the error is")
+    assert verdict < text.index("Warnings") < text.index("Error per joint")
+    for rms in comparison.rms:
+        assert f"{rms:.3g}" in text
+    for source in comparison.recordings:
+        assert source.sha256 in text
+
+
+def test_every_parameter_is_listed_with_its_deviation(page, fit):
+    text = " ".join(page.text)
+    for row in fit.parameter_table():
+        assert row["name"] in text
+        assert value_text(row["value"], row["std"]) in text
+
+
+def test_names_from_strangers_are_text(fit, comparison):
+    robot = fit.model.robot
+    joints = tuple(replace(joint, name=EVIL) for joint in robot.joints)
+    model = lieid.Model(replace(robot, name=EVIL, joints=joints), arm.EFFECTS)
+    warning = LieidWarning('"><img src=x onerror=alert(1)>')
+    evil_fit = replace(fit, model=model, warnings=(warning,))
+    sources = tuple(replace(s, name="<a href='http://example.org'>") for s in comparison.recordings)
+    worst = tuple(replace(moment, recording=EVIL) for moment in comparison.worst)
+    evil = replace(
+        comparison, joint_names=(EVIL, EVIL), recordings=sources, worst=worst, warnings=(warning,)
+    )
+    page = Page(comparison_report(evil_fit, evil))
+    assert "script" not in page.tags
+    assert "a" not in page.tags
+    assert "onerror" not in [name for _, name, _ in page.attributes]
+    assert page.tags.count("img") == 2
+    text = "".join(page.text)
+    assert EVIL in text
+    assert str(warning) in text
+
+
+def test_a_fit_without_a_test_has_a_report_too(fit):
+    page = Page(fit_report(fit))
+    text = " ".join(page.text)
+    assert "cross-validated" in text
+    assert "Error per joint" not in text
+    for name in ("coulomb.f_c", "viscous.f_v"):
+        assert name in text
+
+
+def test_sections_join_in_their_order_and_fold():
+    sections = [
+        Section("First", "verdict.html", {"sentence": "one & only"}),
+        Section("Second", "verdict.html", {"sentence": "two"}, folded=True),
+    ]
+    html = render("a < b", sections)
+    page = Page(html)
+    assert "one &amp; only" in html
+    text = " ".join(page.text)
+    assert text.index("First") < text.index("one & only") < text.index("Second")
+    assert page.tags.count("details") == 1
+    assert page.values("id") == ["section-1", "section-2"]
+    assert "a < b" in text
+
+
+def test_a_template_that_lacks_its_data_is_an_error():
+    from jinja2 import UndefinedError
+
+    with pytest.raises(UndefinedError, match="sentence"):
+        render("x", [Section("", "verdict.html", {})])
+
+
+def test_the_same_result_gives_the_same_report(fit, comparison):
+    assert comparison_report(fit, comparison) == comparison_report(fit, comparison)
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (12.3456, 0.021, "12.346"),
+        (-0.00001, 0.1, "0.00"),
+        (1234.5, 30.0, "1234"),
+        (1234.5, 130.0, "1234"),
+        (0.5, None, "0.5"),
+        (0.5, 0.0, "0.5"),
+    ],
+)
+def test_values_have_the_digits_that_they_deserve(value, std, text):
+    assert value_text(value, std) == text
