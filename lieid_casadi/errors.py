@@ -72,6 +72,10 @@ class FrictionAtRestWarning(LieidWarning):
     """Friction is undetermined at rest: samples left a fit, or weigh in a test's error."""
 
 
+class NominalInertiaWarning(LieidWarning):
+    """A stated inertia that no body can have."""
+
+
 class ConvergenceWarning(LieidWarning):
     """An iteration stopped before it had converged."""
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import EffectError, LieidWarning, ModelError
+from lieid_casadi.identification.certificate import Certificate
 from lieid_casadi.identification.conditioning import Conditioning
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording.processing import Processed, Processing
@@ -52,10 +53,12 @@ class Fit:
     shapes : (s,)
         Shape parameters, as ``model.shapes``.
     covariance : (p + s, p + s)
-        Of values and shapes, allowing for residuals correlated in time.
+        Of values and shapes, allowing for residuals correlated in time. For ``feasible`` it is
+        that of weighted least squares: constraints and the pull towards the nominal bodies only
+        make the scatter smaller, in exchange for a bias that no covariance shows.
     parameters : (10 n + m,)
-        Link parameters and effect coefficients that give ``values``, nearest to the robot's
-        nominal ones.
+        Link parameters and effect coefficients that give ``values``: physically possible ones
+        for ``feasible``, else those nearest to the robot's nominal ones.
     noise : (n,)
         Standard deviation of the residual per joint, N·m.
     rms_train, rms_train_raw : (n,)
@@ -70,6 +73,8 @@ class Fit:
     provenance : Provenance
     temperature_mean : (n,) or None
         °C of the training recordings, which temperature effects refer to.
+    certificate : Certificate or None
+        Of the method ``feasible``: what is certain of its parameters, and what they cost.
     """
 
     model: Model
@@ -87,6 +92,7 @@ class Fit:
     warnings: tuple[LieidWarning, ...]
     provenance: Provenance
     temperature_mean: Array | None = None
+    certificate: Certificate | None = None
 
     @cached_property
     def compiled(self) -> Compiled:
@@ -223,6 +229,7 @@ class Fit:
                 "beyond": self.conditioning.beyond,
             },
             "physically_consistent": self.physically_consistent,
+            "certificate": None if self.certificate is None else self.certificate.to_dict(),
             "parameters": self.parameter_table(),
         }
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import lieid_casadi.errors as causes
 from lieid_casadi.errors import FitFileError, LieidWarning, RobotError
+from lieid_casadi.identification.certificate import Certificate
 from lieid_casadi.identification.conditioning import Conditioning
 from lieid_casadi.identification.fit import Fit, Provenance, warning_list
 from lieid_casadi.model import Model
@@ -62,6 +63,7 @@ class Content(msgspec.Struct, forbid_unknown_fields=True):
     warnings: list[dict[str, str]]
     provenance: dict[str, Any]
     temperature_mean: list[float] | None
+    certificate: dict[str, Any] | None = None
 
 
 def save(fit: Fit, path: str | Path) -> None:
@@ -87,6 +89,7 @@ def save(fit: Fit, path: str | Path) -> None:
         warnings=warning_list(fit.warnings),
         provenance=asdict(fit.provenance),
         temperature_mean=None if fit.temperature_mean is None else fit.temperature_mean.tolist(),
+        certificate=None if fit.certificate is None else fit.certificate.to_dict(),
     )
     text = json.dumps(msgspec.to_builtins(content), indent=1, allow_nan=False, ensure_ascii=False)
     with atomic_binary(Path(path)) as file:
@@ -117,6 +120,9 @@ def load(path: str | Path) -> Fit:
             provenance=msgspec.convert(content.provenance, Provenance),
             temperature_mean=(
                 None if content.temperature_mean is None else np.array(content.temperature_mean)
+            ),
+            certificate=(
+                None if content.certificate is None else Certificate.from_dict(content.certificate)
             ),
         )
     except RobotError as error:

@@ -17,17 +17,23 @@ from lieid_casadi.errors import (
     ModelError,
 )
 from lieid_casadi.identification import findings
+from lieid_casadi.identification.certificate import Certificate
 from lieid_casadi.identification.conditioning import conditioning
 from lieid_casadi.identification.covariance import hac_covariance
 from lieid_casadi.identification.cross_validation import (
     BLOCK_OVER_CUTOFF,
+    Estimate,
+    Fold,
     cross_validated_rms,
     fold_factors,
 )
 from lieid_casadi.identification.design import Design, JointRows, Rows
+from lieid_casadi.identification.feasible import certify, make_feasible
+from lieid_casadi.identification.feasible_options import FeasibleOptions
 from lieid_casadi.identification.fit import Fit, Provenance, Source
 from lieid_casadi.identification.fixed_point import ROUNDS, Progress, State, fixed_point
 from lieid_casadi.identification.least_squares import (
+    Factor,
     combine,
     joint_factors,
     remaining_fraction,
@@ -40,6 +46,7 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
 
 Array = NDArray[np.float64]
+METHODS = (*ESTIMATORS, "feasible")
 
 
 def identify(
@@ -48,6 +55,7 @@ def identify(
     *,
     method: str = "wls",
     processing: Processing | None = None,
+    feasible: FeasibleOptions | None = None,
     progress: Progress | None = None,
 ) -> Fit:
     """Fit a model's parameters to recordings.
@@ -57,10 +65,13 @@ def identify(
     model : Model
     recordings : Recording or sequence of Recording
         With torques. Segments are never joined across a gap.
-    method : {"wls", "ols", "robust"}
-        Weights by joint noise, none, or Huber's against outliers.
+    method : {"wls", "ols", "robust", "feasible"}
+        Weights by joint noise, none, or Huber's against outliers; or by joint noise with masses
+        and inertias that can exist, friction that dissipates, and coefficients within bounds.
     processing : Processing, optional
         Filter options; the cut-off is chosen from the spectrum if not stated.
+    feasible : FeasibleOptions, optional
+        What is known of masses and centres of mass, for the method ``feasible``.
     progress : callable, optional
         Called with a stage's name and the fraction done.
 
@@ -73,14 +84,13 @@ def identify(
     RecordingError
         A recording that is certainly wrong, or without torque.
     ModelError, EffectError, IdentificationError
-        Recordings that do not fit the model; an unknown method.
+        Recordings that do not fit the model; an unknown method; a negative nominal mass.
+    NoSolution
+        Method ``feasible`` found no solution: why, and what to relax.
     """
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     report = progress or (lambda stage, fraction: None)
-    if method not in ESTIMATORS:
-        raise IdentificationError(
-            f"unknown method {method!r}; expected one of {', '.join(ESTIMATORS)}"
-        )
+    _check_method(method, feasible)
     check_recordings(model, given)
     compiled = compile(model)
     report("check", 0.0)
@@ -89,13 +99,12 @@ def identify(
     segments, mean = center_temperature(process(given, processing))
     report("regress", 0.3)
     design = Design(compiled, segments)
-    state, settled = fixed_point(design, method, report)
-    covariance = _covariance(design, state)
+    state, settled = fixed_point(design, "wls" if method == "feasible" else method, report)
+    folds = _folds(segments, state)
     unweighted = combine(joint_factors(state.rows), np.ones(model.n))
     found += [w for segment in segments for w in segment.warnings]
     found += findings.aliases(model, remaining_fraction(unweighted))
-    found += findings.bounds(model, state) + findings.hidden(model, state.solution)
-    found += findings.rest(model, segments)
+    found += findings.hidden(model, state.solution) + findings.rest(model, segments)
     if not settled:
         found.append(
             ConvergenceWarning(
@@ -103,27 +112,50 @@ def identify(
                 "leave out an effect with shape parameters, or give more data"
             )
         )
+    estimate: Estimate = _least_squares_values
+    certificate: Certificate | None = None
+    if method == "feasible":
+        possible = make_feasible(design, state, folds, feasible or FeasibleOptions(), report)
+        rms_wls, _ = _rms(compiled, segments, state)
+        state, estimate = possible.state, possible.estimate
+        found += possible.warnings
+    found += findings.bounds(model, state)
     report("evaluate", 0.9)
     rms, rms_raw = _rms(compiled, segments, state)
+    if method == "feasible":
+        certificate = certify(design, possible, rms, rms_wls)
     fit = Fit(
         model=model,
         method=method,
         values=state.solution.values,
         shapes=state.shapes,
-        covariance=covariance,
+        covariance=_covariance(design, state),
         parameters=state.parameters,
         noise=state.weighting.noise,
         rms_train=rms,
         rms_train_raw=rms_raw,
-        rms_cv=_rms_cv(segments, state),
+        rms_cv=cross_validated_rms(folds, estimate),
         processing=segments[0].options,
         conditioning=conditioning(unweighted, model.base),
         warnings=unique_warnings(found),
         provenance=_provenance(given),
         temperature_mean=mean,
+        certificate=certificate,
     )
     report("done", 1.0)
     return fit
+
+
+def _check_method(method: str, feasible: FeasibleOptions | None) -> None:
+    if method not in METHODS:
+        raise IdentificationError(
+            f"unknown method {method!r}; expected one of {', '.join(METHODS)}"
+        )
+    if feasible is not None and method != "feasible":
+        raise IdentificationError(
+            f"options of method feasible were given with method {method!r}; "
+            "expected method='feasible'"
+        )
 
 
 def check_with_model(compiled: Compiled, recording: Recording) -> tuple[LieidWarning, ...]:
@@ -216,12 +248,15 @@ def _rms(compiled: Compiled, segments: Sequence[Processed], state: State) -> tup
     return root_mean_square(np.concatenate(filtered)), root_mean_square(np.concatenate(raw))
 
 
-def _rms_cv(segments: Sequence[Processed], state: State) -> Array:
+def _folds(segments: Sequence[Processed], state: State) -> tuple[Fold, ...]:
     first = segments[0]
     step = first.filtered_time[1] - first.filtered_time[0] if len(first.filtered_time) > 1 else 1.0
     block = max(int(BLOCK_OVER_CUTOFF / first.cutoff / step), 1)
-    folds = fold_factors(state.rows, state.weighting.noise, block=block)
-    return cross_validated_rms(folds, lambda factor: solve(factor).values)
+    return fold_factors(state.rows, state.weighting.noise, block=block)
+
+
+def _least_squares_values(factor: Factor) -> Array:
+    return solve(factor).values
 
 
 def root_mean_square(error: Array) -> Array:

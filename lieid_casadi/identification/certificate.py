@@ -1,0 +1,129 @@
+"""What is certain of physically possible parameters, and what it costs to have them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.compiled import Compiled
+from lieid_casadi.robot.inertia import pseudo_inertia
+from lieid_casadi.robot.robot import Robot
+
+Array = NDArray[np.float64]
+ROUNDING = 1e-8  # of the largest friction: what a solver's tolerance can leave below zero
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """Checks made on the parameters themselves, after the solver.
+
+    Attributes
+    ----------
+    regularization : float
+        λ that was used.
+    regularization_source : str
+        ``cross-validation`` or ``given``.
+    pseudo_inertia_eigenvalue : (n,)
+        Smallest eigenvalue of each link's pseudo-inertia (kg·m², kg·m and kg mixed).
+    mass_matrix_eigenvalue : float
+        Smallest eigenvalue of the rigid M(q), armature left out, over the poses.
+    poses : int
+        Random poses within the joint limits.
+    least_dissipation : float
+        Least sgn(q̇)·τ_f on the grid of speeds, N·m; infinite without friction.
+    divergence : (n,)
+        How far each link is from its reference body (entropic divergence, 0: the same).
+    rms, rms_wls : (n,)
+        Training error of these parameters and of weighted least squares, N·m.
+    """
+
+    regularization: float
+    regularization_source: str
+    pseudo_inertia_eigenvalue: Array
+    mass_matrix_eigenvalue: float
+    poses: int
+    least_dissipation: float
+    divergence: Array
+    rms: Array
+    rms_wls: Array
+
+    @property
+    def holds(self) -> bool:
+        """Whether bodies can exist, M(q) is positive definite and friction dissipates."""
+        return bool(
+            self.pseudo_inertia_eigenvalue.min() > 0.0
+            and self.mass_matrix_eigenvalue > 0.0
+            and self.least_dissipation >= 0.0
+        )
+
+    @property
+    def cost(self) -> Array:
+        """Relative increase of each joint's training error (n,) over weighted least squares."""
+        return np.asarray(self.rms / self.rms_wls - 1.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {
+            "regularization": self.regularization,
+            "regularization_source": self.regularization_source,
+            "pseudo_inertia_eigenvalue": self.pseudo_inertia_eigenvalue.tolist(),
+            "mass_matrix_eigenvalue": self.mass_matrix_eigenvalue,
+            "poses": self.poses,
+            "least_dissipation": (
+                self.least_dissipation if np.isfinite(self.least_dissipation) else None
+            ),
+            "divergence": self.divergence.tolist(),
+            "rms": self.rms.tolist(),
+            "rms_wls": self.rms_wls.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Certificate:
+        """Return the certificate of `to_dict`'s data; `KeyError` or `TypeError` if it is none."""
+        least = data["least_dissipation"]
+        return cls(
+            regularization=float(data["regularization"]),
+            regularization_source=str(data["regularization_source"]),
+            pseudo_inertia_eigenvalue=np.array(data["pseudo_inertia_eigenvalue"], dtype=float),
+            mass_matrix_eigenvalue=float(data["mass_matrix_eigenvalue"]),
+            poses=int(data["poses"]),
+            least_dissipation=np.inf if least is None else float(least),
+            divergence=np.array(data["divergence"], dtype=float),
+            rms=np.array(data["rms"], dtype=float),
+            rms_wls=np.array(data["rms_wls"], dtype=float),
+        )
+
+
+def pseudo_inertia_eigenvalues(links: Array) -> Array:
+    """Return the smallest eigenvalue of each link's pseudo-inertia (n,) of (10 n,)."""
+    bodies = np.array([pseudo_inertia(link) for link in links.reshape(-1, 10)])
+    return np.asarray(np.linalg.eigvalsh(bodies)[:, 0])
+
+
+def least_mass_matrix_eigenvalue(
+    compiled: Compiled, links: Array, *, poses: int, seed: int
+) -> float:
+    """Return the smallest eigenvalue of the rigid M(q) over random poses."""
+    random = np.random.default_rng(seed)
+    lower, upper = position_range(compiled.model.robot)
+    q = random.uniform(lower, upper, (poses, compiled.n))
+    return float(np.linalg.eigvalsh(compiled.mass_matrix(q, links)).min())
+
+
+def least_dissipation(friction: Array, coefficients: Array) -> float:
+    """Return the least of the rows' friction, N·m; rounding below zero counts as zero."""
+    torque = friction @ coefficients
+    if not len(torque):
+        return float("inf")
+    least = float(torque.min())
+    return max(least, 0.0) if least > -ROUNDING * np.abs(torque).max() else least
+
+
+def position_range(robot: Robot) -> tuple[Array, Array]:
+    """Return lower and upper positions (n,); ±π, or ±1 m, where no limits are stated."""
+    reach = np.array([np.pi if joint.revolute else 1.0 for joint in robot.joints])
+    lower, upper = robot.limit("position_lower"), robot.limit("position_upper")
+    return np.where(np.isnan(lower), -reach, lower), np.where(np.isnan(upper), reach, upper)

@@ -1,0 +1,163 @@
+"""Friction takes energy out: rows on the effects' coefficients, from their own columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.compiled import Compiled
+from lieid_casadi.model import Model
+from lieid_casadi.recording import Processed
+
+Array = NDArray[np.float64]
+# of the greatest speed: dense towards rest, where Coulomb friction alone is left
+SPEEDS = np.array([1e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, *np.linspace(0.1, 1.0, 19)])
+COUPLED_SPEEDS = np.array([-1.0, -0.5, -0.1, -0.01, 0.0, 0.01, 0.1, 0.5, 1.0])
+LEVELS = np.array([0.0, 0.5, -0.5, 1.0, -1.0])  # of the greatest load or temperature seen
+POSITIONS = 24  # where friction depends on the position
+FAR = 100.0  # turns and seconds between samples: friction with memory slides fully
+
+
+def friction_columns(model: Model) -> NDArray[np.bool_]:
+    """Mark the effect columns (m,) that are friction: they depend on q̇ or on its sign.
+
+    The constant offset, armature, springs and the like neither dissipate nor have to.
+    """
+    return np.array(
+        [
+            bool({"dq", "sign"} & set(p.effect.signals))
+            for p in model.placements
+            for _ in p.effect.coefficients
+        ],
+        dtype=bool,
+    )
+
+
+def dissipation_rows(
+    compiled: Compiled,
+    shapes: Array,
+    *,
+    velocity: Array,
+    load: Array,
+    temperature: Array,
+    lower: Array,
+    upper: Array,
+) -> Array:
+    """Return rows (K, m): friction dissipates on the grid iff rows @ coefficients ≥ 0.
+
+    A row is the friction's power over the speed, ``sgn(q̇)·τ_f(q̇)`` in N·m. Joints that
+    couplings join are taken together, their powers added.
+
+    Parameters
+    ----------
+    shapes : (s,)
+    velocity : (n,)
+        Greatest speed per joint, rad/s.
+    load : (n,)
+        Greatest load per joint, N·m, for friction that depends on it.
+    temperature : (n,)
+        Greatest deviation from the mean per joint, °C.
+    lower, upper : (n,)
+        Range of positions, for friction that depends on them.
+    """
+    model = compiled.model
+    friction = friction_columns(model)
+    rows = [np.zeros((0, len(friction)))]
+    for group in coupled_joints(model):
+        speeds = _speeds(group, model.n) * velocity
+        columns, speeds = _columns(
+            compiled, group, speeds, shapes, load, temperature, (lower, upper)
+        )
+        power = np.einsum("gi,gik->gk", speeds[:, group], columns[:, group])
+        rows.append(power / np.linalg.norm(speeds[:, group], axis=1)[:, None])
+    stacked = np.vstack(rows) * friction
+    stacked = np.asarray(stacked[np.abs(stacked).max(axis=1, initial=0.0) > 0.0])
+    return _distinct(stacked)
+
+
+def coupled_joints(model: Model) -> list[list[int]]:
+    """Return the joints in groups, those of one coupling together."""
+    groups = [{j} for j in range(model.n)]
+    for p in model.placements:
+        if p.source is not None:
+            a, b = (next(g for g in groups if j in g) for j in (p.joint, p.source))
+            if a is not b:
+                groups.remove(b)
+                a |= b
+    return [sorted(group) for group in groups]
+
+
+def greatest_speed(
+    model: Model, segments: Sequence[Processed], stated: Sequence[float] | None
+) -> Array:
+    """Return the speed (n,) up to which friction must dissipate, rad/s."""
+    if stated is not None:
+        return np.asarray(stated, dtype=float)
+    recorded = np.max([np.abs(s.dq).max(axis=0) for s in segments], axis=0)
+    return np.asarray(np.fmax(model.robot.limit("velocity"), recorded))
+
+
+def _speeds(group: list[int], n: int) -> Array:
+    """Return speeds (G, n) as a part of the greatest; joints beyond the group rest."""
+    if len(group) == 1:
+        alone = np.concatenate([SPEEDS, -SPEEDS])[:, None]
+    else:
+        grids = np.meshgrid(*[COUPLED_SPEEDS] * len(group), indexing="ij")
+        alone = np.stack([grid.ravel() for grid in grids], axis=1)
+        alone = alone[np.any(alone != 0.0, axis=1)]
+    speeds = np.zeros((len(alone), n))
+    speeds[:, group] = alone
+    return speeds
+
+
+def _columns(
+    compiled: Compiled,
+    group: list[int],
+    speeds: Array,
+    shapes: Array,
+    load: Array,
+    temperature: Array,
+    positions: tuple[Array, Array],
+) -> tuple[Array, Array]:
+    """Return columns (G', n, m) and speeds (G', n) at all levels of load, temperature and q."""
+    model = compiled.model
+    here = [p for p in model.placements if p.joint in group]
+    needs = {signal for p in here for signal in p.effect.signals}
+    loads = LEVELS if "load" in needs else LEVELS[:1]
+    warm = LEVELS if "temperature" in needs else LEVELS[:1]
+    where = np.linspace(0.0, 1.0, POSITIONS) if "q" in needs else np.array([0.5])
+    when = np.array([0.0, np.inf]) if "time" in needs else np.zeros(1)
+    k, a, b, c, d = (
+        x.ravel()
+        for x in np.meshgrid(np.arange(len(speeds)), loads, warm, where, when, indexing="ij")
+    )
+    dq, (low, high) = speeds[k], positions
+    q = low + c[:, None] * (high - low)
+    time = np.where(np.isinf(d), 1e6, d)
+    memory = any(p.effect.states for p in here)
+    if memory:  # one long motion; its first sample, where nothing has slid yet, is left out
+        dq, q, a, b, time = (np.concatenate([x[:1], x]) for x in (dq, q, a, b, time))
+        q = q + 2.0 * np.pi * FAR * np.cumsum(np.sign(dq), axis=0)
+        time = time + FAR * np.arange(len(time))
+    columns = compiled.effect_columns(
+        q,
+        dq,
+        np.zeros_like(dq),
+        load=a[:, None] * load,
+        temperature=b[:, None] * temperature,
+        time=time,
+        shapes=shapes,
+        dead_zone=np.zeros(model.n),
+    )
+    return (columns[1:], dq[1:]) if memory else (columns, dq)
+
+
+def _distinct(rows: Array) -> Array:
+    """Leave out rows that repeat others (odd friction asks the same in both directions)."""
+    if not len(rows):
+        return rows
+    keys = np.round(rows / np.abs(rows).max(axis=1, keepdims=True), 9)
+    _, first = np.unique(keys, axis=0, return_index=True)
+    return rows[np.sort(first)]
