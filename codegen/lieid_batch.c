@@ -100,12 +100,19 @@ static int reserve(lieid_space *space, const lieid_plan *plan, size_t values, si
 #define GATHER AT(0)
 #endif
 
+enum { AHEAD = 128 };     /* samples */
+enum { FAR_APART = 512 }; /* bytes from sample to sample, beyond which prefetching costs more */
+
 /* Samples s .. s + count - 1 into lanes; lanes beyond them repeat the last one. */
 static void gather(const lieid_argument *argument, int64_t s, int64_t count, double *lanes)
 {
     const char *p = argument->data + s * argument->sample_bytes;
     const int64_t step = argument->sample_bytes;
     if (count == LIEID_LANES) {
+        /* the processor's own prefetching stops at every page */
+        const int64_t ahead = AHEAD * step, bytes = LIEID_LANES * step;
+        if (step <= FAR_APART)
+            for (int64_t b = 0; b < bytes; b += 64) __builtin_prefetch(p + ahead + b);
         for (int64_t j = 0; j < argument->width; j++, p += argument->value_bytes)
             lieid_store(lanes + j * LIEID_LANES, GATHER);
         return;

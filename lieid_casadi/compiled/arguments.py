@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieid_casadi.errors import ModelError
 
 Array = NDArray[np.float64]
+_FLOAT = np.dtype(np.float64)
 
 
 def samples(name: str, values: ArrayLike, width: int, count: int | None = None) -> Array:
@@ -57,6 +58,8 @@ def output(out: object, shape: tuple[int, ...]) -> Array:
 
 
 def _real(name: str, values: ArrayLike) -> Array:
+    if isinstance(values, np.ndarray) and values.dtype is _FLOAT and values.flags.aligned:
+        return values
     try:
         array = np.asarray(values)
     except ValueError as error:  # rows of different lengths

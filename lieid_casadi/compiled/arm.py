@@ -134,7 +134,7 @@ class Compiled:
         shapes : (s,), optional
             Shape parameters; the effects' start values if left out.
         dead_zone : (n,), optional
-            |q̇| below it counts as rest, rad/s; zero if left out.
+            Over |q̇| below it the sign ramps from −1 to 1, rad/s; zero if left out.
         """
         motion = self._motion(q, dq, ddq)
         values = self._signals(motion, load, temperature, time, shapes, dead_zone)
@@ -342,7 +342,7 @@ class Compiled:
         self, evaluation: Evaluation, values: Mapping[str, Array], out: Array, threads: int | None
     ) -> None:
         apart = {k: v.copy() if np.may_share_memory(v, out) else v for k, v in values.items()}
-        evaluation.dense(apart, out, self.threads if threads is None else threads)
+        evaluation.bind(apart).dense(out, self.threads if threads is None else threads)
 
     def _evaluation(self, name: str) -> Evaluation:
         if name not in self._evaluations:
@@ -350,12 +350,17 @@ class Compiled:
         return self._evaluations[name]
 
     def _make_evaluation(self, name: str) -> Evaluation:
-        parts = _PARTS.get(name, (name,))
         first_columns, shape = self._extent(name)
-        compiled = self._kernels.get(parts)
+        parts = [
+            (part, first)
+            for part, first in zip(_PARTS.get(name, (name,)), first_columns, strict=True)
+            if first < shape[1]  # a model without effects has no columns of theirs
+        ]
+        names, first_columns = [part for part, _ in parts], tuple(first for _, first in parts)
+        compiled = self._kernels.get(names) if parts else None
         if compiled is not None:
             return CompiledEvaluation(*compiled, first_columns, shape)
-        functions = [getattr(self.functions, part) for part in parts]
+        functions = [getattr(self.functions, part) for part in names]
         return MachineEvaluation(functions, first_columns, shape)
 
     def _extent(self, name: str) -> tuple[tuple[int, ...], tuple[int, int]]:

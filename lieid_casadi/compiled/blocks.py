@@ -46,7 +46,7 @@ class BaseBlocks:
         size: int | None = None,
     ) -> None:
         layout = evaluation.layout
-        self._evaluation, self._values = evaluation, dict(values)
+        self._bound = evaluation.bind(values)
         self._starts = [int(start) for start in layout.row_starts]
         self.columns = tuple(
             layout.columns[first:last]
@@ -56,8 +56,11 @@ class BaseBlocks:
         self.size = size or max(64, BUFFER_BYTES // (8 * max(layout.count, 1)) // 64 * 64)
 
     def buffer(self) -> Array:
-        """Return memory for one block."""
-        return np.empty((self._starts[-1], self.size + PADDING))
+        """Return memory for one block, on a cache line's boundary."""
+        rows, columns = self._starts[-1], self.size + PADDING
+        memory = np.empty(rows * columns + PADDING)
+        start = -memory.ctypes.data % 64 // 8
+        return memory[start : start + rows * columns].reshape(rows, columns)
 
     def evaluate(self, first: int, last: int, buffer: Array) -> tuple[Array, ...]:
         """Return samples first … last − 1 (at most ``size``) as one array (p_i, m) per joint.
@@ -65,7 +68,7 @@ class BaseBlocks:
         Rows are contiguous, so that the transpose is a Fortran-ordered matrix of m samples; they
         are views of the buffer.
         """
-        self._evaluation.columns(self._values, first, last, buffer)
+        self._bound.columns(first, last, buffer)
         ends = zip(self._starts[:-1], self._starts[1:], strict=True)
         return tuple(buffer[start:end, : last - first] for start, end in ends)
 

@@ -45,7 +45,7 @@ def kernel_source(sparse: SparseFunction) -> str:
     The kernel ``void lieid_kernel(in, rows, ld)`` reads value j of argument a at
     ``in[a] + j * LIEID_LANES`` (constants at ``in[a][j]``), and writes the k-th nonzero of
     matrix row i, columns ascending, to ``rows[i] + k * ld``. Further symbols tell the shape, the
-    place of each nonzero (row after row) and the arguments.
+    place of each nonzero (row after row) and the arguments with their widths, 0 where unused.
 
     Raises
     ------
@@ -54,10 +54,14 @@ def kernel_source(sparse: SparseFunction) -> str:
     """
     function = sparse.function
     names = [str(function.name_in(k)) for k in range(function.n_in())]
-    widths = [int(function.size1_in(k)) for k in range(function.n_in())]
     order = np.lexsort((sparse.columns, sparse.rows))
-    statements = "\n".join(_statements(sparse, names, order))
-    arguments = " ".join(f"{name}:{width}" for name, width in zip(names, widths, strict=True))
+    lines, used = _statements(sparse, names, order)
+    statements = "\n".join(lines)
+    if {"sin", "cos"} & used:
+        used.add("q")  # the runtime takes them from it
+    arguments = " ".join(
+        f"{name}:{int(function.size1_in(k)) if name in used else 0}" for k, name in enumerate(names)
+    )
     return (
         '#include "lieid_lanes.h"\n'
         f"const int32_t lieid_shape[3] = {{{sparse.shape[0]}, {sparse.shape[1]}, {len(order)}}};\n"
@@ -70,31 +74,46 @@ def kernel_source(sparse: SparseFunction) -> str:
     )
 
 
-def _statements(sparse: SparseFunction, names: list[str], order: Indices) -> list[str]:
-    function, lines = sparse.function, []
+def _statements(
+    sparse: SparseFunction, names: list[str], order: Indices
+) -> tuple[list[str], set[str]]:
+    """Return the statements, and the names of the arguments that they use."""
+    function, lines, used = sparse.function, [], set()
     value: dict[int, str] = {}  # CasADi's work vector: what each slot holds now
+    pending: dict[int, tuple[str, str]] = {}  # inputs not used so far: name, statement
     places = _places(sparse, order)
     for i in range(function.n_instructions()):
         operation = _operation_names()[function.instruction_id(i)]
         target, source = function.instruction_output(i), function.instruction_input(i)
+        if operation == "INPUT":
+            argument, j = source
+            text = _input(argument, j, constant=names[argument] in CONSTANT_ARGUMENTS)
+            pending[target[0]] = names[argument], f"    const lieid_v t{i} = {text};"
+            value[target[0]] = f"t{i}"
+            continue
+        if operation == "CONST":
+            value[target[0]] = f"lieid_splat({_number(function.instruction_constant(i))})"
+            continue
+        for slot in source:
+            if slot in pending:
+                name, line = pending.pop(slot)
+                used.add(name)
+                lines.append(line)
         if operation == "OUTPUT":
             row, k = places[target[1]]
             lines.append(f"    lieid_store(rows[{row}] + {k} * ld, {value[source[0]]});")
             continue
-        if operation == "INPUT":
-            argument, j = source
-            if names[argument] in CONSTANT_ARGUMENTS:
-                text = f"lieid_splat(in[{argument}][{j}])"
-            else:
-                text = f"lieid_load(in[{argument}] + {j} * LIEID_LANES)"
-        elif operation == "CONST":
-            value[target[0]] = f"lieid_splat({_number(function.instruction_constant(i))})"
-            continue
-        else:
-            text = _expression(operation, [value[k] for k in source])
+        text = _expression(operation, [value[k] for k in source])
         lines.append(f"    const lieid_v t{i} = {text};")
         value[target[0]] = f"t{i}"
-    return lines
+        pending.pop(target[0], None)
+    return lines, used
+
+
+def _input(argument: int, j: int, *, constant: bool) -> str:
+    if constant:
+        return f"lieid_splat(in[{argument}][{j}])"
+    return f"lieid_load(in[{argument}] + {j} * LIEID_LANES)"
 
 
 def _places(sparse: SparseFunction, order: Indices) -> dict[int, tuple[int, int]]:

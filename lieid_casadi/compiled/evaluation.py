@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from lieid_casadi.functions import SparseFunction
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-SAMPLES_PER_THREAD = 4096  # fewer are not worth a thread
+SAMPLES_PER_THREAD = 8192  # fewer are not worth a thread
 LAST_LEVEL_CACHE = 8 << 20  # bytes; larger results are written past the caches
 BLOCK = 4096  # samples that the virtual machine evaluates at once
 _ROLES = {"sin": 2, "cos": 3}
@@ -50,20 +51,28 @@ class Layout:
 
 
 class Evaluation(ABC):
-    """A matrix function of samples, made of parts side by side.
-
-    ``values`` maps the names of arguments to arrays, (N, width) per sample or (width,) the same
-    for all; names left out are zero.
-    """
+    """A matrix function of samples, made of parts side by side."""
 
     layout: Layout
 
     @abstractmethod
-    def dense(self, values: Mapping[str, Array], out: Array, threads: int) -> None:
+    def bind(self, values: Mapping[str, Array]) -> Bound:
+        """Return the function on given samples.
+
+        ``values`` maps the names of arguments to arrays, (N, width) per sample or (width,) the same
+        for all; names left out are zero. The arrays are not copied.
+        """
+
+
+class Bound(ABC):
+    """An evaluation on given samples."""
+
+    @abstractmethod
+    def dense(self, out: Array, threads: int) -> None:
         """Write the matrices of all samples to ``out`` (N, rows, columns), C-contiguous."""
 
     @abstractmethod
-    def columns(self, values: Mapping[str, Array], first: int, last: int, out: Array) -> None:
+    def columns(self, first: int, last: int, out: Array) -> None:
         """Write the values of samples first … last − 1 to ``out`` (nnz, ≥ last − first)."""
 
 
@@ -79,17 +88,19 @@ class CompiledEvaluation(Evaluation):
     ) -> None:
         self.runtime = runtime
         self.kernels = kernels
-        self.names = _names(kernels)
+        names = _names(kernels)
+        self.names = {name: k for k, name in enumerate(names)}
         self.layout, _ = _side_by_side(kernels, first_columns, shape)
-        self._calls = self._make_calls()
-        self._offsets, self._sources = _chunks(self.layout, runtime.lanes)
+        self.calls = self._make_calls()
+        self.arguments = _make_arguments(names, kernels)
+        self.offsets, self.sources = _chunks(self.layout, runtime.lanes)
 
     def _make_calls(self) -> ctypes.Array[Call]:
         calls = (Call * len(self.kernels))()
         start = self.layout.row_starts[:-1].copy()
         self._kept: list[Indices] = []  # memory that the calls point to
         for call, kernel in zip(calls, self.kernels, strict=True):
-            arguments = np.array([self.names.index(name) for name, _ in kernel.arguments])
+            arguments = np.array([self.names[name] for name, _ in kernel.arguments])
             starts = start.copy()
             start += np.bincount(kernel.rows, minlength=len(start))
             self._kept += [arguments, starts]
@@ -98,52 +109,53 @@ class CompiledEvaluation(Evaluation):
             call.row_starts = starts.ctypes.data
         return calls
 
-    def _plan(self, values: Mapping[str, Array]) -> tuple[Plan, ctypes.Array[Argument]]:
-        widths = dict(pair for kernel in self.kernels for pair in kernel.arguments)
-        arguments = (Argument * len(self.names))()
-        for argument, name in zip(arguments, self.names, strict=True):
-            argument.width = widths[name]
-            argument.role = 1 if name in CONSTANT_ARGUMENTS else _ROLES.get(name, 0)
-            array = values.get(name)
-            if array is not None:
-                argument.data = array.ctypes.data
+    def bind(self, values: Mapping[str, Array]) -> Bound:
+        """See `Evaluation`."""
+        return _CompiledBound(self, values)
+
+
+class _CompiledBound(Bound):
+    def __init__(self, evaluation: CompiledEvaluation, values: Mapping[str, Array]) -> None:
+        self._evaluation, self._values = evaluation, values
+        self._arguments = type(evaluation.arguments).from_buffer_copy(evaluation.arguments)
+        for name, array in values.items():
+            index = evaluation.names.get(name)
+            if index is not None:
+                argument = self._arguments[index]
+                argument.data = _address(array)
                 if array.ndim == 2:
                     argument.sample_bytes, argument.value_bytes = array.strides
-        plan = Plan(
-            len(arguments), ctypes.addressof(arguments), len(self._calls),
-            ctypes.addressof(self._calls),
+        calls = evaluation.calls
+        self._plan = Plan(
+            len(self._arguments), ctypes.addressof(self._arguments),
+            len(calls), ctypes.addressof(calls),
         )  # fmt: skip
-        return plan, arguments
+        self._address = ctypes.addressof(self._plan)
 
-    def dense(self, values: Mapping[str, Array], out: Array, threads: int) -> None:
-        """See `Evaluation`."""
-        samples, size = len(out), self.layout.shape[0] * self.layout.shape[1]
-        plan, _kept = self._plan(values)
+    def dense(self, out: Array, threads: int) -> None:
+        e = self._evaluation
+        size, start = e.layout.shape[0] * e.layout.shape[1], _address(out)
+        chunks = (len(e.offsets), _address(e.offsets), _address(e.sources))
         past_caches = int(out.nbytes > LAST_LEVEL_CACHE)
 
-        def run(first: int, last: int) -> int:
-            return self.runtime.dense(
-                ctypes.addressof(plan), first, last, out.ctypes.data, size, self.layout.count,
-                len(self._offsets), self._offsets.ctypes.data, self._sources.ctypes.data,
-                past_caches,
-            )  # fmt: skip
+        def run(part: tuple[int, int]) -> int:
+            return e.runtime.dense(
+                self._address, *part, start, size, e.layout.count, *chunks, past_caches
+            )
 
-        slices = _slices(samples, threads, self.runtime.lanes)
-        if len(slices) == 1:
-            failed = run(*slices[0])
+        parts = _slices(len(out), threads, e.runtime.lanes)
+        if len(parts) == 1:
+            failed = run(parts[0])
         else:
-            with ThreadPoolExecutor(len(slices)) as pool:
-                failed = min(pool.map(lambda s: run(*s), slices))
+            with ThreadPoolExecutor(len(parts)) as pool:
+                failed = min(pool.map(run, parts))
         if failed:
             raise MemoryError
 
-    def columns(self, values: Mapping[str, Array], first: int, last: int, out: Array) -> None:
-        """See `Evaluation`."""
-        plan, _kept = self._plan(values)
-        step = out.strides[0] // out.itemsize
-        if self.runtime.columns(
-            ctypes.addressof(plan), first, last, out.ctypes.data, step, self.layout.count
-        ):
+    def columns(self, first: int, last: int, out: Array) -> None:
+        e = self._evaluation
+        step = out.strides[0] // 8
+        if e.runtime.columns(self._address, first, last, _address(out), step, e.layout.count):
             raise MemoryError
 
 
@@ -159,20 +171,11 @@ class MachineEvaluation(Evaluation):
         self.functions = functions
         self.layout, self._order = _side_by_side(functions, first_columns, shape)
 
-    def dense(self, values: Mapping[str, Array], out: Array, threads: int) -> None:
-        """See `Evaluation`; one thread."""
-        out[...] = 0.0
-        for first in range(0, len(out), BLOCK):
-            last = min(first + BLOCK, len(out))
-            out[first:last, self.layout.rows, self.layout.columns] = self._values(
-                values, first, last
-            ).T
-
-    def columns(self, values: Mapping[str, Array], first: int, last: int, out: Array) -> None:
+    def bind(self, values: Mapping[str, Array]) -> Bound:
         """See `Evaluation`."""
-        out[:, : last - first] = self._values(values, first, last)
+        return _MachineBound(self, values)
 
-    def _values(self, values: Mapping[str, Array], first: int, last: int) -> Array:
+    def values(self, values: Mapping[str, Array], first: int, last: int) -> Array:
         """Return the values (nnz, last − first) in the layout's order."""
         parts = []
         for sparse in self.functions:
@@ -180,6 +183,8 @@ class MachineEvaluation(Evaluation):
                 self._input(values, sparse, k, first, last) for k in range(sparse.function.n_in())
             ]
             parts.append(np.asarray(sparse.function(*inputs).full()))
+        if not parts:
+            return np.zeros((0, last - first))
         return np.concatenate(parts)[self._order]
 
     def _input(
@@ -194,18 +199,47 @@ class MachineEvaluation(Evaluation):
         return array[first:last].T if array.ndim == 2 else array
 
 
+class _MachineBound(Bound):
+    def __init__(self, evaluation: MachineEvaluation, values: Mapping[str, Array]) -> None:
+        self._evaluation, self._values = evaluation, values
+
+    def dense(self, out: Array, threads: int) -> None:
+        layout = self._evaluation.layout
+        out[...] = 0.0
+        for first in range(0, len(out), BLOCK):
+            last = min(first + BLOCK, len(out))
+            values = self._evaluation.values(self._values, first, last)
+            out[first:last, layout.rows, layout.columns] = values.T
+
+    def columns(self, first: int, last: int, out: Array) -> None:
+        out[:, : last - first] = self._evaluation.values(self._values, first, last)
+
+
+def _make_arguments(names: Sequence[str], kernels: Sequence[Kernel]) -> ctypes.Array[Argument]:
+    """Return the arguments without their data."""
+    arguments = (Argument * len(names))()
+    for argument, name in zip(arguments, names, strict=True):
+        argument.width = max(dict(kernel.arguments).get(name, 0) for kernel in kernels)
+        argument.role = 1 if name in CONSTANT_ARGUMENTS else _ROLES.get(name, 0)
+    return arguments
+
+
 def _side_by_side(
     parts: Sequence[Kernel | SparseFunction],
     first_columns: Sequence[int],
     shape: tuple[int, int],
 ) -> tuple[Layout, NDArray[np.intp]]:
     """Return the layout of parts together, and which of their values comes where in it."""
-    rows = np.concatenate([part.rows for part in parts]).astype(np.int64)
-    columns = np.concatenate(
-        [part.columns + first for part, first in zip(parts, first_columns, strict=True)]
-    ).astype(np.int64)
+    none = np.zeros(0, dtype=np.int64)
+    rows = np.concatenate([none, *(part.rows for part in parts)])
+    moved = [part.columns + first for part, first in zip(parts, first_columns, strict=True)]
+    columns = np.concatenate([none, *moved])
     order = np.lexsort((columns, rows))
     return Layout(shape, rows[order], columns[order]), order
+
+
+def _address(array: NDArray[Any]) -> int:
+    return int(array.__array_interface__["data"][0])  # half the time of array.ctypes.data
 
 
 def default_threads() -> int:
@@ -221,10 +255,11 @@ def _names(kernels: Sequence[Kernel]) -> list[str]:
 
 def _slices(samples: int, threads: int, lanes: int) -> list[tuple[int, int]]:
     """Return slices of samples, whole groups of lanes but the last."""
-    count = max(1, min(threads, samples // SAMPLES_PER_THREAD))
+    count = min(threads, samples // SAMPLES_PER_THREAD)
+    if count <= 1:
+        return [(0, samples)]
     step = -(-samples // (count * lanes)) * lanes
-    starts = range(0, max(samples, 1), max(step, 1))
-    return [(first, min(first + step, samples)) for first in starts]
+    return [(first, min(first + step, samples)) for first in range(0, samples, step)]
 
 
 def _chunks(layout: Layout, lanes: int) -> tuple[Indices, NDArray[np.int32]]:
