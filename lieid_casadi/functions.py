@@ -45,6 +45,12 @@ def sparse_function(
     )
 
 
+def ramp(dq: ca.SX, width: ca.SX) -> ca.SX:
+    """Return sgn(q̇) with a ramp from −1 to 1 over |q̇| ≤ width, where noise decides the sign."""
+    slope = dq / ca.fmax(width, 1e-200)
+    return ca.if_else(ca.fabs(dq) < width, slope, ca.sign(dq))
+
+
 class ModelFunctions:
     """Lazily built functions of one model; inputs are (n,) columns unless stated.
 
@@ -76,11 +82,11 @@ class ModelFunctions:
 
     @cached_property
     def signals(self) -> EffectSignals:
-        """Symbols of the effects, the sign being that of q̇ outside the dead zone."""
+        """Symbols of the effects, the sign being that of q̇ with a ramp over the dead zone."""
         m = self.motion
-        moving = ca.fabs(m.dq) > self.dead_zone
+        sign = ramp(m.dq, self.dead_zone)
         return EffectSignals(
-            m.q, m.dq, m.ddq, ca.sign(m.dq) * moving, self.load, self.temperature, self.time
+            m.q, m.dq, m.ddq, sign, self.load, self.temperature, self.time
         )
 
     @cached_property
@@ -129,8 +135,7 @@ class ModelFunctions:
             for name, symbol in zip(SIGNAL_NAMES, symbols, strict=True)
         ]
         q, dq, ddq, load, temperature, time = past
-        moving = ca.fabs(dq) > self.dead_zone
-        before = EffectSignals(q, dq, ddq, ca.sign(dq) * moving, load, temperature, time)
+        before = EffectSignals(q, dq, ddq, ramp(dq, self.dead_zone), load, temperature, time)
         after = self.model.advance(before, now, self.shapes, self.states)
         inputs = [self.states, *past, *symbols, self.shapes, self.dead_zone]
         names = ["states", *(f"before_{name}" for name in SIGNAL_NAMES), *SIGNAL_NAMES]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +96,32 @@ class Design:
                 for fixed, segment in zip(self._fixed, self.segments, strict=True)
             ]
         return self._stack(blocks)
+
+    @cached_property
+    def varying(self) -> NDArray[np.intp]:
+        """Base columns (v,) that depend on shapes or load."""
+        return self._effects[self._varying[self._effect_index]]
+
+    def varying_rows(self, shapes: Array, link_parameters: Array | None) -> list[Array]:
+        """Return the varying columns alone, per joint (R, v), rows as in `rows`."""
+        blocks = [self._columns(s, shapes, link_parameters, every=False) for s in self.segments]
+        return [
+            np.concatenate([b[m[:, j], j] for b, m in zip(blocks, self._use, strict=True)])
+            for j in range(self.model.n)
+        ]
+
+    def columns_of_shape(self, k: int) -> NDArray[np.intp]:
+        """Return which varying columns belong to the effect of shape k."""
+        owners = [
+            number
+            for number, p in enumerate(self.model.placements)
+            for _ in p.effect.coefficients
+        ]
+        shape_owners = [
+            number for number, p in enumerate(self.model.placements) for _ in p.effect.shapes
+        ]
+        columns = self._effect_index[self._varying[self._effect_index]]
+        return np.flatnonzero([owners[column] == shape_owners[k] for column in columns])
 
     def _replaced(
         self, fixed: Array, segment: Processed, shapes: Array, links: Array | None

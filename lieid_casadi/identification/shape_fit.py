@@ -1,7 +1,8 @@
 """Shape parameters by variable projection with bounds.
 
 For given shapes the linear parameters follow by least squares, so that only the shapes are
-searched: Golub & Pereyra, SIAM J. Numer. Anal. 1973, with Kaufman's Jacobian.
+searched: Golub & Pereyra, SIAM J. Numer. Anal. 1973, with Kaufman's Jacobian. The columns that
+do not depend on shapes are projected away once (Frisch-Waugh-Lovell).
 """
 
 from __future__ import annotations
@@ -12,22 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from lieid_casadi.identification.design import Design, Rows
+from lieid_casadi.identification.design import Design
 from lieid_casadi.identification.shape_range import ShapeRange
 
 Array = NDArray[np.float64]
-STARTS = 7  # values tried over each shape's range before the descent
+GRID = 17  # values tried over each shape's range
+DESCENTS = 3  # best values of the grid that a descent starts from
 STEP = 1e-5  # of a shape's range, for the columns' derivative
-
-
-@dataclass(frozen=True, eq=False)
-class Projection:
-    """The weighted regression at one set of shapes, its linear part solved."""
-
-    matrix: Array
-    orthonormal: Array
-    values: Array
-    residual: Array
 
 
 def fit_shapes(
@@ -43,120 +35,140 @@ def fit_shapes(
     noise : (n,)
         Weights are 1/noise per joint.
     search : bool
-        Whether to try values over the whole range first.
+        Whether to try values over the whole range first; the cost can have several minima.
     """
     ranges = ShapeRange.of(design.model.shapes)
-    if search:
-        start = _best_start(design, start, links, noise)
-
-    def residual(place: Array) -> Array:
-        return _project(design.rows(ranges.shapes(place), links), noise).residual
-
-    def jacobian(place: Array) -> Array:
-        shapes = ranges.shapes(place)
-        rows = design.rows(shapes, links)
-        return _kaufman(design, rows, shapes, links, noise) * ranges.slope(shapes)
-
-    inside = np.clip(ranges.place(start), 1e-6, 1.0 - 1e-6)
-    result = least_squares(
-        residual, inside, jac=jacobian, bounds=(0.0, 1.0), xtol=1e-6, ftol=1e-8, max_nfev=40
-    )
-    return ranges.shapes(np.asarray(result.x))
+    problem = _Reduced(design, links, noise)
+    starts = _starts(problem, ranges) if search else [start]
+    descents = [_descend(problem, ranges, start) for start in starts]
+    return min(descents, key=lambda shapes: problem.cost(shapes))
 
 
 def shape_columns(design: Design, values: Array, shapes: Array, links: Array | None) -> list[Array]:
     """Return ∂torque/∂shape per joint (R, s) at given linear values (p,)."""
-    rows = design.rows(shapes, links)
+    coefficients = values[design.varying]
+    here = design.varying_rows(shapes, links)
     steps = STEP * ShapeRange.of(design.model.shapes).slope(shapes)
-    derivatives = [np.zeros((len(joint.torque), len(shapes))) for joint in rows.joints]
-    for slot, members in _slots(design).items():
+    derivatives = [np.zeros((len(rows), len(shapes))) for rows in here]
+    for members in _slots(design):
         step = np.zeros(len(shapes))
         step[members] = steps[members]
-        moved = design.rows(shapes + step, links)
+        moved = design.varying_rows(shapes + step, links)
         for k in members:
             j = design.model.shapes[k].joint
-            change = (moved.joints[j].matrix - rows.joints[j].matrix) / step[k]
-            own = _columns_of(design, slot, j, rows.joints[j].columns)
-            derivatives[j][:, k] = change[:, own] @ values[rows.joints[j].columns[own]]
+            own = design.columns_of_shape(k)
+            change = (moved[j] - here[j])[:, own] / step[k]
+            derivatives[j][:, k] = change @ coefficients[own]
     return derivatives
 
 
-def _best_start(design: Design, start: Array, links: Array | None, noise: Array) -> Array:
-    """Return for each shape the value of a coarse grid that fits its joint best."""
-    best = start.copy()
-    for slot in _slots(design).values():
-        places = np.linspace(0.0, 1.0, STARTS + 2)[1:-1]
-        ranges = ShapeRange.of([design.model.shapes[k] for k in slot])
-        grids = np.array([ranges.shapes(np.full(len(slot), x)) for x in places]).T
-        misfits = []
-        for column in grids.T:
-            trial = best.copy()
-            trial[slot] = column
-            rows = design.rows(trial, links)
-            projection = _project(rows, noise)
-            misfits.append(_joint_misfit(rows, projection.residual))
-        per_joint = np.array(misfits)
-        for position, k in enumerate(slot):
-            joint = design.model.shapes[k].joint
-            best[k] = grids[position][int(np.argmin(per_joint[:, joint]))]
-    return best
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """Linear part at given shapes: coefficients of the varying columns and the residual."""
+
+    coefficients: Array
+    residual: Array
+    basis: Array
 
 
-def _joint_misfit(rows: Rows, residual: Array) -> Array:
-    ends = np.cumsum([len(joint.torque) for joint in rows.joints])
-    return np.array([np.sum(part**2) for part in np.split(residual, ends[:-1])])
+class _Reduced:
+    """The weighted regression with the columns that do not vary projected away."""
+
+    def __init__(self, design: Design, links: Array | None, noise: Array) -> None:
+        self.design, self.links, self.noise = design, links, noise
+        rows = design.rows(design.model.initial_shapes, links)
+        self.ends = np.cumsum([len(joint.torque) for joint in rows.joints])[:-1]
+        matrix = np.zeros((sum(len(joint.torque) for joint in rows.joints), rows.count))
+        for block, joint in zip(np.split(matrix, self.ends), rows.joints, strict=True):
+            block[:, joint.columns] = joint.matrix
+        fixed = np.ones(rows.count, dtype=bool)
+        fixed[design.varying] = False
+        weighted = self._weighted([m[:, fixed] for m in np.split(matrix, self.ends)])
+        scale = np.linalg.norm(weighted, axis=0)
+        self.fixed, _ = np.linalg.qr(weighted / np.where(scale > 0.0, scale, 1.0))
+        torque = self._weighted([joint.torque for joint in rows.joints])
+        self.torque = torque - self.fixed @ (self.fixed.T @ torque)
+
+    def _weighted(self, per_joint: list[Array]) -> Array:
+        return np.concatenate([x / s for x, s in zip(per_joint, self.noise, strict=True)])
+
+    def solve(self, shapes: Array) -> _Solved:
+        columns = self._weighted(self.design.varying_rows(shapes, self.links))
+        columns = columns - self.fixed @ (self.fixed.T @ columns)
+        scale = np.linalg.norm(columns, axis=0)
+        scale[scale == 0.0] = 1.0
+        basis, triangle = np.linalg.qr(columns / scale)
+        reduced = basis.T @ self.torque
+        coefficients = np.linalg.lstsq(triangle, reduced, rcond=1e-10)[0] / scale
+        return _Solved(coefficients, self.torque - basis @ reduced, basis)
+
+    def cost(self, shapes: Array) -> float:
+        return float(np.sum(self.solve(shapes).residual ** 2))
+
+    def joint_costs(self, shapes: Array) -> Array:
+        parts = np.split(self.solve(shapes).residual, self.ends)
+        return np.array([np.sum(part**2) for part in parts])
+
+    def jacobian(self, shapes: Array) -> Array:
+        """Return ∂residual/∂shapes ≈ −(1 − QQᵀ)·(∂matrix/∂shape)·β (Kaufman)."""
+        solved = self.solve(shapes)
+        values = np.zeros(self.design.model.base.count)
+        values[self.design.varying] = solved.coefficients
+        slopes = self._weighted(shape_columns(self.design, values, shapes, self.links))
+        for q in (self.fixed, solved.basis):
+            slopes = slopes - q @ (q.T @ slopes)
+        return np.asarray(-slopes)
 
 
-def _slots(design: Design) -> dict[tuple[str, int], list[int]]:
-    """Group shapes of one kind over joints: they touch different rows and move at once."""
+def _descend(problem: _Reduced, ranges: ShapeRange, start: Array) -> Array:
+    result = least_squares(
+        lambda place: problem.solve(ranges.shapes(place)).residual,
+        np.clip(ranges.place(start), 1e-6, 1.0 - 1e-6),
+        jac=lambda place: (
+            problem.jacobian(ranges.shapes(place)) * ranges.slope(ranges.shapes(place))
+        ),
+        bounds=(0.0, 1.0),
+        xtol=1e-6,
+        ftol=1e-8,
+        max_nfev=40,
+    )
+    return ranges.shapes(np.asarray(result.x))
+
+
+def _starts(problem: _Reduced, ranges: ShapeRange) -> list[Array]:
+    """Return starts from a grid over the ranges: first each joint's best values, then next best.
+
+    Shapes of one kind on several joints touch different rows and are tried at once.
+    """
+    design = problem.design
+    starts = np.tile(design.model.initial_shapes, (DESCENTS, 1))
+    places = (np.arange(GRID) + 0.5) / GRID
+    for members in _slots(design):
+        grid = []
+        for place in places:
+            trial = starts[0].copy()
+            trial[members] = ranges.shapes(np.full(len(trial), place))[members]
+            grid.append(problem.joint_costs(trial))
+        for k in members:
+            costs = np.array(grid)[:, design.model.shapes[k].joint]
+            for rank, index in enumerate(_minima(costs)[:DESCENTS]):
+                starts[rank:, k] = ranges.shapes(np.full(starts.shape[1], places[index]))[k]
+    return list(np.unique(starts, axis=0))
+
+
+def _minima(costs: Array) -> list[int]:
+    """Return the indices of local minima, lowest first."""
+    padded = np.concatenate([[np.inf], costs, [np.inf]])
+    lower = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:])
+    return sorted(np.flatnonzero(lower).tolist(), key=lambda k: float(costs[k]))
+
+
+def _slots(design: Design) -> list[list[int]]:
+    """Group shapes of one kind over joints."""
     groups: dict[tuple[str, int], list[int]] = {}
     k = 0
     for p in design.model.placements:
         for position in range(len(p.effect.shapes)):
             groups.setdefault((p.effect.label, position), []).append(k)
             k += 1
-    return groups
-
-
-def _columns_of(
-    design: Design, slot: tuple[str, int], joint: int, columns: NDArray[np.intp]
-) -> NDArray[np.intp]:
-    """Return which of a joint's active columns belong to an effect."""
-    base = design.model.base_columns
-    wanted = [
-        position
-        for position, column in enumerate(columns)
-        if base[column].name.rpartition(".")[0] == slot[0] and base[column].joint == joint
-    ]
-    return np.array(wanted, dtype=np.intp)
-
-
-def _stack(rows: Rows, noise: Array) -> tuple[Array, Array]:
-    total = sum(len(joint.torque) for joint in rows.joints)
-    matrix, torque = np.zeros((total, rows.count)), np.zeros(total)
-    first = 0
-    for joint, sigma in zip(rows.joints, noise, strict=True):
-        last = first + len(joint.torque)
-        matrix[first:last, joint.columns] = joint.matrix / sigma
-        torque[first:last] = joint.torque / sigma
-        first = last
-    return matrix, torque
-
-
-def _project(rows: Rows, noise: Array) -> Projection:
-    matrix, torque = _stack(rows, noise)
-    scale = np.linalg.norm(matrix, axis=0)
-    scale[scale == 0.0] = 1.0
-    orthonormal, triangle = np.linalg.qr(matrix / scale)
-    reduced = orthonormal.T @ torque
-    values = np.linalg.lstsq(triangle, reduced, rcond=1e-10)[0] / scale
-    return Projection(matrix, orthonormal, values, torque - orthonormal @ reduced)
-
-
-def _kaufman(design: Design, rows: Rows, shapes: Array, links: Array | None, noise: Array) -> Array:
-    """Return ∂residual/∂shapes ≈ −(1 − QQᵀ)·(∂matrix/∂shape)·β."""
-    projection = _project(rows, noise)
-    per_joint = shape_columns(design, projection.values, shapes, links)
-    slopes = np.vstack([d / sigma for d, sigma in zip(per_joint, noise, strict=True)])
-    q = projection.orthonormal
-    return np.asarray(-(slopes - q @ (q.T @ slopes)))
+    return list(groups.values())

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import binary_opening
 
 from lieid_casadi.errors import LieidWarning, RecordingError, ShortSegmentWarning
 from lieid_casadi.recording.arrays import Array, Mask, read_only
@@ -28,6 +29,8 @@ from lieid_casadi.recording.spectrum import choose_cutoff, noise_dead_zone
 
 #: q, dq, ddq keep this many cut-offs: the columns' filter does the rest, and does it alone.
 MOTION_BAND = 3.0
+#: Weight of rest in a filtered sample that counts as moving.
+REST_LEFT = 0.1
 #: Rate over cut-off that the grid keeps at least, so that the steps of sgn(dq) stay sharp.
 GRID_OVER_CUTOFF = 20.0
 
@@ -78,7 +81,7 @@ class Processed:
     t
         (K,) s, on the recording's own clock.
     q, dq, ddq
-        (K, n), low-passed at three times the cut-off, zero-phase.
+        (K, n), low-passed at three times the cut-off, zero-phase; dq is 0 where a joint rests.
     tau
         (K, n) or None; resampled, not low-passed: :meth:`filter` does that, as it does on
         every regressor column.
@@ -93,7 +96,7 @@ class Processed:
     dead_zone
         (n,) speed below which a joint counts as at rest, rad/s.
     moving
-        (K, n) True where a joint is faster than its dead zone.
+        (K, n) False where a joint stays in its dead zone for a period of the cut-off or more.
     options
         With the cut-off filled in.
     warnings
@@ -148,11 +151,11 @@ class Processed:
 
     @cached_property
     def filtered_moving(self) -> Mask:
-        """(M, n) True where a joint moves for most of the filter's neighbourhood.
+        """(M, n) True where no rest reaches into the filter's neighbourhood.
 
-        A reversal passes through the dead zone too quickly to count as rest.
+        At rest dry friction can be anything up to its level, and the filter spreads it.
         """
-        return np.asarray(self.filter(self.moving) > 0.5)
+        return np.asarray(np.abs(self.filter(self.moving) - 1.0) < REST_LEFT)
 
 
 def process(
@@ -216,6 +219,8 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
     grid = uniform_time(segment.t, rate)
     rate = (grid.size - 1) / (grid[-1] - grid[0])
     q, dq, ddq, dead_zone = _motion(segment, grid, rate, cutoff)
+    moving = _moving(dq, dead_zone, rate, cutoff)
+    dq = np.where(moving, dq, 0.0)
     tau = None if segment.tau is None else straight_at(segment.t, segment.tau, grid)
     if options.smoother == "rloess":
         ddq = robust_loess(grid, ddq, cutoff)
@@ -236,9 +241,20 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
         rate=rate / step,
         cutoff=cutoff,
         dead_zone=read_only(dead_zone),
-        moving=np.abs(dq[::step]) > dead_zone,
+        moving=moving[::step],
         options=options,
     )
+
+
+def _moving(dq: Array, dead_zone: Array, rate: float, cutoff: float) -> Mask:
+    """Mark (K, n) where joints do not rest: rest is a stay in the dead zone of a filter's length.
+
+    A reversal passes through the dead zone sooner, and there the velocity's own sign is the
+    best guess; taking it for rest would leave dry friction out of every reversal.
+    """
+    length = max(round(rate / cutoff), 1)
+    rest = binary_opening(np.abs(dq) <= dead_zone, structure=np.ones((length, 1), dtype=bool))
+    return np.asarray(~rest)
 
 
 def _motion(

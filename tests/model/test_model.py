@@ -59,11 +59,13 @@ def test_base_regressor_is_full_regressor_times_parameters():
         assert np.abs(error).max() <= 1e-10 * np.abs(torque).max()
 
 
-def test_rest_has_no_dry_friction():
+def test_the_sign_is_zero_at_rest_and_ramps_over_the_dead_zone():
     arm = lieid.compile(lieid.Model(lieid.robots.two_link(), "coulomb,viscous"))
-    dq = np.array([[0.0, 0.01], [0.2, -0.2]])
-    columns = arm.effect_columns(dq * 0, dq, dq * 0, dead_zone=[0.05, 0.05])
-    np.testing.assert_array_equal(columns[:, :, :2], [np.zeros((2, 2)), np.diag([1.0, -1.0])])
+    dq = np.array([[0.0, 0.01], [0.2, -0.2], [-0.01, np.nan]])
+    ramped = arm.effect_columns(dq * 0, dq, dq * 0, dead_zone=[0.05, 0.05])[:, [0, 1], [0, 1]]
+    np.testing.assert_allclose(ramped, [[0.0, 0.2], [1.0, -1.0], [-0.2, np.nan]])
+    sharp = arm.effect_columns(dq * 0, dq, dq * 0)[:, [0, 1], [0, 1]]
+    np.testing.assert_array_equal(sharp, [[0.0, 1.0], [1.0, -1.0], [-1.0, np.nan]])
 
 
 @pytest.mark.parametrize("bad", [np.zeros((3, 3)), np.zeros(2), np.zeros((4, 2))])

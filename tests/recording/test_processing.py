@@ -172,7 +172,8 @@ def test_rest_is_told_from_motion(noise):
 
 def test_a_reversal_is_no_rest(processed):
     assert processed.filtered_moving.all()
-    assert not processed.moving.all()
+    assert processed.moving.all()
+    assert (np.abs(processed.dq) < processed.dead_zone).any()
 
 
 def test_segments_are_never_joined_across_a_gap():
