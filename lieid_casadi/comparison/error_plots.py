@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 FEWEST_STRETCHES, MOST_STRETCHES = 6, 16
 PER_STRETCH = 40  # samples, as long as there are more stretches than the fewest
 FEWEST = 5  # samples of a stretch that has a mean
+FEW_POINTS = 600  # are drawn larger
 SHOWN = 99.5  # per cent of the errors lie inside the axes
 DIRECTIONS = ((1.0, drawing.FORWARD), (-1.0, drawing.BACKWARD), (0.0, drawing.REST))
 
@@ -85,10 +86,11 @@ def _draw_row(comparison: Comparison, joint: int, axes: Array, time: Array) -> N
 
 
 def _draw_cloud(ax: Axes, signal: Array, error: Array, sign: Array) -> None:
+    size = 3.0 if len(error) > FEW_POINTS else 5.0
     for direction, colour in reversed(DIRECTIONS):
         use = drawing.thin(sign == direction)
         ax.plot(
-            signal[use], error[use], ".", color=colour, alpha=0.4, markersize=3.0, mew=0.0,
+            signal[use], error[use], ".", color=colour, alpha=0.4, markersize=size, mew=0.0,
             rasterized=True, zorder=1.5,
         )  # fmt: skip
 

@@ -226,3 +226,12 @@ def test_series_hold_what_an_error_may_depend_on(fit):
     _, q, dq, ddq = arm.motion(12.0, seed=2)
     rigid = arm.torque(q, dq, ddq) - np.sign(dq) * [3.0, 1.5] - dq * [2.0, 0.8]
     np.testing.assert_allclose(series.load[inside, 1], at(rigid[:, 1]), atol=0.25)
+
+
+def test_a_test_is_never_averaged_over_periods():
+    train = arm.recording(30.0, seed=1, noise=0.2)
+    model = lieid.Model(lieid.robots.two_link(), arm.EFFECTS)
+    averaged = lieid.Processing(cutoff=6.0, average_periods=True)
+    fit = lieid.identify(model, train, processing=averaged)
+    comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.2))  # nothing repeats
+    assert comparison.duration == pytest.approx(9.0, abs=0.1)
