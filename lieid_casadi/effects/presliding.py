@@ -70,16 +70,30 @@ class Presliding(Effect):
 
     def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
         """See the class."""
-        moved = now.q - before.q
-        width = self._width((before.dq + now.dq) / 2, shape)
-        relative = ca.fabs(moved) / width
-        left = before.state["z"] * ca.exp(-relative)
-        return [left - ca.sign(moved) * width * ca.expm1(-relative)]
+        moved, width = now.q - before.q, self._width((before.dq + now.dq) / 2, shape)
+        first = _until_reversal(before, now)
+        return [_slide(_slide(before.state["z"], first, width), moved - first, width)]
 
     def _width(self, dq: ca.SX, shape: Mapping[str, ca.SX]) -> ca.SX:
         if self.option != "lugre":
             return shape["w"]
         return shape["w"] * (1 + shape["r"] * ca.exp(-((dq / shape["v_s"]) ** 2)))
+
+
+def _slide(z: ca.SX, moved: ca.SX, width: ca.SX) -> ca.SX:
+    """Return the deflection after a motion in one direction."""
+    relative = ca.fabs(moved) / width
+    return z * ca.exp(-relative) - ca.sign(moved) * width * ca.expm1(-relative)
+
+
+def _until_reversal(before: Signals, now: Signals) -> ca.SX:
+    """Return the motion up to a reversal within the step; 0 without one.
+
+    The velocity is taken to pass through zero linearly.
+    """
+    turns = before.dq * now.dq < 0
+    total = ca.if_else(turns, ca.fabs(before.dq) + ca.fabs(now.dq), 1)
+    return turns * before.dq * ca.fabs(before.dq) / total * (now.time - before.time) / 2
 
 
 register(Presliding, options=["load", "square", "lugre"])

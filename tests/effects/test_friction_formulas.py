@@ -1,0 +1,163 @@
+"""The friction library against its formulas written once more in NumPy, and its corners."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from lieid_casadi.effects import Signals, make
+from lieid_casadi.effects.effect import REGISTER
+from lieid_casadi.errors import EffectError
+
+NAMES = ("q", "dq", "ddq", "sign", "load", "temperature", "time")
+
+
+def evaluate(label, shape=None, **values):
+    """Columns (m, N) of an effect at samples (N,), by CasADi."""
+    effect = make(label)
+    symbols = {k: ca.SX.sym(k) for k in NAMES}
+    states = {s.name: ca.SX.sym(s.name) for s in effect.states}
+    shapes = {s.name: ca.SX.sym(s.name) for s in effect.shapes}
+    columns = ca.vertcat(*effect.columns(Signals(**symbols, state=states), shapes))
+    function = ca.Function("f", [*symbols.values(), *states.values(), *shapes.values()], [columns])
+    count = len(next(iter(values.values())))
+    given = [np.asarray(values.get(k, np.zeros(count)), dtype=float) for k in (*NAMES, *states)]
+    numbers = [s.initial for s in effect.shapes] if shape is None else shape
+    return function(*(x[None] for x in given), *numbers).full()
+
+
+@pytest.fixture
+def s():
+    rng = np.random.default_rng(0)
+    dq = np.concatenate([np.zeros(4), rng.normal(scale=0.3, size=60)])
+    signals = {k: rng.normal(size=64) for k in ("q", "load", "temperature", "z")}
+    return {**signals, "dq": dq, "sign": np.sign(dq), "time": rng.uniform(0, 900, 64)}
+
+
+def test_eq6_with_a_free_exponent(s):
+    (column,) = evaluate("stribeck/exponent", [0.2, 1.3], **s)
+    expected = s["sign"] * np.exp(-((np.abs(s["dq"]) / 0.2) ** 1.3))
+    np.testing.assert_allclose(column, expected, atol=2e-3)  # rounded at rest
+
+
+def test_eq7_is_its_two_terms(s):
+    coulomb, static = evaluate("stribeck/two_width", [0.05, 0.3], **s)
+    np.testing.assert_allclose(coulomb, s["sign"] * (1 - np.exp(-((s["dq"] / 0.05) ** 2))))
+    np.testing.assert_allclose(static, s["sign"] * np.exp(-((s["dq"] / 0.3) ** 2)))
+
+
+def test_eq8_away_from_rest_is_the_printed_one(s):
+    moving = np.abs(s["dq"]) > 0.05
+    _, printed = evaluate("load_friction/paper", [0.02], **s)
+    exponent = -0.02 * np.abs(s["load"]) / np.abs(np.where(moving, s["dq"], 1.0))
+    expected = np.exp(exponent) * s["sign"]
+    np.testing.assert_allclose(printed[moving], expected[moving], rtol=1e-3)
+
+
+def test_the_ten_coefficient_formula_of_the_paper(s):
+    """Eq. 8 as one sum, from the effects that make it up."""
+    f = {"v1": 3.0, "v2": -1.0, "v3": 0.4, "c": 2.0, "c1": 0.03, "s": 2.6, "s1": 0.2}
+    f |= {"t": 0.05, "t1": 0.3, "t2": 0.01}
+    total = f["v1"] * evaluate("viscous", **s)[0]
+    total += np.array([f["v2"], f["v3"]]) @ evaluate("viscous_polynomial", **s)
+    total += np.array([f["c"], f["s"]]) @ evaluate("stribeck/two_width", [f["c1"], f["s1"]], **s)
+    total += np.array([f["t"], f["t1"]]) @ evaluate("load_friction/paper", [f["t2"]], **s)
+    dq, sgn, load = s["dq"], s["sign"], np.abs(s["load"])
+    expected = f["v1"] * dq + f["v2"] * sgn * dq**2 + f["v3"] * dq**3
+    expected += f["c"] * sgn * (1 - np.exp(-((dq / f["c1"]) ** 2)))
+    expected += f["s"] * sgn * np.exp(-((dq / f["s1"]) ** 2))
+    speed = np.sqrt(dq**2 + 1e-6)
+    expected += (f["t"] * load + f["t1"] * np.exp(-f["t2"] * load / speed)) * sgn
+    np.testing.assert_allclose(total, expected, rtol=1e-12, atol=1e-14)
+
+
+def test_load_models(s):
+    (square,) = evaluate("load_friction/square", **s)
+    np.testing.assert_allclose(square, s["load"] ** 2 * s["sign"])
+    steady, fading = evaluate("load_friction/stribeck", [0.4], **s)
+    np.testing.assert_allclose(steady, np.abs(s["load"]) * s["sign"])
+    np.testing.assert_allclose(fading, steady * np.exp(-((s["dq"] / 0.4) ** 2)))
+
+
+def test_temperature_friction(s):
+    viscous, dry = evaluate("temperature_friction", **s)
+    np.testing.assert_allclose(viscous, s["temperature"] * s["dq"])
+    np.testing.assert_allclose(dry, s["temperature"] * s["sign"])
+    (thinning,) = evaluate("temperature_friction/exponential", [0.03], **s)
+    np.testing.assert_allclose(thinning, np.exp(-0.03 * s["temperature"]) * s["dq"])
+
+
+def test_warm_up_starts_cold_and_ends_warm(s):
+    viscous, dry = evaluate("warm_up", [120.0], **s)
+    warm = 1 - np.exp(-s["time"] / 120.0)
+    np.testing.assert_allclose(viscous, warm * s["dq"])
+    np.testing.assert_allclose(dry, warm * s["sign"])
+
+
+def test_position_friction(s):
+    sine, cosine = evaluate("position_friction", **s)
+    np.testing.assert_allclose(sine, np.sin(s["q"]) * s["sign"])
+    np.testing.assert_allclose(cosine, np.cos(s["q"]) * s["sign"])
+
+
+def test_panda_sigmoid_with_published_numbers(s):
+    """Joint 6 of Gaz et al. 2019."""
+    amplitude, steep, shift = 0.30301, 17.133, -0.021047
+    (column,) = evaluate("sigmoid_friction", [steep, shift], **s)
+    printed = amplitude / (1 + np.exp(-steep * (s["dq"] + shift)))
+    printed -= amplitude / (1 + np.exp(-steep * shift))
+    np.testing.assert_allclose(amplitude * column, printed, rtol=1e-12, atol=1e-15)
+    assert np.all(column[s["dq"] == 0.0] == 0.0)
+
+
+@pytest.mark.parametrize("label", sorted(REGISTER))
+def test_values_and_derivatives_are_finite_everywhere(label):
+    """At rest, without load, at extremes: columns, states and their Jacobians."""
+    effect = make(label)
+    own, past, other = (
+        {k: ca.SX.sym(f"{who}_{k}") for k in NAMES} for who in ("own", "past", "other")
+    )
+    shapes = {p.name: ca.SX.sym(p.name) for p in effect.shapes}
+    states = {p.name: ca.SX.sym(p.name) for p in effect.states}
+    partner = Signals(**other) if effect.couples else None
+    now = Signals(**own, other=partner, state=states)
+    out = [*effect.columns(now, shapes)]
+    if states:
+        out += effect.advance(Signals(**past, state=states), now, shapes)
+    variables = ca.vertcat(
+        *own.values(), *past.values(), *other.values(), *states.values(), *shapes.values()
+    )
+    result = ca.vertcat(*out)
+    function = ca.Function("f", [variables], [result, ca.jacobian(result, variables)])
+    rng = np.random.default_rng(1)
+    ends = [[p.initial, p.lower, p.upper] for p in effect.shapes]
+    for _ in range(300):
+        signals = rng.choice([0.0, 0.0, 1e-12, -1e-3, 0.7, -30.0, 1e4], size=21)
+        numbers = [rng.choice(e) for e in ends]
+        state = rng.choice([0.0, 0.01, -0.4], size=len(states))
+        for value in function(np.concatenate([signals, state, numbers])):
+            assert np.isfinite(value.full()).all()
+
+
+@pytest.mark.parametrize(
+    "label",
+    [
+        "coulomb", "viscous", "stribeck", "stribeck/exponent", "stribeck/two_width",
+        "viscous_polynomial", "load_friction", "load_friction/paper", "load_friction/motoring",
+        "load_friction/square", "load_friction/stribeck", "temperature_friction/exponential",
+        "warm_up", "sigmoid_friction",
+    ],
+)  # fmt: skip
+def test_each_column_opposes_motion(label, s):
+    """With a positive coefficient none of these gives energy: q̇·column ≥ 0."""
+    assert np.all(s["dq"] * evaluate(label, **s) >= 0.0)
+
+
+@pytest.mark.parametrize(
+    "label", ["stribeck/wide", "load_friction/cubic", "temperature_friction/x", "presliding/gms"]
+)
+def test_unknown_options_are_refused(label):
+    with pytest.raises(EffectError, match="unknown effect"):
+        make(label)
+    name, option = label.split("/")
+    with pytest.raises(EffectError, match=f"{name} has no option '{option}'; expected"):
+        type(make(name))(option=option)
