@@ -38,7 +38,7 @@ class Presliding(Effect):
         self.option = option
         self.coefficients = (Coefficient("f_c", "N·m"),)
         self.shapes = (Shape("w", "rad", 0.01, 1e-4, 0.5),)
-        self.signals = ("q",)
+        self.signals = ("q", "dq", "time")
         if option == "":
             self.formula = "f_c·z/w, dz/dq = 1 − sgn(q̇)·z/w"
         elif option in ("load", "square"):
@@ -46,12 +46,11 @@ class Presliding(Effect):
             self.formula = f"(f_c + f_τ·{power})·z/w, dz/dq = 1 − sgn(q̇)·z/w"
             name, unit = ("f_tau", "1") if option == "load" else ("f_tau_square", "1/(N·m)")
             self.coefficients += (Coefficient(name, unit),)
-            self.signals = ("q", "load")
+            self.signals = ("q", "dq", "load", "time")
         elif option == "lugre":
             self.formula = "f_c·z/w + σ1·ż, ż = q̇ − |q̇|·z/(w·(1 + r·e^{−(q̇/v_s)²}))"
             self.coefficients += (Coefficient("sigma1", "N·m·s/rad", lower=0.0),)
             self.shapes += (Shape("r", "1", 0.3, 1e-2, 5.0), Shape("v_s", "rad/s", 0.1, 1e-3, 2.0))
-            self.signals = ("q", "dq")
         else:
             raise EffectError(
                 f"presliding has no option {option!r}; expected load, square or lugre"
