@@ -17,17 +17,18 @@ SPEEDS = np.array([1e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, *np.linspace(0.1, 1.0, 19
 COUPLED_SPEEDS = np.array([-1.0, -0.5, -0.1, -0.01, 0.0, 0.01, 0.1, 0.5, 1.0])
 LEVELS = np.array([0.0, 0.5, -0.5, 1.0, -1.0])  # of the greatest load or temperature seen
 POSITIONS = 24  # where friction depends on the position
+LATE = 1e6  # s, when everything has warmed up
 FAR = 100.0  # turns and seconds between samples: friction with memory slides fully
 
 
 def friction_columns(model: Model) -> NDArray[np.bool_]:
-    """Mark the effect columns (m,) that are friction: they depend on q̇ or on its sign.
+    """Mark the effect columns (m,) that are friction: they depend on q̇, its sign, or have memory.
 
     The constant offset, armature, springs and the like neither dissipate nor have to.
     """
     return np.array(
         [
-            bool({"dq", "sign"} & set(p.effect.signals))
+            bool({"dq", "sign"} & set(p.effect.signals)) or bool(p.effect.states)
             for p in model.placements
             for _ in p.effect.coefficients
         ],
@@ -128,15 +129,14 @@ def _columns(
     loads = LEVELS if "load" in needs else LEVELS[:1]
     warm = LEVELS if "temperature" in needs else LEVELS[:1]
     where = np.linspace(0.0, 1.0, POSITIONS) if "q" in needs else np.array([0.5])
-    when = np.array([0.0, np.inf]) if "time" in needs else np.zeros(1)
-    k, a, b, c, d = (
+    memory = any(p.effect.states for p in here)
+    when = np.array([0.0, LATE]) if "time" in needs and not memory else np.zeros(1)
+    k, a, b, c, time = (
         x.ravel()
         for x in np.meshgrid(np.arange(len(speeds)), loads, warm, where, when, indexing="ij")
     )
     dq, (low, high) = speeds[k], positions
     q = low + c[:, None] * (high - low)
-    time = np.where(np.isinf(d), 1e6, d)
-    memory = any(p.effect.states for p in here)
     if memory:  # one long motion; its first sample, where nothing has slid yet, is left out
         dq, q, a, b, time = (np.concatenate([x[:1], x]) for x in (dq, q, a, b, time))
         q = q + 2.0 * np.pi * FAR * np.cumsum(np.sign(dq), axis=0)

@@ -56,6 +56,7 @@ def parse_urdf(
     links = [element.get("name", "") for element in root.findall("link")]
     parents = _parents(joints, links, origin)
     _check_names(joints, links, tip, lock, origin)
+    _check_masses(root, origin)
     chain = _chain(joints, parents, tip, lock, origin)
     model, tool = _reduced_model(root, joints, chain, _tip_link(joints, chain, tip), origin)
     elements = {element.get("name", ""): element for element in root.findall("joint")}
@@ -136,6 +137,17 @@ def _check_names(
         if name not in movable:
             known = ", ".join(movable)
             raise RobotError(f"{origin}: no movable joint {name!r}; joints are {known}")
+
+
+def _check_masses(root: ElementTree.Element, origin: str) -> None:
+    """Refuse negative masses: lumped with a heavier neighbour they would go unnoticed."""
+    for link in root.findall("link"):
+        mass = link.find("inertial/mass")
+        stated = "" if mass is None else mass.get("value", "")
+        if stated.strip().startswith("-") and float(stated) < 0.0:
+            raise RobotError(
+                f"{origin}: link {link.get('name', '')!r}: mass is {stated} kg, expected 0 or more"
+            )
 
 
 def _chain(

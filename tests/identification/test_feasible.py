@@ -1,0 +1,295 @@
+"""Physically possible parameters: what they promise, against means other than their own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from robot.random_arms import random_arm, random_states, to_pinocchio
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.errors import (
+    BoundWarning,
+    IdentificationError,
+    NominalInertiaWarning,
+    NoSolution,
+    RobotError,
+)
+from lieid_casadi.identification import FeasibleOptions
+from lieid_casadi.recording import Processing
+
+ROBOT = lieid.robots.panda()
+EFFECTS = "coulomb,viscous,offset,armature"
+CUTOFF = Processing(cutoff=8.0)
+FRICTION = plant.JointFriction(np.linspace(1.2, 0.3, 7), np.linspace(0.8, 0.2, 7), np.zeros(7))
+
+
+def measured(robot=ROBOT, *effects, friction=FRICTION, duration=15.0, noise=0.05, seed=1):
+    arm = plant.Arm(robot, plant.perturbed_inertias(robot, seed=3), friction, tuple(effects))
+    motion = plant.FourierTrajectory(robot, base_frequency=1 / duration, seed=seed)
+    t = np.arange(0.0, duration, 0.005)
+    sensors = plant.Sensors(rate=200.0, torque_noise=noise)
+    return arm, plant.measure_along(arm, t, *motion.at(t), sensors=sensors, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def panda_run():
+    return measured()
+
+
+@pytest.fixture(scope="module")
+def panda_fit(panda_run):
+    return lieid.identify(
+        lieid.Model(ROBOT, EFFECTS), panda_run[1], method="feasible", processing=CUTOFF
+    )
+
+
+def with_links(robot, links):
+    joints = [replace(j, link=link) for j, link in zip(robot.joints, links, strict=True)]
+    return replace(robot, joints=tuple(joints), source=None)
+
+
+def test_bodies_can_exist_by_pinocchio(panda_fit):
+    """Density of a body from its principal moments and mass; M(q) by Pinocchio's CRBA."""
+    import pinocchio as pin
+
+    links = panda_fit.link_parameters.reshape(-1, 10)
+    for m, *rest in links:
+        inertia = pin.Inertia.FromDynamicParameters(np.array([m, *rest]))
+        moments = np.linalg.eigvalsh(inertia.inertia)
+        assert m > 0.0
+        assert moments[0] > 0.0
+        assert moments[0] + moments[1] > moments[2]  # triangle inequality, principal moments
+    model = to_pinocchio(with_links(ROBOT, links))
+    data = model.createData()
+    q, _, _ = random_states(np.random.default_rng(5), ROBOT, 300)
+    least = min(np.linalg.eigvalsh(pin.crba(model, data, pose)).min() for pose in q)
+    certificate = panda_fit.certificate
+    assert certificate.holds
+    assert 0.0 < certificate.mass_matrix_eigenvalue < 1.1 * least
+    assert certificate.poses == 10_000
+    assert panda_fit.physically_consistent
+
+
+def test_base_values_are_the_combination_of_the_parameters(panda_fit):
+    combination = panda_fit.model.base.combination
+    np.testing.assert_array_equal(panda_fit.values, combination @ panda_fit.parameters)
+
+
+def test_prediction_is_as_good_as_that_of_least_squares(panda_run, panda_fit):
+    """On a new motion, where the truth is known to be feasible, it must not be worse."""
+    least = lieid.identify(panda_fit.model, panda_run[1], processing=CUTOFF)
+    _, fresh = measured(noise=0.0, seed=2)
+    errors = []
+    for fit in (least, panda_fit):
+        (segment,) = lieid.recording.process(fresh, fit.processing)
+        errors.append(segment.filter(segment.tau) - fit.predict_processed(segment))
+    wls, feasible = (np.sqrt(np.mean(error**2)) for error in errors)
+    assert feasible < 1.05 * wls
+    assert np.all(panda_fit.certificate.cost < 0.05)
+    np.testing.assert_allclose(panda_fit.certificate.rms_wls, least.rms_train, rtol=1e-9)
+
+
+def test_the_truth_is_recovered_where_no_constraint_is_active():
+    robot = lieid.robots.two_link()
+    friction = plant.JointFriction(np.array([1.2, 0.5]), np.array([0.6, 0.3]), np.zeros(2))
+    _, recording = measured(robot, friction=friction, noise=0.0, duration=20.0)
+    model = lieid.Model(robot, "coulomb,viscous")
+    options = FeasibleOptions(regularization=1e-6)
+    least = lieid.identify(model, recording, processing=CUTOFF)
+    fit = lieid.identify(model, recording, method="feasible", processing=CUTOFF, feasible=options)
+    np.testing.assert_allclose(fit.values, least.values, rtol=0.0, atol=2e-3)
+
+
+def test_impossible_least_squares_values_become_possible():
+    """A sensor of the wrong sign on the elbow asks for inertias that no body can have."""
+    robot = lieid.robots.two_link()
+    friction = plant.JointFriction.none(2)
+    _, recording = measured(robot, plant.TorqueGain(1, -1.6), friction=friction, duration=20.0)
+    model = lieid.Model(robot, "viscous,armature:2")
+    least = lieid.identify(model, recording, processing=CUTOFF)
+    fit = lieid.identify(model, recording, method="feasible", processing=CUTOFF)
+    values = dict(zip([p.label for p in model.base_columns], least.values, strict=True))
+    assert values["Izz2"] < 0.0
+    assert fit.certificate.holds
+    assert np.all(fit.effect_coefficients >= 0.0)
+    assert fit.rms_train[1] > 2.0 * least.rms_train[1]
+
+
+def test_coefficients_held_by_a_bound_are_told():
+    robot = lieid.robots.two_link()
+    _, recording = measured(
+        robot, plant.Armature(1, -0.2), friction=plant.JointFriction.none(2), duration=20.0
+    )
+    model = lieid.Model(robot, "viscous,armature")
+    fit = lieid.identify(model, recording, method="feasible", processing=CUTOFF)
+    assert np.all(fit.effect_coefficients[2:] >= 0.0)
+    told = [w for w in fit.warnings if isinstance(w, BoundWarning)]
+    assert len(told) == 1
+    assert "armature.I_a:2" in str(told[0])
+    assert "least squares asks for -0.1" in str(told[0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_arms_are_always_feasible(seed):
+    """Arbitrary axes, sliding joints, gravity of any direction; nominal bodies 40 % off."""
+    rng = np.random.default_rng(seed)
+    robot = random_arm(rng, int(rng.integers(2, 6)))
+    n = robot.n
+    friction = plant.JointFriction(rng.uniform(0.1, 1, n), rng.uniform(0.1, 1, n), np.zeros(n))
+    arm = plant.Arm(robot, plant.perturbed_inertias(robot, spread=0.4, seed=seed), friction)
+    q, dq, ddq = _wander(rng, n)
+    recording = plant.measure_along(
+        arm,
+        np.arange(len(q)) * 0.01,
+        q,
+        dq,
+        ddq,
+        sensors=plant.Sensors(rate=None, torque_noise=0.2),
+    )
+    model = lieid.Model(robot, EFFECTS)
+    fit = lieid.identify(model, recording, method="feasible", processing=CUTOFF)
+    assert fit.certificate.holds
+    assert np.all(fit.certificate.cost < 0.05)
+
+
+def _wander(rng, n, samples=1000):
+    t = np.arange(samples)[:, None] * 0.01
+    q = dq = ddq = np.zeros((samples, n))
+    for k in range(1, 6):
+        w, a, phase = 2 * np.pi * 0.1 * k, rng.uniform(-0.3, 0.3, n), rng.uniform(0, 6, n)
+        q = q + a * np.sin(w * t + phase)
+        dq = dq + a * w * np.cos(w * t + phase)
+        ddq = ddq - a * w**2 * np.sin(w * t + phase)
+    return q, dq, ddq
+
+
+def test_what_is_known_of_masses_is_kept(panda_run):
+    options = FeasibleOptions(
+        total_mass=(20.0, 20.0),
+        link_mass={2: (4.0, 4.5), 6: (0.0, 0.5)},
+        com_box={3: ((-0.01, -0.01, -0.01), (0.01, 0.2, 0.2))},
+    )
+    fit = lieid.identify(
+        lieid.Model(ROBOT, EFFECTS),
+        panda_run[1],
+        method="feasible",
+        processing=CUTOFF,
+        feasible=options,
+    )
+    links = fit.link_parameters.reshape(-1, 10)
+    assert links[:, 0].sum() == pytest.approx(20.0, abs=1e-5)
+    assert 4.0 - 1e-6 <= links[2, 0] <= 4.5 + 1e-6
+    assert links[6, 0] <= 0.5 + 1e-6
+    com = links[3, 1:4] / links[3, 0]
+    assert np.all(com >= np.array([-0.01, -0.01, -0.01]) - 1e-6)
+    assert np.all(com <= np.array([0.01, 0.2, 0.2]) + 1e-6)
+    assert fit.certificate.holds
+
+
+def test_contradicting_bounds_have_no_solution(panda_run):
+    options = FeasibleOptions(
+        total_mass=(50.0, 60.0), link_mass=dict.fromkeys(range(7), (0.1, 5.0))
+    )
+    with pytest.raises(NoSolution, match=r"no parameters.*meet all constraints.*relax the bounds"):
+        lieid.identify(
+            lieid.Model(ROBOT, EFFECTS),
+            panda_run[1],
+            method="feasible",
+            processing=CUTOFF,
+            feasible=options,
+        )
+
+
+def test_a_solver_that_does_not_finish_returns_no_number(panda_run):
+    options = FeasibleOptions(max_iterations=3)
+    with pytest.raises(NoSolution, match=r"limit of iterations; raise max_iterations"):
+        lieid.identify(
+            lieid.Model(ROBOT, EFFECTS),
+            panda_run[1],
+            method="feasible",
+            processing=CUTOFF,
+            feasible=options,
+        )
+
+
+def test_negative_masses_are_refused(panda_run):
+    links = ROBOT.link_parameters.reshape(-1, 10).copy()
+    links[2, 0] *= -1.0
+    with pytest.raises(IdentificationError, match=r"link 'panda_joint3'.* mass of -\d.*expected"):
+        lieid.identify(
+            lieid.Model(with_links(ROBOT, links), EFFECTS),
+            panda_run[1],
+            method="feasible",
+            processing=CUTOFF,
+        )
+
+
+def test_a_negative_mass_in_a_urdf_is_refused_even_where_it_would_be_lumped(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        '<robot name="arm"><link name="base"/>'
+        '<link name="arm"><inertial><mass value="3"/>'
+        '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>'
+        '<link name="hand"><inertial><mass value="-1"/>'
+        '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>'
+        '<joint name="j" type="continuous"><parent link="base"/><child link="arm"/>'
+        '<axis xyz="0 0 1"/></joint>'
+        '<joint name="f" type="fixed"><parent link="arm"/><child link="hand"/></joint></robot>'
+    )
+    with pytest.raises(RobotError, match=r"link 'hand': mass is -1 kg, expected 0 or more"):
+        lieid.Robot.from_urdf(path)
+
+
+def test_links_without_inertia_get_neutral_bodies(panda_run):
+    """Nothing is known of the links: the data still decides what it can, and bodies exist."""
+    bare = with_links(ROBOT, [None] * 7)
+    fit = lieid.identify(
+        lieid.Model(bare, EFFECTS), panda_run[1], method="feasible", processing=CUTOFF
+    )
+    assert fit.certificate.holds
+    assert np.all(fit.certificate.cost < 0.05)
+
+
+def test_a_nominal_body_that_cannot_exist_is_mended_and_told(panda_run):
+    links = ROBOT.link_parameters.reshape(-1, 10).copy()
+    links[6, 4:] = 0.0  # all mass in one point away from the origin, and less than that
+    robot = with_links(ROBOT, links)
+    fit = lieid.identify(
+        lieid.Model(robot, EFFECTS), panda_run[1], method="feasible", processing=CUTOFF
+    )
+    assert fit.certificate.holds
+    told = [str(w) for w in fit.warnings if isinstance(w, NominalInertiaWarning)]
+    assert len(told) == 1
+    assert "panda_joint7" in told[0]
+
+
+def test_options_are_checked(panda_run):
+    model, recording = lieid.Model(ROBOT, EFFECTS), panda_run[1]
+    with pytest.raises(IdentificationError, match="expected one of ols, wls, robust, feasible"):
+        lieid.identify(model, recording, method="best")
+    with pytest.raises(IdentificationError, match="expected method='feasible'"):
+        lieid.identify(model, recording, method="wls", feasible=FeasibleOptions())
+    with pytest.raises(IdentificationError, match="least ≤ greatest"):
+        FeasibleOptions(total_mass=(3.0, 2.0))
+    with pytest.raises(IdentificationError, match="lower ≤ upper"):
+        FeasibleOptions(com_box={0: ((0.0, 0.0, 1.0), (1.0, 1.0, 0.0))})
+    with pytest.raises(IdentificationError, match="regularization is -1"):
+        FeasibleOptions(regularization=-1.0)
+    with pytest.raises(IdentificationError, match="link 7, expected 0 to 6"):
+        lieid.identify(
+            model,
+            recording,
+            method="feasible",
+            processing=CUTOFF,
+            feasible=FeasibleOptions(link_mass={7: (0.0, 1.0)}),
+        )
+
+
+def test_a_fit_file_keeps_the_certificate(panda_fit, tmp_path):
+    panda_fit.save(tmp_path / "fit.json")
+    again = lieid.Fit.load(tmp_path / "fit.json")
+    assert again.certificate.to_dict() == panda_fit.certificate.to_dict()
+    assert again.certificate.holds
+    assert again.to_dict()["certificate"]["mass_matrix_eigenvalue"] > 0.0
+    np.testing.assert_array_equal(again.parameters, panda_fit.parameters)

@@ -1,0 +1,214 @@
+"""The convex problem: two solvers, frames and units, friction on a finer grid."""
+
+import numpy as np
+import pytest
+from robot.random_arms import random_link, random_pose
+
+import lieid_casadi as lieid
+from lieid_casadi.dynamics.base_parameters import parameter_transport
+from lieid_casadi.errors import NoSolution
+from lieid_casadi.identification import FeasibleOptions
+from lieid_casadi.identification.convex_solver import ConvexSolver
+from lieid_casadi.identification.dissipation import dissipation_rows
+from lieid_casadi.identification.feasible_problem import FeasibleProblem
+from lieid_casadi.identification.least_squares import Factor, triangular
+from lieid_casadi.identification.log_cholesky import solve_log_cholesky
+from lieid_casadi.robot.inertia import pseudo_inertia
+
+
+def rows_of(model, rng, samples=400, noise=0.3):
+    """Factor of random states of an arm whose true bodies are not the references."""
+    compiled = lieid.compile(model)
+    q, dq, ddq = (rng.normal(0.0, s, (samples, model.n)) for s in (1.0, 1.0, 3.0))
+    truth = np.concatenate([random_link(rng) for _ in range(model.n)])
+    coefficients = rng.uniform(0.1, 1.0, len(model.columns))
+    matrix = compiled.base_regressor(q, dq, ddq).reshape(-1, model.base.count)
+    torque = matrix @ model.base.combination @ np.concatenate([truth, coefficients])
+    torque = torque + rng.normal(0.0, noise, len(torque))
+    return Factor(triangular(np.column_stack([matrix, torque]) / noise), len(torque))
+
+
+def problem_of(model, factor, rng, **options):
+    references = np.array([pseudo_inertia(random_link(rng)) for _ in range(model.n)])
+    n = model.n
+    friction = dissipation_rows(
+        lieid.compile(model),
+        model.initial_shapes,
+        velocity=np.full(n, 2.0),
+        load=np.full(n, 20.0),
+        temperature=np.zeros(n),
+        lower=np.full(n, -np.pi),
+        upper=np.full(n, np.pi),
+    )
+    return FeasibleProblem(
+        combination=model.base.combination,
+        references=references,
+        lower=np.array([c.lower for c in model.columns]),
+        upper=np.array([c.upper for c in model.columns]),
+        friction=friction,
+        typical=factor,
+        options=FeasibleOptions(**options),
+    )
+
+
+@pytest.mark.parametrize("weight", [1e-4, 1e-2, 1.0])
+@pytest.mark.parametrize("options", [{}, {"total_mass": (1.0, 4.0), "margin": 0.05}])
+def test_clarabel_and_ipopt_agree(weight, options):
+    rng = np.random.default_rng(3)
+    model = lieid.Model(lieid.robots.panda(), "coulomb,viscous,viscous_polynomial,armature")
+    factor = rows_of(model, rng)
+    problem = problem_of(model, factor, rng, **options)
+    convex = ConvexSolver(problem).solve(factor, weight)
+    smooth = solve_log_cholesky(problem, factor, weight)
+    costs = [problem.cost(factor, weight, x) for x in (convex, smooth)]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-6)
+    base = [problem.combination @ x for x in (convex, smooth)]
+    np.testing.assert_allclose(base[0], base[1], rtol=0.0, atol=1e-4 * np.abs(base[1]).max())
+
+
+def test_repeats_of_a_compiled_problem_are_those_of_a_new_one():
+    rng = np.random.default_rng(4)
+    model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous")
+    first, second = rows_of(model, rng), rows_of(model, rng)
+    problem = problem_of(model, first, rng)
+    solver = ConvexSolver(problem)
+    solver.solve(first, 1e-3)
+    again = solver.solve(second, 1e-2)
+    fresh = ConvexSolver(problem).solve(second, 1e-2)
+    np.testing.assert_allclose(again, fresh, rtol=1e-5, atol=1e-6)
+
+
+def test_a_heavy_weight_returns_the_reference_bodies():
+    rng = np.random.default_rng(5)
+    model = lieid.Model(lieid.robots.two_link(), "viscous")
+    factor = rows_of(model, rng)
+    problem = problem_of(model, factor, rng)
+    links = ConvexSolver(problem).solve(factor, 1e9)[:20].reshape(2, 10)
+    for link, reference in zip(links, problem.references, strict=True):
+        np.testing.assert_allclose(pseudo_inertia(link), reference, rtol=1e-3, atol=1e-4)
+
+
+def test_the_divergence_does_not_depend_on_the_frame():
+    rng = np.random.default_rng(6)
+    model = lieid.Model(lieid.robots.two_link(), "viscous")
+    factor = rows_of(model, rng)
+    problem = problem_of(model, factor, rng)
+    links = np.concatenate([random_link(rng), random_link(rng), [0.0, 0.0]])
+    pose = random_pose(rng, 1.0)
+    moved = FeasibleProblem(
+        combination=problem.combination,
+        references=np.array([pose @ p @ pose.T for p in problem.references]),
+        lower=problem.lower,
+        upper=problem.upper,
+        friction=problem.friction,
+        typical=factor,
+        options=problem.options,
+    )
+    transport = parameter_transport(pose)
+    seen_from_there = np.concatenate([transport @ links[:10], transport @ links[10:20], [0, 0]])
+    expected = problem.divergences(links)
+    assert np.all(expected > 0.0)
+    np.testing.assert_allclose(moved.divergences(seen_from_there), expected, rtol=1e-8)
+
+
+def test_nonlinear_additions_to_the_smooth_problem_are_heeded():
+    """A constraint that is not convex: the two links' masses have a product of 2 kg²."""
+    rng = np.random.default_rng(7)
+    model = lieid.Model(lieid.robots.two_link(), "viscous")
+    factor = rows_of(model, rng)
+    problem = problem_of(model, factor, rng)
+    free = solve_log_cholesky(problem, factor, 1e-2)
+    held = solve_log_cholesky(
+        problem, factor, 1e-2, further_constraints=lambda x: x[0] * x[10] - 2.0 * free[0] * free[10]
+    )
+    assert held[0] * held[10] == pytest.approx(2.0 * free[0] * free[10], rel=1e-6)
+    nudged = solve_log_cholesky(
+        problem, factor, 1e-2, further_cost=lambda x: 100.0 * (x[20] - 5.0) ** 2
+    )
+    assert abs(nudged[20] - 5.0) < abs(free[20] - 5.0)
+
+
+def test_ipopt_without_a_solution_says_so():
+    rng = np.random.default_rng(8)
+    model = lieid.Model(lieid.robots.two_link(), "viscous")
+    factor = rows_of(model, rng)
+    problem = problem_of(model, factor, rng)
+    with pytest.raises(NoSolution, match="infeasible"):
+        solve_log_cholesky(problem, factor, 1e-2, further_constraints=lambda x: -1.0 - x[0] ** 2)
+
+
+def test_friction_dissipates_between_the_points_of_the_grid():
+    """Data that asks for friction that drives at speed: f_v2 below −f_v/v."""
+    rng = np.random.default_rng(9)
+    model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,viscous_polynomial,offset")
+    compiled = lieid.compile(model)
+    q, dq, ddq = (rng.normal(0.0, s, (600, 2)) for s in (1.0, 0.8, 3.0))
+    columns = compiled.base_regressor(q, dq, ddq).reshape(-1, model.base.count)
+    names = [c.name for c in model.columns]
+    wanted = {"coulomb.f_c": 0.2, "viscous.f_v": 1.0, "offset.f_b": -3.0}
+    wanted |= {"viscous_polynomial.f_v2": -1.5, "viscous_polynomial.f_v3": 0.1}
+    friction = np.array([wanted[name] for name in names])
+    friction[names.index("viscous_polynomial.f_v2") + 2] = -0.3  # joint 2 dissipates as it is
+    truth = np.concatenate([model.robot.link_parameters, friction])
+    torque = columns @ model.base.combination @ truth + rng.normal(0, 0.01, len(columns))
+    factor = Factor(triangular(np.column_stack([columns, torque]) / 0.01), len(torque))
+    problem = problem_of(model, factor, rng)
+    solution = ConvexSolver(problem).solve(factor, 1e-3)
+    coefficients = dict(zip([c.label for c in model.columns], solution[20:], strict=True))
+    v = np.linspace(1e-4, 2.0, 2000)
+    driving = 0.2 + v - 1.5 * v**2 + 0.1 * v**3
+    assert driving.min() < -0.5
+    for j in ("1", "2"):
+        powers = [
+            "coulomb.f_c",
+            "viscous.f_v",
+            "viscous_polynomial.f_v2",
+            "viscous_polynomial.f_v3",
+        ]
+        found = [coefficients[f"{name}:{j}"] for name in powers]
+        assert np.polynomial.polynomial.polyval(v, found).min() > -0.01
+        assert coefficients[f"offset.f_b:{j}"] < -1.0  # the offset is left out
+    # a negative coefficient alone is normal, and stays
+    assert coefficients["viscous_polynomial.f_v2:2"] == pytest.approx(-0.3, abs=0.05)
+
+
+def test_coupled_joints_dissipate_together():
+    """f_v·q̇₁ on joint 2: of itself it drives, with enough friction on both it cannot."""
+    model = lieid.Model(lieid.robots.two_link(), "viscous,transmission_coupling:2<1")
+    rows = dissipation_rows(
+        lieid.compile(model),
+        model.initial_shapes,
+        velocity=np.array([1.0, 1.0]),
+        load=np.zeros(2),
+        temperature=np.zeros(2),
+        lower=np.full(2, -1.0),
+        upper=np.full(2, 1.0),
+    )
+    order = [c.label for c in model.columns]
+    assert order == [
+        "viscous.f_v:1",
+        "viscous.f_v:2",
+        "transmission_coupling.f_v:2",
+        "transmission_coupling.f_c:2",
+    ]
+    # [1, c/2; c/2, 1] is positive semidefinite iff |c| ≤ 2
+    assert (rows @ [1.0, 1.0, 1.9, 0.0]).min() >= 0.0
+    assert (rows @ [1.0, 1.0, 2.1, 0.0]).min() < 0.0
+    # dry friction of the coupling alone always drives somewhere
+    assert (rows @ [1.0, 1.0, 0.0, 0.5]).min() < 0.0
+
+
+def test_friction_with_load_and_memory_is_seen_fully_slid():
+    model = lieid.Model(lieid.robots.two_link(), "presliding/load:1,viscous:1")
+    rows = dissipation_rows(
+        lieid.compile(model),
+        model.initial_shapes,
+        velocity=np.array([2.0, 2.0]),
+        load=np.array([10.0, 10.0]),
+        temperature=np.zeros(2),
+        lower=np.full(2, -1.0),
+        upper=np.full(2, 1.0),
+    )
+    # columns z/w → 1, |load|, q̇: f_c + f_τ·|τ| + f_v·v over |τ| in 0, 5, 10 and v up to 2
+    assert (rows @ [1.0, -0.09, 0.0]).min() == pytest.approx(0.1, abs=1e-6)
+    assert (rows @ [1.0, 0.0, -0.4]).min() == pytest.approx(0.2, abs=1e-6)

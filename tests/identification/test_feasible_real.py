@@ -1,0 +1,61 @@
+"""Physically possible parameters on recordings of real arms."""
+
+import numpy as np
+import pytest
+from real_arms import PANDA, TX40, UR10E, needs
+
+import lieid_casadi as lieid
+from lieid_casadi.recording import Processing, process
+
+EFFECTS = "coulomb,viscous,offset,armature"
+pytestmark = pytest.mark.real
+
+
+def ur10e():
+    runs = {
+        name: lieid.Recording.load(UR10E / f"excitation_{name}.csv.gz")
+        for name in ("30s", "50s", "14_harmonics")
+    }
+    robot = lieid.Robot.from_urdf(UR10E / "ur10e.urdf")
+    return robot, [runs["30s"], runs["50s"]], [runs["14_harmonics"]], Processing(cutoff=7.0)
+
+
+def tx40():
+    robot = lieid.Robot.from_urdf(TX40 / "tx40.urdf")
+    run = lieid.Recording.load(TX40 / "excitation.csv.gz")
+    blocks = [run.cut(1.2 * k, 1.2 * (k + 1)) for k in range(6)]
+    processing = Processing(cutoff=20.0, trim=0.1)
+    return robot, blocks[:2] + blocks[3:5], [blocks[2], blocks[5]], processing
+
+
+def panda():
+    fingers = ("panda_finger_joint1", "panda_finger_joint2")
+    robot = lieid.Robot.from_urdf(PANDA / "panda.urdf", lock=fingers)
+    run = lieid.Recording.load(PANDA / "excitation.csv.gz")
+    middle = run.t[0] + 0.65 * run.duration
+    return robot, [run.cut(None, middle)], [run.cut(middle, None)], Processing(cutoff=3.0)
+
+
+def rms_on(fit, recordings):
+    segments = process(recordings, fit.processing)
+    errors = [s.filter(s.tau) - fit.predict_processed(s) for s in segments]
+    return np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+
+
+@pytest.mark.parametrize(
+    "arm",
+    [
+        pytest.param(ur10e, marks=needs(UR10E / "ur10e.urdf")),
+        pytest.param(tx40, marks=needs(TX40 / "tx40.urdf")),
+        pytest.param(panda, marks=needs(PANDA / "panda.urdf")),
+    ],
+)
+def test_feasible_costs_little_on_new_data(arm):
+    """RMS over all joints, each in units of its own noise; joints alone are in the report."""
+    robot, train, test, processing = arm()
+    model = lieid.Model(robot, EFFECTS)
+    least = lieid.identify(model, train, processing=processing)
+    fit = lieid.identify(model, train, method="feasible", processing=processing)
+    assert fit.certificate.holds
+    wls, feasible = (rms_on(f, test) / least.noise for f in (least, fit))
+    assert np.sqrt(np.mean(feasible**2)) < 1.05 * np.sqrt(np.mean(wls**2))
