@@ -38,7 +38,7 @@ def sparse_function(
     """Return a `SparseFunction` of an SX matrix."""
     matrix = ca.sparsify(matrix)
     rows, columns = matrix.sparsity().get_triplet()
-    nonzeros = ca.vertcat(*matrix.nonzeros()) if matrix.nnz() else ca.SX(0, 1)
+    nonzeros = matrix.nz[:]
     function = ca.Function(name, inputs, [ca.densify(nonzeros)], names, ["nonzeros"], {"cse": True})
     return SparseFunction(
         function, np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp), matrix.shape

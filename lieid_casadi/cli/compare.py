@@ -63,25 +63,15 @@ def save_figure(path: str, figure: Any) -> None:
 
 def print_comparison(fit: Fit, comparison: Comparison) -> None:
     """Print errors per joint and the worst moments."""
-    rows: list[list[object]] = []
-    for j, joint in enumerate(fit.model.robot.joints):
-        rows.append(
-            [
-                f"{j + 1} {joint.name}",
-                float(comparison.rms[j]),
-                float(comparison.rms_raw[j]),
-                100.0 * float(comparison.relative_rms[j]),
-                f"{comparison.correlation[j]:.5f}",
-                float(comparison.noise_floor[j]),
-                float(comparison.rms_moving[j]),
-                float(comparison.rms_at_rest[j]),
-            ]
-        )
+    from lieid_casadi.comparison.table import HEADINGS, table_rows
+    from lieid_casadi.comparison.verdict import verdict
+
+    output.say(verdict(comparison))
     output.table(
-        f"RMS error, N·m (low-pass {fit.processing.cutoff:.3g} Hz; noise floor: "
-        f"{comparison.noise_source})",
-        ["joint", "RMS", "raw", "% of torque", "correlation", "noise floor", "moving", "at rest"],
-        rows,
+        f"Error, measured − predicted (low-pass {fit.processing.cutoff:.3g} Hz on both; noise: "
+        f"{comparison.noise_source.replace('_', ' ')})",
+        HEADINGS,
+        table_rows(comparison),
     )
     output.table(
         "Worst moments",

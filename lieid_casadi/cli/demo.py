@@ -96,7 +96,7 @@ def show(demo: Demo, folder: Path) -> None:
         for j, name in enumerate(before.joint_names)
     ]
     output.table(
-        f"RMS error on a run that was not fitted, joints in motion, N·m ({demo.fit.model.robot.name})",
+        "RMS error on a run that was not fitted, joints in motion, N·m",
         [
             "joint",
             ", ".join(demo.fit.model.effects),

@@ -51,10 +51,10 @@ def run(args: argparse.Namespace) -> None:
         fit.save(args.output)
     output.write_json(args.json, result(fit, comparison))
     if args.html is not None:
-        from lieid_casadi.report import comparison_report
+        from lieid_casadi.report import comparison_report, fit_report
 
-        shown = comparison if comparison is not None else compare(fit, train)
-        output.write_file(args.html, comparison_report(fit, shown).encode())
+        page = fit_report(fit) if comparison is None else comparison_report(fit, comparison)
+        output.write_file(args.html, page.encode())
     print_fit(fit, comparison)
 
 

@@ -25,6 +25,7 @@ from lieid_casadi.robot.robot import Joint, Robot
 Matrix = NDArray[np.float64]
 RANK_TOLERANCE = 1e-9  # relative; geometry written with 12 digits still counts as exact
 ROUNDING = 1e-12
+SHOWN = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +65,13 @@ class BaseParameters:
     def expression(self, k: int, *, digits: int = 6) -> str:
         """Return base parameter k as a sum of link parameters, equal factors grouped.
 
-        E.g. ``mcx3 + 0.0825 (m4 + m5 + m6 + m7)``.
+        E.g. ``mcx3 + 0.0825 (m4 + m5 + m6 + m7)``. Factors that come from the rounding of a
+        robot's file are not shown.
         """
         row = self.combination[k]
         first = int(self.kept[k])
         groups: dict[str, list[str]] = {}
-        for index in np.flatnonzero(row):
+        for index in np.flatnonzero(np.abs(row) > SHOWN):
             if index != first:
                 sign = "-" if row[index] < 0 else "+"
                 size = f"{abs(row[index]):.{digits}g}"

@@ -34,7 +34,8 @@ class Motion:
     def of(cls, q: ca.SX, dq: ca.SX | None = None, ddq: ca.SX | None = None) -> Motion:
         """Return the motion of given expressions; rates left out are structurally zero."""
         zero = ca.SX(q.shape[0], 1)
-        return cls(q, ca.sin(q), ca.cos(q), zero if dq is None else dq, zero if ddq is None else ddq)
+        dq, ddq = (zero if rate is None else rate for rate in (dq, ddq))
+        return cls(q, ca.sin(q), ca.cos(q), dq, ddq)
 
 
 def relative_poses(robot: Robot, motion: Motion) -> list[Pose]:

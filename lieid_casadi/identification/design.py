@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,9 +114,7 @@ class Design:
     def columns_of_shape(self, k: int) -> NDArray[np.intp]:
         """Return which varying columns belong to the effect of shape k."""
         owners = [
-            number
-            for number, p in enumerate(self.model.placements)
-            for _ in p.effect.coefficients
+            number for number, p in enumerate(self.model.placements) for _ in p.effect.coefficients
         ]
         shape_owners = [
             number for number, p in enumerate(self.model.placements) for _ in p.effect.shapes
@@ -187,9 +186,19 @@ def has_dry_friction(model: Model) -> NDArray[np.bool_]:
     return dry
 
 
-def effect_signals(segment: Processed, shapes: Array, load: Array | None) -> dict[str, Array]:
-    """Return the signals that effects see along a segment, as keywords of `Compiled`."""
-    signals = {
+class EffectArrays(TypedDict, total=False):
+    """Signals of effects along a segment, as keywords of `Compiled`."""
+
+    shapes: Array
+    dead_zone: Array
+    time: Array
+    load: Array
+    temperature: Array
+
+
+def effect_signals(segment: Processed, shapes: Array, load: Array | None) -> EffectArrays:
+    """Return the signals that effects see along a segment."""
+    signals: EffectArrays = {
         "shapes": shapes,
         "dead_zone": segment.dead_zone,
         "time": segment.t - segment.t[0],

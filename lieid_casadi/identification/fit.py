@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,10 @@ from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording.processing import Processed, Processing
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.robot.inertia import pseudo_inertia
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -208,6 +212,23 @@ class Fit:
                 self.fitted, numbers, self.std, expressions, strict=True
             )
         ]
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw how well each parameter is known; return the figure, not shown."""
+        from lieid_casadi.identification.fit_view import plot
+
+        return plot(self, ax)
+
+    def _repr_html_(self) -> str:
+        from lieid_casadi.identification.fit_view import html
+
+        return html(self)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Fit of {self.model.robot.name}: {', '.join(self.model.effects) or 'rigid'}; "
+            f"{len(self.values) + len(self.shapes)} parameters, {self.method}>"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the keys of ``lieid identify --json`` that need no test recording."""

@@ -121,12 +121,17 @@ class _Reduced:
 
 
 def _descend(problem: _Reduced, ranges: ShapeRange, start: Array) -> Array:
+    def residual(place: Array) -> Array:
+        return problem.solve(ranges.shapes(place)).residual
+
+    def jacobian(place: Array) -> Array:
+        shapes = ranges.shapes(place)
+        return problem.jacobian(shapes) * ranges.slope(shapes)
+
     result = least_squares(
-        lambda place: problem.solve(ranges.shapes(place)).residual,
+        residual,
         np.clip(ranges.place(start), 1e-6, 1.0 - 1e-6),
-        jac=lambda place: (
-            problem.jacobian(ranges.shapes(place)) * ranges.slope(ranges.shapes(place))
-        ),
+        jac=jacobian,
         bounds=(0.0, 1.0),
         xtol=1e-6,
         ftol=1e-8,

@@ -57,7 +57,9 @@ def wls(rows: Rows) -> Weighting:
         noise = fresh
         if converged:
             break
-    return Weighting(combine(factors, 1.0 / noise), noise, _row_weights(rows, 1.0 / noise), converged)
+    return Weighting(
+        combine(factors, 1.0 / noise), noise, _row_weights(rows, 1.0 / noise), converged
+    )
 
 
 def robust(rows: Rows) -> Weighting:

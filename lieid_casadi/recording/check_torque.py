@@ -27,6 +27,8 @@ TELLING = 0.5
 #: On recordings of real arms every exchange of two joints loses 2 or more against a
 #: nominal model; without one, exchanges that nothing tells apart gain 0.02.
 ORDER_GAIN = 1.0
+#: Part of the torque without friction that the nominal torque must be to tell the sign.
+EXPECTED_PART = 0.3
 #: Joints that move less have no friction to look at, rad or m.
 ENOUGH_MOTION = 0.05
 
@@ -125,8 +127,9 @@ def _model_correlation(blocks: Blocks) -> Array:
         both = np.column_stack([blocks.tau[:, j], blocks.nominal[:, j]])
         rest = both - friction @ np.linalg.lstsq(friction, both, rcond=None)[0]
         norms = np.linalg.norm(rest, axis=0)
-        # a nominal torque that is only rounding noise tells nothing
-        if norms[1] > 1e-6 * np.linalg.norm(blocks.nominal):
+        # a nominal torque that is rounding noise, or small beside what is left, tells nothing
+        rounding = 1e-6 * np.linalg.norm(blocks.nominal)
+        if norms[1] > max(rounding, EXPECTED_PART * norms[0]):
             correlation[j] = rest[:, 0] @ rest[:, 1] / max(norms[0] * norms[1], 1e-300)
     return correlation
 

@@ -106,7 +106,7 @@ def test_outliers_move_robust_less_than_wls():
 
 def test_shape_parameters_are_found():
     model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1")
-    arm, recording = measured(
+    _, recording = measured(
         plant.Stribeck(0, extra=0.8, velocity=0.15), torque_noise=0.02, duration=40.0
     )
     fit = lieid.identify(model, recording, processing=CUTOFF)
@@ -138,7 +138,9 @@ def test_armature_of_the_first_joint_is_absorbed_and_said():
     model = lieid.Model(ROBOT, "coulomb,viscous,offset,armature")
     _, recording = measured(torque_noise=0.02)
     fit = lieid.identify(model, recording, processing=CUTOFF)
-    (told,) = [w for w in fit.warnings if isinstance(w, AliasWarning) and "armature.I_a:1" in str(w)]
+    (told,) = [
+        w for w in fit.warnings if isinstance(w, AliasWarning) and "armature.I_a:1" in str(w)
+    ]
     assert "Izz1" in str(told)
     assert "armature.I_a:1" not in {p.label for p in model.base_columns}
 
