@@ -129,7 +129,7 @@ LIEID_EACH_PAIR(lieid_hypot, hypot)
 LIEID_EACH_PAIR(lieid_copysign, copysign)
 
 #define LIEID_ROUNDER 6755399441055744.0 /* 1.5 * 2^52: adding it rounds to a whole number */
-#define LIEID_SINCOS_LIMIT 1.0e6         /* the reduction below is exact up to it */
+#define LIEID_SINCOS_LIMIT 1.0e5         /* the reduction below is good to 1 ulp up to it */
 
 static inline int lieid_any(lieid_i mask)
 {

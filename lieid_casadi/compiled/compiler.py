@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
 import shlex
@@ -112,14 +113,15 @@ def build(compiler: Compiler, target: Target, source: Path, library: Path, inclu
         )  # fmt: skip
     except OSError as error:
         raise CompilerError(f"{name} cannot be started: {error.strerror}") from None
-    try:
-        _, complaint = process.communicate(timeout=limit)
-    except subprocess.TimeoutExpired:
-        raise CompilerError(f"{name} did not finish within {limit:g} s") from None
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+    with process:
+        try:
+            _, complaint = process.communicate(timeout=limit)
+        except BaseException as error:  # Ctrl-C too
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            if isinstance(error, subprocess.TimeoutExpired):
+                raise CompilerError(f"{name} did not finish within {limit:g} s") from None
+            raise
     if process.returncode != 0 or not library.is_file():
         first = next(
             (line for line in complaint.splitlines() if "error" in line), complaint.strip()

@@ -1,0 +1,182 @@
+"""Compiled functions against CasADi's virtual machine, on every instruction set of this CPU."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from robot.random_arms import random_arm, random_states
+
+import lieid_casadi as lieid
+from lieid_casadi.compiled import compile
+from lieid_casadi.compiled.compiler import available_targets
+from lieid_casadi.compiled.evaluation import CompiledEvaluation, MachineEvaluation
+from lieid_casadi.effects import Coefficient, Effect
+
+pytestmark = pytest.mark.usefixtures("compiler")
+
+EFFECTS = (
+    "coulomb,viscous,offset,viscous_polynomial,viscous_asymmetric,stribeck,load_friction/paper,"
+    "armature"
+)
+LANES = [target.lanes for target in available_targets()]
+ROBOTS = {
+    "panda": lieid.robots.panda,
+    "two_link": lieid.robots.two_link,
+    "revolute_6": lambda: random_arm(np.random.default_rng(1), 6, mixed=False),
+    "mixed_4": lambda: random_arm(np.random.default_rng(2), 4),
+    "mixed_1": lambda: random_arm(np.random.default_rng(3), 1),
+    "one_slide": lambda: sliding_robot(),
+}
+
+
+def sliding_robot():
+    robot = random_arm(np.random.default_rng(4), 3)
+    slides = [joint for joint in robot.joints if not joint.revolute]
+    return lieid.Robot("slide", tuple(slides[:1]), robot.gravity, robot.tool)
+
+
+def calls(model, samples=21, seed=0):
+    """Every public function with arguments for it."""
+    rng = np.random.default_rng(seed)
+    q, dq, ddq = random_states(rng, model.robot, samples)
+    dq_r, ddq_r, load = rng.normal(size=(3, *q.shape))
+    links, strength = rng.normal(size=10 * model.n), rng.normal(size=len(model.columns))
+    signals = {
+        "load": load,
+        "temperature": 10 * load,
+        "time": np.sort(rng.random(samples)),
+        "dead_zone": np.full(model.n, 0.5),
+        "shapes": 1.1 * model.initial_shapes,
+    }
+    motion = (q, dq, ddq)
+    return {
+        "regressor": (motion, {}),
+        "slotine_li_regressor": ((q, dq, dq_r, ddq_r), {}),
+        "base_regressor": (motion, signals),
+        "rigid_base_regressor": (motion, {}),
+        "effect_columns": (motion, signals),
+        "inverse_dynamics": ((*motion, links), {}),
+        "friction": ((*motion, strength), signals),
+        "mass_matrix": ((q, links), {}),
+        "coriolis_matrix": ((q, dq, links), {}),
+        "gravity": ((q, links), {}),
+        "jacobian": ((q,), {}),
+    }
+
+
+def on_machine(model):
+    """The same model as it is evaluated without a compiler."""
+    arm = compile(model)
+    arm._kernels.get = lambda names: None
+    return arm
+
+
+@pytest.mark.parametrize(
+    ("name", "lanes"),
+    [*((name, LANES[0]) for name in ROBOTS), *(("mixed_4", lanes) for lanes in LANES[1:])],
+)
+def test_every_function_agrees_with_the_virtual_machine(name, lanes):
+    model = lieid.Model(ROBOTS[name](), effects=EFFECTS)
+    fast, slow = compile(model, lanes=lanes), on_machine(model)
+    for function, (arguments, signals) in calls(model).items():
+        got = getattr(fast, function)(*arguments, **signals)
+        expected = getattr(slow, function)(*arguments, **signals)
+        assert isinstance(fast._evaluation(function), CompiledEvaluation)
+        assert isinstance(slow._evaluation(function), MachineEvaluation)
+        assert got.shape == expected.shape
+        scale = np.abs(expected).max(initial=0.0)
+        np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-13 * scale, err_msg=function)
+
+
+@pytest.mark.skipif(len(LANES) < 2, reason="this processor has one instruction set")
+def test_results_have_the_same_bits_with_any_number_of_lanes():
+    model = lieid.Model(lieid.robots.panda(), effects=EFFECTS)
+    arms = [compile(model, lanes=lanes) for lanes in LANES]
+    for function, (arguments, signals) in calls(model).items():
+        first, *others = (getattr(arm, function)(*arguments, **signals) for arm in arms)
+        for other in others:
+            np.testing.assert_array_equal(first, other, err_msg=function)
+
+
+def test_effects_with_memory_follow_the_samples():
+    model = lieid.Model(lieid.robots.two_link(), effects="presliding,coulomb")
+    (q, dq, ddq), _ = calls(model, samples=700)["base_regressor"]
+    expected = on_machine(model).base_regressor(q, dq, ddq)
+    got = compile(model).base_regressor(q, dq, ddq)
+    assert len(np.unique(got[:, 0, -4])) > 20  # the column remembers: more than a sign
+    np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize("lanes", LANES)
+def test_slotine_li_regressor_is_the_skew_form(lanes):
+    model = lieid.Model(random_arm(np.random.default_rng(5), 5))
+    arm, rng = compile(model, lanes=lanes), np.random.default_rng(6)
+    q, dq, ddq_r = random_states(rng, model.robot, 30)
+    dq_r, links = rng.normal(size=q.shape), model.robot.link_parameters
+    got = arm.slotine_li_regressor(q, dq, dq_r, ddq_r) @ links
+    mass, coriolis = arm.mass_matrix(q, links), arm.coriolis_matrix(q, dq, links)
+    expected = (mass @ ddq_r[..., None] + coriolis @ dq_r[..., None])[..., 0]
+    expected += arm.gravity(q, links)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+    same = arm.slotine_li_regressor(q, dq, dq, ddq_r)
+    plain = arm.regressor(q, dq, ddq_r)
+    np.testing.assert_allclose(same, plain, rtol=0, atol=1e-13 * np.abs(plain).max())
+
+
+class Everything(Effect):
+    """Every operation that has a C form, on arguments where it is defined."""
+
+    name = "everything"
+    formula = "…"
+    signals = ("q", "dq", "ddq")
+
+    def __init__(self):
+        self.coefficients = tuple(Coefficient(f"c{k}", "1") for k in range(len(self.operations)))
+
+    operations = (
+        lambda a, b: a + b, lambda a, b: a - b, lambda a, b: a * b, lambda a, b: a / b,
+        lambda a, b: -a, lambda a, b: a**2, lambda a, b: a + a, lambda a, b: 1 / b,
+        lambda a, b: ca.fabs(b) ** 0.3, lambda a, b: ca.fabs(b) ** a,
+        lambda a, b: ca.sqrt(ca.fabs(a)), lambda a, b: ca.fabs(a), lambda a, b: ca.sign(a),
+        lambda a, b: ca.fmin(a, b), lambda a, b: ca.fmax(a, b), lambda a, b: ca.exp(a),
+        lambda a, b: ca.sin(a), lambda a, b: ca.cos(7 * a), lambda a, b: ca.tan(a),
+        lambda a, b: ca.asin(ca.sin(b)), lambda a, b: ca.acos(ca.cos(b)), lambda a, b: ca.atan(b),
+        lambda a, b: ca.sinh(a), lambda a, b: ca.cosh(a), lambda a, b: ca.tanh(b),
+        lambda a, b: ca.log(ca.fabs(b)), lambda a, b: ca.log1p(ca.fabs(b)),
+        lambda a, b: ca.expm1(a), lambda a, b: ca.erf(a), lambda a, b: ca.floor(3 * a),
+        lambda a, b: ca.ceil(3 * a), lambda a, b: ca.atan2(a, b), lambda a, b: ca.fmod(a, b),
+        lambda a, b: ca.hypot(a, b), lambda a, b: ca.copysign(a, b), lambda a, b: a < b,
+        lambda a, b: a <= b, lambda a, b: ca.eq(ca.sign(a), ca.sign(b)),
+        lambda a, b: ca.ne(ca.sign(a), ca.sign(b)), lambda a, b: ca.logic_not(a < b),
+        lambda a, b: ca.logic_and(a < b, b > 0), lambda a, b: ca.logic_or(a < b, b > 0),
+        lambda a, b: ca.if_else(a < b, a, b**2),
+    )  # fmt: skip
+
+    def columns(self, s, shape):
+        return [operation(s.q, s.dq) for operation in self.operations]
+
+
+@pytest.mark.parametrize("lanes", LANES)
+def test_every_operation_has_the_virtual_machines_result(lanes):
+    model = lieid.Model(lieid.robots.two_link(), effects=[Everything()])
+    fast, slow = compile(model, lanes=lanes), on_machine(model)
+    q, dq, ddq = np.random.default_rng(0).normal(size=(3, 50, 2))
+    got, expected = fast.effect_columns(q, dq, ddq), slow.effect_columns(q, dq, ddq)
+    assert isinstance(fast._evaluation("effect_columns"), CompiledEvaluation)
+    np.testing.assert_allclose(got, expected, rtol=2e-15, atol=1e-300)
+    assert len(np.unique(np.abs(got[:, 0]).max(axis=0))) > 25
+
+
+def test_an_operation_without_a_c_form_leaves_the_rest_compiled(caplog):
+    class Inverse(Effect):
+        name, formula, signals = "inverse", "asinh(q̇)", ("dq",)
+        coefficients = (Coefficient("c", "1"),)
+
+        def columns(self, s, shape):
+            return [ca.asinh(s.dq)]
+
+    arm = compile(lieid.Model(lieid.robots.two_link(), effects=[Inverse()]))
+    q = np.linspace(-1, 1, 20).reshape(10, 2)
+    np.testing.assert_allclose(arm.effect_columns(q, q, q)[:, 1, 1], np.arcsinh(q[:, 1]))
+    assert "ASINH" in caplog.text
+    arm.regressor(q, q, q)
+    assert isinstance(arm._evaluation("regressor"), CompiledEvaluation)

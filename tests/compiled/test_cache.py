@@ -1,0 +1,157 @@
+"""Compiled libraries between runs: found again, built again when damaged, never half-written."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi.compiled import cache, compile, kernels
+from lieid_casadi.compiled.evaluation import CompiledEvaluation
+
+pytestmark = pytest.mark.usefixtures("compiler")
+
+Q = np.linspace(-1.0, 1.0, 20).reshape(10, 2)
+ROOT = Path(lieid.__file__).parents[1]
+
+
+def two_link(**keywords):
+    return compile(lieid.Model(lieid.robots.two_link()), **keywords)
+
+
+def gravity(arm):
+    return arm.gravity(Q, arm.model.robot.link_parameters)
+
+
+def libraries(folder):
+    return {path.name: path.read_bytes() for path in folder.glob("*.so")}
+
+
+def forget(monkeypatch):
+    """Go on as another process would."""
+    monkeypatch.setattr(kernels, "_libraries", {})
+
+
+def test_a_second_run_finds_what_the_first_one_compiled(fresh_process, monkeypatch):
+    expected = gravity(two_link())
+    assert len(libraries(fresh_process)) == 2  # the function, and the runtime
+    forget(monkeypatch)
+    monkeypatch.setattr(kernels, "build", None)  # a compiler would be missed
+    monkeypatch.setattr(kernels, "kernel_source", None)  # nothing is derived either
+    arm = two_link()
+    np.testing.assert_array_equal(gravity(arm), expected)
+    assert isinstance(arm._evaluation("gravity"), CompiledEvaluation)
+
+
+def test_another_robot_or_instruction_set_is_another_library(fresh_process):
+    expected = gravity(two_link())
+    robot = lieid.robots.two_link()
+    tilted = lieid.Robot(robot.name, robot.joints, np.array([1.0, 0.0, -9.0]), robot.tool)
+    other = compile(lieid.Model(tilted))
+    assert np.abs(gravity(other) - expected).max() > 0.1
+    gravity(two_link(lanes=1))
+    assert len(libraries(fresh_process)) >= 3
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda b: b[: len(b) // 2],
+        lambda b: b"",
+        lambda b: b[:5000] + bytes([b[5000] ^ 1]) + b[5001:],
+    ],
+    ids=["truncated", "empty", "altered"],
+)
+def test_a_damaged_library_is_built_again(fresh_process, monkeypatch, damage):
+    expected = gravity(two_link())
+    whole = libraries(fresh_process)
+    for name, data in whole.items():
+        path = fresh_process / name
+        path.unlink()  # this process still has the old one in memory
+        path.write_bytes(damage(data))
+        assert not cache.is_whole(path)
+    forget(monkeypatch)
+    arm = two_link()
+    np.testing.assert_array_equal(gravity(arm), expected)
+    assert isinstance(arm._evaluation("gravity"), CompiledEvaluation)
+    assert libraries(fresh_process).keys() == whole.keys()
+    assert all(cache.is_whole(path) for path in fresh_process.glob("*.so"))
+
+
+def test_two_processes_may_compile_at_once(tmp_path):
+    script = (
+        "import numpy as np, lieid_casadi as lieid\n"
+        "model = lieid.Model(lieid.robots.two_link(), effects=['coulomb', 'stribeck'])\n"
+        "arm = lieid.compile(model)\n"
+        "q = np.linspace(-1, 1, 20).reshape(10, 2)\n"
+        "print(repr(float(arm.base_regressor(q, q, q).sum())),"
+        " type(arm._evaluation('base_regressor')).__name__)\n"
+    )
+    environment = os.environ | {"LIEID_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", script], env=environment, text=True, stdout=subprocess.PIPE
+        )
+        for _ in range(2)
+    ]
+    told = [process.communicate()[0].split() for process in running]
+    assert told[0] == told[1]
+    assert told[0][1] == "CompiledEvaluation"
+    assert all(cache.is_whole(path) for path in tmp_path.iterdir())
+    assert len(libraries(tmp_path)) == 3
+
+
+def test_a_cache_that_cannot_be_written_is_told_once(fresh_process, caplog):
+    fresh_process.write_text("a file where the folder should be")
+    arm = two_link()
+    gravity(arm)
+    arm.jacobian(Q)
+    assert isinstance(arm._evaluation("gravity"), CompiledEvaluation)
+    told = [r.message for r in caplog.records if r.name == "lieid_casadi"]
+    assert len(told) == 1
+    assert str(fresh_process) in told[0]
+    assert "LIEID_CACHE_DIR" in told[0]
+    assert fresh_process.read_text() == "a file where the folder should be"
+
+
+def test_a_cache_that_can_only_be_read_is_used(fresh_process, monkeypatch, caplog):
+    gravity(two_link())
+    forget(monkeypatch)
+
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(cache.tempfile, "mkstemp", refuse)
+    gravity(two_link())
+    assert not caplog.records
+
+
+def test_an_old_library_makes_room(fresh_process, monkeypatch):
+    monkeypatch.setattr(cache, "KEEP", 4)
+    fresh_process.mkdir()
+    for age in range(10):
+        path = fresh_process / f"{age}.so"
+        path.write_bytes(b"old")
+        os.utime(path, (1000 - age, 1000 - age))
+    path = cache.store("new", b"library")
+    assert cache.is_whole(path)
+    assert sorted(libraries(fresh_process)) == ["0.so", "new.so"]
+
+
+@pytest.mark.parametrize(
+    ("variables", "folder"),
+    [
+        ({"LIEID_CACHE_DIR": "/a/b", "XDG_CACHE_HOME": "/x"}, "/a/b"),
+        ({"XDG_CACHE_HOME": "/x"}, "/x/lieid-casadi"),
+        ({"HOME": "/home/me"}, "/home/me/.cache/lieid-casadi"),
+    ],
+)
+def test_where_the_cache_is(monkeypatch, variables, folder):
+    for name in ("LIEID_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert cache.cache_folder() == Path(folder)
