@@ -60,6 +60,24 @@ def add_outputs(parser: argparse.ArgumentParser, *, html: bool = False) -> None:
         parser.add_argument("--html", metavar="FILE", help="write a self-contained report")
 
 
+def add_threads(parser: argparse.ArgumentParser) -> None:
+    """Add --threads."""
+    parser.add_argument("--threads", type=int, metavar="N", help="processors to use; default: 2")
+
+
+def use_threads(args: argparse.Namespace) -> None:
+    """Apply --threads: before NumPy is imported, or its linear algebra has chosen already."""
+    import os
+
+    threads = getattr(args, "threads", None)
+    if threads is None:
+        return
+    if threads < 1:
+        raise UsageError(f"--threads {threads}: expected 1 or more")
+    for name in ("LIEID_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = str(threads)
+
+
 def robot_of(args: argparse.Namespace) -> Robot:
     """Return the robot that ROBOT, --tip and --lock name."""
     from lieid_casadi.robot import Robot

@@ -23,6 +23,7 @@ def add_parser(commands: Any) -> None:
     arguments.add_recording_options(parser)
     arguments.add_effects_file(parser)
     arguments.add_outputs(parser, html=True)
+    arguments.add_threads(parser)
     parser.set_defaults(run=run)
 
 

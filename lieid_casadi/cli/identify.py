@@ -26,6 +26,7 @@ def add_parser(commands: Any) -> None:
     arguments.add_recording_options(parser)
     arguments.add_processing(parser)
     arguments.add_outputs(parser, html=True)
+    arguments.add_threads(parser)
     parser.set_defaults(run=run)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from lieid_casadi import __version__
+from lieid_casadi.cli import arguments
 
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
 COMMANDS = ("demo", "show", "identify", "predict", "compare")
@@ -40,11 +41,12 @@ def build_parser() -> Parser:
     return parser
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(words: Sequence[str] | None = None) -> int:
     """Run ``lieid`` and return its exit status (DESIGN: 0, 1, 2, 3 or 130)."""
-    args = build_parser().parse_args(arguments)
+    args = build_parser().parse_args(words)
     _log_to_stderr()
     try:
+        arguments.use_threads(args)
         return int(args.run(args) or DONE)
     except KeyboardInterrupt:
         _say(f"lieid {args.command}: interrupted")

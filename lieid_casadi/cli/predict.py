@@ -16,6 +16,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="pred.csv")
     arguments.add_recording_options(parser)
     arguments.add_effects_file(parser)
+    arguments.add_threads(parser)
     parser.set_defaults(run=run)
 
 

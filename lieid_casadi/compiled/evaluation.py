@@ -243,7 +243,10 @@ def _address(array: NDArray[Any]) -> int:
 
 
 def default_threads() -> int:
-    """Return two, or one where the program may use only one processor."""
+    """Return $LIEID_THREADS, else two, or one where the program may use only one processor."""
+    stated = os.environ.get("LIEID_THREADS", "")
+    if stated.isdigit() and int(stated) > 0:
+        return int(stated)
     return min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
 
 

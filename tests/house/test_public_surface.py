@@ -1,0 +1,32 @@
+"""What is public, and what importing the package costs."""
+
+import subprocess
+import sys
+
+import lieid_casadi as lieid
+
+PUBLIC = {
+    "Coefficient", "Comparison", "Compiled", "Effect", "Fit", "Joint", "LieidError",
+    "LieidWarning", "Limits", "Model", "Processing", "Recording", "Robot", "Shape", "Signals",
+    "__version__", "compare", "compile", "effect", "identify", "register", "robots",
+}  # fmt: skip
+
+
+def test_public_names():
+    """A change here is a change of the public interface: say so in the CHANGELOG."""
+    assert set(lieid.__all__) == PUBLIC
+    assert all(getattr(lieid, name) is not None for name in PUBLIC)
+    assert set(dir(lieid)) == PUBLIC
+
+
+def test_importing_is_quick():
+    """Heavy libraries are imported where they are used."""
+    script = (
+        "import sys, lieid_casadi, lieid_casadi.cli.main as m; m.build_parser(); "
+        "heavy = {'casadi', 'pinocchio', 'matplotlib', 'cvxpy', 'scipy', 'numpy'}; "
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
