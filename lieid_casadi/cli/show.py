@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> None:
         for i, (k, column) in enumerate(zip(base.kept, model.base_columns, strict=True))
     ]
     output.table(
-        f"{base.count} base parameters ({len(base.invisible)} of {len(base.names)} act on no torque)",
+        f"{base.count} base parameters (of {len(base.names)}, {len(base.invisible)} invisible)",
         ["base parameter", "unit"],
         [[p["expression"], p["unit"]] for p in parameters],
     )

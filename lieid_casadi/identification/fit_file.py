@@ -92,6 +92,7 @@ def save(fit: Fit, path: str | Path) -> None:
         certificate=None if fit.certificate is None else fit.certificate.to_dict(),
     )
     text = json.dumps(msgspec.to_builtins(content), indent=1, allow_nan=False, ensure_ascii=False)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
     with atomic_binary(Path(path)) as file:
         file.write(text.encode())
 
