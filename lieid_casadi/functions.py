@@ -85,9 +85,7 @@ class ModelFunctions:
         """Symbols of the effects, the sign being that of q̇ with a ramp over the dead zone."""
         m = self.motion
         sign = ramp(m.dq, self.dead_zone)
-        return EffectSignals(
-            m.q, m.dq, m.ddq, sign, self.load, self.temperature, self.time
-        )
+        return EffectSignals(m.q, m.dq, m.ddq, sign, self.load, self.temperature, self.time)
 
     @cached_property
     def rigid_matrix(self) -> ca.SX:
