@@ -38,7 +38,7 @@ def sparse_function(
     """Return a `SparseFunction` of an SX matrix."""
     matrix = ca.sparsify(matrix)
     rows, columns = matrix.sparsity().get_triplet()
-    nonzeros = matrix.nz[:]
+    nonzeros = ca.vec(matrix.nz[:])  # a column of a matrix with one row, too
     function = ca.Function(name, inputs, [ca.densify(nonzeros)], names, ["nonzeros"], {"cse": True})
     return SparseFunction(
         function, np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp), matrix.shape
