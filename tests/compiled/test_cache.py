@@ -59,9 +59,9 @@ def test_another_robot_or_instruction_set_is_another_library(fresh_process):
 @pytest.mark.parametrize(
     "damage",
     [
-        lambda b: b[: len(b) // 2],
-        lambda b: b"",
-        lambda b: b[:5000] + bytes([b[5000] ^ 1]) + b[5001:],
+        lambda data: data[: len(data) // 2],
+        lambda data: b"",
+        lambda data: data[:5000] + bytes([data[5000] ^ 1]) + data[5001:],
     ],
     ids=["truncated", "empty", "altered"],
 )
