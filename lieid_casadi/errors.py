@@ -32,12 +32,20 @@ class IdentificationError(LieidError):
     """A request that identification cannot meet: no recordings, an unknown method."""
 
 
+class ExcitationError(LieidError):
+    """A request that no excitation can meet: limits that are missing or contradict each other."""
+
+
 class CompilerError(LieidError):
     """No C compiler that works, or a processor that cannot run what was asked for."""
 
 
 class FitFileError(LieidError):
     """A fit file that is truncated, of a newer schema, or not a fit."""
+
+
+class ExportError(LieidError):
+    """A fit that cannot be exported to this format, or a folder that cannot be written."""
 
 
 class UsageError(LieidError):
@@ -114,6 +122,10 @@ class LowRateWarning(LieidWarning):
 
 class UnitsWarning(LieidWarning):
     """Values that look like degrees, without proof."""
+
+
+class LoadMismatchWarning(LieidWarning):
+    """The torque of both ways of a joint does not average to the model's rigid torque."""
 
 
 class JointLimitWarning(LieidWarning):
