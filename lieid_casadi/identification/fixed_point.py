@@ -40,19 +40,34 @@ class State:
     parameters: Array
 
 
-def fixed_point(design: Design, method: str, report: Progress) -> tuple[State, bool]:
-    """Alternate linear fit, shapes and load until the predicted torque settles."""
+@dataclass(frozen=True, eq=False)
+class ShapeStart:
+    """Shape parameters (s,) to start from, near the solution; ``held`` leaves them there."""
+
+    values: Array
+    held: bool = False
+
+
+def fixed_point(
+    design: Design, method: str, report: Progress, start: ShapeStart | None = None
+) -> tuple[State, bool]:
+    """Alternate linear fit, shapes and load until the predicted torque settles.
+
+    Without a start, shapes are searched over their whole range.
+    """
     model = design.model
     estimator = ESTIMATORS[method]
-    shapes, links = model.initial_shapes, None
+    shapes, links = model.initial_shapes if start is None else start.values, None
+    held = start is not None and start.held
     moving = bool(varying_columns(model).any())
     loaded = any("load" in p.effect.signals for p in model.placements)
-    searched = False
+    searched = start is not None
     before: Array | None = None
     for round_ in range(ROUNDS):
         rows = design.rows(shapes, links)
         weighting = estimator(rows)
-        if len(shapes) and not (loaded and links is None):  # shapes of a load need one
+        # shapes of a load need one
+        if len(shapes) and not held and not (loaded and links is None):
             shapes = fit_shapes(design, shapes, links, weighting.noise, search=not searched)
             searched = True
             rows = design.rows(shapes, links)

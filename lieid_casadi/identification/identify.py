@@ -31,7 +31,7 @@ from lieid_casadi.identification.design import Design, JointRows, Rows
 from lieid_casadi.identification.feasible import certify, make_feasible
 from lieid_casadi.identification.feasible_options import FeasibleOptions
 from lieid_casadi.identification.fit import Fit, Provenance, Source
-from lieid_casadi.identification.fixed_point import ROUNDS, Progress, State, fixed_point
+from lieid_casadi.identification.fixed_point import ROUNDS, Progress, ShapeStart, State, fixed_point
 from lieid_casadi.identification.least_squares import (
     Factor,
     combine,
@@ -56,6 +56,7 @@ def identify(
     method: str = "wls",
     processing: Processing | None = None,
     feasible: FeasibleOptions | None = None,
+    start: ShapeStart | None = None,
     progress: Progress | None = None,
 ) -> Fit:
     """Fit a model's parameters to recordings.
@@ -72,6 +73,8 @@ def identify(
         Filter options; the cut-off is chosen from the spectrum if not stated.
     feasible : FeasibleOptions, optional
         What is known of masses and centres of mass, for the method ``feasible``.
+    start : ShapeStart, optional
+        Shape parameters near the solution; searched over their whole range if left out.
     progress : callable, optional
         Called with a stage's name and the fraction done.
 
@@ -99,7 +102,7 @@ def identify(
     segments, mean = center_temperature(process(given, processing))
     report("regress", 0.3)
     design = Design(compiled, segments)
-    state, settled = fixed_point(design, "wls" if method == "feasible" else method, report)
+    state, settled = fixed_point(design, "wls" if method == "feasible" else method, report, start)
     folds = _folds(segments, state)
     unweighted = combine(joint_factors(state.rows), np.ones(model.n))
     found += [w for segment in segments for w in segment.warnings]
