@@ -234,16 +234,24 @@ class _Reach:
 
 def parameter_transport(pose: Matrix) -> Matrix:
     """Return P (10, 10): a body's link parameters seen from the parent frame, given its pose."""
-    columns = []
-    for unit in np.eye(10):
-        moved = pose @ pseudo_inertia(unit) @ pose.T
-        sigma = moved[:3, :3]
-        inertia = np.trace(sigma) * np.eye(3) - sigma
-        i = inertia
-        columns.append(
-            [moved[3, 3], *moved[:3, 3], i[0, 0], i[0, 1], i[1, 1], i[0, 2], i[1, 2], i[2, 2]]
-        )
-    return np.array(columns).T
+    moved = pose @ _UNIT_PSEUDO_INERTIAS @ pose.T
+    return np.asarray(np.tensordot(_FROM_PSEUDO_INERTIA, moved, axes=((1, 2), (1, 2))))
+
+
+def _from_pseudo_inertia() -> Matrix:
+    """Return the tensor (10, 4, 4) that takes link parameters out of a pseudo-inertia."""
+    tensor = np.zeros((10, 4, 4))
+    tensor[0, 3, 3] = 1.0
+    tensor[[1, 2, 3], [0, 1, 2], 3] = 1.0
+    for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), start=4):
+        tensor[k, i, j] -= 1.0  # the inertia is trace(Σ)·1 − Σ
+        if i == j:
+            tensor[k, [0, 1, 2], [0, 1, 2]] += 1.0
+    return tensor
+
+
+_UNIT_PSEUDO_INERTIAS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
+_FROM_PSEUDO_INERTIA = _from_pseudo_inertia()
 
 
 def _coefficients(function: Callable[[float], Matrix], revolute: bool) -> list[Matrix]:
@@ -284,7 +292,7 @@ def _skew(w: Matrix) -> Matrix:
 
 def _kinetic_row(u: Matrix, v: Matrix) -> Matrix:
     """Return the functional π ↦ uᵀ·E(π)·v as a row (1, 10)."""
-    return np.array([[u @ inertia @ v for inertia in _UNIT_INERTIAS]])
+    return np.asarray((_UNIT_INERTIAS @ v @ u)[None])
 
 
 def _unit_inertia(unit: Matrix) -> Matrix:
@@ -294,7 +302,7 @@ def _unit_inertia(unit: Matrix) -> Matrix:
     return np.block([[inertia, moment], [-moment, unit[0] * np.eye(3)]])
 
 
-_UNIT_INERTIAS = [_unit_inertia(unit) for unit in np.eye(10)]
+_UNIT_INERTIAS = np.array([_unit_inertia(unit) for unit in np.eye(10)])
 
 
 def _span(rows: Matrix) -> Matrix:
