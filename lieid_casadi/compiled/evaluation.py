@@ -221,6 +221,9 @@ def _make_arguments(names: Sequence[str], kernels: Sequence[Kernel]) -> ctypes.A
     for argument, name in zip(arguments, names, strict=True):
         argument.width = max(dict(kernel.arguments).get(name, 0) for kernel in kernels)
         argument.role = 1 if name in CONSTANT_ARGUMENTS else _ROLES.get(name, 0)
+        if name in _ROLES:
+            # the runtime writes sines and cosines of every q, also where no kernel reads one
+            argument.width = arguments[0].width
     return arguments
 
 

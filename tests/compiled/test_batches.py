@@ -213,3 +213,13 @@ def test_blocks_of_any_part_leave_the_rest_of_the_buffer():
         whole = arm.base_regressor(*(x[first:last] for x in values))
         np.testing.assert_array_equal(joints[6].T, whole[:, 6, blocks.columns[6]])
         np.testing.assert_array_equal(buffer[:, last - first :], -7.0)
+
+
+def test_sines_have_room_where_a_function_reads_cosines_only(compiler):
+    arm = compile(MODEL)
+    arm.gravity(motion(9)[0], MODEL.robot.link_parameters)
+    evaluation = arm._evaluation("gravity")
+    (kernel,) = evaluation.kernels
+    assert dict(kernel.arguments) == {"q": 2, "sin": 0, "cos": 2, "parameters": 20}
+    widths = {name: evaluation.arguments[k].width for name, k in evaluation.names.items()}
+    assert widths == {"q": 2, "sin": 2, "cos": 2, "parameters": 20}
