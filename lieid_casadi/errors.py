@@ -124,6 +124,10 @@ class UnitsWarning(LieidWarning):
     """Values that look like degrees, without proof."""
 
 
+class NotDissipativeWarning(LieidWarning):
+    """Fitted friction that would drive the joint instead of braking it."""
+
+
 class LoadMismatchWarning(LieidWarning):
     """The torque of both ways of a joint does not average to the model's rigid torque."""
 

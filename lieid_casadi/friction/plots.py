@@ -1,0 +1,82 @@
+"""Friction over speed, coloured by load."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.comparison import drawing
+from lieid_casadi.friction.curve import FrictionCurve
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from lieid_casadi.friction.result import FrictionFit
+
+Array = NDArray[np.float64]
+COLOURS = "viridis"
+ONE_LOAD = 0.2  # of the largest load: a smaller range is drawn in one colour
+LINES = 3
+
+
+def plot_curve(curve: FrictionCurve, ax: Axes | None = None) -> Figure:
+    """Draw the points with their standard errors."""
+    if ax is None:
+        ax = drawing.new_figure(7.0, 4.2).subplots()
+    drawing.style(ax)
+    ax.errorbar(
+        curve.speed, curve.friction, curve.std, fmt="none", ecolor=drawing.MEASURED, zorder=2
+    )
+    if _loads_differ(curve):
+        cloud = ax.scatter(
+            curve.speed, curve.friction, c=curve.load, cmap=COLOURS, s=16, zorder=3, vmin=0.0
+        )
+        bar = drawing.root_figure(ax).colorbar(cloud, ax=ax)
+        bar.set_label(f"|τ_load| [{curve.unit}]", fontsize=drawing.SMALL)
+        bar.ax.tick_params(labelsize=drawing.SMALL)
+    else:
+        ax.scatter(curve.speed, curve.friction, color=drawing.FORWARD, s=16, zorder=3)
+    drawing.title(ax, f"joint {curve.joint + 1} {curve.joint_name}: half of forward − backward")
+    speed = "rad/s" if curve.unit == "N·m" else "m/s"
+    drawing.label(ax, x=f"|q̇| [{speed}]", y=f"friction [{curve.unit}]")
+    _from_zero(ax, curve)
+    return drawing.root_figure(ax)
+
+
+def plot_fit(fit: FrictionFit, ax: Axes | None = None) -> Figure:
+    """Draw the points, and the model as lines at loads from least to greatest."""
+    import matplotlib
+
+    if ax is None:
+        ax = drawing.new_figure(7.0, 4.2).subplots()
+    curve = fit.curve
+    figure = plot_curve(curve, ax)
+    speed = np.geomspace(curve.speed.min(), curve.speed.max(), 200)
+    top = max(float(curve.load.max()), 1e-12)
+    loads = [float(curve.load.mean())]
+    if _loads_differ(curve):
+        loads = list(np.linspace(curve.load.min(), curve.load.max(), LINES))
+    for load in loads:
+        colour = matplotlib.colormaps[COLOURS](load / top) if len(loads) > 1 else drawing.PREDICTED
+        ax.plot(speed, fit.friction(speed, load=load), color=colour, linewidth=1.2)
+    text = f"joint {curve.joint + 1} {curve.joint_name}: RMS {fit.rms:.3g} {curve.unit}"
+    if np.isfinite(fit.correlation):
+        text += f", correlation {fit.correlation:.3f}"
+    drawing.title(ax, f"{text}\n{', '.join(fit.effects)}")
+    _from_zero(ax, curve)
+    return figure
+
+
+def _from_zero(ax: Axes, curve: FrictionCurve) -> None:
+    """Let both axes begin at zero, whatever is drawn into them."""
+    ax.autoscale(True)
+    ax.set_xlim(left=0.0)
+    if curve.friction.min() > 0.0:
+        ax.set_ylim(bottom=0.0)
+
+
+def _loads_differ(curve: FrictionCurve) -> bool:
+    return bool(np.ptp(curve.load) > ONE_LOAD * curve.load.max(initial=0.0))
