@@ -1,0 +1,22 @@
+"""Optimal excitation: trajectories that tell most of the parameters, within every limit."""
+
+from lieid_casadi.excitation.capsules import Capsule, enclosing, skeleton
+from lieid_casadi.excitation.excitation import Excitation
+from lieid_casadi.excitation.excite import excite
+from lieid_casadi.excitation.space import Obstacle, SelfCollision, Wall, floor, room
+from lieid_casadi.excitation.symbolic_limits import CartesianSpeed, Torque
+
+__all__ = [
+    "Capsule",
+    "CartesianSpeed",
+    "Excitation",
+    "Obstacle",
+    "SelfCollision",
+    "Torque",
+    "Wall",
+    "enclosing",
+    "excite",
+    "floor",
+    "room",
+    "skeleton",
+]

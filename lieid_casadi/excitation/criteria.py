@@ -1,0 +1,175 @@
+"""What an excitation minimizes: functions of the base regressor's Gram matrix G = YᵀY."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import ExcitationError
+
+Array = NDArray[np.float64]
+SMALLEST = 1e-14  # of the largest eigenvalue; below it a direction counts as not excited
+
+
+class Criterion(ABC):
+    """A function of G (p, p), to be minimized, with its slope."""
+
+    name: ClassVar[str]
+    meaning: ClassVar[str]
+
+    @abstractmethod
+    def evaluate(self, gram: Array) -> tuple[float, Array]:
+        """Return the value and its slope ∂f/∂G (p, p), symmetric."""
+
+
+@dataclass(frozen=True, eq=False)
+class Condition(Criterion):
+    """Condition number of the full regressor, smoothed (C2).
+
+    The extreme eigenvalues λ of the full regressor's Gram matrix are not smooth where they meet.
+    (1/2p)·[log Σλᵖ + log Σλ⁻ᵖ] is, bounds log cond from above and comes within (log r)/p of it.
+
+    Attributes
+    ----------
+    metric : (p, p)
+        L with LLᵀ = K·D²·Kᵀ (K the base combination, D the column scales): the eigenvalues of
+        LᵀGL are those of the full scaled regressor that do not vanish.
+    power : float
+        p; small ones see all directions, large ones the extremes.
+    """
+
+    metric: Array
+    power: float
+    name = "condition"
+    meaning = "log of the condition number"
+
+    def evaluate(self, gram: Array) -> tuple[float, Array]:
+        """See `Criterion`."""
+        sizes, vectors = np.linalg.eigh(self.metric.T @ gram @ self.metric)
+        sizes = np.maximum(sizes, SMALLEST * sizes[-1])
+        p = self.power
+        above, below = (sizes / sizes[-1]) ** p, (sizes[0] / sizes) ** p
+        value = np.log(sizes[-1] / sizes[0]) + np.log(above.sum() * below.sum()) / p
+        slopes = (above / above.sum() - below / below.sum()) / sizes
+        turned = self.metric @ vectors
+        return 0.5 * float(value), 0.5 * (turned * slopes) @ turned.T
+
+
+@dataclass(frozen=True, eq=False)
+class LogDet(Criterion):
+    """−log det G / p (C4, D-optimality): the volume of the parameters' confidence region."""
+
+    name = "logdet"
+    meaning = "−log det of the base regressor's Gram matrix, per parameter"
+
+    def evaluate(self, gram: Array) -> tuple[float, Array]:
+        """See `Criterion`."""
+        sizes, vectors = np.linalg.eigh(gram)
+        sizes = np.maximum(sizes, SMALLEST * sizes[-1])
+        count = len(sizes)
+        return -float(np.mean(np.log(sizes))), -(vectors / (count * sizes)) @ vectors.T
+
+
+@dataclass(frozen=True, eq=False)
+class Hadamard(Criterion):
+    """1/∏ of the base regressor's column norms, as a mean logarithm (C3).
+
+    By Hadamard's inequality a lower bound of `LogDet` that needs no decomposition.
+    """
+
+    name = "hadamard"
+    meaning = "log of one over the product of the base regressor's column norms, per column"
+
+    def evaluate(self, gram: Array) -> tuple[float, Array]:
+        """See `Criterion`."""
+        norms = np.maximum(np.diag(gram), SMALLEST * np.trace(gram))
+        return -0.5 * float(np.mean(np.log(norms))), np.diag(-0.5 / (len(norms) * norms))
+
+
+@dataclass(frozen=True, eq=False)
+class AOptimal(Criterion):
+    """log tr (LᵀGL)⁻¹: the sum of the parameters' variances."""
+
+    metric: Array
+    name = "a_optimal"
+    meaning = "log of the sum of variances"
+
+    def evaluate(self, gram: Array) -> tuple[float, Array]:
+        """See `Criterion`."""
+        sizes, vectors = np.linalg.eigh(self.metric.T @ gram @ self.metric)
+        sizes = np.maximum(sizes, SMALLEST * sizes[-1])
+        total = float(np.sum(1.0 / sizes))
+        turned = self.metric @ vectors
+        return float(np.log(total)), -(turned / (total * sizes**2)) @ turned.T
+
+
+@dataclass(frozen=True, eq=False)
+class EOptimal(Criterion):
+    """−log λ_min(LᵀGL), smoothed as in `Condition`: the worst parameter direction's variance."""
+
+    metric: Array
+    power: float
+    name = "e_optimal"
+    meaning = "log of the largest variance of any direction"
+
+    def evaluate(self, gram: Array) -> tuple[float, Array]:
+        """See `Criterion`."""
+        sizes, vectors = np.linalg.eigh(self.metric.T @ gram @ self.metric)
+        sizes = np.maximum(sizes, SMALLEST * sizes[-1])
+        below = (sizes[0] / sizes) ** self.power
+        value = -np.log(sizes[0]) + np.log(below.sum()) / self.power
+        turned = self.metric @ vectors
+        return float(value), -(turned * (below / below.sum() / sizes)) @ turned.T
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Part of an optimization: one criterion for at most so many iterations.
+
+    ``tolerance`` is the predicted decrease at which the stage is done.
+    """
+
+    criterion: Criterion
+    iterations: int
+    tolerance: float = 1e-4
+
+
+NAMES = ("combined", "condition", "hadamard", "logdet", "a_optimal", "e_optimal")
+POWERS = (1.0, 2.0, 4.0, 8.0, 16.0)
+SCHEDULE = (30, 30, 40, 60, 60)  # iterations of each power
+
+
+def condition_stages(metric: Array) -> tuple[Stage, ...]:
+    """Return the continuation that ends near the condition number itself."""
+    return tuple(
+        Stage(Condition(metric, power), count)
+        for power, count in zip(POWERS, SCHEDULE, strict=True)
+    )
+
+
+def stages(name: str, metric: Array) -> tuple[Stage, ...]:
+    """Return the stages of a criterion by its name; ``combined`` is put together elsewhere.
+
+    Raises
+    ------
+    ExcitationError
+        Unknown name.
+    """
+    if name == "condition":
+        return condition_stages(metric)
+    if name == "hadamard":
+        return (Stage(Hadamard(), 200, 1e-5),)
+    if name == "logdet":
+        return (Stage(LogDet(), 200, 1e-5),)
+    if name == "a_optimal":
+        return (Stage(LogDet(), 15), Stage(AOptimal(metric), 200, 1e-4))
+    if name == "e_optimal":
+        return tuple(
+            Stage(EOptimal(metric, power), count)
+            for power, count in zip(POWERS, SCHEDULE, strict=True)
+        )
+    raise ExcitationError(f"criterion: {name!r}; expected one of {', '.join(NAMES)}")

@@ -1,0 +1,255 @@
+"""Result of a design: the trajectory, how good it is, and that it keeps to every limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import LieidWarning
+from lieid_casadi.excitation.quality import Quality
+from lieid_casadi.excitation.run_in import RunIn
+from lieid_casadi.excitation.solve import Step
+from lieid_casadi.excitation.trajectory import Motion, Trajectory
+from lieid_casadi.model import Model
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Start:
+    """What one random start came to; NaN where it found nothing."""
+
+    seed: int
+    condition_number: float
+    neg_log_det: float
+    seconds: float
+    first_condition_number: float
+
+
+@dataclass(frozen=True)
+class Fullness:
+    """How much of a limit the motion uses: ``used`` 0 … 1 of ``quantity``."""
+
+    quantity: str
+    used: float
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """Result of :func:`lieid_casadi.excite`.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        One period.
+    periods : int
+    rest_pose : (n,)
+        Where the whole motion begins and ends.
+    run_in : RunIn
+        From the rest pose to the trajectory's start; the run-out is its reverse.
+    rate : float
+        Of the files, Hz.
+    samples : int
+        Of the criterion, over one period.
+    quality : Quality
+        Condition number and singular values at the samples.
+    criterion, scaling : str
+    max_violation : float
+        Largest excess over any limit on a grid 20 times finer than the samples, in the limit's
+        unit; 0 if every limit holds.
+    fullness : tuple of Fullness
+        The limits that bind, fullest first.
+    starts : tuple of Start
+    history : tuple of Step
+        Of the best start.
+    build_seconds, solve_seconds : float
+        Deriving and compiling; optimizing and verifying, all starts.
+    interrupted : bool
+        Whether the user ended the search; the trajectory is the best so far.
+    """
+
+    model: Model
+    trajectory: Trajectory
+    periods: int
+    rest_pose: Array
+    run_in: RunIn
+    rate: float
+    samples: int
+    quality: Quality
+    criterion: str
+    scaling: str
+    max_violation: float
+    fullness: tuple[Fullness, ...]
+    starts: tuple[Start, ...]
+    history: tuple[Step, ...]
+    build_seconds: float
+    solve_seconds: float
+    interrupted: bool = False
+    warnings: tuple[LieidWarning, ...] = field(default=())
+
+    @property
+    def condition_number(self) -> float:
+        """σ₁/σ_r of the stacked full regressor (scaled as ``scaling`` says)."""
+        return self.quality.condition_number
+
+    @property
+    def neg_log_det(self) -> float:
+        """−log det of the base regressor's Gram matrix, SI."""
+        return self.quality.neg_log_det
+
+    @property
+    def start(self) -> float:
+        """Time at which the part that counts begins, s."""
+        return self.run_in.duration
+
+    @property
+    def end(self) -> float:
+        """Time at which the part that counts ends, s."""
+        return self.start + self.periods * self.trajectory.duration
+
+    @property
+    def duration(self) -> float:
+        """Length of the whole motion, s."""
+        return self.end + self.run_in.duration
+
+    def motion(self, rate: float | None = None) -> Motion:
+        """Return the whole motion, run-in and run-out included, at a rate in Hz."""
+        step = 1.0 / (self.rate if rate is None else rate)
+        count = int(np.floor(self.duration / step + 1e-9)) + 1
+        return self.at(step * np.arange(count, dtype=np.float64))
+
+    def at(self, t: Array) -> Motion:
+        """Return the whole motion at times from 0 to ``duration``."""
+        time = np.asarray(t, dtype=float)
+        n = self.model.n
+        parts = np.zeros((3, len(time), n))
+        before, after = time < self.start, time > self.end
+        inside = ~(before | after)
+        phase = time[inside] - self.start
+        phase = phase - self.trajectory.duration * np.floor(
+            np.minimum(phase / self.trajectory.duration, self.periods - 1e-12)
+        )
+        for mask, part in (
+            (inside, self.trajectory.at(phase)),
+            (before, self.run_in.at(time[before]) if before.any() else None),
+            (after, self._run_out(time[after]) if after.any() else None),
+        ):
+            if part is not None:
+                parts[:, mask] = part.q, part.dq, part.ddq
+        return Motion(time, *parts)
+
+    def _run_out(self, time: Array) -> Motion:
+        run_out = RunIn(self.run_in.end, self.run_in.start, self.run_in.duration)
+        return run_out.at(time - self.end)
+
+    @property
+    def coefficients(self) -> dict[str, Any]:
+        """The trajectory's coefficients; for the Fourier series those of Eq. 19."""
+        values = self.trajectory.coefficients
+        basis = self.trajectory.basis
+        result: dict[str, Any] = {"family": basis.name, "duration": basis.duration}
+        if basis.name == "fourier":
+            harmonics = (values.shape[1] - 1) // 2
+            result["base_frequency"] = 1.0 / basis.duration
+            result["q0"] = values[:, 0].tolist()
+            result["a"] = values[:, 1 : harmonics + 1].tolist()
+            result["b"] = values[:, harmonics + 1 :].tolist()
+        else:
+            result["values"] = values.tolist()
+        return result
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON of ``lieid excite``."""
+        rank = self.quality.rank
+        sizes = self.quality.singular_values
+        return {
+            "robot": self.model.robot.name,
+            "effects": self.model.effects,
+            "criterion": self.criterion,
+            "scaling": self.scaling,
+            "condition_number": self.condition_number,
+            "singular_values": {
+                "largest": float(sizes[0]),
+                "smallest": float(sizes[rank - 1]),
+                "beyond": float(sizes[rank]) if rank < len(sizes) else None,
+            },
+            "neg_log_det": self.neg_log_det,
+            "base_parameter_count": rank,
+            "start": self.start,
+            "end": self.end,
+            "duration": self.duration,
+            "periods": self.periods,
+            "samples": self.samples,
+            "rate": self.rate,
+            "rest_pose": self.rest_pose.tolist(),
+            "max_violation": self.max_violation,
+            "fullness": [{"quantity": f.quantity, "used": f.used} for f in self.fullness],
+            "weak": [
+                {
+                    "singular_value": w.singular_value,
+                    "parameters": [{"name": name, "share": share} for name, share in w.parameters],
+                }
+                for w in self.quality.weak
+            ],
+            "starts": [
+                {
+                    "seed": s.seed,
+                    "condition_number": _finite(s.condition_number),
+                    "neg_log_det": _finite(s.neg_log_det),
+                    "seconds": s.seconds,
+                }
+                for s in self.starts
+            ],
+            "solve_seconds": self.solve_seconds,
+            "build_seconds": self.build_seconds,
+            "interrupted": self.interrupted,
+            "coefficients": self.coefficients,
+            "warnings": [{"name": type(w).__name__, "message": str(w)} for w in self.warnings],
+        }
+
+    def summary(self) -> str:
+        """Say in words how good the trajectory is and what stays weak."""
+        from lieid_casadi.excitation.summary import summary
+
+        return summary(self)
+
+    def plot(self, ax: None = None) -> Figure:
+        """Return a figure: positions within limits, the tool's path, the criterion's history."""
+        from lieid_casadi.excitation.plots import plot
+
+        return plot(self)
+
+    def save(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write trajectory, JSON, plot, text and ROS 2 message into a folder; return the files."""
+        from lieid_casadi.excitation.files import save
+
+        return save(self, Path(folder))
+
+    def _repr_html_(self) -> str:
+        from lieid_casadi.excitation.summary import html
+
+        return html(self)
+
+    def __repr__(self) -> str:
+        return (
+            f"Excitation({self.model.robot.name}, {self.duration:.4g} s, "
+            f"condition number {self.condition_number:.4g})"
+        )
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def fullest(quantities: Sequence[tuple[str, float]]) -> tuple[Fullness, ...]:
+    """Return the quantities that come within 1 % of their limits."""
+    full = [Fullness(name, used) for name, used in quantities if used > 0.99]
+    return tuple(sorted(full, key=lambda item: -item.used))

@@ -1,0 +1,112 @@
+"""How much a motion tells of the parameters: the Gram matrix of the base regressor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.dynamics import recursion
+from lieid_casadi.dynamics.motion import Motion as Symbols
+from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.errors import ExcitationError
+from lieid_casadi.excitation.kernel import SampleKernel, pulled_back
+from lieid_casadi.excitation.trajectory import Motion
+from lieid_casadi.model import EffectSignals, Model
+
+Array = NDArray[np.float64]
+SIGN_WIDTH = 0.03  # tanh(q̇/width) in place of sgn(q̇), in parts of the speed limit
+
+
+@dataclass(frozen=True, eq=False)
+class StackedRegressor:
+    """Y_b over N samples, as columns (p, n·N), one row per base parameter."""
+
+    motion: Motion
+    rows: Array
+
+    def gram(self) -> Array:
+        """Return YᵀY (p, p)."""
+        return np.asarray(self.rows @ self.rows.T)
+
+
+class Information:
+    """The base regressor of [Y, effect columns] along a motion, and gradients through it.
+
+    Signs of velocities are smooth here, sgn(q̇) ≈ tanh(q̇/width): gradients exist. The result of a
+    design is judged with the model's own, sharp columns.
+
+    Parameters
+    ----------
+    sign_width : (n,)
+        Width of the smooth sign, rad/s.
+
+    Raises
+    ------
+    ExcitationError
+        A column that no motion of this design can excite (temperature, time, memory).
+    """
+
+    def __init__(self, model: Model, *, sign_width: Array) -> None:
+        self.model = model
+        symbols = Symbols.symbols(model.n)
+        matrix = base_regressor(model, symbols, sign_width)
+        kept = model.base.count
+        self._values = SampleKernel("base_columns", symbols, matrix)
+        seed = ca.SX.sym("seed", len(self._values.rows))
+        # nonzeros in the kernel's order: row after row
+        flat = ca.vertcat(
+            *(
+                matrix[int(i), int(j)]
+                for i, j in zip(self._values.rows, self._values.columns, strict=True)
+            )
+        )
+        pulled = pulled_back(flat, seed, symbols)
+        self._pulled = SampleKernel("base_columns_reverse", symbols, pulled, {"seed": seed})
+        self._columns, self._rows = self._values.columns, self._values.rows
+        self.size = kept
+
+    def at(self, motion: Motion) -> StackedRegressor:
+        """Return the stacked base regressor of a motion."""
+        n, samples = self.model.n, len(motion)
+        stacked = np.zeros((self.size, n, samples))
+        stacked[self._columns, self._rows] = self._values.values(motion)
+        return StackedRegressor(motion, stacked.reshape(self.size, n * samples))
+
+    def gradient(self, stacked: StackedRegressor, slope: Array) -> Array:
+        """Return ∂f/∂(q, dq, ddq) (n, 3, N) of a function f(G), given ∂f/∂G (p, p), symmetric."""
+        n, samples = self.model.n, len(stacked.motion)
+        seeds = (2.0 * slope @ stacked.rows).reshape(self.size, n, samples)
+        seed = np.ascontiguousarray(seeds[self._columns, self._rows].T)
+        pulled = self._pulled.dense(stacked.motion, seed=seed)[:, 0, :]
+        return np.ascontiguousarray(pulled.reshape(3, n, samples).transpose(1, 0, 2))
+
+
+def base_regressor(model: Model, symbols: Symbols, sign_width: Array) -> ca.SX:
+    """Return the kept columns (n, p) of [Y, effect columns] with a smooth sign."""
+    unreachable = [p.label for p in model.placements if needs_more_than_motion(p.effect)]
+    if unreachable:
+        raise ExcitationError(
+            f"{', '.join(unreachable)}: depends on time, temperature or the past; "
+            "no motion of one period excites it: leave it out of the design"
+        )
+    n = model.n
+    sign = ca.tanh(symbols.dq / ca.DM(sign_width))
+    load = ca.SX(n, 1)
+    if any("load" in p.effect.signals for p in model.placements):
+        parameters = ca.SX(ca.DM(model.robot.link_parameters))
+        load = recursion.inverse_dynamics(model.robot, symbols, parameters)
+    signals = EffectSignals(
+        symbols.q, symbols.dq, symbols.ddq, sign, load, ca.SX(n, 1), ca.SX(1, 1)
+    )
+    shapes = ca.SX(ca.DM(model.initial_shapes))
+    every = ca.horzcat(regressor(model.robot, symbols), model.effect_columns(signals, shapes))
+    return every[:, [int(k) for k in model.base.kept]]
+
+
+def needs_more_than_motion(effect: object) -> bool:
+    """Whether an effect sees something that a short motion does not vary."""
+    signals = getattr(effect, "signals", ())
+    return bool(getattr(effect, "states", ())) or bool({"temperature", "time"} & set(signals))

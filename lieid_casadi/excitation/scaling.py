@@ -1,0 +1,56 @@
+"""Scales of the full regressor's columns: what counts as one unit of each parameter."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieid_casadi.errors import ExcitationError
+from lieid_casadi.model import Model
+
+Array = NDArray[np.float64]
+NAMES = ("si", "units", "prior")
+LEAST = 0.01  # of a group's typical size: what a parameter that is stated as 0 may be off by
+
+
+def column_scale(model: Model, scaling: str | ArrayLike) -> Array:
+    """Return the factors (P,) of the full regressor's columns.
+
+    ``si`` leaves them alone. ``units`` measures in the arm's own mass and length, and friction in
+    typical torques of its joints. ``prior`` takes the sizes of the stated parameters as prior
+    standard deviations, friction again in typical torques.
+
+    Raises
+    ------
+    ExcitationError
+        Unknown name, wrong number of factors, factors that are not positive.
+    """
+    count = len(model.base.names)
+    if not isinstance(scaling, str):
+        factors = np.asarray(scaling, dtype=float)
+        if factors.shape != (count,) or not np.all(np.isfinite(factors) & (factors > 0.0)):
+            raise ExcitationError(
+                f"scaling: expected {count} positive factors, one a column of the full regressor"
+            )
+        return factors
+    if scaling == "si":
+        return np.ones(count)
+    if scaling not in NAMES:
+        raise ExcitationError(f"scaling: {scaling!r}; expected {', '.join(NAMES)} or factors")
+    links = model.robot.link_parameters.reshape(model.n, 10)
+    groups = (slice(0, 1), slice(1, 4), slice(4, 10))
+    scale = np.empty_like(links)
+    for group in groups:
+        typical = np.sqrt(np.mean(links[:, group] ** 2))
+        if scaling == "units":
+            scale[:, group] = typical
+        else:
+            scale[:, group] = np.maximum(np.abs(links[:, group]), LEAST * typical)
+    return np.concatenate([scale.ravel(), _friction_scale(model)])
+
+
+def _friction_scale(model: Model) -> Array:
+    """Return a few per cent of each joint's torque limit, per effect coefficient's unit of 1."""
+    torque = model.robot.limit("torque")
+    typical = np.where(np.isfinite(torque), 0.03 * torque, 1.0)
+    return np.array([typical[column.joint] for column in model.columns])

@@ -1,0 +1,50 @@
+"""A design in words."""
+
+from __future__ import annotations
+
+import html as escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from lieid_casadi.excitation.excitation import Excitation
+
+
+def summary(excitation: Excitation) -> str:
+    """Return a few paragraphs: how good, against what, which limits bind, what stays weak."""
+    e, q = excitation, excitation.quality
+    unit = "SI" if e.scaling == "si" else f"columns scaled by {e.scaling}"
+    effects = ", ".join(e.model.effects) or "no effects"
+    random = [s.first_condition_number for s in e.starts if np.isfinite(s.first_condition_number)]
+    against = ""
+    if random:
+        against = (
+            f" The same search began at {np.median(random):.3g} (median over {len(random)} random "
+            "starts after one step)."
+        )
+    lines = [
+        f"Excitation of {e.model.robot.name}: {e.duration:.4g} s, of which {e.start:.4g} to "
+        f"{e.end:.4g} s count ({e.periods} × {e.trajectory.duration:.4g} s).",
+        f"Condition number {e.condition_number:.4g} (σ₁ {q.singular_values[0]:.4g}, "
+        f"σ_r {q.singular_values[q.rank - 1]:.4g} of the full regressor at {e.samples} samples, "
+        f"{unit}, {effects}); −log det {e.neg_log_det:.4g} for {q.rank} base parameters.{against}",
+        f"Every limit holds on a grid 20 times finer than the samples "
+        f"(largest excess {e.max_violation:.1g}).",
+    ]
+    if e.fullness:
+        names = ", ".join(f.quantity for f in e.fullness[:6])
+        more = f" and {len(e.fullness) - 6} more" if len(e.fullness) > 6 else ""
+        lines.append(f"Limits that bind: {names}{more}.")
+    weak = "; ".join(f"{w.text} (σ {w.singular_value:.3g})" for w in q.weak)
+    lines.append(f"What torques show least (directions by their base parameters): {weak}.")
+    if e.interrupted:
+        lines.append("The search was interrupted; this is the best trajectory so far.")
+    lines += [f"! {warning}" for warning in e.warnings]
+    return "\n".join(lines)
+
+
+def html(excitation: Excitation) -> str:
+    """Return the words as HTML paragraphs, for notebooks."""
+    paragraphs = summary(excitation).split("\n")
+    return "".join(f"<p>{escape.escape(text)}</p>" for text in paragraphs)
