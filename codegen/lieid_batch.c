@@ -304,3 +304,25 @@ int lieid_columns(const lieid_plan *plan, int64_t first, int64_t last, double *o
     free(space.memory);
     return 0;
 }
+
+#if LIEID_LANES == 1
+/* States of effects with memory, row after row: states (samples, state_count) with the first row
+ * given. At sample s argument a begins at arguments[a] + (s - 1) * steps[a], steps in doubles.
+ * Returns 0, or -1 without memory.
+ */
+int lieid_states(lieid_kernel kernel, int64_t argument_count, const double *const *arguments,
+                 const int64_t *steps, int64_t state_count, double *states, int64_t samples)
+{
+    const double **in = malloc(((size_t)argument_count + 1) * sizeof *in);
+    double **rows = malloc(((size_t)state_count + 1) * sizeof *rows);
+    const int failed = in == NULL || rows == NULL;
+    for (int64_t s = 1; s < samples && !failed; s++) {
+        for (int64_t a = 0; a < argument_count; a++) in[a] = arguments[a] + (s - 1) * steps[a];
+        for (int64_t i = 0; i < state_count; i++) rows[i] = states + s * state_count + i;
+        kernel(in, rows, 1);
+    }
+    free(in);
+    free(rows);
+    return failed ? -1 : 0;
+}
+#endif

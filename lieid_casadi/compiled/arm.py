@@ -18,7 +18,7 @@ from lieid_casadi.compiled.evaluation import (
 )
 from lieid_casadi.compiled.functions import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
-from lieid_casadi.memory import states_along
+from lieid_casadi.compiled.memory import states_along
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
@@ -70,6 +70,7 @@ class Compiled:
         self.functions = KernelFunctions(model)
         self.threads = default_threads() if threads is None else threads
         self._kernels = Kernels(self.functions, lanes)
+        self._memory = Kernels(self.functions, lanes=1)
         self._evaluations: dict[str, Evaluation] = {}
 
     @cached_property
@@ -315,7 +316,7 @@ class Compiled:
         if time is not None:
             values["time"] = arguments.times(time, count)
         if self.model.states:
-            values["states"] = states_along(self.functions, values)
+            values["states"] = states_along(self._memory, values)
         return values
 
     def _links(self, parameters: ArrayLike) -> dict[str, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
 
 from lieid_casadi.dynamics.recursion import Reference
 from lieid_casadi.dynamics.regressor import slotine_li_regressor
@@ -47,6 +48,18 @@ class KernelFunctions(ModelFunctions):
         torque = ca.densify(ca.mtimes(self._effect_matrix, coefficients))
         return sparse_function(
             "friction", [*inputs, coefficients], [*names, "coefficients"], torque
+        )
+
+    @cached_property
+    def memory(self) -> SparseFunction:
+        """States (S, 1) at a sample, of the states and signals at the one before and its own."""
+        step, count = self.advance, len(self.model.states)
+        names = [str(step.name_in(k)) for k in range(step.n_in())]
+        inputs = [ca.SX.sym(name, step.size1_in(k)) for k, name in enumerate(names)]
+        after = ca.densify(step(*inputs))
+        function = ca.Function("memory", inputs, [after], names, ["nonzeros"], {"cse": True})
+        return SparseFunction(
+            function, np.arange(count), np.zeros(count, dtype=np.intp), (count, 1)
         )
 
     @cached_property

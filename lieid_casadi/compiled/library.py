@@ -104,11 +104,15 @@ class Plan(ctypes.Structure):
 
 @dataclass(frozen=True, eq=False)
 class Runtime:
-    """``codegen/lieid_batch.c``, compiled: its two functions, which release the GIL."""
+    """``codegen/lieid_batch.c``, compiled: its functions, which release the GIL.
+
+    ``states`` is there with one lane only.
+    """
 
     lanes: int
     dense: Callable[..., int]
     columns: Callable[..., int]
+    states: Callable[..., int] | None
 
 
 def load_runtime(path: Path) -> Runtime:
@@ -122,7 +126,11 @@ def load_runtime(path: Path) -> Runtime:
     columns.argtypes = [pointer, whole, whole, pointer, whole, whole]
     count = library.lieid_lane_count
     count.restype = whole
-    return Runtime(int(count()), dense, columns)
+    lanes, states = int(count()), None
+    if lanes == 1:
+        states = library.lieid_states
+        states.argtypes = [pointer, whole, pointer, pointer, whole, pointer, whole]
+    return Runtime(lanes, dense, columns, states)
 
 
 def _open(path: Path) -> ctypes.CDLL:

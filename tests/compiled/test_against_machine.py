@@ -66,7 +66,7 @@ def calls(model, samples=21, seed=0):
 def on_machine(model):
     """The same model as it is evaluated without a compiler."""
     arm = compile(model)
-    arm._kernels.get = lambda names: None
+    arm._kernels.get = arm._memory.get = lambda names: None
     return arm
 
 
@@ -98,12 +98,15 @@ def test_results_have_the_same_bits_with_any_number_of_lanes():
 
 
 def test_effects_with_memory_follow_the_samples():
-    model = lieid.Model(lieid.robots.two_link(), effects="presliding,coulomb")
-    (q, dq, ddq), _ = calls(model, samples=700)["base_regressor"]
-    expected = on_machine(model).base_regressor(q, dq, ddq)
-    got = compile(model).base_regressor(q, dq, ddq)
-    assert len(np.unique(got[:, 0, -4])) > 20  # the column remembers: more than a sign
-    np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-13)
+    model = lieid.Model(lieid.robots.two_link(), effects="presliding,presliding/lugre,coulomb")
+    fast, slow = compile(model), on_machine(model)
+    for samples in (0, 1, 2, 700):
+        (q, dq, ddq), signals = calls(model, samples=samples)["base_regressor"]
+        expected = slow.base_regressor(q / 20, dq, ddq, **signals)
+        got = fast.base_regressor(q / 20, dq, ddq, **signals)
+        np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-13)
+    column = [c.label for c in model.base_columns].index("presliding.f_c:1")
+    assert len(np.unique(got[:, 0, column])) > 100  # it remembers: more than a sign
 
 
 @pytest.mark.parametrize("lanes", LANES)
