@@ -1,0 +1,199 @@
+"""The bank of candidates: columns of everything that could be missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.columns import EffectFunction, SegmentSignals, columns_along
+from lieid_casadi.diagnosis.whitening import Noise, Runs
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+SMALLEST_SUPPORT = 12.0  # rows that make most of a column: fewer are a few odd moments
+
+
+class Tried(Protocol):
+    """Anything that may be added to a model: an effect in one place, or a smooth function."""
+
+    @property
+    def joint(self) -> int:
+        """The joint (from 0) whose rows it acts on first."""
+
+    @property
+    def lower(self) -> tuple[float, ...]:
+        """Least values of its coefficients."""
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers it adds to a model."""
+
+
+T = TypeVar("T", bound=Tried)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What acts on one joint's rows: ``matrix`` (R, m) of the bank's ``columns`` (m,)."""
+
+    columns: Indices
+    matrix: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Bank(Generic[T]):
+    """Columns in groups: one group is one candidate at one point of its shape grid.
+
+    Attributes
+    ----------
+    candidates : tuple
+    candidate, point, start, size : (G,) int
+        Of each group: which candidate, which grid point, its first column and how many.
+    parts : tuple of Part
+        One per joint.
+    """
+
+    candidates: tuple[T, ...]
+    candidate: Indices
+    point: Indices
+    start: Indices
+    size: Indices
+    parts: tuple[Part, ...]
+
+    @cached_property
+    def count(self) -> int:
+        """Number of columns m."""
+        return int(self.size.sum())
+
+    @cached_property
+    def support(self) -> Array:
+        """How many rows make each group's columns (G,): (Σ c²)² / Σ c⁴."""
+        squares, fourth = np.zeros(self.count), np.zeros(self.count)
+        for part in self.parts:
+            squares[part.columns] += np.sum(part.matrix**2, axis=0)
+            fourth[part.columns] += np.sum(part.matrix**4, axis=0)
+        each = np.divide(squares**2, fourth, out=np.zeros_like(squares), where=fourth > 0.0)
+        return np.asarray(np.minimum.reduceat(each, self.start)) if self.count else np.zeros(0)
+
+    @cached_property
+    def lower_bounds(self) -> Array:
+        """Least value of each column's coefficient (m,)."""
+        return np.array([lower for k in self.candidate for lower in self.candidates[k].lower])
+
+    def columns_of(self, group: int) -> Indices:
+        """Return a group's columns."""
+        return np.arange(self.start[group], self.start[group] + self.size[group])
+
+    def dense(self, group: int) -> list[Array]:
+        """Return a group's columns on every joint's rows: (R_j, k) each."""
+        wanted = self.columns_of(group)
+        found = []
+        for part in self.parts:
+            dense = np.zeros((part.matrix.shape[0], len(wanted)))
+            at = np.searchsorted(part.columns, wanted)
+            here = at < len(part.columns)
+            here[here] = part.columns[at[here]] == wanted[here]
+            dense[:, here] = part.matrix[:, at[here]]
+            found.append(dense)
+        return found
+
+    def whitened(self, noise: Sequence[Noise], runs: Sequence[Runs]) -> Bank[T]:
+        """Return the bank with every joint's rows whitened."""
+        parts = tuple(
+            Part(part.columns, each.whiten(part.matrix, run))
+            for part, each, run in zip(self.parts, noise, runs, strict=True)
+        )
+        return replace(self, parts=parts)
+
+
+Known = dict[str, Array]
+
+
+def build_bank(
+    wanted: Sequence[Candidate],
+    signals: Sequence[SegmentSignals],
+    runs: Sequence[Runs],
+    known: Known | None = None,
+) -> Bank[Candidate]:
+    """Evaluate and filter all candidates' columns, on each joint's runs, not whitened.
+
+    ``known`` keeps, by label, columns that no later fit changes; pass it again with the same runs.
+    """
+    known = {} if known is None else known
+    candidate: list[int] = []
+    point: list[int] = []
+    size: list[int] = []
+    on_joint: list[list[tuple[int, Array]]] = [[] for _ in runs]
+    first = 0
+    for members in _by_effect(wanted):
+        group = [wanted[k] for k in members]
+        effect, grid = group[0].effect, group[0].grid
+        fresh = [k for k in members if wanted[k].placement.label not in known]
+        values = _evaluated([wanted[k] for k in fresh], signals, runs)
+        for k in members:
+            label, joint = wanted[k].placement.label, wanted[k].joint
+            columns = known[label] if label in known else values[label]
+            if "load" not in effect.signals:
+                known[label] = columns
+            on_joint[joint].append((first, columns))
+            width = columns.shape[1] // len(grid)
+            candidate += [k] * len(grid)
+            point += range(len(grid))
+            size += [width] * len(grid)
+            first += columns.shape[1]
+    return assemble(wanted, candidate, point, size, on_joint, runs)
+
+
+def _evaluated(
+    group: Sequence[Candidate], signals: Sequence[SegmentSignals], runs: Sequence[Runs]
+) -> Known:
+    """Return the columns (N_j, G·c) of one effect's candidates, by label."""
+    if not group:
+        return {}
+    function, places = EffectFunction(group[0].effect), [c.placement for c in group]
+    values = np.concatenate([columns_along(function, s, places, group[0].grid) for s in signals])
+    return {
+        c.placement.label: values[runs[c.joint].all, k].reshape(runs[c.joint].count, -1)
+        for k, c in enumerate(group)
+    }
+
+
+def assemble(
+    tried: Sequence[T],
+    candidate: Sequence[int],
+    point: Sequence[int],
+    size: Sequence[int],
+    on_joint: Sequence[Sequence[tuple[int, Array]]],
+    runs: Sequence[Runs],
+) -> Bank[T]:
+    """Return a bank of groups; ``on_joint`` holds first column and columns (N, m) by joint."""
+    sizes = np.array(size, dtype=np.intp)
+    start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)[:-1]
+    return Bank(
+        tuple(tried),
+        np.array(candidate, dtype=np.intp),
+        np.array(point, dtype=np.intp),
+        start,
+        sizes,
+        tuple(_joined(p, run.count) for p, run in zip(on_joint, runs, strict=True)),
+    )
+
+
+def _by_effect(wanted: Sequence[Candidate]) -> list[list[int]]:
+    groups: dict[str, list[int]] = {}
+    for k, candidate in enumerate(wanted):
+        groups.setdefault(candidate.effect.label, []).append(k)
+    return list(groups.values())
+
+
+def _joined(pieces: Sequence[tuple[int, Array]], rows: int) -> Part:
+    if not pieces:
+        return Part(np.zeros(0, dtype=np.intp), np.zeros((rows, 0)))
+    columns = [np.arange(first, first + matrix.shape[1]) for first, matrix in pieces]
+    return Part(np.concatenate(columns), np.concatenate([m for _, m in pieces], axis=1))

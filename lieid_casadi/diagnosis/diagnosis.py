@@ -1,0 +1,203 @@
+"""Result of a diagnosis: the verdict, the steps, and what stays unexplained."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.unexplained import Unexplained
+from lieid_casadi.errors import LieidWarning
+from lieid_casadi.identification.fit import Fit, Source, warning_list
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+MOST_RIVALS = 3
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """How sure a step is.
+
+    Attributes
+    ----------
+    log10_p : float
+        log₁₀ of the family-wise p-value, over everything that was tried.
+    rows : int
+        Effective sample size: whitened rows of all joints.
+    effect_size : float
+        RMS of what the effect adds on its joint along the training recordings, N·m.
+    held_out_before, held_out_after : float
+        Blocked cross-validation error of the joint where it falls most, N·m.
+    confirmed : bool or None
+        Whether the test's error fell; None without a test.
+    """
+
+    log10_p: float
+    rows: int
+    effect_size: float
+    held_out_before: float
+    held_out_after: float
+    confirmed: bool | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the evidence for JSON."""
+        return {
+            "p_value": float(10.0 ** max(self.log10_p, -300.0)),
+            "log10_p": max(self.log10_p, -1e6),
+            "effective_rows": self.rows,
+            "effect_size": self.effect_size,
+            "rms_cv_before": self.held_out_before,
+            "rms_cv_after": self.held_out_after,
+            "test_confirms": self.confirmed,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One effect that was found, in the order added.
+
+    Attributes
+    ----------
+    label : str
+        As on the command line, ``load_friction:2``.
+    effect : str
+    joints : tuple of int
+        From 0; target and source for couplings.
+    parameters : dict
+        Name → value of the last fit.
+    rms_train, rms_test : (n,)
+        After this step, N·m; ``rms_test`` is None without a test.
+    indistinguishable : tuple of (Candidate, kind)
+    fit : Fit or None
+        With this effect and those before it.
+    """
+
+    label: str
+    effect: str
+    joints: tuple[int, ...]
+    parameters: dict[str, float]
+    rms_train: Array | None
+    rms_test: Array | None
+    evidence: Evidence
+    indistinguishable: tuple[tuple[Candidate, str], ...]
+    fit: Fit | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the step for JSON, joints from 1."""
+        return {
+            "effect": self.effect,
+            "joints": [j + 1 for j in self.joints],
+            "label": self.label,
+            "parameters": self.parameters,
+            "rms_train": _numbers(self.rms_train),
+            "rms_test": _numbers(self.rms_test),
+            "evidence": self.evidence.to_dict(),
+            "indistinguishable": [
+                {"effect": c.name, "joints": [j + 1 for j in c.joints], "kind": kind}
+                for c, kind in self.indistinguishable[:MOST_RIVALS]
+            ],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Result of :func:`lieid_casadi.diagnose`.
+
+    Attributes
+    ----------
+    mode : str
+        ``missing``: which effects the model lacks; ``changed``: what is no longer as it was.
+    verdict : str
+        ``sufficient``, ``effect_found`` or ``unexplained``.
+    noise_floor : (n,)
+        Error that a perfect model would have, N·m.
+    baseline_effects : tuple of str
+    baseline_train, baseline_test : (n,) or None
+        Error of the first model, N·m.
+    steps : tuple of Step
+    unexplained : tuple of Unexplained
+    rejected : tuple of (str, str)
+        Candidates that looked best and were turned down, and why.
+    tried : int
+        How many candidates were screened.
+    fit : Fit
+        The last model's.
+    warnings : tuple of LieidWarning
+    train, test : tuple of Source
+    """
+
+    mode: str
+    verdict: str
+    joint_names: tuple[str, ...]
+    noise_floor: Array
+    noise_source: str
+    baseline_effects: tuple[str, ...]
+    baseline_train: Array | None
+    baseline_test: Array | None
+    steps: tuple[Step, ...]
+    unexplained: tuple[Unexplained, ...]
+    rejected: tuple[tuple[str, str], ...]
+    tried: int
+    fit: Fit
+    warnings: tuple[LieidWarning, ...]
+    train: tuple[Source, ...]
+    test: tuple[Source, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``lieid diagnose --json`` writes."""
+        return {
+            "mode": self.mode,
+            "verdict": self.verdict,
+            "noise_floor": _numbers(self.noise_floor),
+            "noise_source": self.noise_source,
+            "baseline": {
+                "effects": list(self.baseline_effects),
+                "rms_train": _numbers(self.baseline_train),
+                "rms_test": _numbers(self.baseline_test),
+            },
+            "steps": [step.to_dict() for step in self.steps],
+            "unexplained": [
+                {"joint": u.joint + 1, "fraction": u.fraction, "depends_on": list(u.depends_on)}
+                for u in self.unexplained
+            ],
+            "rejected": [{"effect": label, "reason": reason} for label, reason in self.rejected],
+            "tried": self.tried,
+            "cutoff": self.fit.processing.cutoff,
+            "warnings": warning_list(self.warnings),
+            "recordings": {
+                "train": [{"name": s.name, "sha256": s.sha256} for s in self.train],
+                "test": [{"name": s.name, "sha256": s.sha256} for s in self.test],
+            },
+        }
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        from lieid_casadi.diagnosis.words import sentence
+
+        return sentence(self)
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the fall of the error from the first model to the last; not shown."""
+        from lieid_casadi.diagnosis.plots import plot_waterfall
+
+        return plot_waterfall(self, ax)
+
+    def _repr_html_(self) -> str:
+        from lieid_casadi.diagnosis.words import html
+
+        return html(self)
+
+
+def _numbers(values: Sequence[float] | Array | None) -> list[float | None] | None:
+    if values is None:
+        return None
+    return [float(value) if np.isfinite(value) else None for value in values]

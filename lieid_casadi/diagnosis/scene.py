@@ -1,0 +1,121 @@
+"""A fit on its training data, ready to be asked what it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.diagnosis.bank import Bank, Known, build_bank
+from lieid_casadi.diagnosis.candidates import Candidate, candidates
+from lieid_casadi.diagnosis.columns import SegmentSignals
+from lieid_casadi.diagnosis.screening import Baseline
+from lieid_casadi.diagnosis.whitening import Noise, Runs, runs_of
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.design import Design, Rows
+from lieid_casadi.identification.shape_fit import shape_columns
+from lieid_casadi.recording import Processed
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A fit, its rows for tests, and every candidate's columns on them (not whitened).
+
+    Attributes
+    ----------
+    fit : Fit
+    segments : tuple of Processed
+        Temperatures relative to the fit's mean.
+    runs : tuple of Runs
+        Of each joint.
+    columns : tuple of (N_j, p)
+        The model's own, with those of its shape parameters.
+    torque : tuple of (N_j,)
+    signals : tuple of SegmentSignals
+        One per segment.
+    bank : Bank
+    known : dict
+        Columns that another fit on the same segments has too.
+    """
+
+    fit: Fit
+    segments: tuple[Processed, ...]
+    runs: tuple[Runs, ...]
+    columns: tuple[Array, ...]
+    torque: tuple[Array, ...]
+    signals: tuple[SegmentSignals, ...]
+    bank: Bank[Candidate]
+    known: Known
+
+    @classmethod
+    def of(
+        cls,
+        fit: Fit,
+        segments: Sequence[Processed],
+        *,
+        before: Scene | None = None,
+    ) -> Scene:
+        """Evaluate the model's and all candidates' columns.
+
+        ``before`` is a scene of another fit on the same segments: its rows are kept, so that the
+        two can be compared, and its columns where the fit does not change them.
+        """
+        design = Design(fit.compiled, segments)
+        rows = design.rows(fit.shapes, fit.link_parameters)
+        runs = runs_of(rows, segments) if before is None else before.runs
+        known: Known = {} if before is None else before.known
+        matrices = _dense(rows)
+        if len(fit.shapes):
+            slopes = shape_columns(design, fit.values, fit.shapes, fit.link_parameters)
+            matrices = [np.column_stack([m, s]) for m, s in zip(matrices, slopes, strict=True)]
+        on_line = [_on_time_line(rows, j, m) for j, m in enumerate(matrices)]
+        torque = [_on_time_line(rows, j, rows.joints[j].torque) for j in range(fit.model.n)]
+        signals = [
+            SegmentSignals.of(
+                s, fit.compiled.inverse_dynamics(s.q, s.dq, s.ddq, fit.link_parameters)
+            )
+            for s in segments
+        ]
+        wanted = candidates(fit.model, segments)
+        return cls(
+            fit,
+            tuple(segments),
+            runs,
+            tuple(m[run.all] for m, run in zip(on_line, runs, strict=True)),
+            tuple(t[run.all] for t, run in zip(torque, runs, strict=True)),
+            tuple(signals),
+            build_bank(wanted, signals, runs, known),
+            known,
+        )
+
+    @cached_property
+    def plain(self) -> tuple[Noise, ...]:
+        """White noise of the size of the fit's residuals."""
+        return tuple(Noise(np.ones(1), float(sigma)) for sigma in self.fit.noise)
+
+    def baseline(self, noise: Sequence[Noise]) -> Baseline:
+        """Return the model's columns and the residual on whitened rows."""
+        matrices = [n.whiten(m, r) for n, m, r in zip(noise, self.columns, self.runs, strict=True)]
+        torques = [n.whiten(t, r) for n, t, r in zip(noise, self.torque, self.runs, strict=True)]
+        return Baseline.of(matrices, torques)
+
+
+def _dense(rows: Rows) -> list[Array]:
+    """Return each joint's matrix in all p columns."""
+    matrices = []
+    for joint in rows.joints:
+        wide = np.zeros((len(joint.torque), rows.count))
+        wide[:, joint.columns] = joint.matrix
+        matrices.append(wide)
+    return matrices
+
+
+def _on_time_line(rows: Rows, joint: int, values: Array) -> Array:
+    line = np.zeros((int(rows.segments[-1]), *values.shape[1:]))
+    line[rows.joints[joint].instant] = values
+    return line

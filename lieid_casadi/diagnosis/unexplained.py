@@ -1,0 +1,218 @@
+"""What remains of the error after all that was found, and which signals it follows.
+
+Smooth functions of each signal, and of pairs with one signal of the joint itself, are screened
+as candidates are. What counts is what they explain of held-out blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.diagnosis.bank import Bank, assemble
+from lieid_casadi.diagnosis.columns import SegmentSignals
+from lieid_casadi.diagnosis.evidence import Family
+from lieid_casadi.diagnosis.forward import column_stack
+from lieid_casadi.diagnosis.rivals import cross_validated_gain
+from lieid_casadi.diagnosis.screening import Baseline, screen
+from lieid_casadi.diagnosis.whitening import Runs
+
+Array = NDArray[np.float64]
+LEVEL = 0.01  # family-wise
+LEAST = 0.05  # part of a joint's residual variance below which nothing is told
+ADDS = 0.25  # of what the signals before it explain: less, and a signal is not named
+MOST_SIGNALS = 3
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """A smooth function of one or two signals on one joint.
+
+    ``signals`` are columns as in recordings: ``q3``, ``dq1``, ``temp2``, ``t``; ``load3`` is the
+    model's rigid torque.
+    """
+
+    joint: int
+    signals: tuple[str, ...]
+    parameters: int
+
+    @property
+    def lower(self) -> tuple[float, ...]:
+        """No bounds."""
+        return (-np.inf,) * self.parameters
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """An explainable part of one joint's residual.
+
+    Attributes
+    ----------
+    joint : int
+        From 0.
+    fraction : float
+        Of the residual's variance on held-out blocks.
+    depends_on : tuple of str
+        At most three columns, strongest first.
+    """
+
+    joint: int
+    fraction: float
+    depends_on: tuple[str, ...]
+
+
+def smooth_bank(signals: Sequence[SegmentSignals], runs: Sequence[Runs]) -> Bank[Smooth]:
+    """Return smooth functions of every signal on every joint, filtered, on its runs."""
+    n = len(runs)
+    ranges = _ranges(signals)
+    bases = [_bases(s, ranges) for s in signals]
+    tried: list[Smooth] = []
+    size: list[int] = []
+    on_joint: list[list[tuple[int, Array]]] = [[] for _ in runs]
+    first = 0
+    for names in _terms(n, "temp1" in bases[0]):
+        values = np.concatenate(
+            [s.segment.filter(_product(b, names)) for s, b in zip(signals, bases, strict=True)]
+        )
+        for joint in _joints_of(names, n):
+            tried.append(Smooth(joint, names, values.shape[1]))
+            size.append(values.shape[1])
+            on_joint[joint].append((first, values[runs[joint].all]))
+            first += values.shape[1]
+    order = range(len(tried))
+    return assemble(tried, list(order), [0] * len(tried), size, on_joint, runs)
+
+
+def unexplained(
+    bank: Bank[Smooth],
+    white: tuple[Bank[Smooth], Baseline],
+    baseline: Baseline,
+    folds: NDArray[np.intp],
+    *,
+    seed: int,
+) -> tuple[Unexplained, ...]:
+    """Return the joints whose residual follows signals, the strongest first.
+
+    Parameters
+    ----------
+    bank, baseline
+        On plain rows, where fractions are measured.
+    white
+        Both on whitened rows, for the test.
+    """
+    screening = screen(*white)
+    if not len(screening.gain):
+        return ()
+    family = Family.of(screening, seed=seed)
+    found = []
+    for joint in range(len(baseline.ends) - 1):
+        own = np.flatnonzero([c.joint == joint for c in bank.candidates])
+        rows = baseline.joint(joint)
+        variance = float(np.sum(baseline.residual[rows] ** 2))
+        spread = np.mean(white[1].residual[white[1].joint(joint)] ** 2)
+        sure = [
+            g
+            for g in own
+            if family.log10_p(screening.gain[g] / max(spread, 1.0), int(screening.rank[g]))
+            < np.log10(LEVEL)
+        ]
+        names, fraction = _strongest(bank, baseline, sure, folds, variance)
+        if names and fraction >= LEAST:
+            found.append(Unexplained(joint, min(fraction, 1.0), names))
+    return tuple(sorted(found, key=lambda u: -u.fraction))
+
+
+def _strongest(
+    bank: Bank[Smooth],
+    baseline: Baseline,
+    groups: Sequence[int],
+    folds: NDArray[np.intp],
+    variance: float,
+) -> tuple[tuple[str, ...], float]:
+    """Add the group with the largest held-out gain until what is added is little."""
+    names: list[str] = []
+    total = 0.0
+    while len(names) < MOST_SIGNALS:
+        gain = screen(bank, baseline).gain
+        best = sorted(groups, key=lambda g: -gain[g])[:6]
+        gains = [cross_validated_gain(column_stack(bank, g), baseline, folds) for g in best]
+        if not gains or max(gains) < max(0.5 * LEAST * variance, ADDS * total):
+            break
+        winner = best[int(np.argmax(gains))]
+        fresh = [s for s in bank.candidates[winner].signals if s not in names]
+        names += fresh[: MOST_SIGNALS - len(names)]
+        total += max(gains)
+        baseline = baseline.with_columns(column_stack(bank, winner))
+        groups = [g for g in groups if g != winner]
+    return tuple(names), total / variance if variance > 0.0 else 0.0
+
+
+def _terms(n: int, warm: bool) -> list[tuple[str, ...]]:
+    single: list[tuple[str, ...]] = [(f"{s}{i + 1}",) for s in ("q", "dq", "ddq") for i in range(n)]
+    single += [(f"load{i + 1}",) for i in range(n)] + [("t",)]
+    if warm:
+        single += [(f"temp{i + 1}",) for i in range(n)]
+    pairs = [(f"q{i + 1}", f"dq{j + 1}") for i in range(n) for j in range(n)]
+    pairs += [
+        (f"{s}{i + 1}", f"{s}{j + 1}") for s in ("q", "dq") for i in range(n) for j in range(i)
+    ]
+    return single + pairs
+
+
+def _joints_of(names: tuple[str, ...], n: int) -> list[int]:
+    """Return the joints that a term is tried on: all; a pair and loads only on their own."""
+    indices = {int("".join(c for c in s if c.isdigit()) or 0) - 1 for s in names}
+    if len(names) == 1 and not names[0].startswith(("load", "temp")):
+        return list(range(n))
+    return sorted(indices)
+
+
+def _ranges(signals: Sequence[SegmentSignals]) -> dict[str, Array]:
+    """Return lowest and highest values (2, n) of each signal."""
+    ranges = {}
+    for name in ("q", "dq", "ddq", "load", "temperature", "time"):
+        values = np.concatenate([s.values[name] for s in signals])
+        ranges[name] = np.percentile(values, [1.0, 99.0], axis=0)
+    return ranges
+
+
+def _bases(signals: SegmentSignals, ranges: dict[str, Array]) -> dict[str, Array]:
+    """Return basis functions (K, b) of each column along a segment."""
+    bases = {}
+    for name, column in (("q", "q"), ("dq", "dq"), ("ddq", "ddq"), ("load", "load")):
+        for i in range(signals.segment.n):
+            low, high = ranges[name][:, i]
+            values = signals.values[name][:, i]
+            half = max(0.5 * (high - low), 1e-9)
+            x = np.clip((values - 0.5 * (low + high)) / half, -1.2, 1.2)
+            if name == "dq":
+                reach = max(abs(low), abs(high), 1e-9)
+                x, sign = values / reach, signals.values["sign"][:, i]
+                bases[f"{column}{i + 1}"] = np.column_stack(
+                    [sign, np.abs(x), x, x * np.abs(x), x**3, np.exp(-((x / 0.1) ** 2)) * sign]
+                )
+            elif name == "q":
+                bases[f"{column}{i + 1}"] = np.column_stack(
+                    [np.cos(np.pi * 0.5 * k * (x + 1.0)) for k in range(1, 9)]
+                )
+            else:
+                bases[f"{column}{i + 1}"] = np.polynomial.legendre.legvander(x, 5)[:, 1:]
+    time = signals.values["time"][:, 0]
+    x = 2.0 * time / max(float(ranges["time"][1, 0]), 1e-9) - 1.0
+    bases["t"] = np.polynomial.legendre.legvander(x, 5)[:, 1:]
+    if signals.segment.temperature is not None:
+        for i in range(signals.segment.n):
+            low, high = ranges["temperature"][:, i]
+            x = (signals.values["temperature"][:, i] - low) / max(high - low, 1e-6) * 2.0 - 1.0
+            bases[f"temp{i + 1}"] = np.polynomial.legendre.legvander(x, 2)[:, 1:]
+    return bases
+
+
+def _product(bases: dict[str, Array], names: tuple[str, ...]) -> Array:
+    if len(names) == 1:
+        return bases[names[0]]
+    first, second = (bases[name][:, :4] for name in names)
+    return np.einsum("ka,kb->kab", first, second).reshape(len(first), -1)

@@ -1,0 +1,84 @@
+"""A diagnosis in words and tables."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from lieid_casadi.diagnosis.diagnosis import Diagnosis, Step
+
+
+def where(joints: tuple[int, ...]) -> str:
+    """Return ``joint 3``, ``joint 5 from joint 6`` or ``the whole arm`` (joints from 0 given)."""
+    if not joints:
+        return "the whole arm"
+    if len(joints) == 2:
+        return f"joint {joints[0] + 1} from joint {joints[1] + 1}"
+    return f"joint {joints[0] + 1}"
+
+
+def sentence(d: Diagnosis) -> str:
+    """Return the verdict in words."""
+    subject = "The model lacks" if d.mode == "missing" else "Since the fit has changed:"
+    named = [f"{step.effect} on {where(step.joints)}" for step in d.steps]
+    parts = []
+    if named:
+        parts.append(f"{subject} {', '.join(named)}.")
+    elif d.verdict == "sufficient":
+        parts.append(
+            "Nothing in the library improves the model."
+            if d.mode == "missing"
+            else "Nothing has changed."
+        )
+    for u in d.unexplained:
+        parts.append(
+            f"On joint {u.joint + 1} {100 * u.fraction:.0f} % of the remaining error's variance "
+            f"follows {', '.join(u.depends_on)}, which no effect of the library explains."
+        )
+    return " ".join(parts)
+
+
+def rows(d: Diagnosis) -> tuple[list[str], list[list[object]]]:
+    """Return headings and one row per model, first to last: errors per joint."""
+    tested = d.baseline_test is not None
+    first = d.baseline_test if tested else d.baseline_train
+    heading = [f"{j + 1} {name}" for j, name in enumerate(d.joint_names)]
+    table: list[list[object]] = []
+    if first is not None:
+        table.append(["+".join(d.baseline_effects) or "rigid", *map(float, first), None])
+    for step in d.steps:
+        after = step.rms_test if tested else step.rms_train
+        if after is not None:
+            table.append([f"+ {step.label}", *map(float, after), _sure(step)])
+    table.append(["noise floor", *map(float, d.noise_floor), None])
+    return ["model", *heading, "p"], table
+
+
+def _sure(step: Step) -> str:
+    exponent = step.evidence.log10_p
+    return f"{10.0**exponent:.2g}" if exponent > -15 else f"1e{max(exponent, -1e6):.0f}"
+
+
+def html(d: Diagnosis) -> str:
+    """Return the verdict and the table as HTML."""
+    headings, table = rows(d)
+    head = "".join(f"<th>{escape(h)}</th>" for h in headings)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(_cell(cell))}</td>" for cell in row) + "</tr>"
+        for row in table
+    )
+    return (
+        f"<p><b>{escape(sentence(d))}</b></p>"
+        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    )
+
+
+def _cell(cell: object) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, float):
+        return "–" if np.isnan(cell) else f"{cell:.3g}"
+    return str(cell)
