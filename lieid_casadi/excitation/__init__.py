@@ -3,6 +3,8 @@
 from lieid_casadi.excitation.capsules import Capsule, enclosing, skeleton
 from lieid_casadi.excitation.excitation import Excitation
 from lieid_casadi.excitation.excite import excite
+from lieid_casadi.excitation.friction_sweep import FrictionSweep, friction_sweep
+from lieid_casadi.excitation.geometry import capsules_of, load_capsules
 from lieid_casadi.excitation.space import Obstacle, SelfCollision, Wall, floor, room
 from lieid_casadi.excitation.symbolic_limits import CartesianSpeed, Torque
 
@@ -10,13 +12,17 @@ __all__ = [
     "Capsule",
     "CartesianSpeed",
     "Excitation",
+    "FrictionSweep",
     "Obstacle",
     "SelfCollision",
     "Torque",
     "Wall",
+    "capsules_of",
     "enclosing",
     "excite",
     "floor",
+    "friction_sweep",
+    "load_capsules",
     "room",
     "skeleton",
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -13,6 +12,7 @@ from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
 SKELETON_RADIUS = 0.06  # of the arm's length, where no geometry is known
+WORTH = 0.7  # of one capsule's volume: more capsules must take up less
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +51,32 @@ def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...
         if np.linalg.norm(end) > 1e-6:
             capsules.append(Capsule(link, np.zeros(3), end, size))
     return tuple(capsules)
+
+
+def enclosing_all(
+    link: int, points: Array, faces: NDArray[np.int64] | None = None, *, splits: int = 2
+) -> list[Capsule]:
+    """Return one capsule around points (N, 3), or several where those take up less space.
+
+    A mesh with triangles ``faces`` (F, 3) is cut in two across its longest direction; triangles
+    on the cut belong to both parts, so that each lies wholly in one capsule.
+    """
+    whole = enclosing(link, points)
+    if faces is None or splits == 0 or len(faces) < 8:
+        return [whole]
+    centred = points - points.mean(axis=0)
+    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+    middle = (centred @ axis)[faces].mean(axis=1)
+    parts: list[Capsule] = []
+    for chosen in (middle <= np.median(middle), middle > np.median(middle)):
+        if not chosen.any():
+            return [whole]
+        used, renumbered = np.unique(faces[chosen], return_inverse=True)
+        part = renumbered.reshape(-1, 3)
+        parts += enclosing_all(link, points[used], part, splits=splits - 1)
+    if sum(_volume(part) for part in parts) < WORTH * _volume(whole):
+        return parts
+    return [whole]
 
 
 def enclosing(link: int, points: Array) -> Capsule:
@@ -107,8 +133,3 @@ def segment_distance_to_points(points: Array, start: Array, end: Array) -> Array
     if squared > 0.0:
         share = np.clip((points - start) @ direction / squared, 0.0, 1.0)
     return np.asarray(np.linalg.norm(points - start - share[:, None] * direction, axis=1))
-
-
-def radius_of(capsules: Sequence[Capsule]) -> Array:
-    """Return the radii (c,)."""
-    return np.array([capsule.radius for capsule in capsules])

@@ -1,0 +1,233 @@
+"""``lieid excite ROBOT -o DIR``: the trajectory that identifies the arm best, within limits."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import arguments, output
+from lieid_casadi.errors import UsageError
+
+if TYPE_CHECKING:
+    from lieid_casadi.excitation import Excitation
+    from lieid_casadi.excitation.symbolic_limits import Limit
+    from lieid_casadi.model import Model
+    from lieid_casadi.robot import Robot
+
+CRITERIA = ("combined", "condition", "hadamard", "logdet", "a_optimal", "e_optimal")
+FAMILIES = ("fourier", "modified_fourier", "spline")
+INTERRUPTED = 130
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser("excite", help="design an optimal excitation trajectory")
+    arguments.add_robot(parser)
+    parser.add_argument("-o", "--output", required=True, metavar="DIR")
+    parser.add_argument("--force", action="store_true", help="replace a folder with other content")
+    arguments.add_effects(parser)
+    parser.add_argument("--criterion", choices=CRITERIA, default="combined")
+    parser.add_argument(
+        "--inertial-only", action="store_true", help="leave effects out of the regressor"
+    )
+    parser.add_argument("--scaling", choices=("si", "units", "prior"), default="si")
+    _add_motion(parser)
+    _add_limits(parser)
+    _add_search(parser)
+    parser.add_argument(
+        "--friction-sweep", nargs="+", type=int, metavar="JOINT",
+        help="write constant-speed runs of these joints instead",
+    )  # fmt: skip
+    arguments.add_outputs(parser)
+    arguments.add_threads(parser)
+    parser.set_defaults(run=run)
+
+
+def _add_motion(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("motion")
+    group.add_argument("--family", choices=FAMILIES, default="fourier")
+    group.add_argument("--duration", type=float, default=20.0, metavar="S", help="of one period")
+    group.add_argument("--harmonics", type=int, default=5, metavar="N")
+    group.add_argument("--periods", type=int, default=1, metavar="N")
+    group.add_argument("--samples", type=int, default=100, metavar="N", help="of the criterion")
+    group.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the files")
+    group.add_argument(
+        "--start-pose", nargs="+", type=float, metavar="Q", help="default: middle of the ranges"
+    )
+    group.add_argument(
+        "--free-start", action="store_true", help="start anywhere; run in from the start pose"
+    )
+
+
+def _add_limits(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("limits beside those of position and velocity")
+    group.add_argument(
+        "--acceleration", nargs="+", type=float, metavar="A", help="rad/s², one or one a joint"
+    )
+    group.add_argument(
+        "--torque-fraction", type=float, default=1.0, metavar="F", help="of the torque limits"
+    )
+    group.add_argument("--no-torque", action="store_true", help="leave torque limits aside")
+    group.add_argument(
+        "--cartesian-speed", type=float, metavar="M/S", help="of tool and joint centres"
+    )
+    group.add_argument("--floor", nargs="?", type=float, const=0.0, metavar="Z", help="default: 0")
+    group.add_argument(
+        "--wall", nargs=4, type=float, action="append", default=[], metavar=("NX", "NY", "NZ", "D"),
+        help="stay where n·x ≤ d",
+    )  # fmt: skip
+    for name, text in (("--room", "stay inside this box"), ("--obstacle", "stay out of this box")):
+        group.add_argument(
+            name, nargs=6, type=float, action="append", default=[],
+            metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"), help=text,
+        )  # fmt: skip
+    group.add_argument(
+        "--self-collision", nargs="?", type=float, const=0.02, metavar="CLEARANCE",
+        help="keep the links apart; default: 0.02 m",
+    )  # fmt: skip
+    group.add_argument(
+        "--capsules", metavar="FILE", help="links as capsules (YAML); default: fitted"
+    )
+
+
+def _add_search(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("search")
+    group.add_argument("--starts", type=int, default=4, metavar="N")
+    group.add_argument("--seed", type=int, default=0, metavar="N")
+    group.add_argument("--time-limit", type=float, default=float("inf"), metavar="S")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Design, write and tell; 130 if interrupted with a trajectory kept."""
+    from lieid_casadi.excitation import excite
+
+    folder = Path(args.output)
+    check_folder(folder, force=args.force)
+    output.check_writable(args.json)
+    model = arguments.model_of(args)
+    if args.friction_sweep:
+        return _sweep(args, model, folder)
+    with output.progress("excite") as report:
+        excitation = excite(
+            model,
+            criterion=args.criterion, inertial_only=args.inertial_only,
+            constraints=limits_of(args, model.robot), start_pose=args.start_pose,
+            free_start=args.free_start, acceleration=args.acceleration, family=args.family,
+            duration=args.duration, harmonics=args.harmonics, periods=args.periods,
+            samples=args.samples, rate=args.rate, scaling=args.scaling, starts=args.starts,
+            seed=args.seed, time_limit=args.time_limit, progress=report,
+        )  # fmt: skip
+    replace_folder(folder, excitation.save)
+    output.write_json(args.json, excitation.to_dict())
+    show(excitation, folder)
+    return INTERRUPTED if excitation.interrupted else 0
+
+
+def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
+    """Return the limits that the options ask for."""
+    from lieid_casadi.excitation import (
+        CartesianSpeed,
+        Obstacle,
+        SelfCollision,
+        Torque,
+        Wall,
+        capsules_of,
+        floor,
+        load_capsules,
+        room,
+    )
+
+    asked = args.floor is not None or args.wall or args.room or args.obstacle
+    links: Any = ()
+    if args.capsules is not None:
+        links = load_capsules(args.capsules, robot)
+    elif asked or args.self_collision is not None:
+        links = capsules_of(robot)
+    limits: list[Limit] = []
+    stated = robot.limit("torque")
+    if not args.no_torque and robot.has_inertia and (stated == stated).any():
+        limits.append(Torque(args.torque_fraction))
+    if args.cartesian_speed is not None:
+        limits.append(CartesianSpeed(args.cartesian_speed))
+    if args.floor is not None:
+        limits.append(floor(args.floor, capsules=links))
+    limits += [Wall((x, y, z), d, capsules=links) for x, y, z, d in args.wall]
+    for corners in args.room:
+        limits += room(corners[:3], corners[3:], capsules=links)
+    limits += [Obstacle(tuple(c[:3]), tuple(c[3:]), capsules=links) for c in args.obstacle]
+    if args.self_collision is not None:
+        limits.append(SelfCollision(args.self_collision, links))
+    return limits
+
+
+def _sweep(args: argparse.Namespace, model: Model, folder: Path) -> int:
+    from lieid_casadi.excitation import friction_sweep
+
+    sweeps = [
+        friction_sweep(
+            model,
+            joint - 1,
+            start_pose=args.start_pose,
+            acceleration=args.acceleration,
+            constraints=limits_of(args, model.robot),
+            rate=min(args.rate, 200.0),
+        )
+        for joint in args.friction_sweep
+    ]
+
+    def save(into: Path) -> None:
+        for sweep in sweeps:
+            sweep.save(into)
+
+    replace_folder(folder, save)
+    output.write_json(args.json, {"sweeps": [sweep.to_dict() for sweep in sweeps]})
+    for sweep in sweeps:
+        count, left_out = len(sweep.parts) // 2, len(sweep.left_out)
+        output.say(
+            f"Joint {sweep.joint + 1}: {count} speeds forward and back, "
+            f"{sweep.motion.t[-1]:.0f} s; {left_out} left out. Files in {folder}."
+        )
+    return 0
+
+
+def show(excitation: Excitation, folder: Path) -> None:
+    """Print the result."""
+    output.say(excitation.summary())
+    rows = [
+        [f"seed {s.seed}", s.condition_number, s.neg_log_det, s.seconds] for s in excitation.starts
+    ]
+    output.table("Random starts", ["start", "condition number", "−log det", "s"], rows)
+    output.say(
+        f"Built in {excitation.build_seconds:.2g} s, solved in {excitation.solve_seconds:.2g} s. "
+        f"Files in {folder}."
+    )
+
+
+def check_folder(folder: Path, *, force: bool) -> None:
+    """Refuse a folder with content, unless forced.
+
+    Raises
+    ------
+    UsageError
+    """
+    output.check_writable(folder / "trajectory.csv")
+    if folder.is_file():
+        raise UsageError(f"{folder}: is a file; expected a folder")
+    if folder.is_dir() and any(folder.iterdir()) and not force:
+        raise UsageError(f"{folder}: not empty; --force replaces it")
+
+
+def replace_folder(folder: Path, save: Any) -> None:
+    """Write beside the folder first, then put everything in place at once."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    fresh = folder.with_name(f".{folder.name}.new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    try:
+        save(fresh)
+        if folder.exists():
+            shutil.rmtree(folder)
+        fresh.replace(folder)
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)

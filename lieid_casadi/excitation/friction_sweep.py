@@ -1,0 +1,268 @@
+"""Constant-speed runs of one joint, forward and back over the same positions (paper, 6.4.2).
+
+Half the difference of the torques of both directions at one position is friction (Eq. 15).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieid_casadi.errors import ExcitationError, NoSolution
+from lieid_casadi.excitation.constraints import ConstraintSet
+from lieid_casadi.excitation.joint_limits import MotionRange, check_start_pose, motion_range
+from lieid_casadi.excitation.run_in import PEAK_ACCELERATION, PEAK_VELOCITY, RunIn
+from lieid_casadi.excitation.symbolic_limits import Limit
+from lieid_casadi.excitation.trajectory import Motion
+from lieid_casadi.model import Model
+
+Array = NDArray[np.float64]
+SPEEDS = np.deg2rad(
+    [
+        0.1, 0.2, 0.4, 0.5, 0.8, 1, 1.2, 1.5, 1.6, 1.8, 2, 2.2, 2.5, 2.8,
+        3, 3.5, 4, 4.5, 5, 6, 8, 10, 12, 15, 16, 20, 25, 30,
+    ]
+)  # fmt: skip
+DWELL = 0.5  # s at rest between runs
+STEEPEST = 1.875  # of the quintic step from 0 to 1 in 1 s
+SPARE = 1.1  # longer than the acceleration limit asks for
+SHORTEST_RAMP = 0.2  # s
+WITHIN = 0.9  # of the position range
+
+
+@dataclass(frozen=True)
+class ConstantSpeed:
+    """A part at constant speed: rad/s with its sign, from ``start`` to ``end`` in s."""
+
+    speed: float
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionSweep:
+    """Runs of one joint (from 0), the others resting at the start pose.
+
+    Attributes
+    ----------
+    parts : tuple of ConstantSpeed
+        Slowest first, forward and back in turn.
+    left_out : tuple of float
+        Speeds beyond the joint's limit, or that its range has no room for, rad/s.
+    """
+
+    model: Model
+    joint: int
+    motion: Motion
+    parts: tuple[ConstantSpeed, ...]
+    left_out: tuple[float, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the runs are; the joint counts from 1."""
+        return {
+            "robot": self.model.robot.name,
+            "joint": self.joint + 1,
+            "duration": float(self.motion.t[-1]),
+            "parts": [{"speed": p.speed, "start": p.start, "end": p.end} for p in self.parts],
+            "left_out": list(self.left_out),
+        }
+
+    def save(self, folder: str | Path) -> tuple[Path, ...]:
+        """Write ``friction_sweep_qJ.csv`` and ``.json`` into a folder; return the files."""
+        import json
+
+        from lieid_casadi.excitation.files import csv_text, write_all
+
+        name = f"friction_sweep_q{self.joint + 1}"
+        content = json.dumps(self.to_dict(), indent=1)
+        files = {f"{name}.csv": csv_text(self.motion).encode(), f"{name}.json": content.encode()}
+        return write_all(Path(folder), files)
+
+
+def friction_sweep(
+    model: Model,
+    joint: int,
+    *,
+    speeds: ArrayLike = SPEEDS,
+    seconds: float = 6.0,
+    start_pose: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    constraints: Sequence[Limit] = (),
+    rate: float = 200.0,
+) -> FrictionSweep:
+    """Return constant-speed runs of a joint around the start pose.
+
+    Parameters
+    ----------
+    joint : int
+        From 0.
+    speeds : (k,)
+        rad/s; the paper's 28 from 0.1 to 30 °/s if left out.
+    seconds : float
+        Longest part at constant speed; slow runs cover that much less of the range.
+    start_pose : (n,), optional
+        The middle of the joint ranges if left out.
+    constraints : sequence of Limit
+        Beside the joint limits; verified along the whole motion.
+
+    Raises
+    ------
+    ExcitationError
+        No such joint, a start pose outside the limits.
+    NoSolution
+        A limit that the runs break; names it.
+    """
+    robot = model.robot
+    if not 0 <= joint < robot.n:
+        raise ExcitationError(f"friction sweep: no joint {joint + 1}; the arm has 1 to {robot.n}")
+    if not (seconds > 0.0 and rate > 0.0):
+        raise ExcitationError("friction sweep: seconds and rate must be positive")
+    limits = motion_range(robot, acceleration)
+    pose = limits.middle if start_pose is None else np.asarray(start_pose, dtype=float)
+    check_start_pose(robot, limits, pose)
+    runs, left_out = _runs(limits, joint, pose[joint], np.sort(np.abs(speeds)), seconds)
+    if not runs:
+        raise NoSolution(
+            f"friction sweep: joint {joint + 1} has no room for any speed around "
+            f"{pose[joint]:g}; choose a start pose nearer to the middle of its range"
+        )
+    motion, parts = _motion(pose, joint, runs, rate, float(limits.acceleration[joint]))
+    sets = [s for s in (limit.on(robot) for limit in constraints) if s is not None]
+    _verify(motion, [limits.constraint_set(), *sets])
+    return FrictionSweep(model, joint, motion, tuple(parts), tuple(left_out))
+
+
+@dataclass(frozen=True)
+class _Run:
+    """From rest to rest: a smooth ramp to ``speed``, a steady part, a ramp down (s)."""
+
+    speed: float
+    ramp: float
+    steady: float
+
+    @property
+    def travel(self) -> float:
+        return self.speed * (self.steady + self.ramp)
+
+    @property
+    def duration(self) -> float:
+        return 2.0 * self.ramp + self.steady
+
+    def at(self, t: Array) -> Array:
+        """Return way, speed and acceleration (3, N) since the start of the run."""
+        up = np.clip(t / self.ramp, 0.0, 1.0)
+        down = np.clip((t - self.ramp - self.steady) / self.ramp, 0.0, 1.0)
+        way = self.ramp * (_step_integral(up) + down - _step_integral(down))
+        way = way + np.clip(t - self.ramp, 0.0, self.steady)
+        slope = (_step_slope(up) - _step_slope(down)) / self.ramp
+        return np.asarray(self.speed * np.stack([way, _step(up) - _step(down), slope]))
+
+
+def _step(u: Array) -> Array:
+    return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
+
+
+def _step_integral(u: Array) -> Array:
+    return np.asarray(u**4 * (2.5 - 3.0 * u + u**2))
+
+
+def _step_slope(u: Array) -> Array:
+    return np.asarray(30.0 * u**2 * (1.0 - u) ** 2)
+
+
+def _runs(
+    limits: MotionRange, joint: int, centre: float, speeds: Array, seconds: float
+) -> tuple[list[_Run], list[float]]:
+    """Return the runs that the joint has room for, and the speeds that are left out."""
+    low, high = limits.position[joint]
+    room = min(2.0 * WITHIN * min(centre - low, high - centre), 2.0 * np.pi)
+    runs, left_out = [], []
+    for speed in speeds.tolist():
+        ramp = max(SHORTEST_RAMP, SPARE * STEEPEST * speed / limits.acceleration[joint])
+        steady = min(seconds, room / speed - ramp)
+        if speed > limits.velocity[joint] or steady < ramp:
+            left_out.append(speed)
+        else:
+            runs.append(_Run(speed, ramp, steady))
+    return runs, left_out
+
+
+@dataclass
+class _Path:
+    """Position, speed, acceleration of one joint, put together part by part."""
+
+    rate: float
+    now: float = 0.0
+    here: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.times = [np.zeros(1)]
+        self.ways = [np.zeros((3, 1))]
+
+    def add(self, duration: float, way: Callable[[Array], Array], sign: float = 1.0) -> None:
+        """Add a part that moves by ``sign * way`` from where the path is."""
+        count = max(2, round(duration * self.rate))
+        local = duration * np.arange(1, count + 1) / count
+        part = sign * way(local)
+        part[0] += self.here
+        self.times.append(self.now + local)
+        self.ways.append(part)
+        self.now += duration
+        self.here = float(part[0, -1])
+
+
+def _motion(
+    pose: Array, joint: int, runs: Sequence[_Run], rate: float, acceleration: float
+) -> tuple[Motion, list[ConstantSpeed]]:
+    """Put the runs together: to the start, forward, back, to the next start."""
+    path, parts = _Path(rate), []
+    fastest = max(run.speed for run in runs)
+
+    def rest() -> None:
+        path.add(DWELL, lambda t: np.zeros((3, len(t))))
+
+    def go(target: float) -> None:
+        way = np.array([target - path.here])
+        slowest = max(
+            1.0,
+            PEAK_VELOCITY * abs(way[0]) / fastest,
+            float(np.sqrt(SPARE * PEAK_ACCELERATION * abs(way[0]) / acceleration)),
+        )
+        quintic = RunIn(np.zeros(1), way, slowest)
+
+        def moved(t: Array) -> Array:
+            motion = quintic.at(t)
+            return np.stack([motion.q[:, 0], motion.dq[:, 0], motion.ddq[:, 0]])
+
+        path.add(slowest, moved)
+
+    for run in runs:
+        go(-0.5 * run.travel)
+        for sign in (1.0, -1.0):
+            rest()
+            begins = path.now + run.ramp
+            parts.append(ConstantSpeed(sign * run.speed, begins, begins + run.steady))
+            path.add(run.duration, run.at, sign)
+    rest()
+    go(0.0)
+    time, way = np.concatenate(path.times), np.concatenate(path.ways, axis=1)
+    signals = np.zeros((3, len(time), len(pose)))
+    signals[0] = pose
+    signals[:, :, joint] += way
+    return Motion(time, *signals), parts
+
+
+def _verify(motion: Motion, sets: Sequence[ConstraintSet]) -> None:
+    for limits in sets:
+        excess = limits.excess(limits.values(motion))
+        k, sample = np.unravel_index(int(np.argmax(excess)), excess.shape)
+        if excess[k, sample] > 1e-9:
+            raise NoSolution(
+                f"friction sweep: {limits.labels[k]} passes its limit by {excess[k, sample]:.3g} "
+                f"{limits.units[k]} at {motion.t[sample]:.3g} s; choose another start pose"
+            )
