@@ -9,7 +9,14 @@ from __future__ import annotations
 
 import casadi as ca
 
-from lieid_casadi.dynamics.lie import hat, inverse_adjoint_times, small_adjoint
+from lieid_casadi.dynamics.lie import (
+    Pose,
+    cross,
+    hat,
+    inverse_adjoint_times,
+    inverse_adjoint_transpose_times,
+    small_adjoint,
+)
 from lieid_casadi.dynamics.motion import Motion, axes, relative_poses, tool_pose
 from lieid_casadi.dynamics.recursion import inverse_dynamics, tool_in_base
 from lieid_casadi.robot.robot import Robot
@@ -17,14 +24,17 @@ from lieid_casadi.robot.robot import Robot
 
 def spatial_inertia(link: ca.SX) -> ca.SX:
     """Return E (6, 6) = [[I, m·ĉ], [−m·ĉ, m·1₃]] at the link frame's origin."""
-    moment = hat(link[1:4])
-    inertia = ca.vertcat(
+    moment, mass = hat(link[1:4]), link[0] * ca.SX(ca.DM.eye(3))
+    return ca.vertcat(ca.horzcat(_inertia(link), moment), ca.horzcat(-moment, mass))
+
+
+def _inertia(link: ca.SX) -> ca.SX:
+    """Return the inertia (3, 3) about the link frame's origin."""
+    return ca.vertcat(
         ca.horzcat(link[4], link[5], link[7]),
         ca.horzcat(link[5], link[6], link[8]),
         ca.horzcat(link[7], link[8], link[9]),
     )
-    mass = link[0] * ca.SX(ca.DM.eye(3))
-    return ca.vertcat(ca.horzcat(inertia, moment), ca.horzcat(-moment, mass))
 
 
 def link_jacobians(robot: Robot, motion: Motion) -> list[ca.SX]:
@@ -42,11 +52,33 @@ def _links(parameters: ca.SX) -> list[ca.SX]:
 
 
 def mass_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
-    """Return M(q) = ξᵀBᵀEBξ (n, n)."""
-    matrix = ca.SX(robot.n, robot.n)
-    for jacobian, link in zip(link_jacobians(robot, motion), _links(parameters), strict=True):
-        matrix = matrix + ca.mtimes(jacobian.T, ca.mtimes(spatial_inertia(link), jacobian))
+    """Return M(q) = ξᵀBᵀEBξ (n, n).
+
+    Summed from the tip: the links from j on move as one body when joint j alone moves (composite
+    rigid bodies; Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 6).
+    """
+    matrix, links = ca.SX(robot.n, robot.n), _links(parameters)
+    poses, xi = relative_poses(robot, motion), axes(robot)
+    body = links[-1]
+    for j in reversed(range(robot.n)):
+        wrench = ca.mtimes(spatial_inertia(body), xi[j])
+        for i in reversed(range(j + 1)):
+            matrix[i, j] = matrix[j, i] = ca.mtimes(xi[i].T, wrench)
+            wrench = inverse_adjoint_transpose_times(poses[i], wrench)
+        if j:
+            body = links[j - 1] + _seen_from_parent(poses[j], body)
     return matrix
+
+
+def _seen_from_parent(g: Pose, link: ca.SX) -> ca.SX:
+    """Return link parameters (10,) about the parent's frame."""
+    mass, moment = link[0], ca.mtimes(g.rotation, link[1:4])
+    p, turned = hat(g.translation), hat(moment)
+    inertia = ca.mtimes(g.rotation, ca.mtimes(_inertia(link), g.rotation.T))
+    across = ca.mtimes(p, turned)
+    inertia = inertia - across - across.T - mass * ca.mtimes(p, p)
+    six = [inertia[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
+    return ca.vertcat(mass, moment + mass * g.translation, *six)
 
 
 def velocity_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
@@ -74,33 +106,61 @@ def velocity_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
 def coriolis_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
     """Return C(q, q̇) (n, n) with C·q̇ = V·q̇ and Ṁ − 2C skew-symmetric.
 
-    C = Σ Jᵀ(E·J̇ + B·J) with a skew B(E, V), in body frames; Echeandia & Wensing, "Numerical
-    methods to compute the Coriolis matrix and Christoffel symbols for rigid-body systems",
-    J. Comput. Nonlinear Dynam. 2021.
+    C = Σ Jᵀ(E·J̇ + B·J) with B(E, V)·V_r the forces m·ω_r × u on points that move with u, summed
+    from the tip as in `mass_matrix`; Echeandia & Wensing, "Numerical methods to compute the
+    Coriolis matrix and Christoffel symbols for rigid-body systems", J. Comput. Nonlinear Dynam.
+    2021. B = [[L, 0], [−P̂, 0]] with the momentum P = Σ m·u and L = −Σ m·r̂·û, whose sums over
+    the links of a composite body are again such a pair.
     """
-    matrix = ca.SX(robot.n, robot.n)
-    jacobians, poses = link_jacobians(robot, motion), relative_poses(robot, motion)
-    before, rate = ca.SX(6, robot.n), ca.SX(6, robot.n)
-    for i, (link, xi) in enumerate(zip(_links(parameters), axes(robot), strict=True)):
-        inertia, jacobian = spatial_inertia(link), jacobians[i]
-        carried = inverse_adjoint_times(poses[i], before)
-        rate = inverse_adjoint_times(poses[i], rate) - ca.mtimes(
-            small_adjoint(xi * motion.dq[i]), carried
-        )
-        twist = ca.mtimes(jacobian, motion.dq)
-        inner = ca.mtimes(inertia, rate) + ca.mtimes(_body_coriolis(inertia, twist), jacobian)
-        matrix = matrix + ca.mtimes(jacobian.T, inner)
-        before = jacobian
+    matrix, links = ca.SX(robot.n, robot.n), _links(parameters)
+    poses, xi = relative_poses(robot, motion), axes(robot)
+    velocities = link_velocities(robot, motion)
+    # how each axis changes: with its link, as the links before it carry it
+    rates = [ca.mtimes(small_adjoint(v), axis) for v, axis in zip(velocities, xi, strict=True)]
+    moments = [_point_moments(link, v) for link, v in zip(links, velocities, strict=True)]
+    body, (momentum, turning) = links[-1], moments[-1]
+    for j in reversed(range(robot.n)):
+        inertia, axis = spatial_inertia(body), xi[j]
+        bent = ca.vertcat(ca.mtimes(turning, axis[:3]), cross(axis[:3], momentum))
+        own = ca.mtimes(inertia, rates[j]) + bent  # E·ξ̇ + B·ξ
+        inert = ca.mtimes(inertia, axis)
+        straight = ca.mtimes(turning.T, axis[:3]) + cross(momentum, axis[3:])
+        back = ca.vertcat(straight, ca.SX(3, 1))  # Bᵀ·ξ
+        for i in reversed(range(j + 1)):
+            matrix[i, j] = ca.mtimes(xi[i].T, own)
+            if i < j:
+                matrix[j, i] = ca.mtimes(rates[i].T, inert) + ca.mtimes(xi[i].T, back)
+            own, inert, back = (
+                inverse_adjoint_transpose_times(poses[i], wrench) for wrench in (own, inert, back)
+            )
+        if j:
+            g = poses[j]
+            momentum = ca.mtimes(g.rotation, momentum)
+            turning = ca.mtimes(g.rotation, ca.mtimes(turning, g.rotation.T))
+            turning = moments[j - 1][1] + turning - ca.mtimes(hat(g.translation), hat(momentum))
+            momentum = moments[j - 1][0] + momentum
+            body = links[j - 1] + _seen_from_parent(g, body)
     return matrix
 
 
-def _body_coriolis(inertia: ca.SX, twist: ca.SX) -> ca.SX:
-    """Return B (6, 6), skew, with B·V = −ad_Vᵀ·E·V."""
-    ad = small_adjoint(twist)
-    momentum = ca.mtimes(inertia, twist)
-    moment, force = hat(momentum[:3]), hat(momentum[3:])
-    swapped = ca.vertcat(ca.horzcat(-moment, -force), ca.horzcat(-force, ca.SX(3, 3)))
-    return 0.5 * (-ca.mtimes(ad.T, inertia) + ca.mtimes(inertia, ad) + swapped)
+def link_velocities(robot: Robot, motion: Motion) -> list[ca.SX]:
+    """Return the twist V_i (6,) of each link in its own frame."""
+    velocity, velocities = ca.SX(6, 1), []
+    for i, (g, xi) in enumerate(zip(relative_poses(robot, motion), axes(robot), strict=True)):
+        velocity = inverse_adjoint_times(g, velocity) + xi * motion.dq[i]
+        velocities.append(velocity)
+    return velocities
+
+
+def _point_moments(link: ca.SX, velocity: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return Σ m·u (3,) and −Σ m·r̂·û (3, 3) of a link's points r, their velocity u = v + ω × r.
+
+    With hat(ω × r) = ω̂r̂ − r̂ω̂ and r̂ω̂r̂ = −(r·ω)r̂ the sums are those of the inertia.
+    """
+    omega, v, moment, inertia = velocity[:3], velocity[3:], link[1:4], _inertia(link)
+    second = (inertia[0, 0] + inertia[1, 1] + inertia[2, 2]) * 0.5 * omega - ca.mtimes(inertia, omega)
+    turning = hat(second) - ca.mtimes(inertia, hat(omega)) - ca.mtimes(hat(moment), hat(v))
+    return link[0] * v + cross(omega, moment), turning
 
 
 def gravity(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
