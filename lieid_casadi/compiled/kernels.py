@@ -58,6 +58,7 @@ class Kernels:
         self.functions = functions
         self.target = target_of(lanes)
         self._loaded: dict[str, Kernel] = {}
+        self._runtime: Runtime | None = None
 
     def get(self, names: Iterable[str]) -> tuple[Runtime, tuple[Kernel, ...]] | None:
         """Return the runtime and kernels of functions; None without a working compiler.
@@ -67,12 +68,7 @@ class Kernels:
         names = tuple(names)
         if _Failure.reason is None:
             try:
-                missing = [name for name in names if name not in self._loaded]
-                with ThreadPoolExecutor(2) as pool:  # two compilers at once
-                    runtime = pool.submit(_runtime, self.target)
-                    built = list(pool.map(self._kernel, missing))
-                    self._loaded.update(zip(missing, built, strict=True))
-                return runtime.result(), tuple(self._loaded[name] for name in names)
+                return self._runtime_and(names)
             except UnsupportedOperation as error:
                 logger.warning("%s; CasADi's virtual machine evaluates it", error)
             except CompilerError as error:
@@ -80,6 +76,18 @@ class Kernels:
             except OSError as error:
                 _Failure.tell(f"compiled code cannot be stored: {error}")
         return None
+
+    def _runtime_and(self, names: tuple[str, ...]) -> tuple[Runtime, tuple[Kernel, ...]]:
+        missing = [name for name in names if name not in self._loaded]
+        if self._runtime is not None and len(missing) < 2:
+            built = [self._kernel(name) for name in missing]
+        else:
+            with ThreadPoolExecutor(2) as pool:  # two compilers at once
+                runtime = pool.submit(_runtime, self.target)
+                built = list(pool.map(self._kernel, missing))
+            self._runtime = runtime.result()
+        self._loaded.update(zip(missing, built, strict=True))
+        return self._runtime, tuple(self._loaded[name] for name in names)
 
     def _kernel(self, name: str) -> Kernel:
         def source() -> str:
