@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.excitation import quadratic
 from lieid_casadi.excitation.constraints import Rows, SampledConstraints
-from lieid_casadi.excitation.quadratic import QuadraticPrograms, Step
+from lieid_casadi.excitation.quadratic import Step
 from lieid_casadi.excitation.trajectory import Motion
 
 Array = NDArray[np.float64]
@@ -85,12 +86,6 @@ class Sqp:
     penalty: float = 1.0
     hessian: Array | None = None
     stage: int = 0
-    _programs: QuadraticPrograms = field(init=False)
-    _elastic: QuadraticPrograms = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._programs = QuadraticPrograms(self.size)
-        self._elastic = QuadraticPrograms(self.size + 1)
 
     def minimize(
         self, objective: Objective, z: Array, *, iterations: int, tolerance: float
@@ -150,22 +145,30 @@ class Sqp:
             self.hessian = np.eye(self.size) * max(1e-3, float(np.linalg.norm(gradient)))
         matrix = np.vstack([matrix, state.outcome.slopes])
         values = np.concatenate([values, further])
-        bound = np.full((self.size, 2), LONGEST) * [-1.0, 1.0]
         worst = max(float(values.max(initial=0.0)), 0.0)
         if worst <= 1e-9:
-            limit = np.maximum(-values, 0.0)
-            step = self._programs.solve(self.hessian, gradient, matrix, limit, bound)
-            if step.solved:
-                return step, 0.0
+            step = quadratic.solve(self.hessian, gradient, matrix, np.maximum(-values, 0.0))
+            if step is not None:
+                return _shortened(step), 0.0
+        return self._elastic(gradient, matrix, values, worst)
+
+    def _elastic(
+        self, gradient: Array, matrix: Array, values: Array, worst: float
+    ) -> tuple[Step, float]:
+        """Return the step of the program whose rows may be exceeded at the penalty's price."""
         hessian = np.zeros((self.size + 1, self.size + 1))
         hessian[:-1, :-1] = self.hessian
-        hessian[-1, -1] = 1e-6
-        elastic = np.hstack([matrix, -np.ones((len(matrix), 1))])
-        bounds = np.vstack([bound, [0.0, 2.0 * worst + 1.0]])
-        step = self._elastic.solve(
-            hessian, np.append(gradient, self.penalty), elastic, -values, bounds
+        hessian[-1, -1] = self.penalty  # a little convexity of the slack, in its own scale
+        elastic = np.zeros((len(matrix) + 1, self.size + 1))
+        elastic[:-1, :-1], elastic[:, -1] = matrix, -1.0
+        step = quadratic.solve(
+            hessian, np.append(gradient, self.penalty), elastic, np.append(-values, 0.0)
         )
-        return Step(step.step[:-1], step.multipliers, step.solved), float(step.step[-1])
+        if step is None:
+            self.hessian = None
+            return Step(np.zeros(self.size), np.zeros(len(values))), worst
+        slack = max(float(step.step[-1]), 0.0)
+        return _shortened(Step(step.step[:-1], step.multipliers[:-1])), slack
 
     def _raise_penalty(self, step: Step, violation: float, slack: float) -> None:
         needed = 1.5 * float(step.multipliers.sum())
@@ -205,7 +208,7 @@ class Sqp:
         values = c.at(after.excess, every) - matrix @ step.step
         further = after.outcome.excess - state.outcome.slopes @ step.step
         again, slack = self._solve(state, matrix, values, further)
-        return again.step if again.solved and slack < after.violation else None
+        return again.step if slack < after.violation else None
 
     def _update_hessian(self, before: State, after: State, rows: Rows, multipliers: Array) -> None:
         """Damped BFGS (Powell) on the Lagrangian."""
@@ -223,6 +226,14 @@ class Sqp:
             slopes = jacobian(after.motion, chosen) - jacobian(before.motion, chosen)
             change = change + multipliers[: len(rows)][held] @ slopes
         self.hessian = damped_bfgs(self.hessian, move, change)
+
+
+def _shortened(step: Step) -> Step:
+    """Return the step within the longest allowed; what it promises holds for a part of it too."""
+    longest = float(np.abs(step.step).max(initial=0.0))
+    if longest <= LONGEST:
+        return step
+    return Step(step.step * (LONGEST / longest), step.multipliers)
 
 
 def damped_bfgs(hessian: Array, move: Array, change: Array) -> Array:
