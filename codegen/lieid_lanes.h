@@ -22,6 +22,7 @@
 #if LIEID_LANES > 1
 typedef double lieid_v __attribute__((vector_size(8 * LIEID_LANES)));
 typedef int64_t lieid_i __attribute__((vector_size(8 * LIEID_LANES)));
+typedef uint64_t lieid_w __attribute__((vector_size(8 * LIEID_LANES)));
 typedef double lieid_u __attribute__((vector_size(8 * LIEID_LANES), aligned(8), may_alias));
 #define LIEID_BITS(x) ((lieid_i)(x))
 #define LIEID_REAL(i) ((lieid_v)(i))
@@ -33,6 +34,7 @@ static inline void lieid_store(double *p, lieid_v x) { *(lieid_u *)p = x; }
 #else
 typedef double lieid_v;
 typedef int64_t lieid_i;
+typedef uint64_t lieid_w;
 #define LIEID_MASK(comparison) (-(int64_t)(comparison))
 #define LIEID_LANE(x, k) (x)
 static inline lieid_i LIEID_BITS(double x) { lieid_i i; memcpy(&i, &x, sizeof i); return i; }
@@ -41,6 +43,9 @@ static inline lieid_v lieid_splat(double x) { return x; }
 static inline lieid_v lieid_load(const double *p) { return *p; }
 static inline void lieid_store(double *p, lieid_v x) { *p = x; }
 #endif
+
+/* bits moved left, those beyond the last one lost */
+#define LIEID_SHIFTED(i, count) ((lieid_i)((lieid_w)(i) << (count)))
 
 /* a where the mask is set, else b */
 static inline lieid_v lieid_select(lieid_i mask, lieid_v a, lieid_v b)
@@ -172,8 +177,8 @@ static inline void lieid_sincos_near(lieid_v x, lieid_v *sine, lieid_v *cosine)
     const lieid_v c = w + (((1.0 - w) - half) + (z * (z * p) - r * rest));
 
     const lieid_i odd = -(quadrant & 1);
-    *sine = LIEID_REAL(LIEID_BITS(lieid_select(odd, c, s)) ^ ((quadrant & 2) << 62));
-    *cosine = LIEID_REAL(LIEID_BITS(lieid_select(odd, s, c)) ^ (((quadrant + 1) & 2) << 62));
+    *sine = LIEID_REAL(LIEID_BITS(lieid_select(odd, c, s)) ^ LIEID_SHIFTED(quadrant & 2, 62));
+    *cosine = LIEID_REAL(LIEID_BITS(lieid_select(odd, s, c)) ^ LIEID_SHIFTED((quadrant + 1) & 2, 62));
 }
 
 /* Lanes beyond the limit, infinities among them, go to the C library, which reduces by any size. */
@@ -212,7 +217,7 @@ static inline lieid_v lieid_cos(lieid_v x)
 /* 2^k for whole k from -1022 to 1023 */
 static inline lieid_v lieid_power_of_two(lieid_v k)
 {
-    return LIEID_REAL((LIEID_BITS(k + LIEID_ROUNDER) + 1023) << 52);
+    return LIEID_REAL(LIEID_SHIFTED(LIEID_BITS(k + LIEID_ROUNDER) + 1023, 52));
 }
 
 static inline lieid_v lieid_exp(lieid_v x)

@@ -158,7 +158,7 @@ def _point_moments(link: ca.SX, velocity: ca.SX) -> tuple[ca.SX, ca.SX]:
     With hat(ω × r) = ω̂r̂ − r̂ω̂ and r̂ω̂r̂ = −(r·ω)r̂ the sums are those of the inertia.
     """
     omega, v, moment, inertia = velocity[:3], velocity[3:], link[1:4], _inertia(link)
-    second = (inertia[0, 0] + inertia[1, 1] + inertia[2, 2]) * 0.5 * omega - ca.mtimes(inertia, omega)
+    second = 0.5 * ca.trace(inertia) * omega - ca.mtimes(inertia, omega)  # Σ m·r·rᵀ·ω
     turning = hat(second) - ca.mtimes(inertia, hat(omega)) - ca.mtimes(hat(moment), hat(v))
     return link[0] * v + cross(omega, moment), turning
 
