@@ -15,7 +15,9 @@ from lieid_casadi import __version__
 from lieid_casadi.cli import arguments
 
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
-COMMANDS = ("demo", "show", "identify", "predict", "compare")
+COMMANDS = (
+    "demo", "show", "excite", "identify", "predict", "compare", "friction", "diagnose", "extend",
+)  # fmt: skip
 
 
 class Parser(argparse.ArgumentParser):

@@ -2,5 +2,7 @@
 
 from lieid_casadi.diagnosis.diagnose import diagnose
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
+from lieid_casadi.diagnosis.extend import Extension, extend
+from lieid_casadi.diagnosis.selection import Proposal
 
-__all__ = ["Diagnosis", "Evidence", "Step", "diagnose"]
+__all__ = ["Diagnosis", "Evidence", "Extension", "Proposal", "Step", "diagnose", "extend"]

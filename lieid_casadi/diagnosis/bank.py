@@ -123,7 +123,7 @@ def build_bank(
 ) -> Bank[Candidate]:
     """Evaluate and filter all candidates' columns, on each joint's runs, not whitened.
 
-    ``known`` keeps, by label, columns that no later fit changes; pass it again with the same runs.
+    ``known`` keeps, by `Candidate.key`, columns that no later fit changes; pass it again with the same runs.
     """
     known = {} if known is None else known
     candidate: list[int] = []
@@ -134,13 +134,13 @@ def build_bank(
     for members in _by_effect(wanted):
         group = [wanted[k] for k in members]
         effect, grid = group[0].effect, group[0].grid
-        fresh = [k for k in members if wanted[k].placement.label not in known]
+        fresh = [k for k in members if wanted[k].key not in known]
         values = _evaluated([wanted[k] for k in fresh], signals, runs)
         for k in members:
-            label, joint = wanted[k].placement.label, wanted[k].joint
-            columns = known[label] if label in known else values[label]
+            key, joint = wanted[k].key, wanted[k].joint
+            columns = known[key] if key in known else values[key]
             if "load" not in effect.signals:
-                known[label] = columns
+                known[key] = columns
             on_joint[joint].append((first, columns))
             width = columns.shape[1] // len(grid)
             candidate += [k] * len(grid)
@@ -153,13 +153,13 @@ def build_bank(
 def _evaluated(
     group: Sequence[Candidate], signals: Sequence[SegmentSignals], runs: Sequence[Runs]
 ) -> Known:
-    """Return the columns (N_j, G·c) of one effect's candidates, by label."""
+    """Return the columns (N_j, G·c) of one effect's candidates, by key."""
     if not group:
         return {}
     function, places = EffectFunction(group[0].effect), [c.placement for c in group]
     values = np.concatenate([columns_along(function, s, places, group[0].grid) for s in signals])
     return {
-        c.placement.label: values[runs[c.joint].all, k].reshape(runs[c.joint].count, -1)
+        c.key: values[runs[c.joint].all, k].reshape(runs[c.joint].count, -1)
         for k, c in enumerate(group)
     }
 
@@ -188,7 +188,8 @@ def assemble(
 def _by_effect(wanted: Sequence[Candidate]) -> list[list[int]]:
     groups: dict[str, list[int]] = {}
     for k, candidate in enumerate(wanted):
-        groups.setdefault(candidate.effect.label, []).append(k)
+        key = candidate.effect.label + candidate.grid.tobytes().hex()
+        groups.setdefault(key, []).append(k)
     return list(groups.values())
 
 

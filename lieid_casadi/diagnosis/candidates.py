@@ -16,7 +16,8 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
-GRID = 11  # values of one shape parameter that are tried; the square root of it each for two
+GRID = 25  # values of one shape parameter that are tried; the square root of it each for two
+ZOOM = (1 / 3, 2 / 3)  # of the way to the next point, where a grid is refined
 #: Other forms of an effect that stands in the list by its plain name, and models that take the
 #: place of coulomb and viscous instead of standing beside them.
 NOT_TRIED = ("sigmoid_friction",)
@@ -35,6 +36,30 @@ class Candidate:
 
     placement: Placement
     grid: Array
+
+    @property
+    def key(self) -> str:
+        """What its columns depend on beside the fit: its label and its grid."""
+        return f"{self.placement.label}{self.grid.tobytes().hex()}"
+
+    def zoomed(self, points: Sequence[int]) -> Candidate:
+        """Return it with more points of its grid beside some of them."""
+        if not self.grid.shape[1]:
+            return self
+        ranges = ShapeRange.of(self.effect.shapes)
+        places = ranges.place(self.grid)
+        more = [self.grid]
+        for point, axis in product(points, range(places.shape[1])):
+            at = np.unique(places[:, axis])
+            here = places[point, axis]
+            below, above = at[at < here - 1e-9], at[at > here + 1e-9]
+            ends = [below.max() if len(below) else 0.0, above.min() if len(above) else 1.0]
+            for end, part in product(ends, ZOOM):
+                place = places[point].copy()
+                place[axis] = here + part * (end - here)
+                more.append(ranges.shapes(place)[None])
+        grid = np.unique(np.concatenate(more), axis=0)
+        return Candidate(self.placement, grid)
 
     @property
     def effect(self) -> Effect:

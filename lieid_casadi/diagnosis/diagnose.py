@@ -11,7 +11,7 @@ from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
 from lieid_casadi.diagnosis.rivals import FOLDS
 from lieid_casadi.diagnosis.scene import Scene
-from lieid_casadi.diagnosis.selection import FOLD, Found, Search, block_index
+from lieid_casadi.diagnosis.selection import FOLD, Found, Proposal, Search, block_index
 from lieid_casadi.diagnosis.unexplained import Unexplained, smooth_bank, unexplained
 from lieid_casadi.errors import IdentificationError, LieidWarning, SameRecordingWarning
 from lieid_casadi.identification import Fit, identify
@@ -33,6 +33,7 @@ def diagnose(
     method: str = "wls",
     processing: Processing | None = None,
     seed: int = 0,
+    ask: Callable[[Proposal], bool] | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Find which effects a model lacks.
@@ -52,6 +53,8 @@ def diagnose(
         Filter options; the cut-off is chosen from the data if not stated.
     seed : int
         For the bootstrap.
+    ask : callable, optional
+        Called before each step is accepted; False turns it down.
     progress : callable, optional
         Called with a stage's name and the fraction done.
 
@@ -82,7 +85,7 @@ def diagnose(
     def refit(wanted: Model, start: ShapeStart | None) -> Fit:
         return identify(wanted, given, method=method, processing=options, start=start)
 
-    search = Search(first, segments, refit, judge, seed=seed)
+    search = Search(first, segments, refit, judge, seed=seed, ask=ask)
     scene = search.run(lambda stage, fraction: report(stage, 0.1 + 0.8 * fraction))
     report("what stays unexplained", 0.9)
     left = left_over(search, scene, seed=seed)

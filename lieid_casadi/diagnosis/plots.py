@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -12,33 +14,47 @@ if TYPE_CHECKING:
 
     from lieid_casadi.diagnosis.diagnosis import Diagnosis
 
+Array = NDArray[np.float64]
+
 
 def plot_waterfall(d: Diagnosis, ax: Axes | None = None) -> Figure:
     """Draw each joint's error over its noise floor, from the first model to the last."""
-    from matplotlib.figure import Figure
-
-    if ax is None:
-        figure = Figure(figsize=(1.6 + 1.5 * len(d.joint_names), 3.6), layout="constrained")
-        ax = figure.add_subplot()
-    else:
-        figure = ax.get_figure(root=True)  # type: ignore[assignment]
     tested = d.baseline_test is not None
     series = [d.baseline_test if tested else d.baseline_train]
     series += [step.rms_test if tested else step.rms_train for step in d.steps]
-    known = np.array([values for values in series if values is not None], dtype=float)
+    known = [values for values in series if values is not None]
     labels = ["first model", *(f"+ {step.label}" for step in d.steps)]
-    width = 0.8 / max(len(known), 1)
-    for k, values in enumerate(known):
-        at = np.arange(len(values)) - 0.4 + (k + 0.5) * width
-        shade = 0.75 - 0.6 * k / max(len(known) - 1, 1)
-        ax.bar(
-            at, values / known[0], width, label=labels[k], color=(shade, shade, 1.0 - 0.4 * shade)
-        )
-    if len(known):
-        for j, floor in enumerate(d.noise_floor / known[0]):
-            ax.plot([j - 0.4, j + 0.4], [floor, floor], "k--", linewidth=1.0)
-    ax.set_xticks(range(len(d.joint_names)), [f"{j + 1}" for j in range(len(d.joint_names))])
-    ax.set_xlabel("joint (dashed: noise floor)")
-    ax.set_ylabel(f"RMS error on the {'test' if tested else 'training'}, first model = 1")
+    return draw_waterfall(known, labels, d.noise_floor, tested, ax)
+
+
+def draw_waterfall(
+    series: Sequence[Array],
+    labels: Sequence[str],
+    floor: Array | None,
+    tested: bool,
+    ax: Axes | None,
+) -> Figure:
+    """Draw errors (n,) of successive models, the first one's as 1, joint by joint."""
+    from matplotlib.figure import Figure
+
+    joints = len(series[0]) if series else 0
+    figure: Figure
+    if ax is None:
+        figure = Figure(figsize=(1.6 + 1.5 * joints, 3.6), layout="constrained")
+        ax = figure.add_subplot()
+    else:
+        figure = ax.get_figure(root=True)  # type: ignore[assignment]
+    width = 0.8 / max(len(series), 1)
+    for k, values in enumerate(series):
+        at = np.arange(joints) - 0.4 + (k + 0.5) * width
+        shade = 0.75 - 0.6 * k / max(len(series) - 1, 1)
+        colour = (shade, shade, 1.0 - 0.4 * shade)
+        ax.bar(at, values / series[0], width, label=labels[k], color=colour)
+    if series and floor is not None:
+        for j, part in enumerate(floor / series[0]):
+            ax.plot([j - 0.4, j + 0.4], [part, part], "k--", linewidth=1.0)
+    ax.set_xticks(range(joints), [f"{j + 1}" for j in range(joints)])
+    ax.set_xlabel("joint" if floor is None else "joint (dashed: noise floor)")
+    ax.set_ylabel(f"RMS error on the {'test' if tested else 'training'}\nfirst model = 1")
     ax.legend(fontsize="small", ncols=2)
     return figure

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -92,6 +92,13 @@ class Scene:
             build_bank(wanted, signals, runs, known),
             known,
         )
+
+    def zoomed(self, points: Mapping[int, Sequence[int]]) -> Scene:
+        """Return the scene with finer grids beside points (candidate → points)."""
+        wanted = [
+            c.zoomed(points[k]) if k in points else c for k, c in enumerate(self.bank.candidates)
+        ]
+        return replace(self, bank=build_bank(wanted, self.signals, self.runs, self.known))
 
     @cached_property
     def plain(self) -> tuple[Noise, ...]:

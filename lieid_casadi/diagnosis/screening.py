@@ -20,6 +20,7 @@ from lieid_casadi.diagnosis.bank import SMALLEST_SUPPORT, Bank
 
 Array = NDArray[np.float64]
 ABSORBED = 1e-6  # remaining part of a column below which no data can tell it
+WEAK = 0.05  # remaining part below which a point of a shape grid says nothing of its own
 RANK = 1e-9
 
 
@@ -122,6 +123,8 @@ def screen(bank: Bank, baseline: Baseline) -> Screening:
     allowed = values >= bank.lower_bounds - 1e-12 if len(values) else np.zeros(0, bool)
     fine = np.logical_and.reduceat(allowed, bank.start) if len(values) else allowed
     fine &= bank.support >= SMALLEST_SUPPORT
+    shaped = np.bincount(bank.candidate, minlength=len(bank.candidates))[bank.candidate] > 1
+    fine &= ~(shaped & (remaining < WEAK))
     return Screening(
         bank, baseline, np.where(fine, gain, 0.0), remaining, rank, roots, products[:, 0]
     )

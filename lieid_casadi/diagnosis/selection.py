@@ -30,7 +30,9 @@ logger = logging.getLogger("lieid_casadi")
 
 PILOT = Price(each=5.0, part=0.02)
 WORTH = 0.03  # least fall of a joint's held-out error that is worth an effect
-LEVEL = 0.01  # family-wise p-value above which an effect is noise
+LEVEL = 1e-3  # family-wise p-value above which an effect is noise
+ZOOMS = 2  # rounds in which the grids of shape parameters are refined
+STRONG = 0.25  # of the best gain: candidates whose grids are refined
 MOST_STEPS = 12
 BLOCK = 1.0  # s, of blocks whose residuals count as independent
 FOLD = 2.0  # s, of blocks that go to the folds in turn
@@ -74,6 +76,19 @@ class Rejected:
     reason: str
 
 
+@dataclass(frozen=True)
+class Proposal:
+    """A step that is about to be accepted; ``joint`` (from 0) is where the error falls most.
+
+    ``before`` and ``after`` are held-out errors there, N·m.
+    """
+
+    label: str
+    joint: int
+    before: float
+    after: float
+
+
 @dataclass
 class Search:
     """The search's state: the fit so far, what was accepted and what was turned down."""
@@ -83,6 +98,7 @@ class Search:
     refit: Refit
     judge: Judge
     seed: int = 0
+    ask: Callable[[Proposal], bool] | None = None
     found: list[Found] = field(default_factory=list)
     rejected: list[Rejected] = field(default_factory=list)
 
@@ -98,26 +114,42 @@ class Search:
         return self._polished(scene)
 
     def _add_one(self, scene: Scene) -> bool:
-        bank = scene.bank.whitened(self.plain, scene.runs)
-        baseline = scene.baseline(self.plain)
-        refused = {r.candidate.placement.label for r in self.rejected}
-        barred = np.array([c.placement.label in refused for c in bank.candidates], dtype=bool)
-        chosen = best_set(bank, baseline, _price(baseline), barred)
-        blocks, folds = (
-            block_index(scene, self.plain, BLOCK),
-            block_index(scene, self.plain, FOLD) % FOLDS,
-        )
+        scene, chosen = self._chosen(scene)
+        bank, baseline = scene.bank.whitened(self.plain, scene.runs), scene.baseline(self.plain)
+        blocks = block_index(scene, self.plain, BLOCK)
+        folds = block_index(scene, self.plain, FOLD) % FOLDS
         for winner in _by_contribution(bank, baseline, chosen):
             others = [g for g in chosen if g != winner]
             rivals = rivals_of(bank, baseline, others, winner, blocks)
             beside = with_groups(baseline, bank, others)
-            winner, rivals = _by_cross_validation(bank, beside, winner, rivals, folds)
+            winner, rivals = _spokesman(bank, beside, winner, rivals, folds)
             candidate = bank.candidates[bank.candidate[winner]]
             named = [(bank.candidates[bank.candidate[r.group]], r.kind) for r in rivals]
             point = _refined_shapes(bank, screen(bank, beside).gain, winner)
             if self._try(scene, candidate, point, winner, others, named):
                 return True
         return False
+
+    def _chosen(self, scene: Scene) -> tuple[Scene, list[int]]:
+        """Return the groups that together explain most, on grids refined where it matters."""
+        refused = {r.candidate.placement.label for r in self.rejected}
+        zoomed: set[str] = set()
+        baseline = scene.baseline(self.plain)
+        for _ in range(ZOOMS + 1):
+            bank = scene.bank.whitened(self.plain, scene.runs)
+            barred = np.array([c.placement.label in refused for c in bank.candidates], dtype=bool)
+            chosen = best_set(bank, baseline, _price(baseline), barred)
+            peaks = [*chosen, *_peaks(bank, screen(bank, baseline).gain)] if chosen else []
+            points: dict[int, list[int]] = {}
+            for g in peaks:
+                candidate = bank.candidates[bank.candidate[g]]
+                if candidate.effect.shapes and candidate.placement.label not in zoomed:
+                    points.setdefault(int(bank.candidate[g]), []).append(int(bank.point[g]))
+            if not points:
+                break
+            zoomed |= {bank.candidates[k].placement.label for k in points}
+            scene = scene.zoomed(points)
+        return scene, chosen
 
     def _try(
         self,
@@ -148,6 +180,10 @@ class Search:
         confirmed = None if np.isnan(self.judge(fit)[joint]) else bool(tested)
         if confirmed is False:
             self._refuse(candidate, "the test's error does not fall")
+            return False
+        proposal = Proposal(label, joint, float(before[joint]), float(after[joint]))
+        if self.ask is not None and not self.ask(proposal):
+            self._refuse(candidate, "not wanted")
             return False
         logger.info("accepted %s: p = 1e%.0f, fall %.1f %%", label, log10_p, 100 * fall[joint])
         self.found.append(
@@ -218,7 +254,7 @@ def _refined_shapes(bank: Bank[Candidate], gain: Array, winner: int) -> Array:
         return shapes
     before, here, after = gain[winner - 1 : winner + 2]
     curvature = before - 2.0 * here + after
-    if min(before, after) <= 0.0 or curvature >= 0.0:
+    if not 0.0 < max(before, after) <= here or curvature >= 0.0:
         return shapes
     ranges = ShapeRange.of(candidate.effect.shapes)
     low, middle, high = ranges.place(candidate.grid[point - 1 : point + 2])[:, 0]
@@ -239,24 +275,37 @@ def _by_contribution(bank: Bank[Candidate], baseline: Baseline, chosen: Sequence
     return [chosen[k] for k in np.argsort(-np.array(contribution))] if chosen else []
 
 
-def _by_cross_validation(
+def _spokesman(
     bank: Bank[Candidate],
     beside: Baseline,
     winner: int,
     rivals: list[Rival],
     folds: NDArray[np.intp],
 ) -> tuple[int, list[Rival]]:
-    """Return the winner among near equals by blocked cross-validation, and its rivals."""
+    """Return who speaks for a winner and its rivals, and the others.
+
+    The fewest parameters; among those the least error in blocked cross-validation.
+    """
     gains = {
         g: cross_validated_gain(column_stack(bank, g), beside, folds)
         for g in [winner, *(r.group for r in rivals)]
     }
-    best = max(gains, key=lambda g: gains[g])
+    parameters = {g: bank.candidates[bank.candidate[g]].parameters for g in gains}
+    best = min(gains, key=lambda g: (parameters[g], -gains[g]))
     if best == winner:
         return winner, rivals
     kind = next(r.kind for r in rivals if r.group == best)
     rest = [r for r in rivals if r.group != best]
     return best, [Rival(winner, kind, gains[winner]), *rest]
+
+
+def _peaks(bank: Bank[Candidate], gain: Array) -> list[int]:
+    """Return the groups that explain much of what the best one does, peaks of each grid."""
+    same = bank.candidate[1:] == bank.candidate[:-1]
+    rises = np.append(same & (gain[1:] > gain[:-1]), False)
+    falls = np.append(False, same & (gain[:-1] > gain[1:]))
+    high = gain >= STRONG * gain.max(initial=0.0)
+    return [int(g) for g in np.flatnonzero(high & ~rises & ~falls)]
 
 
 def block_index(scene: Scene, noise: Sequence[Noise], length: float) -> NDArray[np.intp]:

@@ -21,8 +21,8 @@ from lieid_casadi.diagnosis.screening import Baseline, screen
 from lieid_casadi.diagnosis.whitening import Runs
 
 Array = NDArray[np.float64]
-LEVEL = 0.01  # family-wise
-LEAST = 0.05  # part of a joint's residual variance below which nothing is told
+LEVEL = 1e-4  # family-wise
+LEAST = 0.08  # part of a joint's residual variance below which nothing is told
 ADDS = 0.25  # of what the signals before it explain: less, and a signal is not named
 MOST_SIGNALS = 3
 

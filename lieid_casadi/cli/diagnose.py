@@ -1,0 +1,148 @@
+"""``lieid diagnose``: which effects a model lacks, or what has changed since a fit."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import arguments, output
+from lieid_casadi.errors import UsageError
+
+if TYPE_CHECKING:
+    from lieid_casadi.diagnosis import Diagnosis, Proposal
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "diagnose",
+        help="which effects are missing, or what has changed since a fit",
+        usage="lieid diagnose ROBOT --train A… [--test B…] [-o fit.json] | FIT REC…",
+    )
+    arguments.add_robot(parser)
+    parser.add_argument(
+        "recordings", nargs="*", metavar="REC", help="with a FIT in place of ROBOT: measured since"
+    )
+    parser.add_argument("--train", nargs="+", default=[], metavar="A", help="recordings to fit")
+    parser.add_argument("--test", nargs="+", default=[], metavar="B", help="recordings to confirm")
+    parser.add_argument("--method", choices=("wls", "ols", "robust"), default="wls")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the bootstrap")
+    parser.add_argument("--interactive", action="store_true", help="ask before each step")
+    parser.add_argument("-o", "--output", metavar="fit.json", help="the last model")
+    parser.add_argument("--plot", metavar="FILE", help="draw the fall of the error")
+    arguments.add_effects(parser)
+    arguments.add_recording_options(parser)
+    arguments.add_processing(parser)
+    arguments.add_outputs(parser)
+    arguments.add_threads(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Diagnose, print and write."""
+    output.check_writable(args.output, args.json, args.plot)
+    if Path(args.robot).suffix == ".json":
+        diagnosis = _changed(args)
+    else:
+        diagnosis = _missing(args)
+    if args.output is not None:
+        diagnosis.fit.save(args.output)
+    output.write_json(args.json, diagnosis.to_dict())
+    if args.plot is not None:
+        from lieid_casadi.cli.compare import save_figure
+
+        save_figure(args.plot, diagnosis.plot())
+    print_diagnosis(diagnosis)
+
+
+def _missing(args: argparse.Namespace) -> Diagnosis:
+    from lieid_casadi.diagnosis import diagnose
+
+    if not args.train:
+        raise UsageError("no recordings to fit; expected lieid diagnose ROBOT --train A… --test B…")
+    if args.recordings:
+        raise UsageError(
+            f"{args.recordings[0]}: expected recordings after --train and --test, "
+            "or a FIT (.json) in place of ROBOT"
+        )
+    model = arguments.model_of(args)
+    train = arguments.recordings_of(args.train, args, model.robot)
+    test = arguments.recordings_of(args.test, args, model.robot)
+    with output.progress("diagnose") as report:
+        return diagnose(
+            model,
+            train,
+            test or None,
+            method=args.method,
+            processing=arguments.processing_of(args),
+            seed=args.seed,
+            ask=_asker() if args.interactive else None,
+            progress=None if args.interactive else report,
+        )
+
+
+def _changed(args: argparse.Namespace) -> Diagnosis:
+    from lieid_casadi.diagnosis import diagnose
+    from lieid_casadi.identification import Fit
+
+    if not args.recordings or args.train or args.test:
+        raise UsageError(
+            "with a FIT, expected the recordings measured since: lieid diagnose FIT REC…"
+        )
+    arguments.load_effects_file(args.effects_file)
+    fit = Fit.load(args.robot)
+    recordings = arguments.recordings_of(args.recordings, args, fit.model.robot)
+    with output.progress("diagnose") as report:
+        return diagnose(fit, recordings, seed=args.seed, progress=report)
+
+
+def _asker() -> Callable[[Proposal], bool]:
+    """Return a question on the terminal for each step."""
+    if not sys.stdin.isatty():
+        raise UsageError("--interactive asks on a terminal; leave it out here")
+
+    def ask(proposal: Proposal) -> bool:
+        output.say(
+            f"{proposal.label}: held-out error on joint {proposal.joint + 1} falls from "
+            f"{proposal.before:.4g} to {proposal.after:.4g} N·m. Add it? [Y/n]"
+        )
+        return not sys.stdin.readline().strip().lower().startswith("n")
+
+    return ask
+
+
+def print_diagnosis(diagnosis: Diagnosis) -> None:
+    """Print the verdict, the errors model by model, rivals, and what was turned down."""
+    from lieid_casadi.diagnosis.words import rows, where
+
+    output.say(diagnosis.sentence)
+    columns, table = rows(diagnosis)
+    measured = "test" if diagnosis.baseline_test is not None else "training"
+    cutoff = diagnosis.fit.processing.cutoff
+    output.table(f"RMS error on the {measured}, N·m (low-pass {cutoff:.3g} Hz)", columns, table)
+    if diagnosis.steps:
+        output.table(
+            "Found",
+            ["effect", "on", "size, N·m", "held-out before", "after", "cannot be told from"],
+            [
+                [
+                    step.effect,
+                    where(step.joints),
+                    step.evidence.effect_size,
+                    step.evidence.held_out_before,
+                    step.evidence.held_out_after,
+                    ", ".join(
+                        f"{c.placement.label} ({kind})" for c, kind in step.indistinguishable[:3]
+                    )
+                    or "–",
+                ]
+                for step in diagnosis.steps
+            ],
+        )
+    if diagnosis.rejected:
+        output.table("Turned down", ["candidate", "why"], [list(r) for r in diagnosis.rejected])
+    output.say(f"{diagnosis.tried} candidates were tried.")
+    output.show_warnings(diagnosis.warnings)

@@ -1,0 +1,72 @@
+"""``lieid extend FIT --add stribeck:4 --train A…``: add an effect, refit, show the fall."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import arguments, output
+
+if TYPE_CHECKING:
+    from lieid_casadi.diagnosis.extend import Extension
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser("extend", help="add an effect to a fit, refit, before and after")
+    parser.add_argument("fit", metavar="FIT")
+    parser.add_argument("--add", required=True, metavar="A,B:2+3,…", help="effects to add")
+    parser.add_argument("--train", nargs="+", required=True, metavar="A")
+    parser.add_argument("--test", nargs="+", default=[], metavar="B")
+    parser.add_argument("-o", "--output", metavar="fit2.json")
+    parser.add_argument("--plot", metavar="FILE", help="draw the fall of the error")
+    arguments.add_effects_file(parser)
+    arguments.add_recording_options(parser)
+    arguments.add_outputs(parser)
+    arguments.add_threads(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Refit, print and write."""
+    from lieid_casadi.diagnosis.extend import extend
+    from lieid_casadi.identification import Fit
+
+    output.check_writable(args.output, args.json, args.plot)
+    arguments.load_effects_file(args.effects_file)
+    fit = Fit.load(args.fit)
+    train = arguments.recordings_of(args.train, args, fit.model.robot)
+    test = arguments.recordings_of(args.test, args, fit.model.robot)
+    with output.progress("extend") as report:
+        extension = extend(fit, args.add, train, test or None, progress=report)
+    if args.output is not None:
+        extension.after.save(args.output)
+    output.write_json(args.json, extension.to_dict())
+    if args.plot is not None:
+        from lieid_casadi.cli.compare import save_figure
+
+        save_figure(args.plot, extension.plot())
+    print_extension(extension)
+
+
+def print_extension(extension: Extension) -> None:
+    """Print errors before and after, joint by joint, and the new numbers."""
+    tested = extension.rms_test is not None
+    columns = ["joint", "train before", "after", "%"]
+    columns += ["test before", "after", "%"] if tested else []
+    rows: list[list[object]] = []
+    for j, joint in enumerate(extension.after.model.robot.joints):
+        row: list[object] = [f"{j + 1} {joint.name}"]
+        for pair in (extension.rms_train, extension.rms_test):
+            if pair is not None:
+                before, after = float(pair[0][j]), float(pair[1][j])
+                row += [before, after, f"{100.0 * (after / before - 1.0):+.1f}"]
+        rows.append(row)
+    added = ", ".join(extension.added)
+    output.table(f"RMS error, N·m, with {added}", columns, rows)
+    output.table(
+        "New parameters",
+        ["parameter", "value", "std", "unit"],
+        [[r["expression"], r["value"], r["std"], r["unit"]] for r in extension.parameters],
+    )
+    output.show_warnings(extension.after.warnings)
