@@ -128,6 +128,10 @@ class NotDissipativeWarning(LieidWarning):
     """Fitted friction that would drive the joint instead of braking it."""
 
 
+class ExtrapolationWarning(LieidWarning):
+    """A fitted model that runs off where nothing was measured."""
+
+
 class LoadMismatchWarning(LieidWarning):
     """The torque of both ways of a joint does not average to the model's rigid torque."""
 

@@ -14,7 +14,8 @@ FINEST = 0.06  # relative width of a speed group, at least
 LOADS = 6
 LOAD_SPREAD = 0.2  # of the largest load: a smaller spread is one group
 LEAST_PAIRS = 3
-PRIOR_WEIGHT = 4.0  # stretches' worth of trust in the scatter of all groups together
+BATCH = 8  # pairs: two periods of the cut-off, beyond which filtered noise is forgotten
+PRIOR_WEIGHT = 4.0  # batches' worth of trust in the scatter of all groups together
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,33 +57,54 @@ def group(speed: Array, load: Array, stretch: NDArray[np.intp]) -> Groups:
     return Groups(average, member.astype(np.intp), count.astype(np.intp))
 
 
-def standard_errors(groups: Groups, values: Array, stretch: NDArray[np.intp]) -> Array:
+def standard_errors(
+    groups: Groups, values: Array, stretch: NDArray[np.intp], trends: Array
+) -> Array:
     """Return the standard error (G,) of each group's average of values (P,).
 
-    Neighbouring pairs are not independent, but stretches of motion are: the scatter is that of
-    their means, drawn towards the scatter common to all groups where a group has few. Without
-    any group of two stretches it is that of the pairs, as if every fourth were independent.
+    Neighbouring pairs are not independent, batches of them are: the scatter is that of the
+    batches' means, drawn towards the scatter common to all groups where a group has few. What
+    follows ``trends`` (P, k) within the groups is no scatter.
     """
-    means = groups.mean(values)
-    squares, freedom = np.zeros(len(means)), np.zeros(len(means))
-    for g in range(len(means)):
-        inside = groups.member == g
-        own = np.unique(stretch[inside])
-        per_stretch = np.array([values[inside & (stretch == s)].mean() for s in own])
-        squares[g] = np.sum((per_stretch - per_stretch.mean()) ** 2)
-        freedom[g] = len(own) - 1
-    if freedom.sum() == 0:
-        return _errors_of_pairs(groups, values, means)
-    common = squares.sum() / freedom.sum()
+    inside = np.flatnonzero(groups.member >= 0)
+    member = groups.member[inside]
+    scatter = _off_mean(np.column_stack([values, trends])[inside], member)
+    slope = np.linalg.lstsq(scatter[:, 1:], scatter[:, 0], rcond=None)[0]
+    residual = scatter[:, 0] - scatter[:, 1:] @ slope
+    batch, owner = _batches(member, stretch[inside])
+    size = np.bincount(batch)
+    means = np.bincount(batch, residual) / size
+    # var(batch mean) = variance/size: the estimate weighs batches by their size
+    squares = np.bincount(owner, size * means**2)
+    count = np.bincount(owner)
+    freedom = np.maximum(count - 1.0, 0.0)
+    pairs = np.bincount(member)
+    if freedom.sum() == 0.0:
+        return np.asarray(np.sqrt(np.mean(residual**2) / np.maximum(pairs / BATCH, 1.0)))
+    common = squares[freedom > 0].sum() / freedom.sum()
     variance = (PRIOR_WEIGHT * common + squares) / (PRIOR_WEIGHT + freedom)
-    return np.asarray(np.sqrt(variance / groups.count))
+    return np.asarray(np.sqrt(variance / pairs))
 
 
-def _errors_of_pairs(groups: Groups, values: Array, means: Array) -> Array:
-    inside = groups.member >= 0
-    scatter = values[inside] - means[groups.member[inside]]
-    pairs = np.bincount(groups.member[inside], minlength=len(means))
-    return np.asarray(np.sqrt(np.mean(scatter**2) / np.maximum(pairs / 4.0, 1.0)))
+def _off_mean(values: Array, member: NDArray[np.intp]) -> Array:
+    """Return values (P, k) less the mean of their group."""
+    pairs = np.bincount(member)
+    means = [np.bincount(member, column) / pairs for column in values.T]
+    return values - np.array(means).T[member]
+
+
+def _batches(
+    member: NDArray[np.intp], stretch: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Number consecutive pairs of one group and one stretch in batches; and whose each is."""
+    change = (np.diff(member) != 0) | (np.diff(stretch) != 0)
+    run = np.concatenate([[0], np.cumsum(change)])
+    first = np.concatenate([[0], np.flatnonzero(change) + 1])
+    within = (np.arange(len(member)) - first[run]) // BATCH
+    _, index, batch = np.unique(
+        np.column_stack([run, within]), axis=0, return_index=True, return_inverse=True
+    )
+    return np.ravel(batch).astype(np.intp), member[index]
 
 
 def _by_speed(speed: Array) -> NDArray[np.intp]:

@@ -9,51 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import LieidWarning
-from lieid_casadi.friction.bins import Groups
-from lieid_casadi.friction.matching import Matching
+from lieid_casadi.friction.data import CurveData
 from lieid_casadi.identification.fit import Source, warning_list
-from lieid_casadi.recording import Processed
-from lieid_casadi.robot.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class CurveData:
-    """What a curve was made from, so that a model's columns can go the same way.
-
-    Attributes
-    ----------
-    segments : tuple of Processed
-        Temperatures relative to ``temperature_mean``.
-    load : tuple of (K, n)
-        τ_load along each segment; zero for the other joints.
-    matching : Matching
-    groups : Groups
-    friction : (P,)
-        Of each pair of instants, N·m.
-    """
-
-    robot: Robot
-    segments: tuple[Processed, ...]
-    load: tuple[Array, ...]
-    matching: Matching
-    groups: Groups
-    friction: Array
-    temperature_mean: Array | None
-
-    def average(self, series: list[Array]) -> Array:
-        """Return half the difference of both ways, averaged per point (G, …).
-
-        ``series`` holds one (K, …) per segment, not filtered: they pass the same filter,
-        matching and averaging as the torque.
-        """
-        filtered = [s.filter(x) for s, x in zip(self.segments, series, strict=True)]
-        return self.groups.mean(self.matching.half_difference(np.concatenate(filtered)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +39,9 @@ class FrictionCurve:
     friction : (G,)
         N·m.
     std : (G,)
-        Standard error, from the scatter between stretches of motion.
+        Standard error, from the scatter of stretches of the motion.
     count : (G,) int
-        Stretches of motion in each point.
+        Passes to and fro that each point has a part of.
     load_source : str
         ``model`` (the rigid torque) or ``measured`` (the mean of both ways).
     load_error : float

@@ -19,7 +19,8 @@ from lieid_casadi.errors import (
     RobotError,
 )
 from lieid_casadi.friction.bins import group, standard_errors
-from lieid_casadi.friction.curve import CurveData, FrictionCurve
+from lieid_casadi.friction.curve import FrictionCurve
+from lieid_casadi.friction.data import CurveData
 from lieid_casadi.friction.matching import Matching, match
 from lieid_casadi.identification.fit import Fit, Source
 from lieid_casadi.identification.identify import center_temperature, check_with_model
@@ -79,7 +80,8 @@ def friction_curve(
         raise RobotError(f"{robot.name}: its links have no inertia; expected load 'measured'")
     compiled = compile(Model(robot))
     found = [w for r in given for w in check_with_model(compiled, r)]
-    segments, temperature = center_temperature(process(given, processing))
+    mean = arm.temperature_mean if isinstance(arm, Fit) else None
+    segments, mean = center_temperature(process(given, processing), mean)
     found += [w for s in segments for w in s.warnings]
     motion = _Motion(segments, match(segments, joint, name=_name(given)), joint)
     source: Load = load or ("model" if isinstance(arm, Fit) else "measured")
@@ -98,7 +100,7 @@ def friction_curve(
         matching=motion.matching,
         groups=group(motion.matching.speed, motion.half_sum(series), motion.matching.stretch),
         friction=motion.half_difference(remaining),
-        temperature_mean=temperature,
+        temperature_mean=mean,
     )
     return FrictionCurve(
         joint=joint,
@@ -107,7 +109,12 @@ def friction_curve(
         speed=data.groups.mean(motion.matching.speed),
         load=data.groups.mean(np.abs(motion.half_sum(series))),
         friction=data.groups.mean(data.friction),
-        std=standard_errors(data.groups, data.friction, motion.matching.stretch),
+        std=standard_errors(
+            data.groups,
+            data.friction,
+            motion.matching.stretch,
+            np.column_stack([motion.matching.speed, np.abs(motion.half_sum(series))]),
+        ),
         count=data.groups.count,
         load_source=source,
         load_error=mismatch,

@@ -8,29 +8,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear
 
-from lieid_casadi.compiled import Compiled, compile
+from lieid_casadi.compiled import compile
 from lieid_casadi.effects import Effect, Placement
 from lieid_casadi.effects.friction_models import FRICTION_MODELS
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     BoundWarning,
     EffectError,
+    ExtrapolationWarning,
     LieidWarning,
     NotDissipativeWarning,
     UnidentifiableWarning,
 )
 from lieid_casadi.friction.curve import FrictionCurve
 from lieid_casadi.friction.result import FrictionFit
-from lieid_casadi.friction.steady import steady_columns
 from lieid_casadi.identification.shape_range import ShapeRange
 from lieid_casadi.model import Model, Parameter
-from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
 SAMPLED_STARTS = 40  # shapes drawn over their ranges, of which the best are descended from
 DESCENTS = 4
 STEP = 1e-5  # of a shape's range
 UNSEEN = 1e-9  # of the largest column: nothing of a column is left in half the difference
+FAR = 0.5  # of the largest measured friction: further out, an extrapolation is told
 RANK = 1e-7  # of scaled directions, below which the curve does not show one
 
 
@@ -45,7 +45,7 @@ def fit_friction(
 
     Shapes are searched by trust-region least squares within their bounds from the best of many
     drawn starts; for each of them the linear coefficients follow by bounded linear least squares
-    (variable projection). Columns pass the same filter, matching and averaging as the torque.
+    (variable projection). Columns are matched and averaged as the torque is.
 
     Parameters
     ----------
@@ -87,18 +87,19 @@ def _placements(
 ) -> tuple[Placement, ...]:
     if isinstance(effects, str):
         known = FRICTION_MODELS.get(effects.strip())
-        effects = known.effects if known is not None else effects.split(",")
+        named = known.effects if known is not None else effects.split(",")
+        effects = [name for name in named if name.strip()]
     n, joint = curve.data.robot.n, curve.joint
     placed: list[Placement] = []
     for spec in effects:
-        named = isinstance(spec, str) and ":" in spec
-        placed += place(spec, n) if named else place(spec, n, [joint])
+        own_joints = isinstance(spec, str) and ":" in spec
+        placed += place(spec, n) if own_joints else place(spec, n, [joint])
     if not placed:
         raise EffectError("no effects given; expected e.g. coulomb,viscous")
     for p in placed:
         if p.joint != joint or p.source is not None:
             raise EffectError(f"effect {p.label} is not of joint {joint + 1}, whose curve this is")
-        if "temperature" in p.effect.signals and curve.data.temperature_mean is None:
+        if "temperature" in p.effect.signals and not curve.data.has_temperature:
             raise EffectError(f"{p.effect.label} needs temperature; expected columns temp1…temp{n}")
     return tuple(placed)
 
@@ -117,13 +118,7 @@ class _Problem:
 
     def columns(self, shapes: Array) -> Array:
         """Return the columns' averages per point (G, m)."""
-        data, joint = self.curve.data, self.curve.joint
-        return data.average(
-            [
-                _along(self.compiled, segment, load, shapes)[:, joint]
-                for segment, load in zip(data.segments, data.load, strict=True)
-            ]
-        )
+        return self.curve.data.columns(self.compiled, self.curve.joint, shapes)
 
     def coefficients(self, shapes: Array) -> Array:
         """Return the best coefficients (m,) at given shapes."""
@@ -197,20 +192,6 @@ class _Problem:
         return covariance, hidden
 
 
-def _along(compiled: Compiled, segment: Processed, load: Array, shapes: Array) -> Array:
-    """Return the effects' columns along a segment (K, n, m)."""
-    return compiled.effect_columns(
-        segment.q,
-        segment.dq,
-        segment.ddq,
-        load=load,
-        temperature=segment.temperature,
-        time=segment.t - segment.t[0],
-        shapes=shapes,
-        dead_zone=segment.dead_zone,
-    )
-
-
 def _spread(count: int, dimensions: int, random: np.random.Generator) -> Array:
     """Return points (count, dimensions) of a Latin hypercube."""
     ranks = np.array([random.permutation(count) for _ in range(dimensions)]).T
@@ -266,23 +247,29 @@ def _loose(fit: FrictionFit) -> list[LieidWarning]:
 
 
 def _energy(fit: FrictionFit) -> list[LieidWarning]:
-    """Tell where the fitted friction would drive the joint, within the measured range."""
-    curve = fit.curve
-    speeds = np.linspace(0.05, 1.0, 60) * curve.speed.max()
-    driving = [
-        load
-        for load in (curve.load.min(), curve.load.max())
-        if np.any(
-            steady_columns(compile(fit.model), curve.joint, speeds, fit.shapes, load=load)
-            @ fit.coefficients
-            < 0.0
+    """Tell where the fitted friction drives the joint, or runs off where nothing was measured."""
+    curve, unit = fit.curve, fit.curve.unit
+    slowest, fastest = float(curve.speed.min()), float(curve.speed.max())
+    speeds = np.geomspace(0.05 * slowest, fastest, 80)
+    loads = np.array([curve.load.min(), curve.load.max()])
+    friction = fit.friction(np.tile(speeds, 2), load=np.repeat(loads, len(speeds)))
+    below = np.tile(speeds, 2) < slowest
+    most = float(np.abs(curve.friction).max())
+    found: list[LieidWarning] = []
+    if np.any(friction[~below] < 0.0):
+        found.append(
+            NotDissipativeWarning(
+                f"joint {curve.joint + 1}: the fitted friction drives the joint at some speed "
+                f"from {slowest:.3g} to {fastest:.3g} rad/s"
+            )
         )
-    ]
-    if not driving:
-        return []
-    return [
-        NotDissipativeWarning(
-            f"joint {curve.joint + 1}: the fitted friction drives the joint at some speed below "
-            f"{curve.speed.max():.3g} rad/s under a load of {driving[0]:.3g} {curve.unit}"
+    worst = friction[below][np.argmax(np.abs(friction[below] - 0.5 * most))]
+    if not -FAR * most < worst < (1.0 + FAR) * most:
+        found.append(
+            ExtrapolationWarning(
+                f"joint {curve.joint + 1}: below {slowest:.3g} rad/s, where nothing was measured, "
+                f"the fitted friction runs to {worst:.3g} {unit} (measured: at most {most:.3g}); "
+                "record slower motion or take a model with fewer parameters"
+            )
         )
-    ]
+    return found

@@ -12,7 +12,7 @@ from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
 LEAST_SAMPLES = 4
-ONE_DIRECTION = 0.97  # weight of the direction in a filtered sample: reversals are left out
+ONE_DIRECTION = 0.99  # weight of the direction in a filtered sample: reversals are left out
 
 
 @dataclass(frozen=True, eq=False)

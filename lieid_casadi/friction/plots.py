@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from lieid_casadi.friction.agreement import FrictionAgreement
     from lieid_casadi.friction.result import FrictionFit
 
 Array = NDArray[np.float64]
@@ -80,3 +81,23 @@ def _from_zero(ax: Axes, curve: FrictionCurve) -> None:
 
 def _loads_differ(curve: FrictionCurve) -> bool:
     return bool(np.ptp(curve.load) > ONE_LOAD * curve.load.max(initial=0.0))
+
+
+def plot_agreement(agreement: FrictionAgreement, ax: Axes | None = None) -> Figure:
+    """Draw both determinations over speed, and two standard deviations of their difference."""
+    if ax is None:
+        ax = drawing.new_figure(7.0, 4.2).subplots()
+    drawing.style(ax)
+    a = agreement
+    ax.errorbar(
+        a.speed, a.first, 2.0 * a.std, fmt="o", ms=4, color=drawing.PREDICTED, label="first ± 2σ"
+    )
+    ax.plot(a.speed, a.second, "s", ms=4, color=drawing.ERROR, label="second")
+    ax.legend(fontsize=drawing.SMALL, loc="best")
+    drawing.title(
+        ax,
+        f"joint {a.joint + 1}: {'agree' if a.agree else 'disagree'}, differ by {a.relative:.1%}",
+    )
+    drawing.label(ax, x="|q̇| [rad/s]", y="friction [N·m]")
+    ax.set_xlim(left=0.0)
+    return drawing.root_figure(ax)

@@ -129,7 +129,8 @@ def _gain_and_correlation(way: Array, integral: Array) -> tuple[Array, Array]:
         others = np.sum(integral**2, axis=0)
         gain = np.sqrt(others / squares)
         correlation = products / np.sqrt(squares * others)
-    return np.nan_to_num(gain), np.nan_to_num(correlation)
+    # a joint that stands exactly still has no gain; it is not among those that move
+    return np.nan_to_num(gain, posinf=0.0), np.nan_to_num(correlation)
 
 
 def _runs_like(way: Array, integral: Array, moving: Mask, joint: int) -> str:

@@ -1,0 +1,174 @@
+"""``lieid friction ROBOT REC… --joint J``: the friction curve of one joint and its fit."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import arguments, output
+from lieid_casadi.errors import UsageError
+
+if TYPE_CHECKING:
+    from lieid_casadi.friction import FrictionAgreement, FrictionCurve, FrictionFit
+    from lieid_casadi.friction.ranking import Candidate
+    from lieid_casadi.identification import Fit
+    from lieid_casadi.robot import Robot
+
+
+MOST_ROWS = 30  # of the printed curve; --json has all
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "friction", help="friction of one joint, from motion to and fro over the same positions"
+    )
+    arguments.add_robot(parser)
+    parser.add_argument("recordings", nargs="+", metavar="REC", help="the joint moving both ways")
+    parser.add_argument("--joint", type=int, required=True, metavar="J", help="from 1")
+    parser.add_argument(
+        "--effects",
+        metavar="A,B,…",
+        help="friction model to fit: effects, or a model's name such as paper; "
+        "default: all of the literature are tried and ranked",
+    )
+    parser.add_argument(
+        "--fit", metavar="FIT", help="of the whole arm: its rigid torque, and is its friction alike"
+    )
+    parser.add_argument("--load", choices=("model", "measured"), help="what the load is taken from")
+    parser.add_argument("--plot", metavar="FILE", help="draw the curve and the fit")
+    parser.add_argument("--seed", type=int, default=0, metavar="N")
+    arguments.add_effects_file(parser)
+    arguments.add_recording_options(parser)
+    parser.add_argument("--cutoff", type=float, metavar="HZ", help="of the low-pass")
+    arguments.add_outputs(parser)
+    arguments.add_threads(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Extract, fit, print and write."""
+    from lieid_casadi.cli.compare import save_figure
+    from lieid_casadi.friction import compare_friction, fit_friction, friction_curve
+    from lieid_casadi.friction.ranking import rank_friction_models
+    from lieid_casadi.recording import Processing
+
+    output.check_writable(args.json, args.plot)
+    arguments.load_effects_file(args.effects_file)
+    robot = arguments.robot_of(args)
+    if not 1 <= args.joint <= robot.n:
+        raise UsageError(f"--joint {args.joint}: {robot.name} has joints 1 to {robot.n}")
+    whole = _whole(args, robot)
+    curve = friction_curve(
+        whole or robot,
+        arguments.recordings_of(args.recordings, args, robot),
+        args.joint - 1,
+        processing=Processing(cutoff=args.cutoff),
+        load=args.load,
+    )
+    ranked: Sequence[Candidate] = ()
+    if args.effects is not None:
+        fit = fit_friction(curve, args.effects, seed=args.seed)
+    else:
+        with output.progress("friction models") as report:
+            ranked = rank_friction_models(curve, seed=args.seed, progress=report)
+        fit = ranked[0].fit
+    agreement = None if whole is None else compare_friction(fit, whole)
+    output.write_json(args.json, result(fit, ranked, agreement))
+    if args.plot is not None:
+        save_figure(args.plot, fit.plot())
+    _print_curve(curve)
+    _print_models(ranked, curve)
+    _print_fit(fit)
+    if agreement is not None:
+        output.say(f"Curve's fit and {args.fit}: {agreement}.")
+    output.show_warnings([*curve.warnings, *fit.warnings])
+
+
+def result(
+    fit: FrictionFit, ranked: Sequence[Candidate], agreement: FrictionAgreement | None
+) -> dict[str, Any]:
+    """Return the JSON of ``lieid friction``."""
+    curve = fit.curve.to_dict()
+    warnings = [*curve.pop("warnings"), *fit.to_dict()["warnings"]]
+    return {
+        "joint": curve["joint"],
+        "curve": curve,
+        "fit": {k: v for k, v in fit.to_dict().items() if k != "warnings"},
+        "models": [
+            {
+                "name": c.model.name,
+                "effects": list(c.model.effects),
+                "source": c.model.source,
+                "note": c.model.note,
+                "rms": c.fit.rms,
+                "correlation": c.fit.to_dict()["correlation"],
+                "bic": c.fit.bic,
+            }
+            for c in ranked
+        ],
+        "agreement": None if agreement is None else agreement.to_dict(),
+        "warnings": warnings,
+    }
+
+
+def _whole(args: argparse.Namespace, robot: Robot) -> Fit | None:
+    from lieid_casadi.identification import Fit
+
+    if args.fit is None:
+        return None
+    fit = Fit.load(args.fit)
+    if fit.model.n != robot.n:
+        raise UsageError(f"{args.fit}: a fit of {fit.model.n} joints; {robot.name} has {robot.n}")
+    return fit
+
+
+def _print_curve(curve: FrictionCurve) -> None:
+    """Print the points, evenly fewer where they would fill more than a screen."""
+    order = sorted(range(len(curve)), key=lambda k: float(curve.speed[k]))
+    shown = order[:: max(1, -(-len(curve) // MOST_ROWS))]
+    output.table(
+        f"Friction of joint {curve.joint + 1} {curve.joint_name}: half of forward − backward "
+        f"(low-pass {curve.cutoff:.3g} Hz, load {curve.load_source}; {len(shown)} of "
+        f"{len(curve)} points)",
+        ["speed, rad/s", f"load, {curve.unit}", f"friction, {curve.unit}", "std", "stretches"],
+        [
+            [
+                f"{curve.speed[k]:.4g}",
+                float(curve.load[k]),
+                float(curve.friction[k]),
+                float(curve.std[k]),
+                int(curve.count[k]),
+            ]
+            for k in shown
+        ],
+    )
+
+
+def _print_models(ranked: Sequence[Candidate], curve: FrictionCurve) -> None:
+    if ranked:
+        best = ranked[0].fit.bic
+        output.table(
+            "Friction models, by Schwarz's criterion",
+            ["model", f"RMS, {curve.unit}", "correlation", "above best", "parameters"],
+            [
+                [
+                    c.model.name,
+                    c.fit.rms,
+                    f"{c.fit.correlation:.4f}",
+                    f"{c.fit.bic - best:.1f}",
+                    len(c.fit.parameters),
+                ]
+                for c in ranked
+            ],
+        )
+
+
+def _print_fit(fit: FrictionFit) -> None:
+    output.table(
+        f"{', '.join(fit.effects)}: RMS {fit.rms:.3g} {fit.curve.unit}, "
+        f"correlation {fit.correlation:.4f}",
+        ["parameter", "value", "std", "unit"],
+        [[row["name"], row["value"], row["std"], row["unit"]] for row in fit.parameter_table()],
+    )

@@ -1,0 +1,38 @@
+"""A two-link arm whose first joint's friction is known by a formula."""
+
+import numpy as np
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.recording import Processing
+
+ROBOT = lieid.robots.two_link()
+CUTOFF = Processing(cutoff=10.0)
+SPEEDS = tuple(np.deg2rad([2, 3, 5, 8, 12, 20, 35, 60]))
+COULOMB, VISCOUS, EXTRA, WIDTH, LOAD = 1.2, 0.8, 0.7, 0.12, 0.08
+
+
+def friction(speed, load):
+    """What the plant is told."""
+    level = COULOMB + EXTRA * np.exp(-((speed / WIDTH) ** 2)) + LOAD * np.abs(load)
+    return level + VISCOUS * speed
+
+
+def arm(*effects, offset=0.0, nominal=False):
+    own = plant.JointFriction(
+        np.array([COULOMB, 0.4]), np.array([VISCOUS, 0.2]), np.array([offset, 0.0])
+    )
+    hidden = (plant.Stribeck(0, EXTRA, WIDTH), plant.LoadFriction(0, LOAD), *effects)
+    links = ROBOT.link_parameters if nominal else plant.perturbed_inertias(ROBOT, seed=3)
+    return plant.Arm(ROBOT, links, own, hidden)
+
+
+def measured(t, motion, *, hidden=None, torque_noise=0.02, seed=0, rate=250.0, **sensors):
+    sensors = plant.Sensors(rate=rate, torque_noise=torque_noise, velocity_noise=1e-4, **sensors)
+    return plant.measure_along(hidden or arm(), t, *motion, sensors=sensors, seed=seed, name="run")
+
+
+def excitation(seed, *, duration=30.0, hidden=None):
+    t = np.arange(0.0, duration, 0.004)
+    motion = plant.FourierTrajectory(ROBOT, base_frequency=0.1, periods=3, seed=seed)
+    return measured(t, motion.at(t), hidden=hidden or arm(), seed=seed)

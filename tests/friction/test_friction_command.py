@@ -1,0 +1,97 @@
+"""``lieid friction``: tables, JSON, pictures, and one line for bad input."""
+
+import json
+
+import numpy as np
+import pytest
+from friction.friction_plant import ROBOT, SPEEDS, excitation, measured
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("friction")
+    motion = plant.sweep(ROBOT, 0, speeds=SPEEDS[3:], pose=[0.0, 0.4])
+    t = np.arange(0.0, motion.duration, 0.004)
+    path = folder / "run.csv"
+    measured(t, motion.at(t)).save(path)
+    return str(path)
+
+
+def lieid_friction(*words):
+    return main(["friction", "two_link", *map(str, words)])
+
+
+def test_the_literature_is_ranked_and_the_best_is_printed(run, tmp_path, capsys):
+    out, picture = tmp_path / "f.json", tmp_path / "f.png"
+    assert lieid_friction(run, "--joint", 1, "--json", out, "--plot", picture) == 0
+    shown = capsys.readouterr().out
+    assert "Friction models, by Schwarz's criterion" in shown
+    content = json.loads(out.read_text())
+    assert content["joint"] == 1
+    scores = [model["bic"] for model in content["models"]]
+    assert scores == sorted(scores)
+    assert content["models"][0]["source"]
+    assert content["fit"]["effects"] == content["models"][0]["effects"]
+    assert {"name", "joint", "value", "std", "unit"} == set(content["fit"]["parameters"][0])
+    assert len(content["curve"]["points"]) == len(content["fit"]["predicted"])
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_given_effects_and_a_fit_of_the_arm(run, tmp_path, capsys):
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1,load_friction:1")
+    fit = lieid.identify(model, excitation(0), processing=lieid.Processing(cutoff=10.0))
+    fit.save(tmp_path / "fit.json")
+    out = tmp_path / "f.json"
+    words = [run, "--joint", 1, "--effects", "coulomb,viscous,stribeck,load_friction"]
+    words += ["--fit", tmp_path / "fit.json", "--json", out, "--cutoff", 10]
+    assert lieid_friction(*words) == 0
+    content = json.loads(out.read_text())
+    assert content["models"] == []
+    assert content["agreement"]["agree"] is True
+    assert content["curve"]["load_source"] == "model"
+    assert "the two agree" in capsys.readouterr().out
+
+
+def test_a_model_by_its_name(run, tmp_path):
+    out = tmp_path / "f.json"
+    assert lieid_friction(run, "--joint", 1, "--effects", "paper", "--json", out) == 0
+    assert len(json.loads(out.read_text())["fit"]["parameters"]) == 10
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--joint", "3"], "--joint 3: two_link has joints 1 to 2"),
+        (["--joint", "2"], "joint 2 never moves"),
+        (["--joint", "1", "--effects", "coulom"], "unknown effect 'coulom'"),
+        (["--joint", "1", "--effects", "gao2017"], "needs temperature"),
+        (["--joint", "one"], "invalid int value"),
+        ([], "--joint"),
+    ],
+)
+def test_bad_input_is_one_line(run, tmp_path, capsys, words, message):
+    out = tmp_path / "f.json"
+    try:
+        status = lieid_friction(run, *words, "--json", out)
+    except SystemExit as stop:  # argparse's own
+        status = stop.code
+    assert status == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_one_direction_is_told_with_the_file(tmp_path, capsys):
+    t = np.arange(0.0, 8.0, 0.004)
+    q, dq = (np.zeros((len(t), 2)) for _ in range(2))
+    q[:, 0], dq[:, 0] = 0.2 * t, 0.2
+    measured(t, (q, dq, 0 * q)).save(tmp_path / "out.csv")
+    assert lieid_friction(tmp_path / "out.csv", "--joint", 1) == 2
+    error = capsys.readouterr().err
+    assert "out.csv: joint 1 moves forward only" in error
+    assert error.count("\n") == 1
