@@ -1,0 +1,56 @@
+"""``lieid export FIT --to c|urdf -o DIR``: the fit for a controller or a simulator."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import arguments, output
+from lieid_casadi.errors import UsageError
+
+if TYPE_CHECKING:
+    from lieid_casadi.identification import Fit
+
+FORMATS = ("c", "urdf")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser("export", help="write a fit as C code or as a URDF")
+    parser.add_argument("fit", metavar="FIT")
+    parser.add_argument("--to", choices=FORMATS, required=True)
+    parser.add_argument("-o", "--output", required=True, metavar="DIR")
+    parser.add_argument("--force", action="store_true", help="replace a folder with other content")
+    parser.add_argument("--prefix", metavar="NAME", help="of all names in C; default: arm")
+    arguments.add_effects_file(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Write the files and tell what a user should know about them."""
+    from lieid_casadi.export.folder import check_folder
+    from lieid_casadi.identification import Fit
+
+    if args.prefix is not None and args.to != "c":
+        raise UsageError(
+            f"--prefix {args.prefix}: only C code has names to prefix; expected --to c"
+        )
+    check_folder(args.output, force=args.force)
+    arguments.load_effects_file(args.effects_file)
+    fit = Fit.load(args.fit)
+    files, notes = _export(fit, args)
+    output.say(f"{', '.join(files)} written to {args.output}")
+    for note in notes:
+        output.say(f"  ! {note}")
+
+
+def _export(fit: Fit, args: argparse.Namespace) -> tuple[list[str], tuple[str, ...]]:
+    """Return the names of the files that were written, and notes on them."""
+    from lieid_casadi.export.c_code import export_c
+    from lieid_casadi.export.urdf import export_urdf
+
+    if args.to == "c":
+        made = export_c(fit, args.output, prefix=args.prefix or "arm", force=args.force)
+        return [path.name for path in made.files], made.notes
+    written = export_urdf(fit, args.output)
+    return [written.urdf.name, written.mjcf.name], written.notes
