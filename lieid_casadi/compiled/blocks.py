@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled.evaluation import Evaluation
+from lieid_casadi.compiled.library import Runtime
 
 Array = NDArray[np.float64]
 BUFFER_BYTES = 1 << 19  # half of a common second-level cache
@@ -24,6 +25,8 @@ class BaseBlocks:
     ----------
     columns : tuple of (p_i,) int
         Which of the base regressor's columns each joint has, ascending.
+    starts : (n + 1,) int
+        Where each joint's values begin among those of one sample.
     samples : int
     size : int
         Samples per block.
@@ -48,12 +51,18 @@ class BaseBlocks:
         layout = evaluation.layout
         self._bound = evaluation.bind(values)
         self._starts = [int(start) for start in layout.row_starts]
+        self.starts = layout.row_starts
         self.columns = tuple(
             layout.columns[first:last]
             for first, last in zip(self._starts[:-1], self._starts[1:], strict=True)
         )
         self.samples = samples
         self.size = size or max(64, BUFFER_BYTES // (8 * max(layout.count, 1)) // 64 * 64)
+
+    @property
+    def compiled(self) -> tuple[Runtime, int] | None:
+        """The runtime and the plan's address, None where the virtual machine evaluates."""
+        return self._bound.compiled
 
     def buffer(self) -> Array:
         """Return memory for one block, on a cache line's boundary."""

@@ -65,7 +65,12 @@ class Evaluation(ABC):
 
 
 class Bound(ABC):
-    """An evaluation on given samples."""
+    """An evaluation on given samples.
+
+    ``compiled`` is the runtime and the address of the ``lieid_plan``, None for the virtual machine.
+    """
+
+    compiled: tuple[Runtime, int] | None = None
 
     @abstractmethod
     def dense(self, out: Array, threads: int) -> None:
@@ -131,6 +136,7 @@ class _CompiledBound(Bound):
             len(calls), ctypes.addressof(calls),
         )  # fmt: skip
         self._address = ctypes.addressof(self._plan)
+        self.compiled = evaluation.runtime, self._address
 
     def dense(self, out: Array, threads: int) -> None:
         e = self._evaluation

@@ -28,14 +28,21 @@ from lieid_casadi.compiled.compiler import (
     find_compiler,
 )
 from lieid_casadi.compiled.functions import KernelFunctions
-from lieid_casadi.compiled.library import Kernel, Runtime, load_kernel, load_runtime
+from lieid_casadi.compiled.library import (
+    Kernel,
+    Reducer,
+    Runtime,
+    load_kernel,
+    load_reducer,
+    load_runtime,
+)
 from lieid_casadi.errors import CompilerError
 from lieid_casadi.functions import SparseFunction
 from lieid_casadi.robot.robot import Robot
 
 logger = logging.getLogger("lieid_casadi")
 
-Loaded = TypeVar("Loaded", Kernel, Runtime)
+Loaded = TypeVar("Loaded", Kernel, Reducer, Runtime)
 
 # Functions that follow from the robot's geometry alone: they are found in the cache by its
 # numbers, without deriving anything. All others are small and are found by their C source.
@@ -136,12 +143,30 @@ def target_of(lanes: int | None) -> Target:
     raise CompilerError(f"lanes: {lanes}; expected one of {known} on this processor")
 
 
+def reducer(lanes: int | None = None) -> Reducer | None:
+    """Return the reduction to triangular factors; None without a working compiler."""
+    if _Failure.reason is None:
+        try:
+            return _reducer(lanes)
+        except CompilerError as error:
+            _Failure.tell(str(error))
+        except OSError as error:
+            _Failure.tell(f"compiled code cannot be stored: {error}")
+    return None
+
+
+@cache
+def _reducer(lanes: int | None) -> Reducer:
+    text = (codegen_folder() / "lieid_reduce.c").read_text(encoding="utf-8")
+    return _library(load_reducer, target_of(lanes), text, lambda: text)
+
+
 def _runtime(target: Target) -> Runtime:
     text = (codegen_folder() / "lieid_batch.c").read_text(encoding="utf-8")
     return _library(load_runtime, target, text, lambda: text)
 
 
-_libraries: dict[str, Kernel | Runtime] = {}  # by key, for every model of this process
+_libraries: dict[str, Kernel | Reducer | Runtime] = {}  # by key, for every model of this process
 _lock = threading.Lock()
 
 

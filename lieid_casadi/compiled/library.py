@@ -133,6 +133,27 @@ def load_runtime(path: Path) -> Runtime:
     return Runtime(lanes, dense, columns, states)
 
 
+@dataclass(frozen=True, eq=False)
+class Reducer:
+    """``codegen/lieid_reduce.c``, compiled: its functions, which release the GIL."""
+
+    blocks: Callable[..., int]
+    matrix: Callable[..., None]
+
+
+def load_reducer(path: Path) -> Reducer:
+    """Load the reducer."""
+    library = _open(path)
+    pointer, whole = ctypes.c_void_p, ctypes.c_int64
+    blocks, matrix = library.lieid_reduce, library.lieid_reduce_matrix
+    blocks.argtypes = [
+        pointer, pointer, whole, whole, whole, whole, pointer, pointer, whole, whole, pointer,
+    ]  # fmt: skip
+    matrix.argtypes = [pointer, whole, whole, whole, pointer, pointer]
+    matrix.restype = None
+    return Reducer(blocks, matrix)
+
+
 def _open(path: Path) -> ctypes.CDLL:
     try:
         return ctypes.CDLL(str(path))

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.identification.feasible_options import FeasibleOptions
-from lieid_casadi.identification.least_squares import Factor, triangular
+from lieid_casadi.identification.least_squares import Factor
 from lieid_casadi.robot.inertia import pseudo_inertia
 
 Array = NDArray[np.float64]

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import solve_triangular
 
+from lieid_casadi.compiled.reduction import Triangle, triangular
 from lieid_casadi.identification.design import Rows
 
 Array = NDArray[np.float64]
@@ -53,22 +54,18 @@ def joint_factors(rows: Rows, weights: Sequence[Array] | None = None) -> list[Fa
     """Return one factor per joint, in all p columns; ``weights`` multiply the rows."""
     factors = []
     for j, joint in enumerate(rows.joints):
-        stacked = np.column_stack([joint.matrix, joint.torque])
-        if weights is not None:
-            stacked = stacked * weights[j][:, None]
-        small = triangular(stacked)
-        wide = np.zeros((len(small), rows.count + 1))
-        wide[:, [*joint.columns, rows.count]] = small
-        factors.append(Factor(wide, len(joint.torque)))
+        triangle = Triangle(len(joint.columns) + 1)
+        weight = None if weights is None else weights[j]
+        triangle.add(joint.matrix, joint.torque, weights=weight)
+        factors.append(widened(triangle.r, joint.columns, rows.count, len(joint.torque)))
     return factors
 
 
-def triangular(matrix: Array) -> Array:
-    """Return R of the QR factorization, at most square."""
-    if not len(matrix):
-        return np.zeros((0, matrix.shape[1]))
-    (r,) = qr(matrix, mode="r", check_finite=False)
-    return np.asarray(r[: matrix.shape[1]])
+def widened(small: Array, columns: NDArray[np.integer], p: int, rows: int) -> Factor:
+    """Return the factor (k, c + 1) of some columns and the torque as one of all p columns."""
+    wide = np.zeros((len(small), p + 1))
+    wide[:, [*columns, p]] = small
+    return Factor(wide, rows)
 
 
 def combine(factors: Sequence[Factor], weights: Sequence[float] | Array) -> Factor:
