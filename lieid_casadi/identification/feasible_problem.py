@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.compiled.reduction import triangular
 from lieid_casadi.identification.feasible_options import FeasibleOptions
 from lieid_casadi.identification.least_squares import Factor
 from lieid_casadi.robot.inertia import pseudo_inertia
