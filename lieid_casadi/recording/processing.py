@@ -22,6 +22,7 @@ from lieid_casadi.recording.filtering import (
     straight_at,
     uniform_time,
 )
+from lieid_casadi.recording.overlap import Window, filter_memory, windows
 from lieid_casadi.recording.periods import mean_period
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.robust_loess import robust_loess
@@ -139,10 +140,22 @@ class Processed:
         Linear and zero-phase; the same for torque and for every regressor column, so that
         tau = Y β keeps holding. M samples at no less than four times the cut-off.
         """
-        values = np.asarray(x, dtype=np.float64)
+        values = np.asarray(x)
         if values.shape[:1] != self.t.shape:
             raise RecordingError(f"filter: found shape {values.shape}, expected ({self.t.size}, …)")
-        return lowpass(values, self.rate, self.cutoff, self.options.order)[self.kept]
+        return np.concatenate([self.filter_window(values[w.instants], w) for w in self.windows])
+
+    @cached_property
+    def windows(self) -> tuple[Window, ...]:
+        """Stretches that filter one by one as the whole segment does."""
+        margin = filter_memory(self.rate, self.cutoff, self.options.order)
+        return tuple(windows(self.t.size, self.kept, margin))
+
+    def filter_window(self, x: Array, window: Window, axis: int = 0) -> Array:
+        """The rows of one window of :meth:`filter`, from the window's instants of a signal."""
+        values = np.moveaxis(np.asarray(x, dtype=np.float64), axis, 0)
+        low = lowpass(values, self.rate, self.cutoff, self.options.order)
+        return np.moveaxis(low[window.inside], 0, axis)
 
     @cached_property
     def filtered_time(self) -> Array:
