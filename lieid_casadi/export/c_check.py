@@ -12,8 +12,8 @@ from lieid_casadi.export.c_model import Expressions, Symbols
 from lieid_casadi.identification.fit import Fit
 
 Array = NDArray[np.float64]
-PACE = 8.0  # rad/s of the motion q = … cos(PACE·t): it turns round at t = 0 and 0.393 s
-TIMES = (0.0, 0.01, 0.02, 0.04, 0.1, 0.25, 0.385, 0.4, 0.41, 0.6)  # s; short steps where it turns
+PACE = 2.0  # rad/s of the motion q = … cos(PACE·t): it turns round at t = 0 and 1.57 s
+TIMES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.3, 0.8, 1.56, 1.58, 1.6, 2.2)  # s; slow where it turns
 SMOOTHING = 0.05  # v0, rad/s, of the smooth sign
 
 
@@ -50,7 +50,7 @@ def _motion(fit: Fit) -> dict[str, Array]:
     lower = np.nan_to_num(robot.limit("position_lower"), nan=-np.pi, posinf=np.pi, neginf=-np.pi)
     upper = np.nan_to_num(robot.limit("position_upper"), nan=np.pi, posinf=np.pi, neginf=-np.pi)
     time = np.array(TIMES)
-    reach = random.uniform(-0.2, 0.2, robot.n) * np.minimum(upper - lower, 2.0 * np.pi)
+    reach = random.uniform(-0.3, 0.3, robot.n) * np.minimum(upper - lower, 2.0 * np.pi)
     angle = PACE * time[:, None]
     middle = 0.5 * (lower + upper)
     q = middle + random.uniform(-0.1, 0.1, robot.n) * (upper - lower) + reach * np.cos(angle)

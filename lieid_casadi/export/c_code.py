@@ -56,11 +56,13 @@ def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool =
     ------
     ExportError
         A prefix that is no C name, a folder that cannot be written, an effect of the user's that
-        has no C form.
+        has no C form, a number that is not finite.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix):
         raise ExportError(f"prefix {prefix!r}: expected letters, digits and _, a letter first")
     check_folder(folder, force=force)
+    for value in (*fit.parameters, *fit.values, *fit.shapes):
+        number(value)
     notes = _notes(fit)
     written = write_folder(folder, c_files(fit, prefix, notes), force=force)
     return CExport(written, tuple(notes))
