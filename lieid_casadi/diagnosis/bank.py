@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import EffectFunction, SegmentSignals, columns_along
 from lieid_casadi.diagnosis.whitening import Noise, Runs
+from lieid_casadi.effects import ArmEffect
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-SMALLEST_SUPPORT = 12.0  # rows that make most of a column: fewer are a few odd moments
+SMALLEST_SUPPORT = 5.0  # rows that make most of a column: fewer are a few odd moments
 
 
 class Tried(Protocol):
@@ -112,7 +113,7 @@ class Bank(Generic[T]):
         return replace(self, parts=parts)
 
 
-Known = dict[str, Array]
+Known = dict[str, dict[int, Array]]
 
 
 def build_bank(
@@ -123,7 +124,8 @@ def build_bank(
 ) -> Bank[Candidate]:
     """Evaluate and filter all candidates' columns, on each joint's runs, not whitened.
 
-    ``known`` keeps, by `Candidate.key`, columns that no later fit changes; pass it again with the same runs.
+    ``known`` keeps, by `Candidate.key`, columns that no later fit changes; pass it again with the
+    same runs.
     """
     known = {} if known is None else known
     candidate: list[int] = []
@@ -134,34 +136,54 @@ def build_bank(
     for members in _by_effect(wanted):
         group = [wanted[k] for k in members]
         effect, grid = group[0].effect, group[0].grid
-        fresh = [k for k in members if wanted[k].key not in known]
-        values = _evaluated([wanted[k] for k in fresh], signals, runs)
+        fresh = [wanted[k] for k in members if wanted[k].key not in known]
+        whole = isinstance(effect, ArmEffect)
+        values = _along(fresh, signals, runs) if whole else _evaluated(fresh, signals, runs)
         for k in members:
-            key, joint = wanted[k].key, wanted[k].joint
-            columns = known[key] if key in known else values[key]
-            if "load" not in effect.signals:
-                known[key] = columns
-            on_joint[joint].append((first, columns))
-            width = columns.shape[1] // len(grid)
+            columns = known[wanted[k].key] if wanted[k].key in known else values[wanted[k].key]
+            if "load" not in effect.signals and not whole:
+                known[wanted[k].key] = columns
+            for joint, matrix in columns.items():
+                on_joint[joint].append((first, matrix))
+            total = next(iter(columns.values())).shape[1]
             candidate += [k] * len(grid)
             point += range(len(grid))
-            size += [width] * len(grid)
-            first += columns.shape[1]
+            size += [total // len(grid)] * len(grid)
+            first += total
     return assemble(wanted, candidate, point, size, on_joint, runs)
 
 
 def _evaluated(
     group: Sequence[Candidate], signals: Sequence[SegmentSignals], runs: Sequence[Runs]
 ) -> Known:
-    """Return the columns (N_j, G·c) of one effect's candidates, by key."""
+    """Return the columns (N_j, G·c) on each joint they act on, of one effect's candidates."""
     if not group:
         return {}
     function, places = EffectFunction(group[0].effect), [c.placement for c in group]
     values = np.concatenate([columns_along(function, s, places, group[0].grid) for s in signals])
     return {
-        c.key: values[runs[c.joint].all, k].reshape(runs[c.joint].count, -1)
+        c.key: {c.joint: values[runs[c.joint].all, k].reshape(runs[c.joint].count, -1)}
         for k, c in enumerate(group)
     }
+
+
+def _along(
+    group: Sequence[Candidate], signals: Sequence[SegmentSignals], runs: Sequence[Runs]
+) -> Known:
+    """Return the columns of effects on the whole arm or on what is measured."""
+    found: Known = {}
+    for c in group:
+        assert isinstance(c.effect, ArmEffect)
+        parts = [
+            s.segment.filter(
+                np.concatenate([c.effect.along(s.arm, c.joint, x) for x in c.grid], axis=2)
+            )
+            for s in signals
+        ]
+        values = np.concatenate(parts)
+        joints = [c.joint] if c.effect.reach == "joint" else range(values.shape[1])
+        found[c.key] = {j: values[runs[j].all, j] for j in joints}
+    return found
 
 
 def assemble(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.effects import Effect, Placement
+from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
 from lieid_casadi.effects.effect import REGISTER, make
 from lieid_casadi.identification.shape_range import ShapeRange
 from lieid_casadi.model import Model
@@ -17,10 +17,16 @@ from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
 GRID = 25  # values of one shape parameter that are tried; the square root of it each for two
+#: Time constants over the longest segment; speeds over the joint's dead zone and top speed:
+#: beyond these a shape is noise at a reversal, or just another polynomial.
+SHORTEST, LONGEST = 0.05, 2.0
+DEAD_ZONES, FASTEST = 3.0, 0.35
 ZOOM = (1 / 3, 2 / 3)  # of the way to the next point, where a grid is refined
 #: Other forms of an effect that stands in the list by its plain name, and models that take the
 #: place of coulomb and viscous instead of standing beside them.
 NOT_TRIED = ("sigmoid_friction",)
+#: Peaks of a periodogram whose columns are looked at, for each joint.
+PEAKS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +37,8 @@ class Candidate:
     ----------
     placement : Placement
     grid : (G, s)
-        Values of the shape parameters that are tried; (1, 0) without any.
+        Values of the shape parameters that are tried; (1, 0) without any. For effects on the
+        whole arm, coefficients at which their columns are tried.
     """
 
     placement: Placement
@@ -44,7 +51,7 @@ class Candidate:
 
     def zoomed(self, points: Sequence[int]) -> Candidate:
         """Return it with more points of its grid beside some of them."""
-        if not self.grid.shape[1]:
+        if not self.effect.shapes:
             return self
         ranges = ShapeRange.of(self.effect.shapes)
         places = ranges.place(self.grid)
@@ -94,13 +101,22 @@ class Candidate:
 
 def joints_of(placement: Placement) -> tuple[int, ...]:
     """Return the joints (from 0) that a placement names in results."""
+    if placement.whole_arm:
+        return ()
     if placement.source is None:
         return (placement.joint,)
     return (placement.joint, placement.source)
 
 
-def candidates(model: Model, segments: Sequence[Processed]) -> tuple[Candidate, ...]:
-    """Return all that the model has not, as far as the recordings have the signals for it."""
+def candidates(
+    model: Model,
+    segments: Sequence[Processed],
+    scan: Callable[[Effect, int], Array],
+) -> tuple[Candidate, ...]:
+    """Return all that the model has not, as far as the recordings have the signals for it.
+
+    ``scan`` gives the grid of an effect on a joint whose shape parameter has to be scanned.
+    """
     have = {p.label for p in model.placements}
     moves = np.any([s.moving.any(axis=0) for s in segments], axis=0)
     found = []
@@ -108,29 +124,47 @@ def candidates(model: Model, segments: Sequence[Processed]) -> tuple[Candidate, 
         effect = make(label)
         if effect.option or effect.name in NOT_TRIED or not _has_signals(effect, segments):
             continue
-        grid = shape_grid(effect, segments)
+        scanned = any(shape.scan for shape in effect.shapes)
         for placement in _places(effect, model.n):
             joints = joints_of(placement)
-            if placement.label not in have and moves[list(joints)].all():
+            if placement.label in have or not moves[list(joints)].all():
+                continue
+            j = placement.joint
+            grid = scan(effect, j) if scanned else shape_grid(effect, segments, j)
+            if len(grid):
                 found.append(Candidate(placement, grid))
     return tuple(found)
 
 
-def shape_grid(effect: Effect, segments: Sequence[Processed]) -> Array:
-    """Return the shape parameters to try (G, s)."""
+def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Array:
+    """Return the values to try on a joint (G, s): shape parameters within what it can show."""
+    if isinstance(effect, ArmEffect):
+        return np.array([(0.0,) * len(effect.coefficients), *effect.starts])
     if not effect.shapes:
         return np.zeros((1, 0))
     count = GRID if len(effect.shapes) == 1 else int(np.ceil(np.sqrt(GRID)))
     axes = []
     for shape in effect.shapes:
+        lower, upper = _limits(shape, segments, joint)
+        limited = replace(shape, lower=lower, upper=upper)
         places = np.linspace(0.0, 1.0, count + 2)[1:-1]
-        values = ShapeRange.of([shape]).shapes(places[:, None])[:, 0]
-        if shape.unit == "s":
-            longest = max(segment.t[-1] - segment.t[0] for segment in segments)
-            lower = max(shape.lower, 0.05 * longest)
-            values = np.geomspace(lower, min(shape.upper, max(2.0 * longest, 2 * lower)), 5)
-        axes.append(values)
+        axes.append(ShapeRange.of([limited]).shapes(places[:, None])[:, 0])
     return np.array(list(product(*axes)))
+
+
+def _limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tuple[float, float]:
+    """Return bounds within what a joint's motion can show, by the shape parameter's unit."""
+    if shape.unit == "s":
+        longest = max(float(segment.t[-1] - segment.t[0]) for segment in segments)
+        low, high = SHORTEST * longest, LONGEST * longest
+    elif shape.unit == "rad/s" and shape.lower > 0.0:
+        top = max(float(np.percentile(np.abs(s.dq[:, joint]), 99.0)) for s in segments)
+        low = DEAD_ZONES * max(float(s.dead_zone[joint]) for s in segments)
+        high = FASTEST * top
+    else:
+        return shape.lower, shape.upper
+    low = min(max(low, shape.lower), 0.5 * shape.upper)
+    return low, min(max(high, 2.0 * low), shape.upper)
 
 
 def _has_signals(effect: Effect, segments: Sequence[Processed]) -> bool:
@@ -140,6 +174,8 @@ def _has_signals(effect: Effect, segments: Sequence[Processed]) -> bool:
 
 
 def _places(effect: Effect, n: int) -> list[Placement]:
+    if getattr(effect, "whole_arm", False):
+        return [Placement(effect, 0)]
     if effect.couples:
         return [Placement(effect, i, j) for i in range(n) for j in range(n) if i != j]
     return [Placement(effect, j) for j in range(n)]

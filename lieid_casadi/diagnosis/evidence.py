@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln
 from scipy.stats import chi2
 
 from lieid_casadi.diagnosis.screening import Screening
@@ -25,21 +26,29 @@ class Family:
     tests: float
 
     @classmethod
-    def of(cls, screening: Screening, *, seed: int) -> Family:
-        """Draw white rows and screen them: nothing is there to be found."""
+    def of(cls, screening: Screening, *, seed: int, further: int = 0) -> Family:
+        """Draw white rows and screen them: nothing is there to be found.
+
+        ``further`` tests were made beside those that are screened.
+        """
         random = np.random.default_rng([seed, 61])
         rank = np.maximum(screening.rank, 1)
         smallest = []
         for _ in range(0, DRAWS, 50):
             noise = random.standard_normal((screening.baseline.rows, 50))
-            p = chi2.sf(screening.statistic(noise), rank[:, None])
-            smallest.append(p.min(axis=0, initial=1.0))
+            p = np.asarray(chi2.sf(screening.statistic(noise), rank[:, None]))
+            smallest.append(np.min(p, axis=0, initial=1.0))
         # the least of N uniform numbers has −ln(1 − p) exponential with mean 1/N
-        return cls(max(1.0, 1.0 / float(np.mean(-np.log1p(-np.concatenate(smallest))))))
+        exponential = -np.log1p(-np.minimum(np.concatenate(smallest), 1.0 - 1e-12))
+        return cls(max(1.0, 1.0 / float(np.mean(exponential))) + further)
 
     def log10_p(self, gain: float, rank: int) -> float:
         """Return log₁₀ of the family-wise p-value of a gain: all tests count."""
-        log_p = float(chi2.logsf(gain, max(rank, 1)))
+        half, rank = 0.5 * gain, max(rank, 1)
+        log_p = float(chi2.logsf(gain, rank))
+        if not np.isfinite(log_p):  # far out in the tail
+            log_p = (0.5 * rank - 1.0) * np.log(half) - half - float(gammaln(0.5 * rank))
         if log_p < -30.0:
-            return (log_p + np.log(self.tests)) / np.log(10.0)
-        return float(np.log10(max(-np.expm1(self.tests * np.log1p(-np.exp(log_p))), 1e-300)))
+            return float((log_p + np.log(self.tests)) / np.log(10.0))
+        p = min(float(np.exp(log_p)), 1.0 - 1e-12)
+        return float(np.log10(max(-np.expm1(self.tests * np.log1p(-p)), 1e-300)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +34,12 @@ class Price:
         return np.where(screening.gain >= least, score, -np.inf)
 
 
-def column_stack(bank: Bank, group: int) -> Array:
+def column_stack(bank: Bank[Any], group: int) -> Array:
     """Return a group's columns on all rows (R, k)."""
     return np.concatenate(bank.dense(group))
 
 
-def with_groups(baseline: Baseline, bank: Bank, groups: Sequence[int]) -> Baseline:
+def with_groups(baseline: Baseline, bank: Bank[Any], groups: Sequence[int]) -> Baseline:
     """Return the baseline with groups of the bank added to the model."""
     for group in groups:
         baseline = baseline.with_columns(column_stack(bank, group))
@@ -46,7 +47,7 @@ def with_groups(baseline: Baseline, bank: Bank, groups: Sequence[int]) -> Baseli
 
 
 def best_set(
-    bank: Bank, baseline: Baseline, price: Price, barred: NDArray[np.bool_] | None = None
+    bank: Bank[Any], baseline: Baseline, price: Price, barred: NDArray[np.bool_] | None = None
 ) -> list[int]:
     """Return the groups that together bring most for their price, in the order found.
 
@@ -65,7 +66,7 @@ def best_set(
 
 
 def _best(
-    bank: Bank,
+    bank: Bank[Any],
     baseline: Baseline,
     chosen: Sequence[int],
     price: Price,
@@ -83,7 +84,7 @@ def _best(
 
 
 def _exchanged(
-    bank: Bank,
+    bank: Bank[Any],
     baseline: Baseline,
     chosen: list[int],
     price: Price,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,11 @@ class Rival:
 
 
 def rivals_of(
-    bank: Bank, baseline: Baseline, others: Sequence[int], winner: int, blocks: Array
+    bank: Bank[Any],
+    baseline: Baseline,
+    others: Sequence[int],
+    winner: int,
+    blocks: NDArray[np.intp],
 ) -> list[Rival]:
     """Return rivals of a winner beside the other chosen groups, nearest first.
 
@@ -67,31 +72,33 @@ def rivals_of(
     return sorted(found, key=lambda r: (r.kind != "exact", -r.gain))
 
 
-def screen_one(bank: Bank, baseline: Baseline, group: int) -> float:
+def screen_one(bank: Bank[Any], baseline: Baseline, group: int) -> float:
     """Return the part of a group's columns that a baseline does not span."""
     columns = column_stack(bank, group)
     norms = np.linalg.norm(columns, axis=0)
-    scaled = columns / np.where(norms > 0.0, norms, 1.0)
+    scaled = baseline.padded(columns / np.where(norms > 0.0, norms, 1.0))
     rest = scaled - baseline.basis @ (baseline.basis.T @ scaled)
     return float(np.linalg.svd(rest, compute_uv=False)[0])
 
 
-def _alike(worse: Array, blocks: Array) -> bool:
-    sums = np.bincount(blocks, weights=worse)
+def _alike(worse: Array, blocks: NDArray[np.intp]) -> bool:
+    sums = np.bincount(blocks, weights=worse[: len(blocks)])
     count = len(sums)
     if count < 2:
         return True
     return bool(sums.sum() < DEVIATIONS * np.sqrt(count) * sums.std(ddof=1))
 
 
-def cross_validated_gain(columns: Array, baseline: Baseline, folds: Array) -> float:
+def cross_validated_gain(columns: Array, baseline: Baseline, folds: NDArray[np.intp]) -> float:
     """Return the fall of the held-out sum of squares when columns (R, k) are added.
 
     Folds (R,) int; the coefficients of the columns come from the other folds.
     """
+    columns = baseline.padded(columns)
     rest = columns - baseline.basis @ (baseline.basis.T @ columns)
+    folds = np.pad(folds, (0, len(rest) - len(folds)), constant_values=-1)
     total = 0.0
-    for fold in np.unique(folds):
+    for fold in np.unique(folds[folds >= 0]):
         held = folds == fold
         values = np.linalg.lstsq(rest[~held], baseline.residual[~held], rcond=None)[0]
         after = baseline.residual[held] - rest[held] @ values

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.bank import Bank, Known, build_bank
 from lieid_casadi.diagnosis.candidates import Candidate, candidates
-from lieid_casadi.diagnosis.columns import SegmentSignals
+from lieid_casadi.diagnosis.columns import SegmentSignals, scanned_grid
 from lieid_casadi.diagnosis.screening import Baseline
 from lieid_casadi.diagnosis.whitening import Noise, Runs, runs_of
+from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.design import Design, Rows
 from lieid_casadi.identification.shape_fit import shape_columns
@@ -41,6 +42,8 @@ class Scene:
     bank : Bank
     known : dict
         Columns that another fit on the same segments has too.
+    scanned : int
+        Grid points that were tried in scans and are not in the bank.
     """
 
     fit: Fit
@@ -51,6 +54,7 @@ class Scene:
     signals: tuple[SegmentSignals, ...]
     bank: Bank[Candidate]
     known: Known
+    scanned: int
 
     @classmethod
     def of(
@@ -66,22 +70,27 @@ class Scene:
         two can be compared, and its columns where the fit does not change them.
         """
         design = Design(fit.compiled, segments)
-        rows = design.rows(fit.shapes, fit.link_parameters)
+        rows = design.rows(fit.shapes, fit.parameters)
         runs = runs_of(rows, segments) if before is None else before.runs
         known: Known = {} if before is None else before.known
         matrices = _dense(rows)
         if len(fit.shapes):
-            slopes = shape_columns(design, fit.values, fit.shapes, fit.link_parameters)
+            slopes = shape_columns(design, fit.values, fit.shapes, fit.parameters)
             matrices = [np.column_stack([m, s]) for m, s in zip(matrices, slopes, strict=True)]
         on_line = [_on_time_line(rows, j, m) for j, m in enumerate(matrices)]
         torque = [_on_time_line(rows, j, rows.joints[j].torque) for j in range(fit.model.n)]
-        signals = [
-            SegmentSignals.of(
-                s, fit.compiled.inverse_dynamics(s.q, s.dq, s.ddq, fit.link_parameters)
-            )
-            for s in segments
-        ]
-        wanted = candidates(fit.model, segments)
+        residual = [_on_time_line(rows, j, r) for j, r in enumerate(rows.residuals(fit.values))]
+        signals = [SegmentSignals.of(fit, s) for s in segments]
+        tried = 0
+
+        def scan(effect: Effect, joint: int) -> Array:
+            nonlocal tried
+            at = runs[joint].all
+            grid, count = scanned_grid(effect, signals, joint, residual[joint][at], at)
+            tried += count
+            return grid
+
+        wanted = candidates(fit.model, segments, scan)
         return cls(
             fit,
             tuple(segments),
@@ -91,6 +100,7 @@ class Scene:
             tuple(signals),
             build_bank(wanted, signals, runs, known),
             known,
+            tried,
         )
 
     def zoomed(self, points: Mapping[int, Sequence[int]]) -> Scene:

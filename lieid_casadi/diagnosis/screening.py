@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from lieid_casadi.diagnosis.bank import SMALLEST_SUPPORT, Bank
 
 Array = NDArray[np.float64]
 ABSORBED = 1e-6  # remaining part of a column below which no data can tell it
-WEAK = 0.05  # remaining part below which a point of a shape grid says nothing of its own
+WEAK = 0.1  # remaining part below which a point of a shape grid says nothing of its own
 RANK = 1e-9
 
 
@@ -64,8 +65,13 @@ class Baseline:
         """Rows of joint j."""
         return slice(int(self.ends[j]), int(self.ends[j + 1]))
 
+    def padded(self, columns: Array) -> Array:
+        """Return columns (…, k) of the joints' rows on all rows (R, k): zero on others."""
+        return np.pad(columns, ((0, self.rows - len(columns)), (0, 0)))
+
     def with_columns(self, columns: Array) -> Baseline:
         """Return the baseline with further columns (R, k) of a model."""
+        columns = self.padded(columns)
         rest = columns - self.basis @ (self.basis.T @ columns)
         rest = rest - self.basis @ (self.basis.T @ rest)
         norms = np.linalg.norm(columns, axis=0)
@@ -92,7 +98,7 @@ class Screening:
         See `statistic`.
     """
 
-    bank: Bank
+    bank: Bank[Any]
     baseline: Baseline
     gain: Array
     remaining: Array
@@ -113,8 +119,11 @@ class Screening:
         return _gains(self.bank, self._roots, products)
 
 
-def screen(bank: Bank, baseline: Baseline) -> Screening:
-    """Return every group's gain beside a baseline."""
+def screen(bank: Bank[Any], baseline: Baseline, *, every: bool = False) -> Screening:
+    """Return every group's gain beside a baseline.
+
+    ``every``: also of groups that rest on a few rows or on next to nothing of their own.
+    """
     gram, norms = _grams(bank, baseline)
     roots, remaining, rank = _roots(bank, gram, norms)
     products = _products(bank, baseline, baseline.residual[:, None])
@@ -125,12 +134,14 @@ def screen(bank: Bank, baseline: Baseline) -> Screening:
     fine &= bank.support >= SMALLEST_SUPPORT
     shaped = np.bincount(bank.candidate, minlength=len(bank.candidates))[bank.candidate] > 1
     fine &= ~(shaped & (remaining < WEAK))
+    if every:
+        fine[:] = True
     return Screening(
         bank, baseline, np.where(fine, gain, 0.0), remaining, rank, roots, products[:, 0]
     )
 
 
-def _grams(bank: Bank, baseline: Baseline) -> tuple[Array, Array]:
+def _grams(bank: Bank[Any], baseline: Baseline) -> tuple[Array, Array]:
     """Return within-group products of what remains, by offset (k, m), and raw norms² (m,)."""
     width = int(bank.size.max(initial=1))
     inner = np.zeros((width, bank.count))
@@ -151,7 +162,7 @@ def _grams(bank: Bank, baseline: Baseline) -> tuple[Array, Array]:
     return inner, norms
 
 
-def _roots(bank: Bank, gram: Array, norms: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+def _roots(bank: Bank[Any], gram: Array, norms: Array) -> tuple[Array, Array, NDArray[np.intp]]:
     """Return inverse square roots of the groups' Gram matrices as (m, k) rows, and what remains."""
     width = len(gram)
     roots = np.zeros((bank.count, width))
@@ -176,7 +187,7 @@ def _roots(bank: Bank, gram: Array, norms: Array) -> tuple[Array, Array, NDArray
     return roots, remaining, rank
 
 
-def _products(bank: Bank, baseline: Baseline, rest: Array) -> Array:
+def _products(bank: Bank[Any], baseline: Baseline, rest: Array) -> Array:
     """Return Cᵀ·rest (m, B) for rows (R, B) that are orthogonal to the baseline."""
     products = np.zeros((bank.count, rest.shape[1]))
     for j, part in enumerate(bank.parts):
@@ -184,7 +195,7 @@ def _products(bank: Bank, baseline: Baseline, rest: Array) -> Array:
     return products
 
 
-def _gains(bank: Bank, roots: Array, products: Array) -> Array:
+def _gains(bank: Bank[Any], roots: Array, products: Array) -> Array:
     gains = np.zeros((len(bank.size), products.shape[1]))
     for direction in range(roots.shape[1]):
         along = np.add.reduceat(roots[:, direction, None] * products, bank.start, axis=0)
@@ -192,7 +203,7 @@ def _gains(bank: Bank, roots: Array, products: Array) -> Array:
     return gains
 
 
-def _values(bank: Bank, roots: Array, products: Array) -> Array:
+def _values(bank: Bank[Any], roots: Array, products: Array) -> Array:
     """Return every group's least-squares coefficients (m,), each group alone."""
     values = np.zeros(bank.count)
     owner = np.repeat(np.arange(len(bank.size)), bank.size)

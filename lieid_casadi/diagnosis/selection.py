@@ -219,12 +219,12 @@ class Search:
         """Return log₁₀ of the family-wise p-value, the whitened gain and how many rows."""
         bank = scene.bank.whitened(self.noise, scene.runs)
         beside = with_groups(scene.baseline(self.noise), bank, others)
-        screening = screen(bank, beside)
+        screening = screen(bank, beside, every=True)
         after = beside.with_columns(column_stack(bank, winner))
         freedom = max(after.rows - after.basis.shape[1], 1)
         dispersion = max(float(np.sum(after.residual**2)) / freedom, 1.0)
         gain = float(screening.gain[winner]) / dispersion
-        family = Family.of(screening, seed=self.seed)
+        family = Family.of(screening, seed=self.seed, further=scene.scanned)
         return family.log10_p(gain, int(screening.rank[winner])), gain, after.rows
 
 
@@ -249,17 +249,17 @@ def pilot_noise(scene: Scene) -> tuple[tuple[Noise, ...], tuple[Noise, ...]]:
 def _refined_shapes(bank: Bank[Candidate], gain: Array, winner: int) -> Array:
     """Return a group's shape parameters; a single one at the peak of a parabola of the gains."""
     candidate, point = bank.candidates[bank.candidate[winner]], int(bank.point[winner])
-    shapes = candidate.grid[point]
+    shapes = candidate.grid[point, : len(candidate.effect.shapes)]
     if len(shapes) != 1 or not 0 < point < len(candidate.grid) - 1:
-        return shapes
+        return np.asarray(shapes)
     before, here, after = gain[winner - 1 : winner + 2]
     curvature = before - 2.0 * here + after
     if not 0.0 < max(before, after) <= here or curvature >= 0.0:
-        return shapes
+        return np.asarray(shapes)
     ranges = ShapeRange.of(candidate.effect.shapes)
     low, middle, high = ranges.place(candidate.grid[point - 1 : point + 2])[:, 0]
     shift = 0.5 * (before - after) / curvature
-    return ranges.shapes(np.array([middle + shift * 0.5 * (high - low)]))
+    return np.asarray(ranges.shapes(np.array([middle + shift * 0.5 * (high - low)])))
 
 
 def _price(baseline: Baseline) -> Price:
@@ -284,14 +284,16 @@ def _spokesman(
 ) -> tuple[int, list[Rival]]:
     """Return who speaks for a winner and its rivals, and the others.
 
-    The fewest parameters; among those the least error in blocked cross-validation.
+    The fewest parameters, linear ones before shapes; among those the least error in blocked
+    cross-validation.
     """
     gains = {
         g: cross_validated_gain(column_stack(bank, g), beside, folds)
         for g in [winner, *(r.group for r in rivals)]
     }
-    parameters = {g: bank.candidates[bank.candidate[g]].parameters for g in gains}
-    best = min(gains, key=lambda g: (parameters[g], -gains[g]))
+    tried = {g: bank.candidates[bank.candidate[g]] for g in gains}
+    parameters = {g: (c.parameters, len(c.effect.shapes)) for g, c in tried.items()}
+    best = min(gains, key=lambda g: (*parameters[g], -gains[g]))
     if best == winner:
         return winner, rivals
     kind = next(r.kind for r in rivals if r.group == best)

@@ -109,7 +109,7 @@ def unexplained(
     family = Family.of(screening, seed=seed)
     found = []
     for joint in range(len(baseline.ends) - 1):
-        own = np.flatnonzero([c.joint == joint for c in bank.candidates])
+        own = [g for g, c in enumerate(bank.candidates) if c.joint == joint]
         rows = baseline.joint(joint)
         variance = float(np.sum(baseline.residual[rows] ** 2))
         spread = np.mean(white[1].residual[white[1].joint(joint)] ** 2)
@@ -215,4 +215,4 @@ def _product(bases: dict[str, Array], names: tuple[str, ...]) -> Array:
     if len(names) == 1:
         return bases[names[0]]
     first, second = (bases[name][:, :4] for name in names)
-    return np.einsum("ka,kb->kab", first, second).reshape(len(first), -1)
+    return np.asarray(np.einsum("ka,kb->kab", first, second).reshape(len(first), -1))

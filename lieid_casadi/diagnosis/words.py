@@ -33,11 +33,11 @@ def sentence(d: Diagnosis) -> str:
             if d.mode == "missing"
             else "Nothing has changed."
         )
-    for u in d.unexplained:
-        parts.append(
-            f"On joint {u.joint + 1} {100 * u.fraction:.0f} % of the remaining error's variance "
-            f"follows {', '.join(u.depends_on)}, which no effect of the library explains."
-        )
+    parts += [
+        f"On joint {u.joint + 1} {100 * u.fraction:.0f} % of the remaining error's variance "
+        f"follows {', '.join(u.depends_on)}, which no effect of the library explains."
+        for u in d.unexplained
+    ]
     return " ".join(parts)
 
 

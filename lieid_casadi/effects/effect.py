@@ -33,6 +33,8 @@ class Shape:
     """A shape parameter, on which the torque depends nonlinearly; bounds are finite.
 
     It is searched on a logarithmic scale where ``lower`` is above zero, else on a linear one.
+    Where a small change makes another column altogether, as with the order of a harmonic,
+    ``scan`` is the step of a linear search through the range.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Shape:
     initial: float
     lower: float
     upper: float
+    scan: float | None = None
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,15 @@ class Placement:
     source: int | None = None
 
     @property
+    def whole_arm(self) -> bool:
+        """Whether it acts on no joint in particular."""
+        return bool(getattr(self.effect, "whole_arm", False))
+
+    @property
     def label(self) -> str:
         """As written in files: ``stribeck:4`` (joints from 1)."""
+        if self.whole_arm:
+            return self.effect.label
         acting = "" if self.source is None else f"<{self.source + 1}"
         return f"{self.effect.label}:{self.joint + 1}{acting}"
 
@@ -40,9 +47,15 @@ def place(spec: str | Effect, n: int, joints: Sequence[int] | None = None) -> li
         Unknown effect, a joint that the arm does not have, a coupling without its source.
     """
     if isinstance(spec, Effect):
+        if getattr(spec, "whole_arm", False):
+            return [Placement(spec, 0)]
         return [_placement(spec, j, None, n, spec.label) for j in _every(joints, n)]
     label, _, where = spec.strip().partition(":")
     effect = make(label)
+    if getattr(effect, "whole_arm", False):
+        if where:
+            raise EffectError(f"effect {spec!r} acts on the whole arm; leave out its joints")
+        return [Placement(effect, 0)]
     if not where:
         return [_placement(effect, j, None, n, spec) for j in _every(joints, n)]
     if joints is not None:
@@ -67,10 +80,13 @@ def parse_effects(text: str | Iterable[str | Effect], n: int) -> tuple[Placement
 def labels(placements: Iterable[Placement], n: int) -> list[str]:
     """Return the shortest specs that give these placements: ``coulomb``, ``stribeck:4+5``."""
     specs: dict[str, list[str]] = {}
+    everywhere = [str(j + 1) for j in range(n)]
     for placement in placements:
         name, _, where = placement.label.partition(":")
+        if placement.whole_arm:
+            specs[name] = everywhere
+            continue
         specs.setdefault(name, []).append(where)
-    everywhere = [str(j + 1) for j in range(n)]
     return [name if at == everywhere else f"{name}:{'+'.join(at)}" for name, at in specs.items()]
 
 

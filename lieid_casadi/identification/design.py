@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import TypedDict
 
@@ -11,67 +11,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled
+from lieid_casadi.effects import ArmEffect
+from lieid_casadi.identification.along import effects_along
+from lieid_casadi.identification.plain_columns import PlainColumns
+from lieid_casadi.identification.rows import JointRows as JointRows
+from lieid_casadi.identification.rows import LongRows
+from lieid_casadi.identification.rows import Rows as Rows
 from lieid_casadi.model import Model
+from lieid_casadi.recording.overlap import Window
 from lieid_casadi.recording.processing import Processed
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class JointRows:
-    """One joint's equations ``torque = matrix @ β[columns]``.
-
-    Attributes
-    ----------
-    columns : (c,) int
-        Base columns that act on this joint: links from it on, and its own effects.
-    matrix : (R, c)
-    torque : (R,)
-        N·m.
-    instant : (R,) int
-        Row's position in the common time line of all segments.
-    """
-
-    columns: NDArray[np.intp]
-    matrix: Array
-    torque: Array
-    instant: NDArray[np.intp]
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """All joints' equations.
-
-    ``segments`` holds the first instant of each segment and, last, the number of instants.
-    """
-
-    joints: tuple[JointRows, ...]
-    count: int
-    segments: NDArray[np.intp]
-
-    def residuals(self, values: Array) -> list[Array]:
-        """Return measured − predicted torque per joint (R,)."""
-        return [rows.torque - rows.matrix @ values[rows.columns] for rows in self.joints]
-
-    def predicted(self, values: Array) -> Array:
-        """Return the predicted torque of all rows, joint after joint."""
-        return np.concatenate([rows.matrix @ values[rows.columns] for rows in self.joints])
+Indices = NDArray[np.intp]
+Stretch = list[tuple[int, Window]]  # number of a segment, and a window of its rows
+HELD_BYTES = 256 << 20
+STRETCH_BYTES = 64 << 20
 
 
 class Design:
     """Columns of one model along processed segments.
 
-    Rigid columns and plain effects are evaluated and filtered once; effects with shape
-    parameters or load dependence are evaluated anew for each call of `rows`.
+    Rigid columns and plain effects are evaluated and filtered once, window by window; effects
+    with shape parameters or load dependence anew for each call of `rows`. Beyond ``held`` bytes
+    nothing is kept: rows are made in stretches, anew for every pass over them.
 
     Parameters
     ----------
     compiled : Compiled
     segments : sequence of Processed
         Each with a torque.
+    held : int
+        Bytes of columns that may be kept.
     """
 
-    def __init__(self, compiled: Compiled, segments: Sequence[Processed]) -> None:
+    def __init__(
+        self, compiled: Compiled, segments: Sequence[Processed], *, held: int = HELD_BYTES
+    ) -> None:
         self.compiled = compiled
         self.model = compiled.model
         self.segments = tuple(segments)
@@ -81,22 +56,40 @@ class Design:
         self._effect_index = kept[kept >= 0]  # columns of the model's effects
         self._active = _active_columns(compiled)
         self._use = [_fit_rows(self.model, segment) for segment in self.segments]
-        shapes, load = self.model.initial_shapes, None
-        self._fixed = [self._columns(s, shapes, load, every=True) for s in self.segments]
         self._torque = [s.filter(_torque(s)) for s in self.segments]
+        self._plain = [PlainColumns(compiled, s, self.varying) for s in self.segments]
+        windows = [(k, w) for k, s in enumerate(self.segments) for w in s.windows]
+        width = 8 * sum(len(active) for active in self._active)
+        self._stretches = _stretches(windows, width, held)
+        self._kept: list[list[Array]] | None = None
+        if len(self._stretches) == 1:
+            self._kept = self._filtered(self._stretches[0])
 
     def rows(self, shapes: Array, link_parameters: Array | None) -> Rows:
         """Return the equations for given shape parameters and link parameters (10 n,).
 
-        Link parameters give the load of load-dependent effects; None means no load yet.
+        Link parameters, with the effects' coefficients after them (10 n + m,) where effects on
+        the whole arm need those, give the load of load-dependent effects; None means no load yet.
         """
-        blocks = self._fixed
+        fresh: list[Array] = []
         if self._varying.any():
-            blocks = [
-                self._replaced(fixed, segment, shapes, link_parameters)
-                for fixed, segment in zip(self._fixed, self.segments, strict=True)
-            ]
-        return self._stack(blocks)
+            fresh = [self._fresh(s, shapes, link_parameters) for s in self.segments]
+        if self._kept is not None:
+            return self._stack(self._stretches[0], self._kept, fresh)
+
+        def make(k: int) -> Rows:
+            return self._stack(self._stretches[k], self._filtered(self._stretches[k]), fresh)
+
+        lengths = [[self._use[k][w.rows].sum(axis=0) for k, w in s] for s in self._stretches]
+        instants = [sum(w.rows.stop - w.rows.start for _, w in s) for s in self._stretches]
+        return LongRows(
+            make,
+            np.array([np.sum(part, axis=0) for part in lengths], dtype=np.intp),
+            np.array(instants, dtype=np.intp),
+            self._active,
+            self.model.base.count,
+            _starts([len(use) for use in self._use]),
+        )
 
     @cached_property
     def varying(self) -> NDArray[np.intp]:
@@ -105,7 +98,7 @@ class Design:
 
     def varying_rows(self, shapes: Array, link_parameters: Array | None) -> list[Array]:
         """Return the varying columns alone, per joint (R, v), rows as in `rows`."""
-        blocks = [self._columns(s, shapes, link_parameters, every=False) for s in self.segments]
+        blocks = [self._fresh(s, shapes, link_parameters) for s in self.segments]
         return [
             np.concatenate([b[m[:, j], j] for b, m in zip(blocks, self._use, strict=True)])
             for j in range(self.model.n)
@@ -122,54 +115,88 @@ class Design:
         columns = self._effect_index[self._varying[self._effect_index]]
         return np.flatnonzero([owners[column] == shape_owners[k] for column in columns])
 
-    def _replaced(
-        self, fixed: Array, segment: Processed, shapes: Array, links: Array | None
-    ) -> Array:
-        block = fixed.copy()
-        varying = self._varying[self._effect_index]
-        fresh = self._columns(segment, shapes, links, every=False)
-        block[:, :, self._effects[varying]] = fresh
-        return block
+    def _fresh(self, segment: Processed, shapes: Array, links: Array | None) -> Array:
+        """Return the filtered varying columns (M, n, v)."""
+        effects = effects_along(self.compiled, segment, shapes, links)
+        joints, places = self._varying_pairs
+        wanted = self._effect_index[self._varying[self._effect_index]]
+        filtered = segment.filter(effects[:, joints, wanted[places]])
+        fresh = np.zeros((len(filtered), self.model.n, len(wanted)))
+        fresh[:, joints, places] = filtered
+        return fresh
 
-    def _columns(
-        self, segment: Processed, shapes: Array, links: Array | None, *, every: bool
-    ) -> Array:
-        """Return filtered base columns (M, n, p), or the varying effects' alone."""
-        load = None
-        if links is not None:
-            load = self.compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, links)
-        signals = effect_signals(segment, shapes, load)
-        effects = self.compiled.effect_columns(segment.q, segment.dq, segment.ddq, **signals)
-        if not every:
-            wanted = self._effect_index[self._varying[self._effect_index]]
-            return segment.filter(effects[:, :, wanted])
-        base = self.compiled.rigid_base_regressor(segment.q, segment.dq, segment.ddq)
-        base[:, :, self._effects] = effects[:, :, self._effect_index]
-        return segment.filter(base)
+    @cached_property
+    def _varying_pairs(self) -> tuple[Indices, Indices]:
+        """Joints, and which of the varying columns act on them."""
+        return np.nonzero(np.array([np.isin(self.varying, active) for active in self._active]))
 
-    def _stack(self, blocks: Sequence[Array]) -> Rows:
-        lengths = [len(block) for block in blocks]
-        starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
+    def _filtered(self, stretch: Stretch) -> list[list[Array]]:
+        """Return the plain columns of each window, per joint (c, m)."""
+        threads = min(self.compiled.threads, len(stretch))
+        if threads <= 1:
+            return [self._plain[k].filtered(window) for k, window in stretch]
+        with ThreadPoolExecutor(threads) as pool:
+            return list(pool.map(lambda part: self._plain[part[0]].filtered(part[1]), stretch))
+
+    def _stack(
+        self, stretch: Stretch, plain: Sequence[Sequence[Array]], fresh: Sequence[Array]
+    ) -> Rows:
+        use = [self._use[k][w.rows] for k, w in stretch]
+        torque = [self._torque[k][w.rows] for k, w in stretch]
+        firsts = _starts([len(mask) for mask in use])
         joints = []
-        for j in range(self.model.n):
-            active = self._active[j]
-            use = [mask[:, j] for mask in self._use]
-            matrix = [b[m, j][:, active] for b, m in zip(blocks, use, strict=True)]
-            torque = [t[m, j] for t, m in zip(self._torque, use, strict=True)]
-            instant = [s + np.flatnonzero(m) for s, m in zip(starts[:-1], use, strict=True)]
+        for j, active in enumerate(self._active):
+            own, varying = self._plain[0].columns[j], np.flatnonzero(np.isin(active, self.varying))
+            place = np.searchsorted(active, own)
+            chosen = np.flatnonzero(np.isin(self.varying, active))
+            rows = [mask[:, j] for mask in use]
+            matrix = np.zeros((sum(int(mask.sum()) for mask in rows), len(active)))
+            last = 0
+            for (k, window), mask, values in zip(stretch, rows, plain, strict=True):
+                first, last = last, last + int(mask.sum())
+                matrix[first:last, place] = values[j].T[mask]
+                if fresh:
+                    part = fresh[k][window.rows]
+                    matrix[first:last, varying] = part[mask, j][:, chosen]
+            instant = [a + np.flatnonzero(m) for a, m in zip(firsts[:-1], rows, strict=True)]
             joints.append(
                 JointRows(
-                    active, np.concatenate(matrix), np.concatenate(torque), np.concatenate(instant)
+                    active,
+                    matrix,
+                    np.concatenate([t[m, j] for t, m in zip(torque, rows, strict=True)]),
+                    np.concatenate(instant),
                 )
             )
-        return Rows(tuple(joints), self.model.base.count, starts)
+        owner = [k for k, _ in stretch]
+        new = [k for k in range(len(owner)) if k == 0 or owner[k] != owner[k - 1]]
+        return Rows(joints, self.model.base.count, firsts[[*new, len(owner)]])
+
+
+def _stretches(windows: Sequence[tuple[int, Window]], width: int, held: int) -> list[Stretch]:
+    """Gather windows (segment, window): one stretch if all rows are within ``held`` bytes."""
+    sizes = [width * (w.rows.stop - w.rows.start) for _, w in windows]
+    most = held if sum(sizes) <= held else STRETCH_BYTES
+    stretches: list[Stretch] = []
+    room = 0
+    for window, size in zip(windows, sizes, strict=True):
+        if not stretches or size > room:
+            stretches.append([])
+            room = most
+        stretches[-1].append(window)
+        room -= size
+    return stretches
+
+
+def _starts(lengths: Sequence[int]) -> Indices:
+    """Return where parts of given lengths begin, and the last one's end."""
+    return np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
 
 
 def varying_columns(model: Model) -> NDArray[np.bool_]:
     """Mark the effect columns (m,) that depend on shape parameters or on the load."""
     return np.array(
         [
-            bool(p.effect.shapes) or "load" in p.effect.signals
+            bool(p.effect.shapes) or "load" in p.effect.signals or isinstance(p.effect, ArmEffect)
             for p in model.placements
             for _ in p.effect.coefficients
         ],
@@ -196,20 +223,6 @@ class EffectArrays(TypedDict, total=False):
     temperature: Array
 
 
-def effect_signals(segment: Processed, shapes: Array, load: Array | None) -> EffectArrays:
-    """Return the signals that effects see along a segment."""
-    signals: EffectArrays = {
-        "shapes": shapes,
-        "dead_zone": segment.dead_zone,
-        "time": segment.t - segment.t[0],
-    }
-    if load is not None:
-        signals["load"] = load
-    if segment.temperature is not None:
-        signals["temperature"] = segment.temperature
-    return signals
-
-
 def _fit_rows(model: Model, segment: Processed) -> NDArray[np.bool_]:
     """Mark the filtered rows (M, n) that may enter a fit: not at rest under dry friction."""
     return segment.filtered_moving | ~has_dry_friction(model)
@@ -227,6 +240,13 @@ def _active_columns(compiled: Compiled) -> list[NDArray[np.intp]]:
         kept = position.get(10 * model.n + int(column))
         if kept is not None:
             acts[row, kept] = True
+    first = 10 * model.n
+    for p in model.placements:
+        last = first + len(p.effect.coefficients)
+        if isinstance(p.effect, ArmEffect):
+            rows = p.joint if p.effect.reach == "joint" else slice(None)
+            acts[rows, [position[k] for k in range(first, last) if k in position]] = True
+        first = last
     return [np.flatnonzero(row) for row in acts]
 
 

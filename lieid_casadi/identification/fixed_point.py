@@ -77,7 +77,7 @@ def fixed_point(
         state = State(shapes, rows, weighting, solution, parameters)
         if not moving:
             return state, weighting.converged
-        links = parameters[: 10 * model.n]
+        links = parameters
         predicted = rows.predicted(solution.values)
         if before is not None and has_settled(predicted, before):
             return state, weighting.converged

@@ -217,8 +217,7 @@ def _covariance(design: Design, state: State) -> Array:
     residuals = rows.residuals(values)
     unit = state.solution.unit_covariance
     if len(state.shapes):
-        links = state.parameters[: 10 * design.model.n]
-        slopes = shape_columns(design, values, state.shapes, links)
+        slopes = shape_columns(design, values, state.shapes, state.parameters)
         rows = _with_columns(rows, slopes)
         weighted = combine(joint_factors(rows, state.weighting.rows), np.ones(design.model.n))
         unit = solve(weighted).unit_covariance
@@ -245,7 +244,9 @@ def _rms(compiled: Compiled, segments: Sequence[Processed], state: State) -> tup
     filtered, raw = [], []
     for segment in segments:
         assert segment.tau is not None  # checked before
-        error = segment.tau - torque_along(compiled, segment, state.parameters, state.shapes)
+        error = segment.tau - torque_along(
+            compiled, segment, state.parameters, state.shapes, fitted=True
+        )
         raw.append(error)
         filtered.append(segment.filter(error))
     return root_mean_square(np.concatenate(filtered)), root_mean_square(np.concatenate(raw))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled
-from lieid_casadi.identification.design import effect_signals
+from lieid_casadi.identification.along import effects_along
 from lieid_casadi.recording.processing import Processed, Processing, process
 from lieid_casadi.recording.recording import Recording
 
@@ -16,7 +16,14 @@ Array = NDArray[np.float64]
 HIGHEST_CUTOFF = 0.4  # of the recording's rate
 
 
-def torque_along(compiled: Compiled, segment: Processed, parameters: Array, shapes: Array) -> Array:
+def torque_along(
+    compiled: Compiled,
+    segment: Processed,
+    parameters: Array,
+    shapes: Array,
+    *,
+    fitted: bool = False,
+) -> Array:
     """Return the model's torque (K, n) on a segment's grid, not filtered.
 
     Parameters
@@ -24,12 +31,12 @@ def torque_along(compiled: Compiled, segment: Processed, parameters: Array, shap
     parameters : (10 n + m,)
         Link parameters and the effects' coefficients.
     shapes : (s,)
+    fitted : bool
+        Whether the parameters come from this segment: drift does not carry over to others.
     """
     links = parameters[: 10 * compiled.n]
     rigid = compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, links)
-    effects = compiled.effect_columns(
-        segment.q, segment.dq, segment.ddq, **effect_signals(segment, shapes, rigid)
-    )
+    effects = effects_along(compiled, segment, shapes, parameters, fitted=fitted)
     return np.asarray(rigid + effects @ parameters[10 * compiled.n :])
 
 
