@@ -23,9 +23,9 @@ from lieid_casadi.friction.curve import FrictionCurve
 from lieid_casadi.friction.data import CurveData
 from lieid_casadi.friction.matching import Matching, match
 from lieid_casadi.identification.fit import Fit, Source
-from lieid_casadi.identification.identify import center_temperature, check_with_model
+from lieid_casadi.identification.identify import center_temperature
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processed, Processing, Recording, process
+from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def friction_curve(
     if links is None and load == "model":
         raise RobotError(f"{robot.name}: its links have no inertia; expected load 'measured'")
     compiled = compile(Model(robot))
-    found = [w for r in given for w in check_with_model(compiled, r)]
+    found = [w for r in given for w in check(r, robot)]
     mean = arm.temperature_mean if isinstance(arm, Fit) else None
     segments, mean = center_temperature(process(given, processing), mean)
     found += [w for s in segments for w in s.warnings]

@@ -97,6 +97,10 @@ def _placements(
     if not placed:
         raise EffectError("no effects given; expected e.g. coulomb,viscous")
     for p in placed:
+        if hasattr(p.effect, "along"):
+            raise EffectError(
+                f"{p.effect.label} is not friction of one joint; fit it with identify"
+            )
         if p.joint != joint or p.source is not None:
             raise EffectError(f"effect {p.label} is not of joint {joint + 1}, whose curve this is")
         if "temperature" in p.effect.signals and not curve.data.has_temperature:
