@@ -11,6 +11,9 @@ is several times too small. Two estimates of the scores' covariance are made:
 Each parameter gets the larger standard deviation of the two; correlations are those of the
 first. Both are raised by what the fit has taken out of the residuals.
 
+Recordings too long to keep are taken in stretches, uncorrelated with each other: each is many
+times longer than the residual's memory.
+
 Limits: they need many times more instants than the residual's memory, say nothing about errors
 in q, and treat model error as if it were noise.
 """
@@ -50,23 +53,39 @@ def hac_covariance(
     unit_covariance : (p, p)
         (XᵀX)⁻¹ of the weighted rows.
     """
+    stationary, general = np.zeros((2, *unit_covariance.shape))
+    for part, where in rows.stretches():
+        weight, residual = (
+            [values[own] for values, own in zip(of, where, strict=True)]
+            for of in (weights, residuals)
+        )
+        one, other = _score_covariances(part, weight, residual, unit_covariance)
+        stationary += one
+        general += other
+    stationary = unit_covariance @ stationary @ unit_covariance
+    general = unit_covariance @ general @ unit_covariance
+    first, second = np.diag(stationary), np.diag(general)
+    ratio = np.divide(second, first, out=np.ones_like(first), where=first > 0.0)
+    growth = np.sqrt(np.maximum(ratio, 1.0))
+    return np.asarray(stationary * np.outer(growth, growth))
+
+
+def _score_covariances(
+    rows: Rows, weights: Sequence[Array], residuals: Sequence[Array], unit_covariance: Array
+) -> tuple[Array, Array]:
+    """Return the scores' covariance (p, p) by the residuals' spectrum, and by the scores."""
     line = TimeLine.of(rows)
     noise = [w**2 * e for w, e in zip(weights, residuals, strict=True)]
     spectrum = residual_spectrum(line, rows, noise)
     taken = _taken_by_the_fit(line, rows, spectrum, weights, unit_covariance)
     size = np.sqrt(taken)
     raised = spectrum.density * (size[:, :, None] * size[:, None, :])
-    stationary = unit_covariance @ _filtered_products(line, rows, raised) @ unit_covariance
     scores = [
         line.back(joint.instant, taken[:, j] * line.transform(joint.instant, noise[j]))
         for j, joint in enumerate(rows.joints)
     ]
-    general = unit_covariance @ _score_products(line, rows, scores, spectrum.memory)
-    general = general @ unit_covariance
-    first, second = np.diag(stationary), np.diag(general)
-    ratio = np.divide(second, first, out=np.ones_like(first), where=first > 0.0)
-    growth = np.sqrt(np.maximum(ratio, 1.0))
-    return np.asarray(stationary * np.outer(growth, growth))
+    products = _filtered_products(line, rows, raised)
+    return products, _score_products(line, rows, scores, spectrum.memory)
 
 
 def residual_memory(rows: Rows, residuals: Sequence[Array]) -> int:

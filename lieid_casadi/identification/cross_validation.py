@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.identification.design import JointRows, Rows
-from lieid_casadi.identification.least_squares import Factor, combine, joint_factors
+from lieid_casadi.compiled.reduction import Triangle
+from lieid_casadi.identification.least_squares import Factor, combine, widened
+from lieid_casadi.identification.rows import Rows
 
 Array = NDArray[np.float64]
 Estimate = Callable[[Factor], Array]
@@ -43,8 +44,22 @@ def fold_factors(rows: Rows, noise: Array, *, block: int) -> tuple[Fold, ...]:
     block : int
         Instants per block.
     """
-    fold = _folds(rows, block)
-    parts = [tuple(joint_factors(_select(rows, fold == held))) for held in range(FOLDS)]
+    triangles = [[Triangle(len(own) + 1) for own in rows.columns] for _ in range(FOLDS)]
+    counts = np.zeros((FOLDS, len(rows.columns)), dtype=np.intp)
+    for part, _ in rows.stretches():
+        fold = _folds(part, block)
+        for j, joint in enumerate(part.joints):
+            for held in range(FOLDS):
+                use = fold[joint.instant] == held
+                triangles[held][j].add(joint.matrix[use], joint.torque[use])
+                counts[held, j] += int(use.sum())
+    parts = [
+        tuple(
+            widened(triangle.r, own, rows.count, int(count))
+            for triangle, own, count in zip(of_fold, rows.columns, number, strict=True)
+        )
+        for of_fold, number in zip(triangles, counts, strict=True)
+    ]
     folds = []
     for held, own in enumerate(parts):
         others = [factor for k, part in enumerate(parts) if k != held for factor in part]
@@ -79,13 +94,3 @@ def _folds(rows: Rows, block: int) -> NDArray[np.intp]:
         fold[start:end] = blocks % FOLDS
         first = int(blocks[-1]) + 1 if len(blocks) else first
     return fold
-
-
-def _select(rows: Rows, instants: NDArray[np.bool_]) -> Rows:
-    joints = []
-    for joint in rows.joints:
-        use = instants[joint.instant]
-        joints.append(
-            JointRows(joint.columns, joint.matrix[use], joint.torque[use], joint.instant[use])
-        )
-    return Rows(tuple(joints), rows.count, rows.segments)

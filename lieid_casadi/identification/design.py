@@ -128,7 +128,9 @@ class Design:
     @cached_property
     def _varying_pairs(self) -> tuple[Indices, Indices]:
         """Joints, and which of the varying columns act on them."""
-        return np.nonzero(np.array([np.isin(self.varying, active) for active in self._active]))
+        acts = np.array([np.isin(self.varying, active) for active in self._active])
+        joints, places = np.nonzero(acts)
+        return joints, places
 
     def _filtered(self, stretch: Stretch) -> list[list[Array]]:
         """Return the plain columns of each window, per joint (c, m)."""

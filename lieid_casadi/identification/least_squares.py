@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from lieid_casadi.compiled.reduction import Triangle, triangular
-from lieid_casadi.identification.design import Rows
+from lieid_casadi.identification.rows import Rows
 
 Array = NDArray[np.float64]
 RANK_TOLERANCE = 1e-9  # of scaled columns; below it the data does not excite a direction
@@ -52,13 +52,15 @@ class Solution:
 
 def joint_factors(rows: Rows, weights: Sequence[Array] | None = None) -> list[Factor]:
     """Return one factor per joint, in all p columns; ``weights`` multiply the rows."""
-    factors = []
-    for j, joint in enumerate(rows.joints):
-        triangle = Triangle(len(joint.columns) + 1)
-        weight = None if weights is None else weights[j]
-        triangle.add(joint.matrix, joint.torque, weights=weight)
-        factors.append(widened(triangle.r, joint.columns, rows.count, len(joint.torque)))
-    return factors
+    triangles = [Triangle(len(columns) + 1) for columns in rows.columns]
+    for part, where in rows.stretches():
+        for j, (joint, triangle) in enumerate(zip(part.joints, triangles, strict=True)):
+            weight = None if weights is None else weights[j][where[j]]
+            triangle.add(joint.matrix, joint.torque, weights=weight)
+    return [
+        widened(triangle.r, columns, rows.count, int(length))
+        for triangle, columns, length in zip(triangles, rows.columns, rows.lengths, strict=True)
+    ]
 
 
 def widened(small: Array, columns: NDArray[np.integer], p: int, rows: int) -> Factor:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.identification.design import Rows
 from lieid_casadi.identification.least_squares import Factor, combine, joint_factors, solve
+from lieid_casadi.identification.rows import Rows
 
 Array = NDArray[np.float64]
 ITERATIONS = 50
@@ -91,9 +91,9 @@ ESTIMATORS = {"ols": ols, "wls": wls, "robust": robust}
 def _noise(factors: list[Factor], values: Array, rows: Rows) -> Array:
     """Return each joint's residual standard deviation (n,); 1 where a joint has no rows."""
     noise = []
-    for factor, joint in zip(factors, rows.joints, strict=True):
+    for factor, columns in zip(factors, rows.columns, strict=True):
         # parameters are shared between joints: charge each joint its part
-        share = len(joint.columns) * len(joint.torque) / max(_uses(rows, joint.columns), 1)
+        share = len(columns) * factor.rows / max(_uses(rows, columns), 1)
         freedom = max(factor.rows - share, 1.0)
         size = np.sqrt(factor.misfit(values) / freedom) if factor.rows else 1.0
         noise.append(max(float(size), SMALLEST_NOISE))
@@ -103,15 +103,13 @@ def _noise(factors: list[Factor], values: Array, rows: Rows) -> Array:
 def _uses(rows: Rows, columns: NDArray[np.intp]) -> float:
     """Return in how many rows an average one of these columns appears."""
     total = np.zeros(rows.count)
-    for joint in rows.joints:
-        total[joint.columns] += len(joint.torque)
+    for own, length in zip(rows.columns, rows.lengths, strict=True):
+        total[own] += length
     return float(np.mean(total[columns])) if len(columns) else 1.0
 
 
 def _row_weights(rows: Rows, per_joint: Array) -> tuple[Array, ...]:
-    return tuple(
-        np.full(len(joint.torque), w) for joint, w in zip(rows.joints, per_joint, strict=True)
-    )
+    return tuple(np.full(length, w) for length, w in zip(rows.lengths, per_joint, strict=True))
 
 
 def _mad(residual: Array) -> float:
