@@ -112,12 +112,15 @@ def candidates(
     model: Model,
     segments: Sequence[Processed],
     scan: Callable[[Effect, int], Array],
+    *,
+    present: bool = False,
 ) -> tuple[Candidate, ...]:
     """Return all that the model has not, as far as the recordings have the signals for it.
 
-    ``scan`` gives the grid of an effect on a joint whose shape parameter has to be scanned.
+    ``scan`` gives the grid of an effect on a joint whose shape parameter has to be scanned;
+    ``present`` takes in effects that the model has.
     """
-    have = {p.label for p in model.placements}
+    have = set() if present else {p.label for p in model.placements}
     moves = np.any([s.moving.any(axis=0) for s in segments], axis=0)
     found = []
     for label in REGISTER:

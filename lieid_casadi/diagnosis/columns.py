@@ -141,7 +141,11 @@ def columns_along(
 
 
 def scanned_grid(
-    effect: Effect, signals: Sequence[SegmentSignals], joint: int, residual: Array, rows: NDArray[np.intp]
+    effect: Effect,
+    signals: Sequence[SegmentSignals],
+    joint: int,
+    residual: Array,
+    rows: NDArray[np.intp],
 ) -> tuple[Array, int]:
     """Return the peaks of a scan of one shape parameter (P, 1), and how many values were tried.
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import Comparison, compare
+from lieid_casadi.diagnosis.changed import changed
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
 from lieid_casadi.diagnosis.rivals import FOLDS
 from lieid_casadi.diagnosis.scene import Scene
@@ -36,14 +37,15 @@ def diagnose(
     ask: Callable[[Proposal], bool] | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Find which effects a model lacks.
+    """Find which effects a model lacks; of a fit, what has changed since.
 
     Candidates are chosen within the training recordings; the test confirms each accepted step
     once and chooses nothing.
 
     Parameters
     ----------
-    model : Model
+    model : Model or Fit
+        With a fit the model is kept as it is, and ``train`` is what was measured since.
     train : Recording or sequence of Recording
     test : Recording or sequence of Recording, optional
         Other motion, so that errors are honest; without it they are cross-validated.
@@ -63,10 +65,14 @@ def diagnose(
     RecordingError, ModelError, EffectError, IdentificationError
         As `identify` and `compare`.
     """
-    if isinstance(model, Fit):
-        raise IdentificationError("what has changed since a fit is not told yet")
     report = progress or (lambda stage, fraction: None)
     given, tests = _listed(train), _listed(test)
+    if isinstance(model, Fit):
+        if test is not None:
+            raise IdentificationError(
+                "a fit was given: expected the recordings measured since, and no test"
+            )
+        return changed(model, given, seed=seed, report=report)
     report("identify", 0.0)
     first = identify(model, given, method=method, processing=processing)
     options = first.processing

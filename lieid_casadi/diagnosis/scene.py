@@ -36,7 +36,8 @@ class Scene:
         Of each joint.
     columns : tuple of (N_j, p)
         The model's own, with those of its shape parameters.
-    torque : tuple of (N_j,)
+    torque, residual : tuple of (N_j,)
+        Measured; and beside the fit's prediction, N·m.
     signals : tuple of SegmentSignals
         One per segment.
     bank : Bank
@@ -51,6 +52,7 @@ class Scene:
     runs: tuple[Runs, ...]
     columns: tuple[Array, ...]
     torque: tuple[Array, ...]
+    residual: tuple[Array, ...]
     signals: tuple[SegmentSignals, ...]
     bank: Bank[Candidate]
     known: Known
@@ -63,11 +65,13 @@ class Scene:
         segments: Sequence[Processed],
         *,
         before: Scene | None = None,
+        kept: bool = False,
     ) -> Scene:
         """Evaluate the model's and all candidates' columns.
 
         ``before`` is a scene of another fit on the same segments: its rows are kept, so that the
-        two can be compared, and its columns where the fit does not change them.
+        two can be compared, and its columns where the fit does not change them. ``kept``: the
+        model stays as it is, so that a change of an effect that it has is a candidate too.
         """
         design = Design(fit.compiled, segments)
         rows = design.rows(fit.shapes, fit.parameters)
@@ -90,13 +94,14 @@ class Scene:
             tried += count
             return grid
 
-        wanted = candidates(fit.model, segments, scan)
+        wanted = candidates(fit.model, segments, scan, present=kept)
         return cls(
             fit,
             tuple(segments),
             runs,
             tuple(m[run.all] for m, run in zip(on_line, runs, strict=True)),
             tuple(t[run.all] for t, run in zip(torque, runs, strict=True)),
+            tuple(r[run.all] for r, run in zip(residual, runs, strict=True)),
             tuple(signals),
             build_bank(wanted, signals, runs, known),
             known,

@@ -118,11 +118,11 @@ class Search:
         bank, baseline = scene.bank.whitened(self.plain, scene.runs), scene.baseline(self.plain)
         blocks = block_index(scene, self.plain, BLOCK)
         folds = block_index(scene, self.plain, FOLD) % FOLDS
-        for winner in _by_contribution(bank, baseline, chosen):
+        for winner in by_contribution(bank, baseline, chosen):
             others = [g for g in chosen if g != winner]
             rivals = rivals_of(bank, baseline, others, winner, blocks)
             beside = with_groups(baseline, bank, others)
-            winner, rivals = _spokesman(bank, beside, winner, rivals, folds)
+            winner, rivals = spokesman(bank, beside, winner, rivals, folds)
             candidate = bank.candidates[bank.candidate[winner]]
             named = [(bank.candidates[bank.candidate[r.group]], r.kind) for r in rivals]
             point = _refined_shapes(bank, screen(bank, beside).gain, winner)
@@ -266,7 +266,7 @@ def _price(baseline: Baseline) -> Price:
     return Price(each=float(np.log(max(baseline.rows, 2))), part=WORTH)
 
 
-def _by_contribution(bank: Bank[Candidate], baseline: Baseline, chosen: Sequence[int]) -> list[int]:
+def by_contribution(bank: Bank[Candidate], baseline: Baseline, chosen: Sequence[int]) -> list[int]:
     """Return the chosen groups, first that without which most is lost."""
     contribution = []
     for g in chosen:
@@ -275,7 +275,7 @@ def _by_contribution(bank: Bank[Candidate], baseline: Baseline, chosen: Sequence
     return [chosen[k] for k in np.argsort(-np.array(contribution))] if chosen else []
 
 
-def _spokesman(
+def spokesman(
     bank: Bank[Candidate],
     beside: Baseline,
     winner: int,

@@ -1,0 +1,242 @@
+"""What has changed since a fit: the model is kept, its own held-out misfit is the null.
+
+The fit's numbers may move within their uncertainties (rows of their own beside the measured
+ones), so that what the fit never knew well is not taken for a change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.comparison import compare
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
+from lieid_casadi.diagnosis.evidence import Family
+from lieid_casadi.diagnosis.forward import Price, best_set, column_stack, with_groups
+from lieid_casadi.diagnosis.rivals import FOLDS, cross_validated_gain, rivals_of
+from lieid_casadi.diagnosis.scene import Scene
+from lieid_casadi.diagnosis.screening import Baseline, screen
+from lieid_casadi.diagnosis.selection import (
+    BLOCK,
+    FOLD,
+    LEVEL,
+    block_index,
+    by_contribution,
+    spokesman,
+)
+from lieid_casadi.diagnosis.unexplained import Unexplained, smooth_bank, unexplained
+from lieid_casadi.diagnosis.whitening import Noise, noise_of
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.identify import center_temperature, unique_warnings
+from lieid_casadi.recording import Recording, process
+
+Array = NDArray[np.float64]
+MISFIT = 1.3  # times the held-out error of the fit: more, and something has changed
+WORTH = 0.1  # least fall of a joint's error that is worth a change
+TINY = 1e-12  # of the largest variance: below it a number counts as that well known
+MOST_CHANGES = 6
+
+
+def changed(
+    fit: Fit,
+    recordings: Sequence[Recording],
+    *,
+    seed: int,
+    report: Callable[[str, float], None],
+) -> Diagnosis:
+    """Return what is no longer as the fit has it."""
+    report("compare", 0.0)
+    before = compare(fit, recordings)
+    segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
+    report("look for changes", 0.2)
+    scene = Scene.of(fit, segments, kept=True)
+    null = np.where(np.isfinite(fit.rms_cv), fit.rms_cv, fit.noise)
+    search = _Search(scene, null, seed)
+    steps: list[Step] = []
+    while len(steps) < MOST_CHANGES:
+        step = search.next_step()
+        if step is None:
+            break
+        steps.append(step)
+        report("look for changes", 0.2 + 0.1 * len(steps))
+    left = search.left_over()
+    verdict = "unexplained" if left else "effect_found" if steps else "sufficient"
+    report("done", 1.0)
+    return Diagnosis(
+        mode="changed",
+        verdict=verdict,
+        joint_names=before.joint_names,
+        noise_floor=null,
+        noise_source="held_out",
+        baseline_effects=tuple(fit.model.effects),
+        baseline_train=None,
+        baseline_test=before.rms,
+        steps=tuple(steps),
+        unexplained=left,
+        rejected=tuple(search.rejected),
+        tried=len(scene.bank.candidates),
+        fit=fit,
+        warnings=unique_warnings(before.warnings),
+        train=fit.provenance.recordings,
+        test=before.recordings,
+    )
+
+
+class _Search:
+    """Changes found so far, on rows of the new recordings."""
+
+    def __init__(self, scene: Scene, null: Array, seed: int) -> None:
+        self.scene, self.null, self.seed = scene, null, seed
+        self.plain = tuple(Noise(np.ones(1), max(float(s), 1e-12)) for s in null)
+        self.bank = scene.bank.whitened(self.plain, scene.runs)
+        self.baseline = _with_prior(scene, self.plain)
+        self.blocks = block_index(scene, self.plain, BLOCK)
+        self.folds = block_index(scene, self.plain, FOLD) % FOLDS
+        self.chosen: list[int] = []
+        self.rejected: list[tuple[str, str]] = []
+
+    def next_step(self) -> Step | None:
+        """Return the next change, or None."""
+        barred = np.zeros(len(self.bank.candidates), dtype=bool)
+        out = {label for label, _ in self.rejected}
+        for k, candidate in enumerate(self.bank.candidates):
+            barred[k] = candidate.placement.label in out
+        for g in self.chosen:
+            barred[self.bank.candidate[g]] = True
+        here = with_groups(self.baseline, self.bank, self.chosen)
+        high = self._misfit(here) > MISFIT
+        price = Price(each=float(np.log(max(here.rows, 2))), part=WORTH)
+        found = best_set(self.bank, here, price, barred) if high.any() else []
+        for winner in by_contribution(self.bank, here, found):
+            others = [g for g in found if g != winner]
+            step = self._tried(here, winner, others, high)
+            if step is not None:
+                return step
+        return None
+
+    def _tried(
+        self, here: Baseline, winner: int, others: list[int], high: NDArray[np.bool_]
+    ) -> Step | None:
+        rivals = rivals_of(self.bank, here, others, winner, self.blocks)
+        beside = with_groups(here, self.bank, others)
+        winner, rivals = spokesman(self.bank, beside, winner, rivals, self.folds)
+        candidate = self.bank.candidates[self.bank.candidate[winner]]
+        label = candidate.placement.label
+        columns = column_stack(self.bank, winner)
+        after = here.with_columns(columns)
+        fall = 1.0 - self._misfit(after) / self._misfit(here)
+        held = cross_validated_gain(columns, here, self.folds)
+        log10_p, rows = self._evidence(winner, others)
+        joint = int(np.argmax(np.where(high, fall, -np.inf)))
+        if log10_p > np.log10(LEVEL):
+            self.rejected.append((label, f"family-wise p = {10.0**log10_p:.2g}"))
+            return None
+        if held <= 0.0 or not fall[joint] >= WORTH:
+            reason = f"error falls by {100 * fall[joint]:.1f} % only where it was raised"
+            self.rejected.append((label, reason))
+            return None
+        self.chosen.append(winner)
+        sizes = self.null * self._misfit(after)
+        return Step(
+            label=label,
+            effect=candidate.name,
+            joints=candidate.joints,
+            parameters=self._values(candidate, here, columns, winner),
+            rms_train=None,
+            rms_test=sizes,
+            evidence=Evidence(
+                log10_p,
+                rows,
+                float(self.null[joint] * np.sqrt(self._squares(here, after)[joint])),
+                float(self.null[joint] * self._misfit(here)[joint]),
+                float(sizes[joint]),
+                None,
+            ),
+            indistinguishable=tuple(
+                (self.bank.candidates[self.bank.candidate[r.group]], r.kind) for r in rivals
+            ),
+        )
+
+    def _values(
+        self, candidate: Candidate, here: Baseline, columns: Array, group: int
+    ) -> dict[str, float]:
+        rest = here.padded(columns)
+        rest = rest - here.basis @ (here.basis.T @ rest)
+        values = np.linalg.lstsq(rest, here.residual, rcond=None)[0]
+        named = {
+            c.name: float(v) for c, v in zip(candidate.effect.coefficients, values, strict=True)
+        }
+        shapes = candidate.grid[self.bank.point[group]][: len(candidate.effect.shapes)]
+        return named | {
+            s.name: float(v) for s, v in zip(candidate.effect.shapes, shapes, strict=True)
+        }
+
+    def _misfit(self, baseline: Baseline) -> Array:
+        """Return each joint's residual over the fit's held-out error (n,)."""
+        return np.array(
+            [
+                np.sqrt(np.mean(baseline.residual[baseline.joint(j)] ** 2))
+                if len(baseline.residual[baseline.joint(j)])
+                else 0.0
+                for j in range(len(self.plain))
+            ]
+        )
+
+    def _squares(self, before: Baseline, after: Baseline) -> Array:
+        return np.maximum(self._misfit(before) ** 2 - self._misfit(after) ** 2, 0.0)
+
+    def _coloured(self, residual: Baseline) -> tuple[Noise, ...]:
+        """Return the noise as what the chosen and the other candidates leave has it."""
+        found = []
+        for j, (plain, runs) in enumerate(zip(self.plain, self.scene.runs, strict=True)):
+            values = residual.residual[residual.joint(j)] * plain.sigma
+            found.append(noise_of(values, runs, 1.0))
+        return tuple(found)
+
+    def _evidence(self, winner: int, others: Sequence[int]) -> tuple[float, int]:
+        groups = [*self.chosen, *others]
+        after = with_groups(self.baseline, self.bank, [*groups, winner])
+        noise = self._coloured(after)
+        bank = self.scene.bank.whitened(noise, self.scene.runs)
+        beside = with_groups(_with_prior(self.scene, noise), bank, groups)
+        screening = screen(bank, beside, every=True)
+        left = beside.with_columns(column_stack(bank, winner))
+        rows = int(beside.ends[len(self.plain)])
+        dispersion = max(float(np.mean(left.residual[:rows] ** 2)), 1.0)
+        family = Family.of(screening, seed=self.seed, further=self.scene.scanned)
+        gain = float(screening.gain[winner]) / dispersion
+        return family.log10_p(gain, int(screening.rank[winner])), rows
+
+    def left_over(self) -> tuple[Unexplained, ...]:
+        """Return what smooth functions explain where the error is still raised."""
+        here = with_groups(self.baseline, self.bank, self.chosen)
+        high = self._misfit(here) > MISFIT
+        if not high.any():
+            return ()
+        smooth = smooth_bank(self.scene.signals, self.scene.runs)
+        noise = self._coloured(here)
+        bank = self.scene.bank.whitened(noise, self.scene.runs)
+        white = with_groups(_with_prior(self.scene, noise), bank, self.chosen)
+        found = unexplained(
+            smooth.whitened(self.plain, self.scene.runs),
+            (smooth.whitened(noise, self.scene.runs), white),
+            here,
+            self.folds,
+            seed=self.seed,
+        )
+        return tuple(u for u in found if high[u.joint])
+
+
+def _with_prior(scene: Scene, noise: Sequence[Noise]) -> Baseline:
+    """Return the residual's baseline: columns that may move within the fit's uncertainty."""
+    fit = scene.fit
+    count = len(fit.values) + len(fit.shapes)
+    sizes, axes = np.linalg.eigh(fit.covariance[:count, :count])
+    known = np.sqrt(np.maximum(sizes, TINY * max(float(sizes.max(initial=0.0)), 1e-300)))
+    prior = (axes / known).T
+    matrices = [n.whiten(m, r) for n, m, r in zip(noise, scene.columns, scene.runs, strict=True)]
+    torques = [n.whiten(t, r) for n, t, r in zip(noise, scene.residual, scene.runs, strict=True)]
+    return Baseline.of([*matrices, prior], [*torques, np.zeros(count)])
