@@ -40,12 +40,12 @@ class Design:
     compiled : Compiled
     segments : sequence of Processed
         Each with a torque.
-    held : int
-        Bytes of columns that may be kept.
+    held : int, optional
+        Bytes of columns that may be kept; 256 MB if left out.
     """
 
     def __init__(
-        self, compiled: Compiled, segments: Sequence[Processed], *, held: int = HELD_BYTES
+        self, compiled: Compiled, segments: Sequence[Processed], *, held: int | None = None
     ) -> None:
         self.compiled = compiled
         self.model = compiled.model
@@ -60,7 +60,7 @@ class Design:
         self._plain = [PlainColumns(compiled, s, self.varying) for s in self.segments]
         windows = [(k, w) for k, s in enumerate(self.segments) for w in s.windows]
         width = 8 * sum(len(active) for active in self._active)
-        self._stretches = _stretches(windows, width, held)
+        self._stretches = _stretches(windows, width, HELD_BYTES if held is None else held)
         self._kept: list[list[Array]] | None = None
         if len(self._stretches) == 1:
             self._kept = self._filtered(self._stretches[0])

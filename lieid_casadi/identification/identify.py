@@ -39,7 +39,7 @@ from lieid_casadi.identification.least_squares import (
     remaining_fraction,
     solve,
 )
-from lieid_casadi.identification.prediction import predict_recording, torque_along
+from lieid_casadi.identification.prediction import predict_recording, training_errors
 from lieid_casadi.identification.shape_fit import shape_columns
 from lieid_casadi.identification.weights import ESTIMATORS
 from lieid_casadi.model import Model
@@ -241,15 +241,14 @@ def _with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
 
 def _rms(compiled: Compiled, segments: Sequence[Processed], state: State) -> tuple[Array, Array]:
     """Return the training error per joint (n,), filtered and as resampled only."""
-    filtered, raw = [], []
+    squares, counts = np.zeros((2, compiled.n)), np.zeros(2)
     for segment in segments:
-        assert segment.tau is not None  # checked before
-        error = segment.tau - torque_along(
-            compiled, segment, state.parameters, state.shapes, fitted=True
-        )
-        raw.append(error)
-        filtered.append(segment.filter(error))
-    return root_mean_square(np.concatenate(filtered)), root_mean_square(np.concatenate(raw))
+        for raw, filtered in training_errors(compiled, segment, state.parameters, state.shapes):
+            for k, error in enumerate((filtered, raw)):
+                squares[k] += np.sum(error**2, axis=0)
+                counts[k] += len(error)
+    rms = np.sqrt(squares / counts[:, None])
+    return rms[0], rms[1]
 
 
 def _folds(segments: Sequence[Processed], state: State) -> tuple[Fold, ...]:

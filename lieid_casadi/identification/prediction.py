@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled
-from lieid_casadi.identification.along import effects_along
+from lieid_casadi.effects import ArmEffect
+from lieid_casadi.identification.along import effect_signals, effects_along
 from lieid_casadi.recording.processing import Processed, Processing, process
 from lieid_casadi.recording.recording import Recording
 
@@ -36,8 +38,63 @@ def torque_along(
     """
     links = parameters[: 10 * compiled.n]
     rigid = compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, links)
+    if not _needs_whole_segment(compiled):
+        return rigid + _effect_torque(compiled, segment, parameters, shapes, rigid, slice(None))
     effects = effects_along(compiled, segment, shapes, parameters, fitted=fitted)
     return np.asarray(rigid + effects @ parameters[10 * compiled.n :])
+
+
+def training_errors(
+    compiled: Compiled, segment: Processed, parameters: Array, shapes: Array
+) -> Iterator[tuple[Array, Array]]:
+    """Yield measured − predicted torque of a segment that was fitted: not filtered, filtered.
+
+    Window by window, (k, n) and (m, n), where the model allows it: every instant once.
+    """
+    assert segment.tau is not None
+    whole = None
+    if compiled.model.states or _needs_whole_segment(compiled):
+        whole = segment.tau - torque_along(compiled, segment, parameters, shapes, fitted=True)
+    links, last = parameters[: 10 * compiled.n], 0
+    for window in segment.windows:
+        at = window.instants
+        if whole is not None:
+            error = whole[at]
+        else:
+            rigid = compiled.inverse_dynamics(segment.q[at], segment.dq[at], segment.ddq[at], links)
+            friction = _effect_torque(compiled, segment, parameters, shapes, rigid, at)
+            error = segment.tau[at] - rigid - friction
+        following = window.rows.stop == len(segment.filtered_time)
+        first, last = last, at.stop if following else at.start + window.inside.stop
+        yield error[first - at.start : last - at.start], segment.filter_window(error, window)
+
+
+def _needs_whole_segment(compiled: Compiled) -> bool:
+    return any(isinstance(p.effect, ArmEffect) for p in compiled.model.placements)
+
+
+def _effect_torque(
+    compiled: Compiled,
+    segment: Processed,
+    parameters: Array,
+    shapes: Array,
+    rigid: Array,
+    at: slice,
+) -> Array:
+    """Return the torque (k, n) of effects that follow from the signals of each instant."""
+    signals = effect_signals(segment, shapes, None)
+    time, temperature = signals["time"][at], signals.get("temperature")
+    return compiled.friction(
+        segment.q[at],
+        segment.dq[at],
+        segment.ddq[at],
+        parameters[10 * compiled.n :],
+        load=rigid,
+        temperature=None if temperature is None else temperature[at],
+        time=time,
+        shapes=shapes,
+        dead_zone=signals["dead_zone"],
+    )
 
 
 def predict_recording(

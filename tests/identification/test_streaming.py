@@ -1,14 +1,21 @@
 """Triangular factors of blocks against a QR of the whole stack, also an ill-conditioned one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import lieid_casadi as lieid
+from lieid_casadi import plant
 from lieid_casadi.compiled import kernels, reduction
 from lieid_casadi.compiled.reduction import Triangle
 from lieid_casadi.errors import IdentificationError, ModelError
-from lieid_casadi.identification.least_squares import combine, solve
+from lieid_casadi.identification import design
+from lieid_casadi.identification.design import Design
+from lieid_casadi.identification.least_squares import combine, joint_factors, solve
 from lieid_casadi.identification.streaming import factors
+from lieid_casadi.recording import Processing, overlap, process
+from lieid_casadi.recording.overlap import filter_memory, windows
 
 FRICTION = "coulomb,viscous,offset,viscous_polynomial"
 
@@ -141,3 +148,59 @@ def test_no_samples(panda):
 def test_triangular_is_at_most_square():
     assert reduction.triangular(np.ones((3, 2))).shape == (2, 2)
     assert reduction.triangular(np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_rows_made_in_stretches_are_the_same(monkeypatch):
+    """A design that may keep nothing, on several segments of several windows each."""
+    model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset,stribeck:1")
+    arm = lieid.compile(model)
+    segments = process([recorded(30.0, 1), recorded(3.0, 2)], Processing(cutoff=2.0))
+    segments = tuple(replace(s, options=replace(s.options, trim=0.25)) for s in segments)
+    for segment in segments:
+        margin = filter_memory(segment.rate, segment.cutoff)
+        pieces = windows(len(segment), segment.kept, margin, 300)
+        segment.__dict__["windows"] = tuple(pieces)
+    assert len(segments[0].windows) > 3
+    whole = Design(arm, segments).rows(model.initial_shapes, None)
+    parts = Design(arm, segments, held=0).rows(model.initial_shapes, None)
+    assert len(list(parts.stretches())) == 1  # of 64 MB
+    monkeypatch.setattr(design, "STRETCH_BYTES", 4000)
+    parts = Design(arm, segments, held=0).rows(model.initial_shapes, None)
+    assert len(list(parts.stretches())) > 3
+    np.testing.assert_array_equal(parts.lengths, whole.lengths)
+    for one, other in zip(joint_factors(parts), joint_factors(whole), strict=True):
+        np.testing.assert_allclose(np.abs(one.r), np.abs(other.r), rtol=1e-9, atol=1e-9)
+    values = np.random.default_rng(0).normal(size=model.base.count)
+    for one, other in zip(parts.residuals(values), whole.residuals(values), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+    for one, other in zip(parts.joints, whole.joints, strict=True):
+        np.testing.assert_array_equal(one.instant, other.instant)
+        np.testing.assert_array_equal(one.columns, other.columns)
+        np.testing.assert_allclose(one.matrix, other.matrix, atol=1e-12)
+
+
+def recorded(duration, seed):
+    robot = lieid.robots.two_link()
+    friction = plant.JointFriction(np.array([1.2, 0.5]), np.array([0.6, 0.3]), np.array([0.2, 0.1]))
+    arm = plant.Arm(robot, plant.perturbed_inertias(robot, seed=3), friction)
+    motion = plant.FourierTrajectory(robot, base_frequency=0.1, seed=seed)
+    t = np.arange(0.0, duration, 0.01)
+    return plant.measure_along(arm, t, *motion.at(t), sensors=plant.Sensors(rate=100.0))
+
+
+def test_long_recordings_give_nearly_the_same_fit(monkeypatch):
+    """In stretches only the folds of cross-validation and the covariance differ, a little."""
+    model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset")
+    recording, options = recorded(120.0, 1), Processing(cutoff=4.0)
+    noise = np.random.default_rng(0).normal(size=recording.tau.shape)
+    recording = replace(recording, tau=recording.tau + 0.1 * noise)
+    whole = lieid.identify(model, recording, processing=options)
+    monkeypatch.setattr(design, "HELD_BYTES", 0)
+    monkeypatch.setattr(design, "STRETCH_BYTES", 200_000)
+    monkeypatch.setattr(overlap, "WINDOW", 1000)
+    parts = lieid.identify(model, recording, processing=options)
+    np.testing.assert_allclose(parts.values, whole.values, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(parts.rms_train, whole.rms_train, rtol=1e-9)
+    np.testing.assert_allclose(parts.rms_train_raw, whole.rms_train_raw, rtol=1e-9)
+    np.testing.assert_allclose(parts.rms_cv, whole.rms_cv, rtol=0.05)
+    np.testing.assert_allclose(parts.std, whole.std, rtol=0.4)
