@@ -11,6 +11,7 @@ __all__ = [
     "Coefficient",
     "Comparison",
     "Compiled",
+    "Diagnosis",
     "Effect",
     "Fit",
     "Joint",
@@ -26,7 +27,9 @@ __all__ = [
     "__version__",
     "compare",
     "compile",
+    "diagnose",
     "effect",
+    "extend",
     "identify",
     "register",
     "robots",
@@ -37,6 +40,7 @@ _HOME = {
     "Coefficient": "lieid_casadi.effects",
     "Comparison": "lieid_casadi.comparison",
     "Compiled": "lieid_casadi.compiled",
+    "Diagnosis": "lieid_casadi.diagnosis",
     "Effect": "lieid_casadi.effects",
     "Fit": "lieid_casadi.identification",
     "Joint": "lieid_casadi.robot",
@@ -51,7 +55,9 @@ _HOME = {
     "Signals": "lieid_casadi.effects",
     "compare": "lieid_casadi.comparison",
     "compile": "lieid_casadi.compiled",
+    "diagnose": "lieid_casadi.diagnosis",
     "effect": "lieid_casadi.effects",
+    "extend": "lieid_casadi.diagnosis",
     "identify": "lieid_casadi.identification",
     "register": "lieid_casadi.effects",
 }
@@ -61,6 +67,7 @@ if TYPE_CHECKING:
     from lieid_casadi.comparison.compare import compare
     from lieid_casadi.comparison.comparison import Comparison
     from lieid_casadi.compiled import Compiled, compile
+    from lieid_casadi.diagnosis import Diagnosis, diagnose, extend
     from lieid_casadi.effects import Coefficient, Effect, Shape, Signals, effect, register
     from lieid_casadi.errors import LieidError, LieidWarning
     from lieid_casadi.identification.fit import Fit

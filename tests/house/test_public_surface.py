@@ -6,9 +6,10 @@ import sys
 import lieid_casadi as lieid
 
 PUBLIC = {
-    "Coefficient", "Comparison", "Compiled", "Effect", "Fit", "Joint", "LieidError",
+    "Coefficient", "Comparison", "Compiled", "Diagnosis", "Effect", "Fit", "Joint", "LieidError",
     "LieidWarning", "Limits", "Model", "Processing", "Recording", "Robot", "Shape", "Signals",
-    "__version__", "compare", "compile", "effect", "identify", "register", "robots",
+    "__version__", "compare", "compile", "diagnose", "effect", "extend", "identify", "register",
+    "robots",
 }  # fmt: skip
 
 
