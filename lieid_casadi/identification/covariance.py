@@ -26,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
 
-from lieid_casadi.identification.design import JointRows, Rows
 from lieid_casadi.identification.residual_spectrum import (
     ResidualSpectrum,
     TimeLine,
     residual_spectrum,
 )
+from lieid_casadi.identification.rows import JointRows, Rows
 
 Array = NDArray[np.float64]
 COLUMNS = 8  # transformed at once; bounds the memory of long recordings

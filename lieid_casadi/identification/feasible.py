@@ -18,13 +18,14 @@ from lieid_casadi.identification.certificate import (
 )
 from lieid_casadi.identification.convex_solver import ConvexSolver
 from lieid_casadi.identification.cross_validation import Fold, cross_validated_rms
-from lieid_casadi.identification.design import Design, Rows, varying_columns
+from lieid_casadi.identification.design import Design, varying_columns
 from lieid_casadi.identification.dissipation import dissipation_rows, greatest_speed
 from lieid_casadi.identification.feasible_options import FeasibleOptions
 from lieid_casadi.identification.feasible_problem import FeasibleProblem
 from lieid_casadi.identification.fixed_point import State, has_settled
 from lieid_casadi.identification.least_squares import Factor, combine, joint_factors
 from lieid_casadi.identification.reference_bodies import reference_bodies
+from lieid_casadi.identification.rows import Rows
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
@@ -71,7 +72,9 @@ def make_feasible(
         A nominal mass that is negative, an option for a link that is not there.
     """
     options.check_links(design.model.n)
-    problem, found = feasible_problem(design, start, options)
+    problem, found = feasible_problem(
+        design, start.weighting.factor, start.shapes, start.parameters, options
+    )
     solver = ConvexSolver(problem)
     noise = start.weighting.noise
     weight = options.regularization
@@ -119,17 +122,26 @@ def certify(design: Design, feasible: Feasible, rms: Array, rms_wls: Array) -> C
 
 
 def feasible_problem(
-    design: Design, start: State, options: FeasibleOptions
+    design: Design, factor: Factor, shapes: Array, parameters: Array, options: FeasibleOptions
 ) -> tuple[FeasibleProblem, tuple[LieidWarning, ...]]:
-    """Return the problem of a model, its data's factor being ``start.weighting.factor``."""
+    """Return the problem of a model and what there is to say about its nominal bodies.
+
+    Parameters
+    ----------
+    factor : Factor
+        Of the weighted rows, or of rows like them.
+    shapes : (s,)
+    parameters : (10 n + m,)
+        That give the greatest load.
+    """
     model = design.model
-    references, found = reference_bodies(model, start.weighting.factor)
+    references, found = reference_bodies(model, factor)
     lower, upper = position_range(model.robot)
     friction = dissipation_rows(
         design.compiled,
-        start.shapes,
+        shapes,
         velocity=greatest_speed(model, design.segments, options.velocity),
-        load=_greatest_load(design, start.parameters),
+        load=_greatest_load(design, parameters),
         temperature=_greatest_temperature(design.segments),
         lower=lower,
         upper=upper,
@@ -140,7 +152,7 @@ def feasible_problem(
         lower=np.array([c.lower for c in model.columns]),
         upper=np.array([c.upper for c in model.columns]),
         friction=friction,
-        typical=start.weighting.factor,
+        typical=factor,
         options=options,
     )
     return problem, found
@@ -206,7 +218,7 @@ def _follow_load(
         if before is not None and has_settled(predicted, before):
             return state, True
         before = predicted
-        rows = design.rows(start.shapes, parameters[: 10 * model.n])
+        rows = design.rows(start.shapes, parameters)
         factor = _weighted(rows, start.weighting.rows)
         weighting = replace(start.weighting, factor=factor)
     return state, False
@@ -229,7 +241,7 @@ def _at_bounds(design: Design, start: State, state: State) -> list[LieidWarning]
 
 
 def _weighted(rows: Rows, weights: Sequence[Array]) -> Factor:
-    return combine(joint_factors(rows, weights), np.ones(len(rows.joints)))
+    return combine(joint_factors(rows, weights), np.ones(len(rows.columns)))
 
 
 def _greatest_load(design: Design, parameters: Array) -> Array:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from lieid_casadi.identification.prediction_band import PredictionBand
+
 Array = NDArray[np.float64]
 
 
@@ -151,6 +153,15 @@ class Fit:
             self.temperature_mean,
         )
 
+    def predict_band(self, recording: Recording, *, level: float = 0.95) -> PredictionBand:
+        """Return the torque with the band that holds a measured sample with probability ``level``.
+
+        See `lieid_casadi.identification.prediction_band.predict_band`.
+        """
+        from lieid_casadi.identification.prediction_band import predict_band
+
+        return predict_band(self, recording, level=level)
+
     def predict_processed(self, segment: Processed) -> Array:
         """Return the filtered torque (M, n) of a segment as `process` returns it."""
         from lieid_casadi.identification.prediction import relative_temperature, torque_along
@@ -195,7 +206,10 @@ class Fit:
         return load(path)
 
     def parameter_table(self) -> list[dict[str, Any]]:
-        """Return one row per fitted number: name, joint (from 1), value, std, unit."""
+        """Return one row per fitted number: name, joint (from 1), value, std, unit.
+
+        ``relative_std`` is std/|value|, None where it is not finite.
+        """
         numbers = np.concatenate([self.values, self.shapes])
         expressions = [self.model.base.expression(k) for k in range(len(self.values))]
         expressions += [shape.name for shape in self.model.shapes]
@@ -205,6 +219,7 @@ class Fit:
                 "joint": parameter.joint + 1,
                 "value": float(value),
                 "std": float(std) if np.isfinite(std) else None,
+                "relative_std": float(std / abs(value)) if value and np.isfinite(std) else None,
                 "unit": parameter.unit,
                 "expression": expression,
             }
@@ -212,6 +227,18 @@ class Fit:
                 self.fitted, numbers, self.std, expressions, strict=True
             )
         ]
+
+    def ranking(self) -> list[dict[str, Any]]:
+        """Return the rows of `parameter_table`, the parameter that the data knows best first.
+
+        By relative standard deviation; above about 0.3 a value says little more than its sign.
+        """
+        last = float("inf")
+
+        def key(row: dict[str, Any]) -> float:
+            return last if row["relative_std"] is None else float(row["relative_std"])
+
+        return sorted(self.parameter_table(), key=key)
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw how well each parameter is known; return the figure, not shown."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -109,16 +109,30 @@ def predict_recording(
 
     Temperatures are referred to ``temperature_mean`` (n,), °C.
     """
-    torque = np.zeros_like(recording.q)
+
+    def torque(segment: Processed) -> Array:
+        return torque_along(compiled, segment, parameters, shapes)
+
+    return along_recording(recording, processing, temperature_mean, torque, compiled.n)
+
+
+def along_recording(
+    recording: Recording,
+    processing: Processing,
+    temperature_mean: Array | None,
+    function: Callable[[Processed], Array],
+    width: int,
+) -> Array:
+    """Return what a function of processed segments (K, width) says at the recording's times."""
+    values = np.zeros((len(recording.t), width))
     for first, segment in _segments_with_start(recording):
         here = slice(first, first + len(segment.t))
         for grid in _on_grid(segment, processing):
-            grid = relative_temperature(grid, temperature_mean)
-            values = torque_along(compiled, grid, parameters, shapes)
-            torque[here] = np.column_stack(
-                [np.interp(segment.t, grid.t, values[:, j]) for j in range(compiled.n)]
+            found = function(relative_temperature(grid, temperature_mean))
+            values[here] = np.column_stack(
+                [np.interp(segment.t, grid.t, column) for column in found.T]
             )
-    return torque
+    return values
 
 
 def relative_temperature(segment: Processed, mean: Array | None) -> Processed:

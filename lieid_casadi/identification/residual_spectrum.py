@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
-from lieid_casadi.identification.design import JointRows, Rows
+from lieid_casadi.identification.rows import JointRows, Rows
 
 Array = NDArray[np.float64]
 QUIET = 5  # consecutive lags without significant correlation that end the memory

@@ -1,0 +1,208 @@
+"""Error bars: against exact formulas, against repetition, and on motions that were not fitted."""
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.errors import IdentificationError, ModelError
+from lieid_casadi.identification.bootstrap import bootstrap
+from lieid_casadi.identification.covariance import hac_covariance, residual_memory
+from lieid_casadi.identification.design import JointRows, Rows
+from lieid_casadi.recording import Processing
+
+ROBOT = lieid.robots.two_link()
+EFFECTS = "coulomb,viscous,offset"
+FRICTION = plant.JointFriction(np.array([1.2, 0.5]), np.array([0.6, 0.3]), np.array([0.2, -0.1]))
+ARM = plant.Arm(ROBOT, plant.perturbed_inertias(ROBOT, seed=3), FRICTION)
+CUTOFF = Processing(cutoff=8.0)
+
+
+def run(*, motion_seed=4, noise_seed=0, duration=30.0, **sensors):
+    motion = plant.FourierTrajectory(
+        ROBOT, base_frequency=1 / duration, harmonics=8, seed=motion_seed
+    )
+    t = np.arange(0.0, duration, 0.01)
+    ideal = plant.Sensors(rate=100.0, **sensors)
+    return plant.measure_along(ARM, t, *motion.at(t), sensors=ideal, seed=noise_seed)
+
+
+def true_base(model):
+    parts = {"coulomb": FRICTION.coulomb, "viscous": FRICTION.viscous, "offset": FRICTION.offset}
+    effects = [parts[c.name.split(".")[0]][c.joint] for c in model.columns]
+    return model.base.combination @ np.concatenate([ARM.parameters, effects])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "noise",
+    [{"torque_noise": 0.3}, {"coloured_noise": 0.3, "correlation_time": 0.1}],
+    ids=["white", "coloured"],
+)
+def test_intervals_cover_the_truth(noise):
+    """200 runs through the whole pipeline: 93-97 % pooled, at least 90 % for each parameter."""
+    model = lieid.Model(ROBOT, EFFECTS)
+    truth, held = true_base(model), []
+    for seed in range(200):
+        fit = lieid.identify(model, run(noise_seed=seed, **noise), processing=CUTOFF)
+        held.append(np.abs(fit.values - truth) < 1.96 * fit.std)
+    share = np.mean(held, axis=0)
+    assert 0.93 <= share.mean() <= 0.97
+    assert share.min() >= 0.90
+
+
+def regression(rng, samples=1500, memory=0.0, cross=0.0):
+    """Two joints with slow columns of their own and one in common; AR(1) residuals."""
+    t = np.arange(samples)
+    columns = np.array([np.sin(0.01 * (k + 1) * t + k) for k in range(5)]).T
+    gains = np.sqrt(1.0 - memory**2)
+    white = rng.standard_normal((samples, 2)) * gains
+    white[:, 1] = cross * white[:, 0] + np.sqrt(1 - cross**2) * white[:, 1]
+    noise = np.empty_like(white)
+    noise[0] = white[0] / gains
+    for k in range(1, samples):
+        noise[k] = memory * noise[k - 1] + white[k]
+    instants = np.arange(samples)
+    joints = (
+        JointRows(np.array([0, 1, 2]), columns[:, :3], noise[:, 0], instants),
+        JointRows(np.array([2, 3, 4]), columns[:, 2:], noise[:, 1], instants),
+    )
+    return Rows(joints, 5, np.array([0, samples]))
+
+
+def stacked(rows):
+    matrix = np.zeros((2 * int(rows.segments[-1]), rows.count))
+    half = int(rows.segments[-1])
+    for k, joint in enumerate(rows.joints):
+        matrix[k * half : (k + 1) * half, joint.columns] = joint.matrix
+    return matrix
+
+
+@pytest.mark.parametrize(("memory", "cross"), [(0.0, 0.0), (0.9, 0.0), (0.9, 0.7)])
+def test_covariance_against_the_exact_one(memory, cross):
+    """(XᵀX)⁻¹XᵀΩX(XᵀX)⁻¹ with the Ω that made the noise; 40 samples' variances averaged."""
+    found = []
+    for seed in range(40):
+        rows = regression(np.random.default_rng(seed), memory=memory, cross=cross)
+        matrix = stacked(rows)
+        unit = np.linalg.inv(matrix.T @ matrix)
+        values = unit @ matrix.T @ np.concatenate([j.torque for j in rows.joints])
+        ones = [np.ones(len(j.torque)) for j in rows.joints]
+        found.append(np.diag(hac_covariance(rows, ones, rows.residuals(values), unit)))
+    lag = np.abs(np.subtract.outer(*[np.arange(int(rows.segments[-1]))] * 2))
+    omega = np.kron(np.array([[1.0, cross], [cross, 1.0]]), memory**lag)
+    exact = np.diag(unit @ matrix.T @ omega @ matrix @ unit)
+    # the larger of two estimates is a little too large on average
+    ratio = np.sqrt(np.mean(found, axis=0) / exact)
+    assert np.all(ratio > 0.93)
+    assert np.all(ratio < 1.25)
+
+
+def test_residuals_that_grow_with_the_motion_are_allowed_for():
+    """Noise in proportion to a column: the white formula's variance is three times too small."""
+    rng = np.random.default_rng(1)
+    samples = 2000
+    x = rng.standard_normal(samples)
+    instants = np.arange(samples)
+    found = []
+    for _ in range(20):
+        joint = JointRows(np.array([0]), x[:, None], x * rng.standard_normal(samples), instants)
+        rows = Rows((joint,), 1, np.array([0, samples]))
+        unit = np.array([[1.0 / (x @ x)]])
+        value = unit[0] * (x @ joint.torque)
+        found.append(hac_covariance(rows, [np.ones(samples)], rows.residuals(value), unit)[0, 0])
+    exact = np.sum(x**4) / np.sum(x**2) ** 2
+    assert exact > 2.5 / np.sum(x**2)
+    assert np.mean(found) == pytest.approx(exact, rel=0.15)
+
+
+def test_gaps_between_segments_are_not_bridged():
+    """The same rows as one segment or as three of their own: the residuals are white anyway."""
+    rows = regression(np.random.default_rng(3))
+    parts = Rows(rows.joints, rows.count, np.array([0, 500, 1100, 1500]))
+    matrix = stacked(rows)
+    unit = np.linalg.inv(matrix.T @ matrix)
+    values = unit @ matrix.T @ np.concatenate([j.torque for j in rows.joints])
+    ones = [np.ones(len(j.torque)) for j in rows.joints]
+    whole, cut = (
+        np.sqrt(np.diag(hac_covariance(r, ones, r.residuals(values), unit))) for r in (rows, parts)
+    )
+    np.testing.assert_allclose(cut, whole, rtol=0.25)
+    assert residual_memory(parts, parts.residuals(values)) < 10
+
+
+def test_no_noise_has_no_spread():
+    rows = regression(np.random.default_rng(3))
+    matrix = stacked(rows)
+    unit = np.linalg.inv(matrix.T @ matrix)
+    ones = [np.ones(len(j.torque)) for j in rows.joints]
+    zeros = [np.zeros(len(j.torque)) for j in rows.joints]
+    assert np.all(hac_covariance(rows, ones, zeros, unit) == 0.0)
+
+
+def test_a_band_holds_the_share_of_new_samples_that_it_states():
+    fit = lieid.identify(lieid.Model(ROBOT, EFFECTS), run(torque_noise=0.3), processing=CUTOFF)
+    fresh = run(motion_seed=9, noise_seed=5, torque_noise=0.3)
+    for level in (0.8, 0.95):
+        band = fit.predict_band(fresh, level=level)
+        inside = (fresh.tau > band.lower) & (fresh.tau < band.upper)
+        np.testing.assert_allclose(inside.mean(axis=0), level, atol=0.02)
+    np.testing.assert_array_equal(band.torque, fit.predict(fresh))
+    with pytest.raises(ModelError, match="level is 95"):
+        fit.predict_band(fresh, level=95)
+
+
+def test_the_parameters_part_of_a_band_is_that_of_repeated_fits():
+    """Std of the predicted torque over fits to other noise, shape parameters included."""
+    model = lieid.Model(ROBOT, EFFECTS + ",stribeck:1")
+    arm = ARM.with_effects(plant.Stribeck(0, extra=0.8, velocity=0.15))
+    motion = plant.FourierTrajectory(ROBOT, base_frequency=1 / 30, harmonics=8, seed=4)
+    t = np.arange(0.0, 30.0, 0.01)
+    sensors = plant.Sensors(rate=100.0, torque_noise=0.3)
+    fresh = run(motion_seed=9, duration=10.0)
+    torques, stated = [], []
+    for seed in range(15):
+        recording = plant.measure_along(arm, t, *motion.at(t), sensors=sensors, seed=seed)
+        fit = lieid.identify(model, recording, processing=CUTOFF)
+        band = fit.predict_band(fresh)
+        torques.append(band.torque)
+        stated.append(band.parameter_std)
+    seen = np.std(torques, axis=0)
+    ratio = np.sqrt(np.mean(np.square(stated), axis=(0, 1)) / np.mean(seen**2, axis=0))
+    assert np.all(ratio > 0.75)
+    assert np.all(ratio < 1.35)
+
+
+@pytest.mark.parametrize("method", ["wls", "ols", "feasible"])
+def test_bootstrap_agrees_with_the_formula(method):
+    model = lieid.Model(ROBOT, EFFECTS)
+    recording = run(duration=60.0, coloured_noise=0.3, correlation_time=0.05)
+    fit = lieid.identify(model, recording, method=method, processing=CUTOFF)
+    repeated = bootstrap(fit, recording, resamples=100, seed=1)
+    assert repeated.values.shape == (100, model.base.count)
+    assert repeated.failed == 0
+    ratio = repeated.std / fit.std
+    assert 0.7 < np.median(ratio) < 1.3
+    low, high = repeated.interval(0.9)
+    inside = (repeated.values >= low) & (repeated.values <= high)
+    assert inside.mean() == pytest.approx(0.9, abs=0.02)
+    again = bootstrap(fit, recording, resamples=100, seed=1)
+    np.testing.assert_array_equal(again.values, repeated.values)
+
+
+def test_bootstrap_of_too_little_data_is_refused():
+    recording = run(duration=4.0, coloured_noise=0.3, correlation_time=1.0)
+    fit = lieid.identify(lieid.Model(ROBOT, "viscous"), recording, processing=CUTOFF)
+    with pytest.raises(IdentificationError, match=r"blocks of .* expected at least 10"):
+        bootstrap(fit, recording)
+    with pytest.raises(IdentificationError, match="1 resamples, expected at least 2"):
+        bootstrap(fit, recording, resamples=1)
+
+
+def test_parameters_are_ranked_by_how_well_they_are_known():
+    fit = lieid.identify(lieid.Model(ROBOT, EFFECTS), run(torque_noise=0.3), processing=CUTOFF)
+    ranked = fit.ranking()
+    assert len(ranked) == len(fit.values)
+    relative = [row["relative_std"] for row in ranked]
+    assert relative == sorted(relative)
+    assert relative[0] == pytest.approx(np.min(fit.std / np.abs(fit.values)))
