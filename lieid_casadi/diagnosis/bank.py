@@ -77,10 +77,24 @@ class Bank(Generic[T]):
         """How many rows make each group's columns (G,): (Σ c²)² / Σ c⁴."""
         squares, fourth = np.zeros(self.count), np.zeros(self.count)
         for part in self.parts:
-            squares[part.columns] += np.sum(part.matrix**2, axis=0)
-            fourth[part.columns] += np.sum(part.matrix**4, axis=0)
+            square = part.matrix * part.matrix
+            squares[part.columns] += square.sum(axis=0)
+            fourth[part.columns] += np.einsum("rc,rc->c", square, square)
         each = np.divide(squares**2, fourth, out=np.zeros_like(squares), where=fourth > 0.0)
         return np.asarray(np.minimum.reduceat(each, self.start)) if self.count else np.zeros(0)
+
+    @cached_property
+    def inner(self) -> Array:
+        """Products of each column with the ones after it in its group: by offset (k, m)."""
+        width = int(self.size.max(initial=1))
+        inner = np.zeros((width, self.count))
+        for part in self.parts:
+            for offset in range(min(width, part.matrix.shape[1])):
+                count = part.matrix.shape[1] - offset
+                product = np.einsum("rc,rc->c", part.matrix[:, :count], part.matrix[:, offset:])
+                neighbours = part.columns[offset:] - part.columns[:count] == offset
+                inner[offset, part.columns[:count][neighbours]] += product[neighbours]
+        return inner
 
     @cached_property
     def lower_bounds(self) -> Array:

@@ -33,10 +33,12 @@ class Family:
         """
         random = np.random.default_rng([seed, 61])
         rank = np.maximum(screening.rank, 1)
-        smallest = []
+        ranks, smallest = np.unique(rank), []
         for _ in range(0, DRAWS, 50):
             noise = random.standard_normal((screening.baseline.rows, 50))
-            p = np.asarray(chi2.sf(screening.statistic(noise), rank[:, None]))
+            statistic = screening.statistic(noise)
+            largest = [statistic[rank == k].max(axis=0) for k in ranks]
+            p = [np.asarray(chi2.sf(x, k)) for x, k in zip(largest, ranks, strict=True)]
             smallest.append(np.min(p, axis=0, initial=1.0))
         # the least of N uniform numbers has −ln(1 − p) exponential with mean 1/N
         exponential = -np.log1p(-np.minimum(np.concatenate(smallest), 1.0 - 1e-12))

@@ -143,20 +143,12 @@ def screen(bank: Bank[Any], baseline: Baseline, *, every: bool = False) -> Scree
 
 def _grams(bank: Bank[Any], baseline: Baseline) -> tuple[Array, Array]:
     """Return within-group products of what remains, by offset (k, m), and raw norms² (m,)."""
-    width = int(bank.size.max(initial=1))
-    inner = np.zeros((width, bank.count))
     projected = np.zeros((baseline.basis.shape[1], bank.count))
     for j, part in enumerate(bank.parts):
         projected[:, part.columns] += baseline.basis[baseline.joint(j)].T @ part.matrix
-        for offset in range(width):
-            count = part.matrix.shape[1] - offset
-            if count <= 0:
-                continue
-            product = np.einsum("rc,rc->c", part.matrix[:, :count], part.matrix[:, offset:])
-            neighbours = part.columns[offset:] - part.columns[:count] == offset
-            inner[offset, part.columns[:count][neighbours]] += product[neighbours]
+    inner = bank.inner.copy()
     norms = inner[0].copy()
-    for offset in range(width):
+    for offset in range(len(inner)):
         count = bank.count - offset
         inner[offset, :count] -= np.einsum("pc,pc->c", projected[:, :count], projected[:, offset:])
     return inner, norms

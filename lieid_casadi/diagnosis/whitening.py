@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from lieid_casadi.identification.design import Rows
 from lieid_casadi.recording import Processed
@@ -93,7 +92,7 @@ class Noise:
         for run in runs.at:
             if len(run) > self.order:
                 part = values[first : first + len(run)]
-                parts.append(lfilter(self.filter, [1.0], part, axis=0)[self.order :])
+                parts.append(_convolved(part, self.filter))
             first += len(run)
         return np.concatenate(parts) / self.sigma
 
@@ -101,6 +100,15 @@ class Noise:
         """Return the instants of the whitened rows."""
         parts = [run[self.order :] for run in runs.at if len(run) > self.order]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
+
+
+def _convolved(signal: Array, taps: Array) -> Array:
+    """Return Σ taps[i]·signal[k − i] for the instants that have all predecessors."""
+    order = len(taps) - 1
+    result = taps[0] * signal[order:]
+    for lag in range(1, order + 1):
+        result = result + taps[lag] * signal[order - lag : len(signal) - lag]
+    return np.asarray(result)
 
 
 def noise_of(residual: Array, runs: Runs, freedom: float) -> Noise:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.signal import butter, sosfiltfilt
@@ -26,10 +28,15 @@ def lowpass(x: Array, rate: float, cutoff: float, order: int = 4) -> Array:
     """
     if cutoff >= HIGHEST_CUTOFF * rate:
         return np.array(x, dtype=np.float64)
-    sections = butter(order, cutoff, fs=rate, output="sos")
+    sections = _sections(order, cutoff, rate)
     # the padding of scipy's default is far shorter than the filter's memory at low cut-offs
     padding = min(x.shape[0] - 1, max(27, round(1.5 * rate / cutoff)))
     return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=padding), dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
+def _sections(order: int, cutoff: float, rate: float) -> Array:
+    return np.asarray(butter(order, cutoff, fs=rate, output="sos"))
 
 
 def central_difference(x: Array, rate: float) -> Array:

@@ -1,0 +1,176 @@
+"""Effects that no library has: a diagnosis should name none, and tell what the error follows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from hidden_effects.hidden import Ground, Hidden, with_effect
+from numpy.typing import NDArray
+
+from lieid_casadi.plant import ForeignTorque, State
+
+Array = NDArray[np.float64]
+Torque = Callable[[State], Array]
+
+
+def _foreign(
+    name: str, j: int, signals: tuple[str, ...], torque: Torque, *, simulated: bool = True
+) -> Hidden:
+    def make(strength: float) -> ForeignTorque:
+        return ForeignTorque(j, function=lambda s: strength * np.asarray(torque(s)))
+
+    return Hidden(name, (j,), with_effect(make), np.inf, signals, simulated)
+
+
+def _other(g: Ground, j: int) -> int:
+    return int(g.random.choice([k for k in range(g.n) if k != j and g.revolute(k)]))
+
+
+def _bump(g: Ground, j: int) -> Hidden:
+    """A Lorentzian bump somewhere along the turn."""
+    span = float(g.upper[j] - g.lower[j])
+    centre = float(g.lower[j]) + span * float(g.random.uniform(0.3, 0.7))
+    width = span * g.log(0.03, 0.1)
+    return _foreign(
+        "bump", j, (f"q{j + 1}",), lambda s: 1.0 / (1.0 + ((s.q[..., j] - centre) / width) ** 2)
+    )
+
+
+def _end_stop(g: Ground, j: int) -> Hidden:
+    """A bumper that is pressed near one end of the range."""
+    span, up = float(g.upper[j] - g.lower[j]), g.sign()
+    start = float(g.upper[j]) - 0.25 * span if up > 0 else float(g.lower[j]) + 0.25 * span
+    return _foreign(
+        "end_stop", j, (f"q{j + 1}",),
+        lambda s: up * np.maximum(up * (s.q[..., j] - start), 0.0) / span,
+    )  # fmt: skip
+
+
+def _cogging_of_other(g: Ground, j: int) -> Hidden:
+    """Cogging that turns with another joint."""
+    i, k, phase = _other(g, j), float(g.random.integers(2, 6)), g.angle()
+    return _foreign(
+        "cogging_of_other", j, (f"q{i + 1}",), lambda s: np.sin(k * s.q[..., i] + phase)
+    )
+
+
+def _spring_from_other(g: Ground, j: int) -> Hidden:
+    """A hose between two joints."""
+    i = _other(g, j)
+    return _foreign(
+        "spring_from_other", j, (f"q{i + 1}",), lambda s: np.maximum(s.q[..., i] - 0.3, 0.0) ** 2
+    )
+
+
+def _cubed_sine_friction(g: Ground, j: int) -> Hidden:
+    """Dry friction that varies as the cube of a sine."""
+    i, phase = _revolute(g, j), g.angle()
+    return _foreign(
+        "cubed_sine_friction", i, (f"dq{i + 1}", f"q{i + 1}"),
+        lambda s: np.sin(s.q[..., i] + phase) ** 3 * s.sign[..., i],
+    )  # fmt: skip
+
+
+def _friction_by_other_angle(g: Ground, j: int) -> Hidden:
+    """Dry friction that varies with another joint's angle."""
+    i, phase = _other(g, j), g.angle()
+    return _foreign(
+        "friction_by_other_angle", j, (f"dq{j + 1}", f"q{i + 1}"),
+        lambda s: np.sin(s.q[..., i] + phase) * s.sign[..., j],
+    )  # fmt: skip
+
+
+def _viscous_by_angle(g: Ground, j: int) -> Hidden:
+    """Viscous friction that varies along the turn."""
+    i, phase, v = _revolute(g, j), g.angle(), float(g.speed[_revolute(g, j)])
+    return _foreign(
+        "viscous_by_angle", i, (f"dq{i + 1}", f"q{i + 1}"),
+        lambda s: np.sin(2.0 * s.q[..., i] + phase) * s.dq[..., i] / v,
+    )  # fmt: skip
+
+
+def _friction_peak(g: Ground, j: int) -> Hidden:
+    """Friction with a peak at one speed, as of a resonance."""
+    v = float(g.speed[j]) * float(g.random.uniform(0.3, 0.5))
+    return _foreign(
+        "friction_peak", j, (f"dq{j + 1}",),
+        lambda s: np.exp(-(((np.abs(s.dq[..., j]) - v) / (0.25 * v)) ** 2)) * s.sign[..., j],
+    )  # fmt: skip
+
+
+def _product_of_velocities(g: Ground, j: int) -> Hidden:
+    """Oil that another joint's motion pushes along."""
+    i = _other(g, j)
+    return _foreign(
+        "product_of_velocities", j, (f"dq{i + 1}", f"dq{j + 1}"),
+        lambda s: s.dq[..., i] * s.dq[..., j] / float(g.speed[i] * g.speed[j]),
+    )  # fmt: skip
+
+
+def _drag_of_other(g: Ground, j: int) -> Hidden:
+    """|q̇| of another joint."""
+    i = _other(g, j)
+    return _foreign(
+        "drag_of_other", j, (f"dq{i + 1}",), lambda s: np.abs(s.dq[..., i]) / float(g.speed[i])
+    )
+
+
+def _load_backlash(g: Ground, j: int) -> Hidden:
+    """A step where the load changes sides."""
+    i = _loaded(g)
+    width = 0.05 * float(g.load[i])
+    return _foreign(
+        "load_backlash", i, (f"load{i + 1}",), lambda s: np.tanh(s.load[..., i] / width)
+    )
+
+
+def _load_hysteresis(g: Ground, j: int) -> Hidden:
+    """Play in the load's path: lags behind the load by a fixed width."""
+    i = _loaded(g)
+    width = 0.15 * float(g.load[i])
+
+    def lag(s: State) -> Array:
+        load, behind = s.load[..., i], np.zeros(s.load.shape[0])
+        behind[0] = load[0]
+        for k in range(1, len(behind)):
+            behind[k] = min(max(behind[k - 1], load[k] - width), load[k] + width)
+        return (load - behind) / width
+
+    return _foreign("load_hysteresis", i, (f"load{i + 1}",), lag, simulated=False)
+
+
+def _slow_hum(g: Ground, j: int) -> Hidden:
+    """A supply that swings with time."""
+    cycles, phase = float(g.random.uniform(1.3, 2.5)), g.angle()
+    return _foreign(
+        "slow_hum", j, ("t",), lambda s: np.sin(2.0 * np.pi * cycles * s.t / g.duration + phase)
+        * np.ones(s.q.shape[:-1]),
+    )  # fmt: skip
+
+
+def _revolute(g: Ground, j: int) -> int:
+    """The joint, or the next one that turns."""
+    return j if g.revolute(j) else (j + 1) % g.n
+
+
+def _loaded(g: Ground) -> int:
+    """A joint whose load changes much in proportion to its drive."""
+    return int(np.argsort(g.load / g.torque)[-int(g.random.integers(1, 3))])
+
+
+FOREIGN = {
+    "bump": _bump,
+    "end_stop": _end_stop,
+    "cogging_of_other": _cogging_of_other,
+    "spring_from_other": _spring_from_other,
+    "cubed_sine_friction": _cubed_sine_friction,
+    "friction_by_other_angle": _friction_by_other_angle,
+    "viscous_by_angle": _viscous_by_angle,
+    "friction_peak": _friction_peak,
+    "product_of_velocities": _product_of_velocities,
+    "drag_of_other": _drag_of_other,
+    "load_backlash": _load_backlash,
+    "load_hysteresis": _load_hysteresis,
+    "slow_hum": _slow_hum,
+}

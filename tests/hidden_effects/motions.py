@@ -1,0 +1,97 @@
+"""Motions of the benchmark: Fourier series, moves between poses, and mixtures of both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieid_casadi.plant import FourierTrajectory, Trajectory, point_to_point
+from lieid_casadi.plant.trajectories import Envelope, Waypoints
+from lieid_casadi.robot import Robot
+
+Array = NDArray[np.float64]
+PAUSE = 0.3  # s of rest at each end of a move between two motions
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Motions one after another; quintic moves lead from each to the next."""
+
+    parts: tuple[Trajectory, ...]
+    starts: tuple[float, ...]
+
+    @property
+    def duration(self) -> float:
+        return self.starts[-1] + self.parts[-1].duration
+
+    def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
+        times = np.asarray(t, dtype=float)
+        which = np.clip(np.searchsorted(self.starts, times, side="right") - 1, 0, None)
+        found = [np.empty((times.size, self._n)) for _ in range(3)]
+        for k, (part, start) in enumerate(zip(self.parts, self.starts, strict=True)):
+            here = which == k
+            for whole, values in zip(found, part.at(times[here] - start), strict=True):
+                whole[here] = values
+        return found[0], found[1], found[2]
+
+    @property
+    def _n(self) -> int:
+        return int(self.parts[0].at(np.zeros(1))[0].shape[1])
+
+
+def chain(robot: Robot, motions: Sequence[Trajectory]) -> Chain:
+    """Return motions in a row, joined by moves from the end of one to the start of the next."""
+    envelope = Envelope.of(robot)
+    parts: list[Trajectory] = [motions[0]]
+    for motion in motions[1:]:
+        last = parts[-1].at(np.array([parts[-1].duration]))[0][0]
+        first = motion.at(np.zeros(1))[0][0]
+        parts += [_move(envelope, last, first), motion]
+    ends = np.cumsum([part.duration for part in parts])
+    return Chain(tuple(parts), (0.0, *map(float, ends[:-1])))
+
+
+def _move(envelope: Envelope, a: Array, b: Array) -> Waypoints:
+    way = np.abs(b - a)
+    by_velocity = 15.0 / 8.0 * way / (0.6 * envelope.velocity)
+    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / envelope.acceleration)
+    time = max(float(np.maximum(by_velocity, by_acceleration).max()), 0.5)
+    return Waypoints(
+        np.array([a, b]), np.array([PAUSE]), np.array([time]), time + 2.0 * PAUSE
+    )
+
+
+def draw_motion(robot: Robot, kind: str, duration: float, random: np.random.Generator) -> Chain:
+    """Return a random motion of about this duration (s): ``fourier``, ``poses`` or ``mixture``."""
+    if kind == "fourier":
+        return chain(robot, [_fourier(robot, duration, random)])
+    if kind == "poses":
+        return chain(robot, [_poses(robot, duration, random)])
+    half = 0.5 * duration
+    both: list[Trajectory] = [_fourier(robot, half, random), _poses(robot, half, random)]
+    return chain(robot, both if random.random() < 0.5 else both[::-1])
+
+
+def _fourier(robot: Robot, duration: float, random: np.random.Generator) -> FourierTrajectory:
+    periods = int(random.choice([1, 1, 2, 3]))
+    return FourierTrajectory(
+        robot,
+        harmonics=int(random.integers(4, 7)) + 2 * (3 - periods),
+        base_frequency=periods / duration,
+        periods=periods,
+        seed=int(random.integers(2**31)),
+    )
+
+
+def _poses(robot: Robot, duration: float, random: np.random.Generator) -> Waypoints:
+    """Return moves that last at least ``duration``, with as few poses as that takes."""
+    seed, dwell = int(random.integers(2**31)), float(random.uniform(0.1, 0.8))
+    speed, poses = float(random.uniform(0.5, 0.95)), 3
+    while True:
+        motion = point_to_point(robot, poses=poses, dwell=dwell, speed=speed, seed=seed)
+        if motion.duration >= duration:
+            return motion
+        poses += 1

@@ -1,0 +1,106 @@
+"""How much of an effect a fit of rigid body and plain friction leaves: with Pinocchio's regressor.
+
+Nothing here knows the package's dynamics or effects. Columns are evaluated along the noiseless
+motion as encoders see it, so that the torque of an arm without hidden effects lies in their span.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+from lieid_casadi.plant import Arm, EncoderOffset, Motion, Sensors, build_pinocchio, measure
+from lieid_casadi.plant.sensors import sampled_rows
+
+Array = NDArray[np.float64]
+ROWS = 1500  # instants that sizes are computed from
+SLOWEST = 1e-3  # rad/s, m/s: below it dry friction is undetermined
+SINGULAR = 1e-9  # of the largest singular value
+
+
+@dataclass(frozen=True, eq=False)
+class Clean:
+    """What ideal sensors would record, thinned: (K, n) each but for t (K,)."""
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+    load: Array
+    moving: NDArray[np.bool_]
+
+
+def clean(arm: Arm, motion: Motion, count: int = ROWS) -> Clean:
+    """Return an arm's noiseless recording of a motion, with the acceleration beside it."""
+    t = motion.t
+    rate = min(count, t.size - 1) / (t[-1] - t[0])
+    rows = sampled_rows(t, rate)
+    ideal = measure(arm, motion, Sensors(rate=rate))
+    q = motion.motor_q.copy()
+    for effect in arm.effects_of(EncoderOffset):
+        q[:, effect.joint] -= effect.offset
+    assert ideal.tau is not None
+    moving = ~motion.resting & (np.abs(motion.motor_dq) > SLOWEST)
+    return Clean(
+        t[rows], q[rows], motion.motor_dq[rows], motion.motor_ddq[rows],
+        ideal.tau, motion.rigid[rows], moving[rows],
+    )  # fmt: skip
+
+
+def columns(robot, record: Clean) -> Array:
+    """Return rigid, Coulomb, viscous and offset columns (K, n, 10 n + 3 n)."""
+    import pinocchio as pin
+
+    model = build_pinocchio(robot)
+    data, n = model.createData(), robot.n
+    whole = np.zeros((len(record.t), n, 13 * n))
+    for k in range(len(record.t)):
+        whole[k, :, : 10 * n] = pin.computeJointTorqueRegressor(
+            model, data, record.q[k], record.dq[k], record.ddq[k]
+        )
+    joints = np.arange(n)
+    whole[:, joints, 10 * n + joints] = np.sign(record.dq)
+    whole[:, joints, 11 * n + joints] = record.dq
+    whole[:, joints, 12 * n + joints] = 1.0
+    return whole
+
+
+class Space:
+    """The span of the base model's columns on a motion, each joint's rows divided by its noise."""
+
+    def __init__(self, robot, record: Clean, noise: Array) -> None:
+        self.record, self.noise = record, noise
+        weighted = self.stacked(columns(robot, record))
+        scale = np.linalg.norm(weighted, axis=0)
+        q, r = np.linalg.qr(weighted / np.where(scale > 0.0, scale, 1.0))
+        u, s, _ = np.linalg.svd(r)
+        self.basis = q @ u[:, s > SINGULAR * s[0]]
+
+    def stacked(self, values: Array) -> Array:
+        """Return (K, n, …) as moving rows over noise (R, …), joint after joint."""
+        parts = [
+            values[self.record.moving[:, j], j] / self.noise[j]
+            for j in range(self.record.q.shape[1])
+        ]
+        return np.concatenate(parts)
+
+    def left(self, stacked: Array, beside: Array | None = None) -> Array:
+        """Return what the base columns, and ``beside`` (R, m), do not explain (R, …)."""
+        rest = stacked - self.basis @ (self.basis.T @ stacked)
+        rest = rest - self.basis @ (self.basis.T @ rest)
+        if beside is None or not beside.size:
+            return rest
+        others = self.left(beside)
+        q, r = np.linalg.qr(others)
+        q = q[:, np.abs(np.diag(r)) > 1e-9 * max(np.abs(np.diag(r)).max(), 1e-12)]
+        return rest - q @ (q.T @ rest)
+
+    def by_joint(self, stacked: Array) -> Array:
+        """Return the RMS (n,) of stacked rows per joint, in multiples of the noise."""
+        counts = self.record.moving.sum(axis=0)
+        parts = np.split(stacked, np.cumsum(counts)[:-1])
+        return np.array([np.sqrt(np.mean(p * p)) if len(p) else 0.0 for p in parts])
