@@ -102,7 +102,14 @@ def block_triangles(blocks: BaseBlocks, torque: Array, threads: int) -> list[Arr
         return _reduced(blocks, torque, *parts[0])
     with ThreadPoolExecutor(count) as pool:
         done = list(pool.map(lambda part: _reduced(blocks, torque, *part), parts))
-    return [triangular(np.vstack(factors)) for factors in zip(*done, strict=True)]
+    return [_merged(factors) for factors in zip(*done, strict=True)]
+
+
+def _merged(factors: Sequence[Array]) -> Array:
+    triangle = Triangle(factors[0].shape[1])
+    for factor in factors:
+        triangle.add(factor)
+    return triangle.r
 
 
 def _reduced(blocks: BaseBlocks, torque: Array, first: int, last: int) -> list[Array]:

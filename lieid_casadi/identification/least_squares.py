@@ -72,8 +72,10 @@ def widened(small: Array, columns: NDArray[np.integer], p: int, rows: int) -> Fa
 
 def combine(factors: Sequence[Factor], weights: Sequence[float] | Array) -> Factor:
     """Return the factor of all rows, each joint's multiplied by its weight."""
-    stacked = np.vstack([f.r * w for f, w in zip(factors, weights, strict=True)])
-    return Factor(triangular(stacked), sum(f.rows for f in factors))
+    triangle = Triangle(factors[0].r.shape[1])
+    for factor, weight in zip(factors, weights, strict=True):
+        triangle.add(factor.r * weight)
+    return Factor(triangle.r, sum(f.rows for f in factors))
 
 
 def solve(factor: Factor) -> Solution:
