@@ -21,8 +21,8 @@ BUILDS = {
     "clang": ("clang", "-std=c99", "-O2"),
     "g++": ("g++", "-x", "c++", "-std=c++11", "-O1"),
     "clang++": ("clang++", "-x", "c++", "-std=c++11", "-O1"),
-    "sanitizers": ("gcc", "-std=c99", "-O1", *SANITIZERS),
-    "clang sanitizers": ("clang", "-std=c99", "-O1", *SANITIZERS),
+    "sanitizers": ("gcc", "-std=c99", "-O0", *SANITIZERS),
+    "clang sanitizers": ("clang", "-std=c99", "-O0", *SANITIZERS),
 }
 PANDA = (
     "coulomb,viscous,offset,armature,viscous_polynomial:1,viscous_asymmetric:2,"

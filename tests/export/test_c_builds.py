@@ -6,6 +6,7 @@ import subprocess
 
 import pytest
 from export.c_arms import ARMS, BUILDS, WARNINGS, library, made_fit, run
+from real_arms import TX40, UR10E, needs
 
 import lieid_casadi as lieid
 from lieid_casadi.export.c_code import export_c
@@ -135,3 +136,20 @@ def test_constants_are_the_fit(exported):
             assert (constants(loaded, f"arm_{name}", len(numbers)) == numbers).all()
         else:
             assert not hasattr(loaded, f"arm_{name}")
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    "urdf",
+    [
+        pytest.param(UR10E / "ur10e.urdf", marks=needs(UR10E / "ur10e.urdf")),
+        pytest.param(TX40 / "tx40.urdf", marks=needs(TX40 / "tx40.urdf")),
+    ],
+    ids=["ur10e", "tx40"],
+)
+def test_real_arms_geometry_with_its_rounding(urdf, tmp_path):
+    """Where axes are parallel but for rounding, fewer parameters would give another torque."""
+    robot = lieid.Robot.from_urdf(urdf)
+    export_c(made_fit(robot, "coulomb,viscous,offset"), tmp_path / "arm")
+    run(["gcc", "-std=c99", "-O1", *files(tmp_path), "-lm", "-o", "t"], tmp_path / "arm")
+    run([str(tmp_path / "arm" / "t")], tmp_path / "arm")
