@@ -139,15 +139,16 @@ class Stage:
 
 
 NAMES = ("combined", "condition", "hadamard", "logdet", "a_optimal", "e_optimal")
-POWERS = (1.0, 2.0, 4.0, 8.0, 16.0)
-SCHEDULE = (30, 30, 40, 60, 60)  # iterations of each power
+POWERS = (1.0, 2.0, 4.0, 8.0, 16.0, 64.0)
+SCHEDULE = (30, 30, 40, 60, 60, 100)  # iterations of each power
+TOLERANCES = (1e-4, 1e-4, 1e-4, 1e-4, 3e-5, 3e-5)
 
 
 def condition_stages(metric: Array) -> tuple[Stage, ...]:
     """Return the continuation that ends near the condition number itself."""
     return tuple(
-        Stage(Condition(metric, power), count)
-        for power, count in zip(POWERS, SCHEDULE, strict=True)
+        Stage(Condition(metric, power), count, tolerance)
+        for power, count, tolerance in zip(POWERS, SCHEDULE, TOLERANCES, strict=True)
     )
 
 
@@ -169,7 +170,7 @@ def stages(name: str, metric: Array) -> tuple[Stage, ...]:
         return (Stage(LogDet(), 15), Stage(AOptimal(metric), 200, 1e-4))
     if name == "e_optimal":
         return tuple(
-            Stage(EOptimal(metric, power), count)
-            for power, count in zip(POWERS, SCHEDULE, strict=True)
+            Stage(EOptimal(metric, power), count, tolerance)
+            for power, count, tolerance in zip(POWERS, SCHEDULE, TOLERANCES, strict=True)
         )
     raise ExcitationError(f"criterion: {name!r}; expected one of {', '.join(NAMES)}")

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from lieid_casadi.dynamics import recursion
 from lieid_casadi.dynamics.motion import Motion as Symbols
 from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.effects import Effect
+from lieid_casadi.effects.arm_effect import ArmEffect
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.kernel import SampleKernel, pulled_back
 from lieid_casadi.excitation.trajectory import Motion
@@ -46,7 +48,7 @@ class Information:
     Raises
     ------
     ExcitationError
-        A column that no motion of this design can excite (temperature, time, memory).
+        An effect whose columns do not follow from a joint's motion at one instant.
     """
 
     def __init__(self, model: Model, *, sign_width: Array) -> None:
@@ -89,8 +91,8 @@ def base_regressor(model: Model, symbols: Symbols, sign_width: Array) -> ca.SX:
     unreachable = [p.label for p in model.placements if needs_more_than_motion(p.effect)]
     if unreachable:
         raise ExcitationError(
-            f"{', '.join(unreachable)}: depends on time, temperature or the past; "
-            "no motion of one period excites it: leave it out of the design"
+            f"{', '.join(unreachable)}: depends on time, temperature, the past or the whole arm, "
+            "which a design does not see; leave it out"
         )
     n = model.n
     sign = ca.tanh(symbols.dq / ca.DM(sign_width))
@@ -106,7 +108,10 @@ def base_regressor(model: Model, symbols: Symbols, sign_width: Array) -> ca.SX:
     return every[:, [int(k) for k in model.base.kept]]
 
 
-def needs_more_than_motion(effect: object) -> bool:
-    """Whether an effect sees something that a short motion does not vary."""
-    signals = getattr(effect, "signals", ())
-    return bool(getattr(effect, "states", ())) or bool({"temperature", "time"} & set(signals))
+def needs_more_than_motion(effect: Effect) -> bool:
+    """Whether an effect's columns do not follow from a joint's motion at one instant."""
+    return (
+        isinstance(effect, ArmEffect)
+        or bool(effect.states)
+        or bool({"temperature", "time"} & set(effect.signals))
+    )

@@ -29,18 +29,20 @@ class MotionRange:
     revolute: NDArray[np.bool_]
 
     @property
+    def _stops(self) -> NDArray[np.bool_]:
+        """Whether each joint has end stops (n, 1)."""
+        return np.asarray(np.isfinite(self.position).all(axis=1, keepdims=True))
+
+    @property
     def middle(self) -> Array:
         """Middle of the joint ranges (n,), zero without end stops."""
-        middle = self.position.mean(axis=1)
-        return np.where(np.isfinite(middle), middle, 0.0)
+        return np.asarray(np.where(self._stops, self.position, 0.0).mean(axis=1))
 
     @property
     def units(self) -> Array:
         """Half range, velocity, acceleration (n, 3): what counts as 1."""
-        half = 0.5 * np.ptp(self.position, axis=1)
-        return np.stack(
-            [np.where(np.isfinite(half), half, np.pi), self.velocity, self.acceleration], axis=1
-        )
+        half = np.where(self._stops, self.position, [-np.pi, np.pi])
+        return np.stack([0.5 * np.ptp(half, axis=1), self.velocity, self.acceleration], axis=1)
 
     def constraint_set(self) -> JointLimits:
         """Return the limits as a constraint set."""

@@ -28,6 +28,8 @@ class Step:
 def solve(hessian: Array, gradient: Array, matrix: Array, limit: Array) -> Step | None:
     """Return the solution of min ½dᵀHd + gᵀd with A·d ≤ b; None if there is none.
 
+    None too where rounding has taken the Hessian's definiteness.
+
     Parameters
     ----------
     hessian : (m, m)
@@ -38,7 +40,10 @@ def solve(hessian: Array, gradient: Array, matrix: Array, limit: Array) -> Step 
     from scipy.linalg import cho_factor, solve_triangular
     from scipy.optimize import nnls
 
-    factor, _ = cho_factor(hessian, lower=True)
+    try:
+        factor, _ = cho_factor(hessian, lower=True)
+    except np.linalg.LinAlgError:  # rounding took its definiteness
+        return None
     free = solve_triangular(factor, gradient, lower=True)
     if not len(limit):
         return Step(-solve_triangular(factor, free, lower=True, trans=1), np.zeros(0))

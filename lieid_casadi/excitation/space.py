@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -20,9 +21,11 @@ from lieid_casadi.excitation.symbolic_limits import SymbolicSet, link_poses
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
+logger = logging.getLogger("lieid_casadi")
 SCALE = 0.2  # m; distances count in parts of it when violations are weighed
 TINY = 1e-12  # m²; keeps square roots and quotients of lengths smooth
-PROBES = 300  # random poses that tell which distances vary at all
+PROBES = 500  # random poses that tell which distances vary, and which are hardly ever kept
+OFTEN = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,8 @@ class Obstacle:
 class SelfCollision:
     """Links keep at least ``clearance`` (m) from each other; links as capsules.
 
-    Neighbours and pairs that touch in every pose are left out.
+    Left out are neighbours, and pairs that touch in a third of random poses or more: capsules too
+    coarse for links next to each other. A logged notice names them.
     """
 
     clearance: float = 0.02
@@ -129,7 +133,7 @@ class SelfCollision:
             distances.append(distance)
             slopes.append(jacobian)
         return _clearances(
-            "self_collision", robot, symbols, labels, distances, self.clearance, slopes
+            "self_collision", robot, symbols, labels, distances, self.clearance, slopes, often=OFTEN
         )
 
 
@@ -208,11 +212,20 @@ def _clearances(
     distances: list[ca.SX],
     clearance: float,
     slopes: list[ca.SX] | None = None,
+    *,
+    often: float = np.inf,
 ) -> ConstraintSet | None:
-    """Return the set distance ≥ clearance, without distances that no pose changes or frees."""
+    """Return the set distance ≥ clearance, without distances that no motion changes.
+
+    Nor those that a share ``often`` of random poses or more fall short of.
+    """
     if not distances:
         return None
-    varying = _varying(robot, symbols, ca.vertcat(*distances), clearance)
+    touching, spread = _probed(robot, symbols, ca.vertcat(*distances), clearance)
+    varying = [k for k in range(len(labels)) if spread[k] > 1e-9 and touching[k] < often]
+    coarse = [labels[k] for k in range(len(labels)) if spread[k] > 1e-9 and touching[k] >= often]
+    if coarse:
+        logger.info("%s: too coarse to be kept: %s", name, "; ".join(coarse))
     if not varying:
         return None
     count = len(varying)
@@ -226,13 +239,14 @@ def _clearances(
     )  # fmt: skip
 
 
-def _varying(robot: Robot, symbols: Symbols, distances: ca.SX, clearance: float) -> list[int]:
-    """Return the distances that motion changes and that some pose keeps clear."""
+def _probed(
+    robot: Robot, symbols: Symbols, distances: ca.SX, clearance: float
+) -> tuple[Array, Array]:
+    """Return the share of random poses with less than the clearance, and how much each varies."""
     generator = np.random.default_rng(0)
     low, high = robot.limit("position_lower"), robot.limit("position_upper")
     low, high = np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
     q = generator.uniform(low, high, (PROBES, robot.n))
     function = ca.Function("distances", [symbols.q, symbols.sin, symbols.cos], [distances])
     values = function(q.T, np.sin(q).T, np.cos(q).T).full()
-    spread, free = np.ptp(values, axis=1), values.max(axis=1)
-    return [k for k in range(len(values)) if spread[k] > 1e-9 and free[k] > clearance]
+    return np.mean(values < clearance, axis=1), np.ptp(values, axis=1)

@@ -24,8 +24,9 @@ from lieid_casadi.excitation.trajectory import Motion
 Array = NDArray[np.float64]
 NEAR = -0.3  # scaled excess from which a peak is a row
 ROUNDS = 5  # of rows added to one quadratic program
-OVERLOOKED = 0.01  # scaled excess after a step from which a peak becomes a row
+OVERLOOKED = 2e-3  # scaled excess after a step from which a peak becomes a row
 LONGEST = 1.0  # of a step, per variable
+TINY = 1e-14  # squared move, from which rounding would shape the Hessian
 SHORTEST = 1e-3  # share of a step that is still tried
 
 
@@ -240,7 +241,7 @@ def damped_bfgs(hessian: Array, move: Array, change: Array) -> Array:
     """Return the updated Hessian, positive definite."""
     turned = hessian @ move
     curvature = float(move @ turned)
-    if curvature < 1e-16:
+    if curvature <= TINY * float(np.trace(hessian)):
         return hessian
     along = float(move @ change)
     share = 1.0 if along >= 0.2 * curvature else 0.8 * curvature / (curvature - along)

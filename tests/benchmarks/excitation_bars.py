@@ -1,0 +1,155 @@
+"""Excitation against its bars: the Panda beside SLSQP, with all limits, the UR10e, the command.
+
+python tests/benchmarks/excitation_bars.py [panda] [limits] [ur10e] [command]
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from excitation_peer import Peer, first_time, run_slsqp
+
+import lieid_casadi as lieid
+from lieid_casadi.errors import NoSolution
+from lieid_casadi.excitation import CartesianSpeed, SelfCollision, Torque, capsules_of, floor
+from lieid_casadi.excitation.basis import make
+from lieid_casadi.excitation.design import FINE, Problem
+from lieid_casadi.excitation.excite import make_design, verification
+from lieid_casadi.excitation.solve import random_start, solve
+
+UR10E = Path(__file__).parents[3] / "shared" / "recordings" / "ur10e" / "ur10e.urdf"
+SPEED = 1.0  # m/s
+LEVEL = 12.75
+
+
+def panda(starts=10, peers=4):
+    """43 inertial columns, 5 harmonics at 0.05 Hz, 5 rad/s², free start, 100 samples."""
+    model = lieid.Model(lieid.robots.panda())
+    design = make_design(
+        model, basis=make(), criterion="condition", constraints=(), acceleration=5.0,
+        free_start=True,
+    )  # fmt: skip
+    began = time.perf_counter()
+    problem = Problem(design)
+    say(f"panda: built in {time.perf_counter() - began:.2f} s")
+    ours, reached = [], []
+    for seed in range(starts):
+        solution = solve(problem, seed)
+        violation, _ = verification(problem, solution.z)
+        first = next(
+            (
+                s.seconds
+                for s in solution.history
+                if s.condition_number <= LEVEL and s.violation < 5e-4
+            ),
+            None,
+        )
+        ours.append(solution)
+        reached.append(first)
+        say(
+            f"  seed {seed}: cond {solution.condition_number:.2f} in {solution.seconds:.2f} s, "
+            f"{len(solution.history)} iterations, cond {LEVEL} after {told(first)}, "
+            f"violation {violation:.1g} on the grid {FINE}x finer"
+        )
+    numbers = [s.condition_number for s in ours]
+    good = sum(n <= 12.5 and s.seconds <= 3.0 for n, s in zip(numbers, ours, strict=True))
+    say(
+        f"  {good} of {starts} at cond <= 12.5 within 3 s (bar 9); "
+        f"best {min(numbers):.2f} (bar 11.6)"
+    )
+    peer = Peer(problem)
+    constraints = problem.constraints(1, margin=0.0)
+    theirs = []
+    for seed in range(peers):
+        for objective in ("log_condition", "surrogate"):
+            log = run_slsqp(peer, constraints, random_start(problem, seed), objective=objective)
+            theirs.append(first_time(log, LEVEL))
+            say(
+                f"  SLSQP seed {seed}, {objective}: cond {min(v for _, v, _ in log):.2f} after "
+                f"{log[-1][0]:.1f} s, {len(log)} iterations, cond {LEVEL} after {told(theirs[-1])}"
+            )
+    mine = np.median([np.inf if t is None else t for t in reached])
+    other = np.median([np.inf if t is None else t for t in theirs])
+    say(f"  cond {LEVEL}, medians: {mine:.3f} s here, {other:.3f} s SLSQP: {other / mine:.1f} x")
+
+
+def limits(starts=10):
+    """The same with torque, Cartesian speed, floor and self-collision, at rest at the middle."""
+    robot = lieid.robots.panda()
+    links = capsules_of(robot)
+    design = make_design(
+        lieid.Model(robot), basis=make(), criterion="condition", acceleration=5.0,
+        constraints=(
+            Torque(), CartesianSpeed(SPEED), floor(capsules=links), SelfCollision(0.02, links),
+        ),
+    )  # fmt: skip
+    began = time.perf_counter()
+    problem = Problem(design)
+    say(f"all limits ({SPEED:g} m/s): built in {time.perf_counter() - began:.2f} s")
+    report(problem, starts)
+
+
+def report(problem, starts):
+    for seed in range(starts):
+        try:
+            solution = solve(problem, seed)
+        except NoSolution as reason:
+            say(f"  seed {seed}: {reason}")
+            continue
+        violation, _ = verification(problem, solution.z)
+        say(
+            f"  seed {seed}: cond {solution.condition_number:.2f} in {solution.seconds:.2f} s, "
+            f"violation {violation:.1g}"
+        )
+
+
+def ur10e(starts=5, seconds=20.0):
+    """Inertial, Coulomb, viscous and offset columns, torque limits and self-collision."""
+    if not UR10E.exists():
+        say(f"ur10e: skipped, no {UR10E}")
+        return
+    robot = lieid.Robot.from_urdf(UR10E)
+    model = lieid.Model(robot, effects=["coulomb", "viscous", "offset"])
+    constraints = (Torque(), SelfCollision(0.02, capsules_of(robot)))
+    for duration in (20.0, 12.0):
+        design = make_design(
+            model, basis=make(duration=duration), criterion="condition", constraints=constraints
+        )
+        began = time.perf_counter()
+        problem = Problem(design)
+        say(f"ur10e, {duration:g} s: built in {time.perf_counter() - began:.2f} s")
+        report(problem, starts)
+        log = run_slsqp(
+            Peer(problem, friction=True), problem.constraints(1, margin=0.0),
+            random_start(problem, 0), seconds=seconds, nonlinear=True,
+        )  # fmt: skip
+        good = [v for _, v, violation in log if violation <= 1e-6]
+        say(f"  SLSQP: cond {min(good, default=np.inf):.1f} after {log[-1][0]:.0f} s")
+
+
+def command():
+    """The whole command, import to files."""
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-m", "lieid_casadi.cli.main", "excite", "panda", "-o", f"{folder}/x"],
+            check=True, stdout=subprocess.DEVNULL,
+        )  # fmt: skip
+        say(f"lieid excite panda: {time.perf_counter() - began:.1f} s (bar 25)")
+
+
+def say(text):
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def told(seconds):
+    return "never" if seconds is None else f"{seconds:.3f} s"
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or ["panda", "limits", "ur10e", "command"]:
+        globals()[name]()

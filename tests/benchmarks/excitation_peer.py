@@ -1,0 +1,118 @@
+"""The peer: SciPy's SLSQP with finite differences on Pinocchio's regressor.
+
+It gets what an engineer would give it: the same trajectory family and end conditions, the linear
+joint limits with their exact Jacobians at the same samples, and everything else by differences.
+"""
+
+import time
+
+import numpy as np
+from scipy.optimize import minimize
+
+from lieid_casadi.plant.rigid import build_pinocchio
+
+
+class Peer:
+    """Condition number of [Y, friction columns] on Pinocchio, over the free variables z."""
+
+    def __init__(self, problem, *, friction=False):
+        self.problem = problem
+        self.robot = problem.design.model.robot
+        self.base = problem.design.model.base
+        self.model = build_pinocchio(self.robot)
+        self.data = self.model.createData()
+        self.friction = friction
+        self.width = problem.design.range.velocity * 0.02  # of the smooth sign, as in the design
+
+    def rows(self, z):
+        """The stacked base regressor in the metric of the full one (N n, p)."""
+        import pinocchio as pin
+
+        motion, n = self.problem.samples.motion(z), self.robot.n
+        blocks = np.empty((len(motion), n, 10 * n))
+        for k in range(len(motion)):
+            blocks[k] = pin.computeJointTorqueRegressor(
+                self.model, self.data, motion.q[k], motion.dq[k], motion.ddq[k]
+            )
+        full = blocks.reshape(-1, 10 * n)
+        if self.friction:
+            full = np.hstack([full, self.columns(motion.dq)])
+        return full[:, self.base.kept] @ self.problem.metric
+
+    def columns(self, dq):
+        """Coulomb, viscous, offset columns (N n, 3 n)."""
+        n = dq.shape[1]
+        parts = [np.tanh(dq / self.width), dq, np.ones_like(dq)]
+        return np.hstack([np.vstack([np.diag(row) for row in part]) for part in parts]).reshape(
+            -1, 3 * n
+        )
+
+    def condition_number(self, z):
+        sizes = np.linalg.svd(self.rows(z), compute_uv=False)
+        return sizes[0] / sizes[-1]
+
+    def log_condition(self, z):
+        rows = self.rows(z)
+        sizes = np.linalg.eigvalsh(rows.T @ rows)
+        return 0.5 * np.log(sizes[-1] / sizes[0])
+
+    def surrogate(self, z, power=4.0):
+        rows = self.rows(z)
+        sizes = np.linalg.eigvalsh(rows.T @ rows)
+        return 0.5 / power * np.log(np.sum(sizes**power) * np.sum(sizes**-power))
+
+
+def run_slsqp(peer, constraints, z, *, objective="log_condition", seconds=20.0, nonlinear=False):
+    """Return [(seconds, condition number, scaled violation)], one per iteration.
+
+    ``constraints`` are sampled without margin; linear ones have exact Jacobians.
+    """
+    linear = [k for k, limits in enumerate(constraints.sets) if limits.linear]
+    matrix, offset = linear_rows(constraints, linear, z)
+    conditions = [{"type": "ineq", "fun": lambda z: offset - matrix @ z, "jac": lambda z: -matrix}]
+    if nonlinear:
+        others = [k for k in range(len(constraints.sets)) if k not in linear]
+
+        def margin(z):
+            excess = constraints.excess(constraints.sampled.motion(z))
+            sides = [side for k in others for side in excess[k]]
+            values = np.concatenate([side.ravel() for side in sides])
+            return -np.maximum(values, -10.0)
+
+        conditions.append({"type": "ineq", "fun": margin})
+    began, log = time.perf_counter(), []
+
+    def told(z):
+        seconds_now = time.perf_counter() - began
+        excess = constraints.excess(constraints.sampled.motion(z))
+        log.append((seconds_now, peer.condition_number(z), constraints.largest(excess)))
+        if seconds_now > seconds:
+            raise StopIteration
+
+    minimize(
+        getattr(peer, objective), z, method="SLSQP", constraints=conditions, callback=told,
+        options={"maxiter": 1000, "ftol": 1e-9},
+    )  # fmt: skip
+    return log
+
+
+def linear_rows(constraints, sets, z):
+    """Return A, b of the linear limits A·z ≤ b at every sample."""
+    from lieid_casadi.excitation.constraints import Rows
+
+    motion = constraints.sampled.motion(0.0 * z)
+    excess = constraints.excess(motion)
+    columns = []
+    for index in sets:
+        for side, values in zip((1, -1), excess[index], strict=True):
+            quantity, sample = np.nonzero(np.isfinite(values))
+            full = np.full_like(quantity, index), quantity, sample, np.full_like(quantity, side)
+            columns.append(full)
+    rows = Rows(*(np.concatenate(part) for part in zip(*columns, strict=True)))
+    return constraints.jacobian(motion, rows), -constraints.at(excess, rows)
+
+
+def first_time(log, level, *, tolerance=1e-6):
+    """Return when a feasible iterate first came to a condition number, None if never."""
+    good = (t for t, value, violation in log if value <= level and violation <= tolerance)
+    return next(good, None)

@@ -1,0 +1,117 @@
+"""Trajectories: Eq. 19 as printed, end conditions (Eq. 20), derivatives."""
+
+import numpy as np
+import pytest
+
+from lieid_casadi.errors import ExcitationError
+from lieid_casadi.excitation.basis import Fourier, make
+from lieid_casadi.excitation.trajectory import Parametrization, SampledBasis, Trajectory
+
+FAMILIES = ["fourier", "modified_fourier", "spline"]
+UNITS = np.array([[2.0, 2.0, 5.0], [1.0, 3.0, 9.0]])
+
+
+def parametrization(family, *, fixed, duration=8.0, harmonics=4):
+    basis = make(family, duration=duration, harmonics=harmonics)
+    return Parametrization(basis, np.array([0.3, -0.7]), fixed, UNITS)
+
+
+def test_fourier_series_as_printed():
+    rng = np.random.default_rng(0)
+    q0, a, b = rng.normal(), rng.normal(size=3), rng.normal(size=3)
+    basis = Fourier(3, 20.0)
+    t, w = np.linspace(0.0, 20.0, 50), 2.0 * np.pi * 0.05
+    expected = q0 + sum(
+        a[k - 1] / (k * w) * np.sin(k * w * t) - b[k - 1] / (k * w) * np.cos(k * w * t)
+        for k in (1, 2, 3)
+    )
+    motion = Trajectory(basis, np.concatenate([[q0], a, b])[None]).at(t)
+    np.testing.assert_allclose(motion.q[:, 0], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_derivatives(family):
+    p = parametrization(family, fixed=True)
+    z = np.random.default_rng(1).normal(size=p.size)
+    t, h = np.linspace(0.1, 7.9, 40), 1e-5
+    trajectory = p.trajectory(z)
+    here, after, before = (trajectory.at(t + step) for step in (0.0, h, -h))
+    np.testing.assert_allclose(here.dq, (after.q - before.q) / (2 * h), atol=1e-6)
+    np.testing.assert_allclose(here.ddq, (after.dq - before.dq) / (2 * h), atol=1e-6)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("fixed", [True, False])
+def test_end_conditions(family, fixed):
+    p = parametrization(family, fixed=fixed)
+    z = np.random.default_rng(2).normal(size=p.size)
+    ends = p.trajectory(z).at(np.array([0.0, 8.0]))
+    np.testing.assert_allclose(ends.dq, 0.0, atol=1e-10)
+    np.testing.assert_allclose(ends.ddq, 0.0, atol=1e-10)
+    if fixed:
+        np.testing.assert_allclose(ends.q, [p.pose, p.pose], atol=1e-10)
+    else:
+        assert np.abs(ends.q - p.pose).max() > 0.05
+
+
+def test_equal_freedom_of_fourier_and_spline():
+    sizes = {family: parametrization(family, fixed=True).size for family in FAMILIES}
+    assert sizes["fourier"] == sizes["spline"] == 2 * (2 * 4 + 1 - 3)
+    assert sizes["modified_fourier"] > sizes["fourier"]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_free_variables_come_back(family):
+    p = parametrization(family, fixed=True)
+    z = np.random.default_rng(3).normal(size=p.size)
+    np.testing.assert_allclose(p.variables(p.trajectory(z)), z, atol=1e-9)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_sampled_motion_and_its_gradient(family):
+    p = parametrization(family, fixed=False)
+    rng = np.random.default_rng(4)
+    z, t = rng.normal(size=p.size), np.linspace(0.0, 7.5, 23)
+    sampled, motion = SampledBasis(p, t), p.trajectory(z).at(t)
+    mine = sampled.motion(z)
+    for name in ("q", "dq", "ddq"):
+        np.testing.assert_allclose(getattr(mine, name), getattr(motion, name), atol=1e-10)
+    weights = rng.normal(size=(2, 3, 23))
+
+    def value(z):
+        m = sampled.motion(z)
+        return np.sum(weights * np.stack([m.q.T, m.dq.T, m.ddq.T], axis=1))
+
+    direction = rng.normal(size=p.size)
+    expected = (value(z + direction) - value(z - direction)) / 2.0
+    assert np.isclose(sampled.gradient(weights) @ direction, expected)
+
+
+def test_a_unit_of_a_free_variable_fills_a_limit():
+    p = parametrization("fourier", fixed=True)
+    t = 8.0 * np.arange(200) / 200
+    for k in range(p.size):
+        z = np.zeros(p.size)
+        z[k] = 1.0
+        m = SampledBasis(p, t).motion(z)
+        j = k // p.directions_per_joint
+        used = [
+            np.abs(m.q[:, j] - p.pose[j]).max() / UNITS[j, 0],
+            np.abs(m.dq[:, j]).max() / UNITS[j, 1],
+            np.abs(m.ddq[:, j]).max() / UNITS[j, 2],
+        ]
+        assert np.isclose(max(used), 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"duration": 0.0}, "duration: 0 s"),
+        ({"duration": float("nan")}, "duration: nan s"),
+        ({"harmonics": 1}, "harmonics: 1; expected 2 to 100"),
+        ({"family": "sines"}, "family: 'sines'; expected fourier"),
+    ],
+)
+def test_bad_families(options, message):
+    with pytest.raises(ExcitationError, match=message):
+        make(**options)
