@@ -148,6 +148,7 @@ def _around(link: int, shape: Any, placement: Any, scale: Array) -> list[Capsule
         heights = np.repeat([shape.halfLength, -shape.halfLength], AROUND)
         return enclosing_all(link, placed(np.column_stack([np.tile(rim, 2).T, heights])))
     if hasattr(shape, "vertices"):
-        faces = np.array([list(shape.tri_indices(k)) for k in range(shape.num_tris)])
+        triangles = [shape.tri_indices(k) for k in range(shape.num_tris)]
+        faces = np.array([[triangle[corner] for corner in range(3)] for triangle in triangles])
         return enclosing_all(link, placed(np.array(shape.vertices())), faces)
     raise RobotError(f"collision shape {type(shape).__name__} is not known; give --capsules")

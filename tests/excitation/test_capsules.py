@@ -1,0 +1,197 @@
+"""Capsules: containment, fits to URDF geometry, distances by coal, bad files."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import lieid_casadi as lieid
+from lieid_casadi.errors import ExcitationError, RobotError
+from lieid_casadi.excitation import Capsule, SelfCollision, capsules_of, enclosing, load_capsules
+from lieid_casadi.excitation.capsules import (
+    enclosing_all,
+    segment_distance_to_points,
+    skeleton,
+)
+from lieid_casadi.excitation.space import covering_balls
+from lieid_casadi.excitation.trajectory import Motion
+
+
+def outside(capsule, points):
+    return (segment_distance_to_points(points, capsule.start, capsule.end) - capsule.radius).max()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 60))
+def test_an_enclosing_capsule_contains_all_points(seed, count):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, 3)) * rng.uniform(0.01, 1.0, 3)
+    assert outside(enclosing(3, points), points) <= 1e-9
+
+
+def test_a_rods_capsule_is_tight():
+    rng = np.random.default_rng(0)
+    rod = rng.uniform(-0.5, 0.5, (500, 1)) * np.array([[0.0, 0.6, 0.8]])
+    rod += 0.05 * rng.uniform(-1.0, 1.0, (500, 3))
+    capsule = enclosing(1, rod)
+    assert capsule.radius < 0.1
+    assert np.linalg.norm(capsule.end - capsule.start) < 1.1
+
+
+def test_an_angle_is_cut_into_two_capsules_that_contain_every_triangle():
+    rng = np.random.default_rng(1)
+    points, faces = [], []
+    for direction in (np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])):
+        for step in np.linspace(0.0, 0.8, 40):
+            corner = len(points)
+            points += list(step * direction + 0.05 * rng.normal(size=(3, 3)))
+            faces.append([corner, corner + 1, corner + 2])
+    points, faces = np.array(points), np.array(faces)
+    parts = enclosing_all(2, points, faces)
+    assert len(parts) > 1
+    for face in faces:
+        assert min(outside(part, points[face]) for part in parts) <= 1e-9
+
+
+def test_covering_balls_cover():
+    capsule = Capsule(1, np.zeros(3), np.array([0.0, 0.0, 0.4]), 0.1)
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(4000, 3))
+    points = 0.1 * points / np.linalg.norm(points, axis=1)[:, None]
+    points[:, 2] += rng.choice([0.0, 0.4, 0.11, 0.33], 4000)
+    inside = points[outside_each(capsule, points) <= 1e-12]
+    balls = covering_balls(capsule)
+    gap = [np.linalg.norm(inside - centre, axis=1) - radius for centre, radius in balls]
+    assert np.min(gap, axis=0).max() <= 1e-9
+
+
+def outside_each(capsule, points):
+    return segment_distance_to_points(points, capsule.start, capsule.end) - capsule.radius
+
+
+def test_skeleton_runs_along_the_arm():
+    robot = lieid.robots.two_link()
+    first, second = skeleton(robot, radius=0.04)
+    assert (first.link, second.link) == (1, 2)
+    assert np.isclose(np.linalg.norm(first.end), 0.5)
+    assert np.isclose(np.linalg.norm(second.end), 0.4)
+
+
+def test_distances_are_coals():
+    import coal
+
+    robot = lieid.robots.panda()
+    links = capsules_of(robot)
+    limits = SelfCollision(0.0, links).on(robot)
+    rng = np.random.default_rng(3)
+    low, high = robot.limit("position_lower"), robot.limit("position_upper")
+    q = rng.uniform(low, high, (100, 7))
+    found = limits.values(Motion(np.zeros(100), q, 0 * q, 0 * q))
+    from excitation.test_excite import distance
+
+    from lieid_casadi.plant.rigid import build_pinocchio
+
+    pin_model = build_pinocchio(robot)
+    poses = [link_placements(pin_model, x) for x in q]
+    pairs = [(a, b) for i, a in enumerate(links) for b in links[i + 1 :] if b.link - a.link > 1]
+    exact = np.array([[distance(coal, pose, a, b) for pose in poses] for a, b in pairs])
+    # every distance of the set is one of the pairs'; coal is exact outside of penetration
+    for row, label in zip(found, limits.labels, strict=True):
+        clear = row > 1e-3
+        gaps = np.abs(exact[:, clear] - row[clear]).max(axis=1)
+        assert gaps.min() < 1e-5, label
+
+
+def link_placements(model, q):
+    import pinocchio as pin
+
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
+    return list(data.oMi)
+
+
+URDF = """<robot name="boxes">
+  <link name="base"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <link name="upper"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+    iyz="0"/></inertial><collision><origin xyz="0.25 0 0" rpy="0 1.5707963 0"/><geometry>
+    <cylinder radius="0.05" length="0.5"/></geometry></collision></link>
+  <link name="fore"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+    iyz="0"/></inertial><collision><origin xyz="0.2 0 0"/><geometry>{shape}</geometry></collision>
+    </link>
+  <joint name="a" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" velocity="2" effort="50"/></joint>
+  <joint name="b" type="revolute"><parent link="upper"/><child link="fore"/>
+    <origin xyz="0.5 0 0"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" velocity="2" effort="50"/></joint>
+</robot>"""
+BOX = '<box size="0.4 0.06 0.08"/>'
+
+
+def robot_of(tmp_path, shape=BOX):
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF.format(shape=shape))
+    return lieid.Robot.from_urdf(path)
+
+
+def test_capsules_contain_the_shapes_of_a_urdf(tmp_path):
+    sphere, upper, fore = capsules_of(robot_of(tmp_path))
+    assert (sphere.link, upper.link, fore.link) == (0, 1, 2)
+    assert np.isclose(sphere.radius, 0.1)
+    corners = np.array(np.meshgrid([0, 0.4], [-0.03, 0.03], [-0.04, 0.04])).reshape(3, -1).T
+    assert outside(fore, corners) <= 1e-9
+    assert fore.radius < 0.06
+    rim = np.array([[x, 0.05 * np.cos(a), 0.05 * np.sin(a)] for x in (0, 0.5) for a in range(9)])
+    assert outside(upper, rim) <= 1e-6
+
+
+def test_capsules_contain_a_mesh_that_is_found(tmp_path, monkeypatch):
+    """A tetrahedron as STL in a package."""
+    folder = tmp_path / "some_arm"
+    folder.mkdir()
+    corners = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.02], [0.2, 0.06, 0.0], [0.2, 0.0, 0.08]])
+    faces = [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)]
+    lines = ["solid t"]
+    for face in faces:
+        lines += ["facet normal 0 0 0", "outer loop"]
+        lines += ["vertex {} {} {}".format(*corners[k]) for k in face]
+        lines += ["endloop", "endfacet"]
+    (folder / "fore.stl").write_text("\n".join([*lines, "endsolid t"]))
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
+    robot = robot_of(tmp_path, '<mesh filename="package://some_arm/fore.stl"/>')
+    fore = [c for c in capsules_of(robot) if c.link == 2]
+    assert len(fore) == 1
+    assert outside(fore[0], corners + np.array([0.2, 0.0, 0.0])) <= 1e-6
+
+
+def test_a_mesh_that_is_missing_leaves_the_skeleton(tmp_path, caplog):
+    robot = robot_of(tmp_path, '<mesh filename="package://nowhere/fore.stl"/>')
+    with caplog.at_level("WARNING", logger="lieid_casadi"):
+        links = capsules_of(robot)
+    assert [c.link for c in links] == [c.link for c in skeleton(robot)]
+    assert "no collision geometry found" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("capsules: 3", "expected a list 'capsules'"),
+        ("capsules: [{link: 1}]", "capsule 1: expected the keys link, start, end, radius"),
+        ("capsules: [{link: 9, start: [0,0,0], end: [0,0,1], radius: 1}]", r"link 9; expected 0"),
+        ("capsules: [{link: 1, start: [0,0], end: [0,0,1], radius: 1}]", "three numbers"),
+        ("capsules: [{link: 1, start: [0,0,0], end: [0,0,1], radius: 0}]", "radius 0"),
+    ],
+)
+def test_bad_capsule_files(tmp_path, text, message):
+    path = tmp_path / "links.yaml"
+    path.write_text(text)
+    with pytest.raises((ExcitationError, RobotError), match=message):
+        load_capsules(path, lieid.robots.two_link())
+
+
+def test_a_capsule_file(tmp_path):
+    path = tmp_path / "links.yaml"
+    path.write_text("capsules: [{link: 2, start: [0, 0, 0], end: [0.4, 0, 0], radius: 0.05}]")
+    (capsule,) = load_capsules(path, lieid.robots.two_link())
+    assert capsule.link == 2
+    assert capsule.radius == 0.05
+    np.testing.assert_array_equal(capsule.end, [0.4, 0.0, 0.0])

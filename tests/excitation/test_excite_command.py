@@ -1,0 +1,150 @@
+"""``lieid excite``: files, keys, exit statuses."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+import lieid_casadi as lieid
+from lieid_casadi.cli import excite as command
+from lieid_casadi.cli.main import main
+
+KEYS = {
+    "condition_number", "start", "end", "neg_log_det", "solve_seconds", "build_seconds",
+    "max_violation", "criterion", "coefficients",
+}  # fmt: skip
+QUICK = ["--duration", "6", "--starts", "1", "--rate", "200"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    target = tmp_path_factory.mktemp("design") / "new" / "out"
+    assert main(["excite", "two_link", "-o", str(target), *QUICK]) == 0
+    return target
+
+
+def test_files_and_keys(folder):
+    names = {path.name for path in folder.iterdir()}
+    assert names >= {"trajectory.csv", "excitation.json", "excitation.png", "summary.txt"}
+    content = json.loads((folder / "excitation.json").read_text())
+    assert content.keys() >= KEYS
+    assert content["criterion"] == "combined"
+    assert content["max_violation"] == 0.0
+    assert content["solve_seconds"] > 0.0
+
+
+def test_the_csv_is_the_series_of_the_json(folder):
+    with open(folder / "trajectory.csv") as file:
+        header = file.readline().strip().split(",")
+    assert header == ["t", "q1", "q2", "dq1", "dq2", "ddq1", "ddq2"]
+    rows = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1)
+    assert len(rows) == 6 * 200 + 1
+    c = json.loads((folder / "excitation.json").read_text())["coefficients"]
+    w, t = 2.0 * np.pi * c["base_frequency"], rows[:, 0]
+    for j in range(2):
+        q = c["q0"][j] + sum(
+            a / (k * w) * np.sin(k * w * t) - b / (k * w) * np.cos(k * w * t)
+            for k, (a, b) in enumerate(zip(c["a"][j], c["b"][j], strict=True), start=1)
+        )
+        np.testing.assert_allclose(rows[:, 1 + j], q, atol=1e-9)
+
+
+def test_the_ros_message(folder):
+    message = yaml.safe_load((folder / "joint_trajectory.yaml").read_text())
+    assert message["joint_names"] == ["shoulder", "elbow"]
+    last = message["points"][-1]
+    assert last["time_from_start"] == {"sec": 6, "nanosec": 0}
+    assert all(isinstance(x, float) for x in last["positions"] + last["accelerations"])
+
+
+def test_the_words(folder):
+    words = (folder / "summary.txt").read_text()
+    assert "Condition number" in words
+    assert "What torques show least" in words
+
+
+def test_the_plot_is_a_figure_of_its_own():
+    import matplotlib as mpl
+
+    before = dict(mpl.rcParams)
+    model = lieid.Model(lieid.robots.two_link())
+    figure = lieid.excitation.excite(model, duration=6.0, starts=1).plot()
+    assert len(figure.axes) == 3
+    assert dict(mpl.rcParams) == before
+
+
+def test_a_folder_with_content_needs_force(folder, capsys):
+    assert main(["excite", "two_link", "-o", str(folder), *QUICK]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert "not empty" in captured.err
+    (folder / "old.txt").write_text("old")
+    assert main(["excite", "two_link", "-o", str(folder), "--force", *QUICK]) == 0
+    assert not (folder / "old.txt").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "message"),
+    [
+        (["--start-pose", "0", "99"], 2, "joint 2"),
+        (["--duration", "0.2"], 2, "too short for the acceleration limit"),
+        (["--wall", "0", "0", "1", "-5"], 3, "passes its limit by"),
+        (["--acceleration", "0"], 2, "acceleration"),
+        (["--friction-sweep", "7"], 2, "no joint 7"),
+        (["--obstacle", "1", "1", "1", "0", "0", "0"], 2, "lower corner"),
+        (["--capsules", "nowhere.yaml", "--self-collision"], 2, "nowhere.yaml"),
+    ],
+)
+def test_bad_input_leaves_one_line_and_no_files(tmp_path, capsys, options, status, message):
+    target = tmp_path / "out"
+    assert main(["excite", "two_link", "-o", str(target), *QUICK, *options]) == status
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert message in captured.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_friction_sweep(tmp_path, capsys):
+    target = tmp_path / "runs"
+    report = tmp_path / "a.json"
+    arguments = ["--friction-sweep", "2", "--no-torque", "--json", str(report)]
+    assert main(["excite", "two_link", "-o", str(target), *arguments]) == 0
+    assert {p.name for p in target.iterdir()} == {"friction_sweep_q2.csv", "friction_sweep_q2.json"}
+    assert json.loads(report.read_text())["sweeps"][0]["joint"] == 2
+
+
+def test_limits_of_every_option():
+    from lieid_casadi.cli.main import build_parser
+
+    arguments = build_parser().parse_args(
+        ["excite", "panda", "-o", "x", "--cartesian-speed", "1", "--floor", "--self-collision",
+         "--wall", "1", "0", "0", "0.8", "--room", "-1", "-1", "-1", "1", "1", "2",
+         "--obstacle", "0.5", "-0.1", "0", "0.7", "0.1", "0.3"]
+    )  # fmt: skip
+    limits = command.limits_of(arguments, lieid.robots.panda())
+    names = [type(limit).__name__ for limit in limits]
+    assert names == ["Torque", "CartesianSpeed", *["Wall"] * 8, "Obstacle", "SelfCollision"]
+    floor = limits[2]
+    assert floor.name == "floor"
+    assert len(floor.capsules) == 10
+
+
+def test_interrupted_with_a_trajectory_kept(tmp_path, monkeypatch):
+    import lieid_casadi.excitation as room
+
+    calls = []
+
+    def quick(model, **options):
+        def progress(stage, fraction):
+            calls.append(stage)
+            if len(calls) == 60:
+                raise KeyboardInterrupt
+
+        return original(model, **{**options, "progress": progress, "starts": 4})
+
+    original = room.excite
+    monkeypatch.setattr(room, "excite", quick)
+    target = tmp_path / "out"
+    assert main(["excite", "two_link", "-o", str(target), *QUICK]) == 130
+    assert json.loads((target / "excitation.json").read_text())["interrupted"] is True

@@ -1,0 +1,87 @@
+"""Constant-speed runs: the paper's speeds, the same way back, within limits."""
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi.errors import ExcitationError, NoSolution
+from lieid_casadi.excitation import Torque, friction_sweep
+
+PANDA = lieid.Model(lieid.robots.panda())
+
+
+@pytest.fixture(scope="module")
+def sweep():
+    return friction_sweep(PANDA, 2, seconds=2.0, constraints=[Torque()])
+
+
+def test_the_papers_speeds_forward_and_back(sweep):
+    forward = np.rad2deg([p.speed for p in sweep.parts[::2]])
+    back = np.rad2deg([p.speed for p in sweep.parts[1::2]])
+    assert len(forward) == 28
+    assert np.isclose(forward[0], 0.1)
+    assert np.isclose(forward[-1], 30.0)
+    np.testing.assert_allclose(back, -forward)
+    assert sweep.left_out == ()
+
+
+def test_speed_is_constant_and_positions_are_the_same_both_ways(sweep):
+    t, q, dq = sweep.motion.t, sweep.motion.q[:, 2], sweep.motion.dq[:, 2]
+    for forward, back in zip(sweep.parts[::2], sweep.parts[1::2], strict=True):
+        ranges = []
+        for part in (forward, back):
+            inside = (t >= part.start + 1e-9) & (t <= part.end - 1e-9)
+            assert inside.sum() > 3
+            np.testing.assert_allclose(dq[inside], part.speed, rtol=1e-9)
+            ranges.append(np.sort(np.interp([part.start, part.end], t, q)))
+        np.testing.assert_allclose(ranges[0], ranges[1], atol=2e-3 * abs(forward.speed))
+
+
+def test_signals_fit_one_another(sweep):
+    m = sweep.motion
+    step = np.diff(m.t)[:, None]
+    mean = 0.5 * (m.dq[1:] + m.dq[:-1])
+    np.testing.assert_allclose(np.diff(m.q, axis=0), mean * step, atol=1e-5)
+    np.testing.assert_allclose(
+        np.diff(m.dq, axis=0), 0.5 * (m.ddq[1:] + m.ddq[:-1]) * step, atol=2e-4
+    )
+    assert np.all(np.diff(m.t) > 0.0)
+
+
+def test_only_one_joint_moves_and_it_comes_home(sweep):
+    others = np.delete(sweep.motion.q, 2, axis=1)
+    assert np.ptp(others, axis=0).max() == 0.0
+    np.testing.assert_allclose(sweep.motion.q[[0, -1]], [sweep.motion.q[0]] * 2, atol=1e-12)
+    assert np.abs(sweep.motion.dq[[0, -1]]).max() < 1e-12
+
+
+def test_limits_hold(sweep):
+    robot = PANDA.robot
+    assert np.all(np.abs(sweep.motion.ddq) <= robot.limit("acceleration") + 1e-9)
+    assert np.all(np.abs(sweep.motion.dq) <= robot.limit("velocity"))
+
+
+def test_speeds_that_do_not_fit_are_left_out():
+    fast = friction_sweep(PANDA, 0, speeds=[0.1, 3.0], seconds=1.0)
+    assert fast.left_out == (3.0,)
+    assert len(fast.parts) == 2
+
+
+def test_files(sweep, tmp_path):
+    import json
+
+    table, text = sweep.save(tmp_path / "runs")
+    rows = np.loadtxt(table, delimiter=",", skiprows=1)
+    np.testing.assert_allclose(rows[:, 3], sweep.motion.q[:, 2], atol=1e-10)
+    content = json.loads(text.read_text())
+    assert content["joint"] == 3
+    assert len(content["parts"]) == 56
+
+
+def test_bad_requests():
+    with pytest.raises(ExcitationError, match="no joint 9; the arm has 1 to 7"):
+        friction_sweep(PANDA, 8)
+    with pytest.raises(NoSolution, match="no room for any speed"):
+        friction_sweep(PANDA, 0, speeds=[5.0])
+    with pytest.raises(NoSolution, match="torque of joint"):
+        friction_sweep(PANDA, 1, speeds=[0.1], constraints=[Torque(0.01)])
