@@ -98,15 +98,20 @@ def test_torque_speed_and_floor_hold(pinocchio_motion):
 def test_links_stay_apart_by_coals_exact_distances(pinocchio_motion):
     import coal
 
-    links = capsules_of(PANDA)
-    nearest = np.inf
-    for pose in pinocchio_motion[3][::25]:
-        for i, a in enumerate(links):
-            for b in links[i + 1 :]:
-                # links 1 and 3 are next to each other: their capsules overlap by design
-                if b.link - a.link > 1 and (a.link, b.link) != (1, 3):
-                    nearest = min(nearest, distance(coal, pose, a, b))
+    links = {capsule.link: capsule for capsule in capsules_of(PANDA)}
+    kept = SelfCollision(0.02, tuple(links.values())).on(PANDA).labels
+    pairs = [(a, b) for a in links for b in links if f"{name(a)} from {name(b)}" in " ".join(kept)]
+    assert {(0, 6), (1, 6), (2, 7), (3, 7)} <= set(pairs)
+    nearest = min(
+        distance(coal, pose, links[a], links[b])
+        for pose in pinocchio_motion[3][::25]
+        for a, b in pairs
+    )
     assert nearest >= 0.02
+
+
+def name(link):
+    return "the base" if link == 0 else f"link {link}"
 
 
 def distance(coal, pose, a, b):

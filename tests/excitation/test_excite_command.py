@@ -127,7 +127,7 @@ def test_limits_of_every_option():
     assert names == ["Torque", "CartesianSpeed", *["Wall"] * 8, "Obstacle", "SelfCollision"]
     floor = limits[2]
     assert floor.name == "floor"
-    assert len(floor.capsules) == 10
+    assert len(floor.capsules) == 8
 
 
 def test_interrupted_with_a_trajectory_kept(tmp_path, monkeypatch):

@@ -163,4 +163,4 @@ def test_jacobian_of_a_limit(limit):
 
 
 def test_bundled_capsules_of_the_panda_are_used():
-    assert len(capsules_of(lieid.robots.panda())) == 10
+    assert len(capsules_of(lieid.robots.panda())) == 8
