@@ -80,8 +80,10 @@ class Bank(Generic[T]):
             square = part.matrix * part.matrix
             squares[part.columns] += square.sum(axis=0)
             fourth[part.columns] += np.einsum("rc,rc->c", square, square)
-        each = np.divide(squares**2, fourth, out=np.zeros_like(squares), where=fourth > 0.0)
-        return np.asarray(np.minimum.reduceat(each, self.start)) if self.count else np.zeros(0)
+        # a column of zeros, as a planar arm has them, says nothing against the others
+        each = np.divide(squares**2, fourth, out=np.full_like(squares, np.inf), where=fourth > 0.0)
+        least = np.minimum.reduceat(each, self.start) if self.count else np.zeros(0)
+        return np.where(np.isfinite(least), least, 0.0)
 
     @cached_property
     def inner(self) -> Array:

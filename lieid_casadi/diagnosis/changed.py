@@ -13,20 +13,14 @@ from numpy.typing import NDArray
 
 from lieid_casadi.comparison import compare
 from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.choosing import BLOCK, FOLD, block_index, by_contribution, spokesman
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
 from lieid_casadi.diagnosis.evidence import Family
 from lieid_casadi.diagnosis.forward import Price, best_set, column_stack, with_groups
 from lieid_casadi.diagnosis.rivals import FOLDS, cross_validated_gain, rivals_of
 from lieid_casadi.diagnosis.scene import Scene
 from lieid_casadi.diagnosis.screening import Baseline, screen
-from lieid_casadi.diagnosis.selection import (
-    BLOCK,
-    FOLD,
-    LEVEL,
-    block_index,
-    by_contribution,
-    spokesman,
-)
+from lieid_casadi.diagnosis.selection import LEVEL
 from lieid_casadi.diagnosis.unexplained import Unexplained, smooth_bank, unexplained
 from lieid_casadi.diagnosis.whitening import Noise, noise_of
 from lieid_casadi.identification import Fit
@@ -38,6 +32,7 @@ MISFIT = 1.3  # times the held-out error of the fit: more, and something has cha
 WORTH = 0.1  # least fall of a joint's error that is worth a change
 TINY = 1e-12  # of the largest variance: below it a number counts as that well known
 MOST_CHANGES = 6
+UNSEEN = 1e-6  # of a column's norm
 
 
 def changed(
@@ -165,7 +160,10 @@ class _Search:
     ) -> dict[str, float]:
         rest = here.padded(columns)
         rest = rest - here.basis @ (here.basis.T @ rest)
-        values = np.linalg.lstsq(rest, here.residual, rcond=None)[0]
+        size = np.linalg.norm(columns, axis=0)
+        size[size == 0.0] = 1.0
+        # directions that the motion does not show stay at zero
+        values = np.linalg.lstsq(rest / size, here.residual, rcond=UNSEEN)[0] / size
         named = {
             c.name: float(v) for c, v in zip(candidate.effect.coefficients, values, strict=True)
         }

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.diagnosis.changed import changed
+from lieid_casadi.diagnosis.choosing import FOLD, block_index
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
+from lieid_casadi.diagnosis.pruning import stand_ins
 from lieid_casadi.diagnosis.rivals import FOLDS
 from lieid_casadi.diagnosis.scene import Scene
-from lieid_casadi.diagnosis.selection import FOLD, Found, Proposal, Search, block_index
+from lieid_casadi.diagnosis.selection import Found, Proposal, Search
 from lieid_casadi.diagnosis.unexplained import Unexplained, smooth_bank, unexplained
 from lieid_casadi.errors import IdentificationError, LieidWarning, SameRecordingWarning
 from lieid_casadi.identification import Fit, identify
@@ -95,6 +97,15 @@ def diagnose(
     scene = search.run(lambda stage, fraction: report(stage, 0.1 + 0.8 * fraction))
     report("what stays unexplained", 0.9)
     left = left_over(search, scene, seed=seed)
+    out = stand_ins(
+        search.first.baseline(search.plain),
+        scene.baseline(search.plain),
+        left,
+        [found.candidate.placement for found in search.found],
+    )
+    if out:
+        scene = search.without(out, "explains but a part of what the error follows", scene)
+        left = left_over(search, scene, seed=seed)
     steps = tuple(_step(found, tested(found.fit), scene) for found in search.found)
     floor, source = _noise_floor(given, search, scene)
     before = tested(first)

@@ -94,7 +94,7 @@ def unexplained(
     *,
     seed: int,
 ) -> tuple[Unexplained, ...]:
-    """Return the joints whose residual follows signals, the strongest first.
+    """Return the joints whose residual follows signals, first where most is explained.
 
     Parameters
     ----------
@@ -121,8 +121,8 @@ def unexplained(
         ]
         names, fraction = _strongest(bank, baseline, sure, folds, variance)
         if names and fraction >= LEAST:
-            found.append(Unexplained(joint, min(fraction, 1.0), names))
-    return tuple(sorted(found, key=lambda u: -u.fraction))
+            found.append((fraction * variance, Unexplained(joint, min(fraction, 1.0), names)))
+    return tuple(u for _, u in sorted(found, key=lambda pair: -pair[0]))
 
 
 def _strongest(

@@ -50,10 +50,7 @@ def test_the_predicted_torque_is_the_plants(name):
         segment.tau - torque_along(lieid.compile(model), segment, parameters, np.zeros(0))
     )
     without = segment.filter(
-        segment.tau
-        - torque_along(
-            lieid.compile(lieid.Model(ROBOT)), segment, LINKS, np.zeros(0)
-        )
+        segment.tau - torque_along(lieid.compile(lieid.Model(ROBOT)), segment, LINKS, np.zeros(0))
     )
     # the body's own inertia about the tool, and the neglected higher derivatives, are small
     share = 0.03 if name in ("payload", "elasticity") else 0.01

@@ -130,4 +130,16 @@ def test_autoregression_whitens_its_own_noise():
 
 def test_white_noise_stays_as_it_is():
     noise = Noise(np.ones(1), 2.0)
-    np.testing.assert_allclose(noise.whiten(np.arange(5.0), Runs((np.arange(5),))), np.arange(5) / 2)
+    np.testing.assert_allclose(
+        noise.whiten(np.arange(5.0), Runs((np.arange(5),))), np.arange(5) / 2
+    )
+
+
+def test_a_column_of_zeros_does_not_hide_its_group():
+    """A planar arm shows but some columns of a payload, a wrench or a tilt."""
+    random, matrices, bank = arena(seed=9)
+    bank.parts[0].matrix[:, 1] = 0.0
+    torques = [bank.parts[0].matrix[:, 0] + random.normal(size=ROWS), random.normal(size=ROWS)]
+    screening = screen(bank, Baseline.of(matrices, torques))
+    assert screening.gain[0] > 100.0
+    assert screening.rank[0] == 1

@@ -51,7 +51,7 @@ def test_every_effect_has_the_columns_of_the_compiled_model(label):
     model = lieid.Model(robot, spec)
     motion = plant.FourierTrajectory(robot, base_frequency=0.2, seed=1)
     t = np.arange(0.0, 5.0, 0.005)
-    q, dq, ddq = motion.at(t)
+    q, dq, _ = motion.at(t)
     warmth = 20.0 + np.column_stack([t, 2.0 * t])
     recording = lieid.Recording.from_arrays(t, q, dq, np.zeros_like(q), temperature=warmth)
     (segment,) = process(recording, Processing(cutoff=8.0))

@@ -13,7 +13,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from cases import WHOLE_ARM, Case
+from cases import Case
 
 from lieid_casadi import plant
 
@@ -48,7 +48,9 @@ def all_cases(draws=4, nothing=200, pairs=30, triples=10, foreign=30, seed=0):
             cases.append(Case(kind, arm, names, joints, 3.0, int(random.integers(1 << 20))))
     for _ in range(foreign):
         arm, joint = arm_and_joint()
-        cases.append(Case("foreign", arm, ("foreign",), (joint,), 3.0, int(random.integers(1 << 20))))
+        cases.append(
+            Case("foreign", arm, ("foreign",), (joint,), 3.0, int(random.integers(1 << 20)))
+        )
     for name in (*plant.HIDDEN_EFFECT_NAMES, None, None, None, None):
         for _ in range(draws):
             arm, joint = arm_and_joint()

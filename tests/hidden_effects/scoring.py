@@ -30,7 +30,8 @@ def score(said, truth, kind):
     """Return right, in_set, extra and what was said; joints from 1 in what was said."""
     steps = [(s["effect"], tuple(j - 1 for j in s["joints"])) for s in said["steps"]]
     sets = [
-        {steps[k]} | {(r["effect"], tuple(j - 1 for j in r["joints"])) for r in s["indistinguishable"]}
+        {steps[k]}
+        | {(r["effect"], tuple(j - 1 for j in r["joints"])) for r in s["indistinguishable"]}
         for k, s in enumerate(said["steps"])
     ]
     text = [f"{name}:{'<'.join(str(j + 1) for j in joints)}" for name, joints in steps]

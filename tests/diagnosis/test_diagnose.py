@@ -1,0 +1,173 @@
+"""The whole diagnosis on the plant: what is hidden is named, and nothing else."""
+
+import json
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import EffectError, IdentificationError, SameRecordingWarning
+
+ROBOT = lieid.robots.two_link()
+MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
+
+
+def arm_with(*hidden, seed=0):
+    arm = plant.demo_arm(ROBOT, seed=seed, hidden=None)
+    return arm.with_effects(*(plant.hidden_effect(arm, n, j, strength=s) for n, j, s in hidden))
+
+
+def run(arm, seed, name=""):
+    trajectory = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=seed)
+    t = np.arange(0.0, 15.0, 0.001)
+    sensors = plant.demo_sensors(ROBOT)
+    return plant.measure_along(arm, t, *trajectory.at(t), sensors=sensors, seed=seed, name=name)
+
+
+def two_runs(*hidden, seed=0):
+    arm = arm_with(*hidden, seed=seed)
+    return run(arm, seed + 1, "train"), run(arm, seed + 2, "test")
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "strength"),
+    [
+        ("load_friction", 0, 2.0),
+        ("viscous_polynomial", 1, 10.0),  # it shows only near the top speed
+        ("stribeck", 0, 2.0),
+        ("torque_ripple", 1, 2.0),
+        ("torque_delay", 1, 2.0),
+        ("transmission_coupling", 1, 2.0),
+    ],
+)
+def test_one_hidden_effect_is_named(name, joint, strength):
+    train, test = two_runs((name, joint, strength))
+    diagnosis = lieid.diagnose(MODEL, train, test)
+    assert [(s.effect, s.joints[0]) for s in diagnosis.steps] == [(name, joint)]
+    assert diagnosis.verdict == "effect_found"
+    (step,) = diagnosis.steps
+    assert step.rms_test[joint] < 0.8 * diagnosis.baseline_test[joint]
+    # as good as the noise lets any model be
+    assert step.rms_test[joint] < 1.2 * diagnosis.noise_floor[joint]
+    assert step.evidence.confirmed
+    assert step.evidence.log10_p < -5
+
+
+def test_two_hidden_effects_are_named():
+    train, test = two_runs(("load_friction", 0, 1.5), ("viscous_polynomial", 1, 10.0))
+    diagnosis = lieid.diagnose(MODEL, train, test)
+    assert {s.label for s in diagnosis.steps} == {"load_friction:1", "viscous_polynomial:2"}
+
+
+@pytest.mark.parametrize("seed", [10, 20, 30])
+def test_nothing_hidden_is_sufficient(seed):
+    diagnosis = lieid.diagnose(MODEL, *two_runs(seed=seed))
+    assert diagnosis.steps == ()
+    assert diagnosis.verdict == "sufficient"
+
+
+def test_what_no_effect_explains_is_told():
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    size = 0.2 * float(plant.torque_scale(ROBOT)[1])
+    odd = plant.ForeignTorque(
+        1, lambda s: size * np.sin(2.0 * s.q[..., 1]) * np.sin(2.0 * s.q[..., 0])
+    )
+    arm = arm.with_effects(odd)
+    diagnosis = lieid.diagnose(MODEL, run(arm, 1), run(arm, 2))
+    assert diagnosis.verdict == "unexplained"
+    assert diagnosis.steps == ()
+    first = diagnosis.unexplained[0]
+    assert first.joint == 1
+    assert {"q1", "q2"} & set(first.depends_on)
+    assert len(first.depends_on) <= 3
+
+
+def test_json_has_the_stated_keys():
+    train, test = two_runs(("load_friction", 0, 2.0))
+    said = lieid.diagnose(MODEL, train, test).to_dict()
+    json.dumps(said, allow_nan=False)
+    assert {"mode", "verdict", "noise_floor", "baseline", "steps", "unexplained"} <= set(said)
+    assert set(said["baseline"]) == {"effects", "rms_train", "rms_test"}
+    (step,) = said["steps"]
+    assert step["effect"] == "load_friction"
+    assert step["joints"] == [1]
+    assert len(step["rms_test"]) == 2
+    assert isinstance(step["indistinguishable"], list)
+    assert said["mode"] == "missing"
+
+
+def test_without_a_test_errors_are_cross_validated():
+    train, _ = two_runs(("load_friction", 0, 2.0))
+    diagnosis = lieid.diagnose(MODEL, train)
+    assert [s.label for s in diagnosis.steps] == ["load_friction:1"]
+    assert diagnosis.baseline_test is None
+    assert diagnosis.steps[0].evidence.confirmed is None
+
+
+def test_the_same_recording_confirms_nothing():
+    train, _ = two_runs()
+    diagnosis = lieid.diagnose(MODEL, train, train)
+    assert any(isinstance(w, SameRecordingWarning) for w in diagnosis.warnings)
+
+
+def test_the_same_seed_says_the_same():
+    train, test = two_runs(("stribeck", 0, 2.0))
+    first, second = (lieid.diagnose(MODEL, train, test, seed=3).to_dict() for _ in range(2))
+    assert first == second
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "label"),
+    [
+        ("payload", 0, "payload"),
+        ("torque_gain", 1, "torque_gain:2"),
+        ("stribeck", 0, "stribeck:1"),
+    ],
+)
+def test_what_has_changed_is_named(name, joint, label):
+    before, after = arm_with(), arm_with((name, joint, 2.0))
+    fit = lieid.identify(MODEL, [run(before, 1), run(before, 2)])
+    diagnosis = lieid.diagnose(fit, run(after, 3))
+    assert [s.label for s in diagnosis.steps] == [label]
+    assert diagnosis.mode == "changed"
+    assert diagnosis.steps[0].rms_train is None
+
+
+def test_nothing_has_changed():
+    arm = arm_with()
+    fit = lieid.identify(MODEL, [run(arm, 1), run(arm, 2)])
+    diagnosis = lieid.diagnose(fit, run(arm, 3))
+    assert (diagnosis.steps, diagnosis.verdict) == ((), "sufficient")
+    with pytest.raises(IdentificationError, match="no test"):
+        lieid.diagnose(fit, run(arm, 3), run(arm, 4))
+
+
+def test_extend_shows_the_fall():
+    train, test = two_runs(("load_friction", 0, 2.0))
+    fit = lieid.identify(MODEL, train)
+    extension = lieid.extend(fit, "load_friction:1", train, test)
+    assert extension.rms_test[1, 0] < 0.8 * extension.rms_test[0, 0]
+    assert [row["name"] for row in extension.parameters] == ["load_friction.f_tau"]
+    with pytest.raises(EffectError, match="already"):
+        lieid.extend(fit, "coulomb:1", train)
+
+
+def test_commands(tmp_path):
+    train, test = two_runs(("load_friction", 0, 2.0))
+    paths = [str(tmp_path / f"{name}.csv.gz") for name in ("train", "test")]
+    for recording, path in zip((train, test), paths, strict=True):
+        recording.save(path)
+    fit, out = str(tmp_path / "fit.json"), str(tmp_path / "out.json")
+    command = ["diagnose", "two_link", "--train", paths[0], "--test", paths[1]]
+    assert main([*command, "-o", fit, "--json", out, "--plot", str(tmp_path / "fall.png")]) == 0
+    said = json.loads((tmp_path / "out.json").read_text())
+    assert said["steps"][0]["label"] == "load_friction:1"
+    assert (tmp_path / "fall.png").stat().st_size > 1000
+    assert main(["diagnose", fit, paths[1], "--json", out]) == 0
+    assert json.loads((tmp_path / "out.json").read_text())["mode"] == "changed"
+    add = ["extend", fit, "--add", "armature:2", "--train", paths[0], "--json", out]
+    assert main(add) == 0
+    assert main(["diagnose", "two_link", paths[0]]) == 2
+    assert main(["diagnose", fit]) == 2
