@@ -10,7 +10,7 @@ from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.model import Model
-    from lieid_casadi.recording import Processing, Recording
+    from lieid_casadi.recording import Processing, Recording, RecordingStream
     from lieid_casadi.robot import Robot
 
 DEFAULT_EFFECTS = "coulomb,viscous,offset"
@@ -99,6 +99,16 @@ def recordings_of(paths: Sequence[str], args: argparse.Namespace, robot: Robot) 
 
     constants = _torque_constants(args, robot)
     return [Recording.load(path, torque_constants=constants, n=robot.n) for path in paths]
+
+
+def training_of(
+    paths: Sequence[str], args: argparse.Namespace, robot: Robot
+) -> list[Recording | RecordingStream]:
+    """Load recordings, or open those that are too large for the memory."""
+    from lieid_casadi.recording import load_or_stream
+
+    constants = _torque_constants(args, robot)
+    return [load_or_stream(path, torque_constants=constants, n=robot.n) for path in paths]
 
 
 def processing_of(args: argparse.Namespace) -> Processing:

@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> None:
 
     output.check_writable(args.output, args.json, args.html)
     model = arguments.model_of(args)
-    train = arguments.recordings_of(args.train, args, model.robot)
+    train = arguments.training_of(args.train, args, model.robot)
     test = arguments.recordings_of(args.test, args, model.robot)
     with output.progress("identify") as report:
         fit = identify(

@@ -43,7 +43,14 @@ from lieid_casadi.identification.prediction import predict_recording, training_e
 from lieid_casadi.identification.shape_fit import shape_columns
 from lieid_casadi.identification.weights import ESTIMATORS
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processed, Processing, Recording, check, process
+from lieid_casadi.recording import (
+    Processed,
+    Processing,
+    Recording,
+    RecordingStream,
+    check,
+    process,
+)
 
 Array = NDArray[np.float64]
 METHODS = (*ESTIMATORS, "feasible")
@@ -51,7 +58,7 @@ METHODS = (*ESTIMATORS, "feasible")
 
 def identify(
     model: Model,
-    recordings: Recording | Sequence[Recording],
+    recordings: Recording | RecordingStream | Sequence[Recording | RecordingStream],
     *,
     method: str = "wls",
     processing: Processing | None = None,
@@ -64,8 +71,9 @@ def identify(
     Parameters
     ----------
     model : Model
-    recordings : Recording or sequence of Recording
-        With torques. Segments are never joined across a gap.
+    recordings : Recording, RecordingStream, or sequence of them
+        With torques. Segments are never joined across a gap. A stream is read in parts, and
+        checked at one place.
     method : {"wls", "ols", "robust", "feasible"}
         Weights by joint noise, none, or Huber's against outliers; or by joint noise with masses
         and inertias that can exist, friction that dissipates, and coefficients within bounds.
@@ -91,13 +99,16 @@ def identify(
     NoSolution
         Method ``feasible`` found no solution: why, and what to relax.
     """
-    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if isinstance(recordings, Recording | RecordingStream):
+        recordings = [recordings]
+    given = list(recordings)
+    looked_at = [_sample(recording) for recording in given]
     report = progress or (lambda stage, fraction: None)
     _check_method(method, feasible)
-    check_recordings(model, given)
+    check_recordings(model, looked_at)
     compiled = compile(model)
     report("check", 0.0)
-    found = [w for recording in given for w in check_with_model(compiled, recording)]
+    found = [w for recording in looked_at for w in check_with_model(compiled, recording)]
     report("process", 0.1)
     segments, mean = center_temperature(process(given, processing))
     report("regress", 0.3)
@@ -147,6 +158,14 @@ def identify(
     )
     report("done", 1.0)
     return fit
+
+
+def _sample(recording: Recording | RecordingStream) -> Recording:
+    """Return the recording, or the middle one of a stream's samples."""
+    if isinstance(recording, Recording):
+        return recording
+    samples = recording.samples()
+    return samples[len(samples) // 2]
 
 
 def _check_method(method: str, feasible: FeasibleOptions | None) -> None:
@@ -275,7 +294,7 @@ def unique_warnings(found: Sequence[LieidWarning]) -> tuple[LieidWarning, ...]:
     return tuple(kept.values())
 
 
-def _provenance(recordings: Sequence[Recording]) -> Provenance:
+def _provenance(recordings: Sequence[Recording | RecordingStream]) -> Provenance:
     from lieid_casadi import __version__
 
     return Provenance(__version__, tuple(Source(r.name, r.source_hash) for r in recordings))

@@ -5,16 +5,20 @@ from lieid_casadi.recording.periods import detect_period, period_noise
 from lieid_casadi.recording.processing import Processed, Processing, process
 from lieid_casadi.recording.recording import Recording, join
 from lieid_casadi.recording.spectrum import choose_cutoff, noise_dead_zone
+from lieid_casadi.recording.streams import RecordingStream, load_or_stream, stream
 
 __all__ = [
     "Processed",
     "Processing",
     "Recording",
+    "RecordingStream",
     "check",
     "choose_cutoff",
     "detect_period",
     "join",
+    "load_or_stream",
     "noise_dead_zone",
     "period_noise",
     "process",
+    "stream",
 ]

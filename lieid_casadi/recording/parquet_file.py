@@ -33,7 +33,7 @@ def load_parquet(
     MissingDependency
         pyarrow is not installed.
     """
-    pyarrow, parquet = _import(file)
+    pyarrow, parquet = import_pyarrow(file)
     content = file.read_bytes()
     try:
         table = parquet.read_table(io.BytesIO(content))
@@ -51,13 +51,14 @@ def load_parquet(
 
 def save_parquet(recording: Recording, file: Path) -> None:
     """Write a Parquet file."""
-    pyarrow, parquet = _import(file)
+    pyarrow, parquet = import_pyarrow(file)
     table = pyarrow.table({name: np.asarray(x) for name, x in columns_of(recording).items()})
     with atomic_binary(file) as out:
         parquet.write_table(table, out)
 
 
-def _import(file: Path) -> tuple[Any, Any]:
+def import_pyarrow(file: Path) -> tuple[Any, Any]:
+    """Return pyarrow and its reader of Parquet."""
     try:
         import pyarrow
         import pyarrow.parquet as parquet

@@ -9,31 +9,19 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import binary_opening
 
 from lieid_casadi.errors import LieidWarning, RecordingError, ShortSegmentWarning
 from lieid_casadi.recording.arrays import Array, Mask, read_only
-from lieid_casadi.recording.filtering import (
-    HIGHEST_CUTOFF,
-    central_difference,
-    decimate,
-    lowpass,
-    smooth_at,
-    straight_at,
-    uniform_time,
-)
+from lieid_casadi.recording.filtering import HIGHEST_CUTOFF, lowpass
+from lieid_casadi.recording.on_grid import signals_on_grid
 from lieid_casadi.recording.overlap import Window, filter_memory, windows
 from lieid_casadi.recording.periods import mean_period
 from lieid_casadi.recording.recording import Recording
-from lieid_casadi.recording.robust_loess import robust_loess
-from lieid_casadi.recording.spectrum import choose_cutoff, noise_dead_zone
+from lieid_casadi.recording.spectrum import choose_cutoff
+from lieid_casadi.recording.streams import RecordingStream, scratch
 
-#: q, dq, ddq keep this many cut-offs: the columns' filter does the rest, and does it alone.
-MOTION_BAND = 3.0
 #: Weight of rest in a filtered sample that counts as moving.
 REST_LEFT = 0.1
-#: Rate over cut-off that the grid keeps at least, so that the steps of sgn(dq) stay sharp.
-GRID_OVER_CUTOFF = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +160,8 @@ class Processed:
 
 
 def process(
-    recordings: Recording | Sequence[Recording], options: Processing | None = None
+    recordings: Recording | RecordingStream | Sequence[Recording | RecordingStream],
+    options: Processing | None = None,
 ) -> tuple[Processed, ...]:
     """Uniform, differentiated signals of every segment of the recordings.
 
@@ -188,17 +177,19 @@ def process(
     MissingDependency
         RLOESS without the extra ``[loess]``.
     """
-    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if isinstance(recordings, Recording | RecordingStream):
+        recordings = [recordings]
+    given = list(recordings)
     if not given:
         raise RecordingError("no recordings, expected at least one")
     options = options or Processing()
-    cutoff = options.cutoff or float(np.median([choose_cutoff(r) for r in given]))
+    cutoff = options.cutoff or float(np.median([_cutoff_of(r) for r in given]))
     options = replace(options, cutoff=cutoff)
     done: list[Processed] = []
     short: list[LieidWarning] = []
     for recording in given:
         for raw in recording.segments():
-            segment = mean_period(raw, options.trim) if options.average_periods else raw
+            segment = _averaged(raw, options) if options.average_periods else raw
             reason = _too_short(segment, cutoff, options.trim)
             if reason:
                 short.append(ShortSegmentWarning(reason))
@@ -211,7 +202,19 @@ def process(
     return tuple(done)
 
 
-def _too_short(segment: Recording, cutoff: float, trim: float) -> str | None:
+def _cutoff_of(recording: Recording | RecordingStream) -> float:
+    if isinstance(recording, Recording):
+        return choose_cutoff(recording)
+    return float(np.median([choose_cutoff(part) for part in recording.samples()]))
+
+
+def _averaged(segment: Recording | RecordingStream, options: Processing) -> Recording:
+    if not isinstance(segment, Recording):
+        raise RecordingError(f"{segment.name}: averaging periods needs the recording in memory")
+    return mean_period(segment, options.trim)
+
+
+def _too_short(segment: Recording | RecordingStream, cutoff: float, trim: float) -> str | None:
     left = segment.duration - 2.0 * trim
     if len(segment) >= 5 and left >= 1.0 / cutoff:
         return None
@@ -222,72 +225,35 @@ def _too_short(segment: Recording, cutoff: float, trim: float) -> str | None:
     )
 
 
-def _process_segment(segment: Recording, options: Processing, cutoff: float) -> Processed:
+def _process_segment(
+    segment: Recording | RecordingStream, options: Processing, cutoff: float
+) -> Processed:
     rate = segment.rate
     if cutoff >= HIGHEST_CUTOFF * rate:
         raise RecordingError(
             f"{segment.name or 'recording'}: cutoff {cutoff:g} Hz, expected less than "
             f"{HIGHEST_CUTOFF * rate:.3g} Hz at a rate of {rate:.4g} Hz"
         )
-    grid = uniform_time(segment.t, rate)
-    rate = (grid.size - 1) / (grid[-1] - grid[0])
-    q, dq, ddq, dead_zone = _motion(segment, grid, rate, cutoff)
-    moving = _moving(dq, dead_zone, rate, cutoff)
-    dq = np.where(moving, dq, 0.0)
-    tau = None if segment.tau is None else straight_at(segment.t, segment.tau, grid)
-    if options.smoother == "rloess":
-        ddq = robust_loess(grid, ddq, cutoff)
-        tau = None if tau is None else robust_loess(grid, tau, cutoff)
-    temperature = segment.temperature
-    if temperature is not None:
-        temperature = straight_at(segment.t, temperature, grid)
-    step = max(1, int(rate / (GRID_OVER_CUTOFF * cutoff)))
+    signals = signals_on_grid(
+        segment.t,
+        segment.rows,
+        rate,
+        cutoff,
+        loess=options.smoother == "rloess",
+        allocate=np.empty if isinstance(segment, Recording) else scratch,
+    )
     return Processed(
-        t=read_only(grid[::step]),
-        q=read_only(q[::step]),
-        dq=read_only(dq[::step]),
-        ddq=read_only(ddq[::step]),
-        tau=None if tau is None else read_only(decimate(tau, rate, step)),
-        temperature=None if temperature is None else read_only(temperature[::step]),
+        t=signals.t,
+        q=signals.q,
+        dq=signals.dq,
+        ddq=signals.ddq,
+        tau=signals.tau,
+        temperature=signals.temperature,
         payload_label=None if segment.payload_label is None else segment.payload_label[0],
-        recording=segment,
-        rate=rate / step,
+        recording=segment if isinstance(segment, Recording) else segment.rows(0, 2),
+        rate=signals.rate,
         cutoff=cutoff,
-        dead_zone=read_only(dead_zone),
-        moving=moving[::step],
+        dead_zone=read_only(signals.dead_zone),
+        moving=signals.moving,
         options=options,
     )
-
-
-def _moving(dq: Array, dead_zone: Array, rate: float, cutoff: float) -> Mask:
-    """Mark (K, n) where joints do not rest: rest is a stay in the dead zone of a filter's length.
-
-    A reversal passes through the dead zone sooner, and there the velocity's own sign is the
-    best guess; taking it for rest would leave dry friction out of every reversal.
-    """
-    length = max(round(rate / cutoff), 1)
-    rest = binary_opening(np.abs(dq) <= dead_zone, structure=np.ones((length, 1), dtype=bool))
-    return np.asarray(~rest)
-
-
-def _motion(
-    segment: Recording, grid: Array, rate: float, cutoff: float
-) -> tuple[Array, Array, Array, Array]:
-    """q, dq, ddq on the grid, low-passed at MOTION_BAND cut-offs, and the dead zone.
-
-    The band lies above the cut-off of the columns: were it the same, ddq would pass the
-    filter twice and the torque once.
-    """
-    band = MOTION_BAND * cutoff
-    q = lowpass(smooth_at(segment.t, segment.q, grid), rate, band)
-    if segment.dq is None:
-        raw = central_difference(smooth_at(segment.t, segment.q, grid), rate)
-    else:
-        raw = smooth_at(segment.t, segment.dq, grid)
-    dq = lowpass(raw, rate, band)
-    dead_zone = noise_dead_zone(raw, kept=band / (0.5 * rate))
-    if segment.ddq is None:
-        ddq = central_difference(dq, rate)
-    else:
-        ddq = lowpass(smooth_at(segment.t, segment.ddq, grid), rate, band)
-    return q, dq, ddq, dead_zone

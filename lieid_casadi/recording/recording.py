@@ -270,7 +270,7 @@ class Recording:
                 f"{self.name or 'recording'}{part}: {max(last - first, 0)} rows in that part, "
                 f"expected some of {self.t[0]:g} to {self.t[-1]:g} s"
             )
-        return replace(self._rows(int(first), int(last)), name=self.name + part)
+        return replace(self.rows(int(first), int(last)), name=self.name + part)
 
     def segments(self) -> list[Self]:
         """Stretches without a gap and with one payload label; nothing joins them.
@@ -282,7 +282,7 @@ class Recording:
             labels = np.asarray(self.payload_label)
             breaks |= labels[1:] != labels[:-1]
         edges = [0, *(np.nonzero(breaks)[0] + 1).tolist(), len(self)]
-        return [self._rows(a, b) for a, b in pairwise(edges)]
+        return [self.rows(a, b) for a, b in pairwise(edges)]
 
     def with_torque_constants(self, constants: ArrayLike) -> Self:
         """The same recording with tau = constants · current; constants (n,), N·m/A.
@@ -325,7 +325,8 @@ class Recording:
                 f"{file}: cannot be written ({error.strerror or error})"
             ) from error
 
-    def _rows(self, first: int, last: int) -> Self:
+    def rows(self, first: int, last: int) -> Self:
+        """Rows first … last − 1 (from 0)."""
         rows = slice(first, last)
         fields = ("t", "q", *_SIGNALS, "payload_label")
         signals: dict[str, Any] = {field: getattr(self, field) for field in fields}

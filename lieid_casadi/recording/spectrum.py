@@ -20,6 +20,8 @@ from lieid_casadi.recording.recording import Recording
 LEAST_BANDS, MOST_BANDS = 6.0, 25.0
 #: Torque is looked at up to this rate, Hz: arms do not follow motion beyond it.
 TORQUE_RATE = 400.0
+#: Rows that are looked at: a spectrum needs no more.
+ENOUGH_ROWS = 1 << 19
 #: Joints that move less say nothing about the band of their torque, rad or m.
 ENOUGH_MOTION = 0.05
 #: Part of the top speed that is in the dead zone even without noise. On test recordings a
@@ -38,6 +40,7 @@ def choose_cutoff(recording: Recording) -> float:
     """
     highest = 0.25 * recording.rate
     longest = max(recording.segments(), key=lambda segment: segment.duration)
+    longest = longest.rows(0, min(len(longest), ENOUGH_ROWS))
     band = motion_band(longest) if len(longest) > 8 else None
     if band is None:
         return _two_digits(min(5.0, highest), highest)

@@ -1,0 +1,211 @@
+"""Signals of one segment on a uniform grid; a long segment in windows, with the same result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_opening
+
+from lieid_casadi.recording.arrays import Array, Mask
+from lieid_casadi.recording.filtering import (
+    central_difference,
+    lowpass,
+    smooth_at,
+    straight_at,
+)
+from lieid_casadi.recording.overlap import filter_memory
+from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.robust_loess import robust_loess
+from lieid_casadi.recording.spectrum import noise_dead_zone
+
+#: q, dq, ddq keep this many cut-offs: the columns' filter does the rest, and does it alone.
+MOTION_BAND = 3.0
+#: Rate over cut-off that the grid keeps at least, so that the steps of sgn(dq) stay sharp.
+GRID_OVER_CUTOFF = 20.0
+#: Instants that are filtered at once; longer segments are taken in windows of this length.
+WINDOW = 1 << 16
+#: Places, and rows at each, where a long segment's noise is looked at.
+NOISE_PLACES, NOISE_ROWS = 16, 1 << 14
+#: Rows beyond a window that interpolation looks at.
+NEIGHBOURS = 4
+
+Rows = Callable[[int, int], Recording]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """``count`` instants from ``start`` to ``end``, s; every step-th is kept."""
+
+    start: float
+    end: float
+    count: int
+    step: int
+
+    @classmethod
+    def of(cls, t: Array, rate: float, cutoff: float) -> Grid:
+        """The grid of a segment with stamps t at about a rate, Hz."""
+        count = max(2, round((t[-1] - t[0]) * rate) + 1)
+        rate = (count - 1) / (t[-1] - t[0])
+        step = max(1, int(rate / (GRID_OVER_CUTOFF * cutoff)))
+        return cls(float(t[0]), float(t[-1]), count, step)
+
+    @property
+    def rate(self) -> float:
+        """Hz, before every step-th is kept."""
+        return (self.count - 1) / (self.end - self.start)
+
+    def times(self, first: int, last: int) -> Array:
+        """Instants first … last − 1, s."""
+        t = self.start + np.arange(first, last) * ((self.end - self.start) / (self.count - 1))
+        if last == self.count:
+            t[-1] = self.end
+        return np.asarray(t, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class GridSignals:
+    """What `Processed` has of one segment, (K, …) on every step-th instant of the grid."""
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array | None
+    temperature: Array | None
+    moving: Mask
+    dead_zone: Array
+    rate: float
+
+
+def signals_on_grid(
+    t: Array,
+    rows: Rows,
+    rate: float,
+    cutoff: float,
+    *,
+    loess: bool = False,
+    allocate: Callable[..., NDArray[Any]] = np.empty,
+) -> GridSignals:
+    """Resampled, low-passed and differentiated signals of one segment.
+
+    Parameters
+    ----------
+    t
+        (N,) stamps of the segment.
+    rows
+        Called with first and last row (excluded): that part of the segment.
+    rate, cutoff
+        Hz.
+    loess
+        Smooth ddq and tau by robust local regression; then the segment is taken whole.
+    allocate
+        Makes the arrays of the result from shape and type.
+    """
+    grid = Grid.of(t, rate, cutoff)
+    whole = loess or grid.count <= 2 * WINDOW
+    dead_zone = None if whole else _sampled_dead_zone(t, rows, grid, cutoff)
+    kept = len(range(0, grid.count, grid.step))
+    made: dict[str, NDArray[Any]] = {}
+    for first, last, start, end in _windows(grid, cutoff, kept if whole else WINDOW // grid.step):
+        times = grid.times(start, end)
+        low, high = np.searchsorted(t, [times[0], times[-1]])
+        low, high = max(int(low) - NEIGHBOURS, 0), min(int(high) + NEIGHBOURS, len(t))
+        part = rows(0, len(t)) if whole else rows(low, high)
+        signals, dead_zone = _signals(part, times, grid, cutoff, dead_zone, loess)
+        inside = slice(first * grid.step - start, (last - 1) * grid.step - start + 1, grid.step)
+        for name, values in signals.items():
+            if name not in made:
+                made[name] = allocate((kept, *values.shape[1:]), values.dtype)
+            made[name][first:last] = values[inside]
+    for array in made.values():
+        array.flags.writeable = False
+    assert dead_zone is not None
+    return GridSignals(
+        t=made["t"],
+        q=made["q"],
+        dq=made["dq"],
+        ddq=made["ddq"],
+        tau=made.get("tau"),
+        temperature=made.get("temperature"),
+        moving=made["moving"],
+        dead_zone=dead_zone,
+        rate=grid.rate / grid.step,
+    )
+
+
+def _windows(grid: Grid, cutoff: float, size: int) -> Iterator[tuple[int, int, int, int]]:
+    """Kept instants of each window, and the instants of the grid that they need."""
+    rate, kept = grid.rate, len(range(0, grid.count, grid.step))
+    margin = filter_memory(rate, MOTION_BAND * cutoff) + round(rate / cutoff) + NEIGHBOURS
+    if grid.step > 1:
+        margin = max(margin, filter_memory(rate, 0.4 * rate / grid.step, 8))
+    for first in range(0, kept, size):
+        last = min(first + size, kept)
+        start = max(0, first * grid.step - margin)
+        end = grid.count if last == kept else min(grid.count, last * grid.step + margin)
+        yield first, last, start, end
+
+
+def _signals(
+    part: Recording, times: Array, grid: Grid, cutoff: float, dead_zone: Array | None, loess: bool
+) -> tuple[dict[str, NDArray[Any]], Array]:
+    """Signals at times of the grid, at its full rate, and the dead zone."""
+    rate, band = grid.rate, MOTION_BAND * cutoff
+    q = lowpass(smooth_at(part.t, part.q, times), rate, band)
+    raw = _raw_velocity(part, times, rate)
+    dq = lowpass(raw, rate, band)
+    if dead_zone is None:
+        dead_zone = noise_dead_zone(raw, kept=band / (0.5 * rate))
+    if part.ddq is None:
+        ddq = central_difference(dq, rate)
+    else:
+        ddq = lowpass(smooth_at(part.t, part.ddq, times), rate, band)
+    moving = _moving(dq, dead_zone, rate, cutoff)
+    signals: dict[str, NDArray[Any]] = {
+        "t": times,
+        "q": q,
+        "dq": np.where(moving, dq, 0.0),
+        "ddq": robust_loess(times, ddq, cutoff) if loess else ddq,
+        "moving": moving,
+    }
+    if part.tau is not None:
+        tau = straight_at(part.t, part.tau, times)
+        tau = robust_loess(times, tau, cutoff) if loess else tau
+        if grid.step > 1:
+            tau = lowpass(tau, rate, 0.4 * rate / grid.step, order=8)
+        signals["tau"] = tau
+    if part.temperature is not None:
+        signals["temperature"] = straight_at(part.t, part.temperature, times)
+    return signals, dead_zone
+
+
+def _raw_velocity(part: Recording, times: Array, rate: float) -> Array:
+    if part.dq is None:
+        return central_difference(smooth_at(part.t, part.q, times), rate)
+    return smooth_at(part.t, part.dq, times)
+
+
+def _sampled_dead_zone(t: Array, rows: Rows, grid: Grid, cutoff: float) -> Array:
+    """The dead zone of a segment that is not looked at as a whole."""
+    found, count = [], min(NOISE_ROWS, len(t) // NOISE_PLACES)
+    for first in np.linspace(0, len(t) - count, NOISE_PLACES).astype(int):
+        part = rows(int(first), int(first) + count)
+        times = np.arange(part.t[0], part.t[-1], 1.0 / grid.rate)
+        found.append(_raw_velocity(part, times, grid.rate))
+    band = MOTION_BAND * cutoff
+    return noise_dead_zone(np.concatenate(found), kept=band / (0.5 * grid.rate))
+
+
+def _moving(dq: Array, dead_zone: Array, rate: float, cutoff: float) -> Mask:
+    """Mark (K, n) where joints do not rest: rest is a stay in the dead zone of a filter's length.
+
+    A reversal passes through the dead zone sooner, and there the velocity's own sign is the
+    best guess; taking it for rest would leave dry friction out of every reversal.
+    """
+    length = max(round(rate / cutoff), 1)
+    rest = binary_opening(np.abs(dq) <= dead_zone, structure=np.ones((length, 1), dtype=bool))
+    return np.asarray(~rest)
