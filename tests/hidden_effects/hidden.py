@@ -70,7 +70,8 @@ class Hidden:
     hide
         Arm, strength, run (0 or 1: training and test, or before and after) → arm with it.
     most, least
-        Largest plausible strength, and the smallest that a recording resolves.
+        Largest plausible strength, and the smallest that a recording resolves. Where both are
+        the same, the noise is made to fit the strength.
     signals
         Of effects that no library has: what the unexplained part depends on.
     simulated
@@ -85,6 +86,11 @@ class Hidden:
     simulated: bool = True
     details: str = ""
     least: float = 0.0
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the strength is given, and the noise is to fit it."""
+        return self.least == self.most
 
 
 Maker = Callable[[Ground, int], Hidden | None]
@@ -165,23 +171,23 @@ def _position_friction(g: Ground, j: int) -> Hidden | None:
 
 
 def _presliding(g: Ground, j: int) -> Hidden:
-    most = 0.3 if g.revolute(j) else 0.08
-    return _one("presliding", j, most, lambda s: plant.Presliding(j, width=s), least=0.01 * most)
+    # What is left depends little on the width: it is drawn, and the noise follows.
+    width = g.log(0.005, 0.15) * (1.0 if g.revolute(j) else 0.3)
+    return Hidden(
+        "presliding", (j,), with_effect(lambda s: plant.Presliding(j, width=s)), width, least=width,
+        details=f"width {width:.3g}",
+    )  # fmt: skip
 
 
 def _armature(g: Ground, j: int) -> Hidden:
-    return _one(
-        "armature", j, 0.06 * g.torque[j], lambda s: plant.Armature(j, inertia=s)
-    )
+    return _one("armature", j, 0.06 * g.torque[j], lambda s: plant.Armature(j, inertia=s))
 
 
 def _joint_elasticity(g: Ground, j: int) -> Hidden | None:
     if not g.revolute(j):
         return None
     most = 0.1 / max(float(g.load[j]), 1e-6)
-    return _one(
-        "joint_elasticity", j, most, lambda s: plant.JointElasticity(j, stiffness=1.0 / s)
-    )
+    return _one("joint_elasticity", j, most, lambda s: plant.JointElasticity(j, stiffness=1.0 / s))
 
 
 def _torque_ripple(g: Ground, j: int) -> Hidden | None:
@@ -273,7 +279,9 @@ def _external_wrench(g: Ground, j: int) -> Hidden:
 def _payload(g: Ground, j: int) -> Hidden:
     com = tuple(map(float, g.random.uniform(0.0, 0.1) * g.direction(3)))
     weight = float(g.arm.parameters[::10].sum())
-    return Hidden("payload", (), with_effect(lambda s: plant.Payload(mass=s, com=com)), 0.4 * weight)
+    return Hidden(
+        "payload", (), with_effect(lambda s: plant.Payload(mass=s, com=com)), 0.4 * weight
+    )
 
 
 def _plain_friction(name: str) -> Maker:

@@ -110,7 +110,8 @@ def _urdf() -> str:
         along, across = 0.5 * mass * radius**2, mass * (3.0 * radius**2 + length**2) / 12.0
         inertia = (along, across, across) if abs(a) > abs(d) else (across, across, along)
         links.append(
-            f'<link name="link_{i}"><inertial><origin xyz="{" ".join(map(repr, centre.tolist()))}"/>'
+            f'<link name="link_{i}"><inertial>'
+            f'<origin xyz="{" ".join(map(repr, centre.tolist()))}"/>'
             f'<mass value="{mass}"/><inertia ixx="{inertia[0]!r}" iyy="{inertia[1]!r}" '
             f'izz="{inertia[2]!r}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
         )

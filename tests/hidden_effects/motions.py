@@ -59,9 +59,7 @@ def _move(envelope: Envelope, a: Array, b: Array) -> Waypoints:
     by_velocity = 15.0 / 8.0 * way / (0.6 * envelope.velocity)
     by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / envelope.acceleration)
     time = max(float(np.maximum(by_velocity, by_acceleration).max()), 0.5)
-    return Waypoints(
-        np.array([a, b]), np.array([PAUSE]), np.array([time]), time + 2.0 * PAUSE
-    )
+    return Waypoints(np.array([a, b]), np.array([PAUSE]), np.array([time]), time + 2.0 * PAUSE)
 
 
 def draw_motion(robot: Robot, kind: str, duration: float, random: np.random.Generator) -> Chain:

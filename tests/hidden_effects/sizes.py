@@ -11,12 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-
 from lieid_casadi.plant import Arm, EncoderOffset, Motion, Sensors, build_pinocchio, measure
 from lieid_casadi.plant.sensors import sampled_rows
 
 Array = NDArray[np.float64]
-ROWS = 1500  # instants that sizes are computed from
 SLOWEST = 1e-3  # rad/s, m/s: below it dry friction is undetermined
 SINGULAR = 1e-9  # of the largest singular value
 
@@ -34,11 +32,9 @@ class Clean:
     moving: NDArray[np.bool_]
 
 
-def clean(arm: Arm, motion: Motion, count: int = ROWS) -> Clean:
-    """Return an arm's noiseless recording of a motion, with the acceleration beside it."""
-    t = motion.t
-    rate = min(count, t.size - 1) / (t[-1] - t[0])
-    rows = sampled_rows(t, rate)
+def clean(arm: Arm, motion: Motion, rate: float) -> Clean:
+    """Return an arm's noiseless recording of a motion at a rate (Hz), with the acceleration."""
+    t, rows = motion.t, sampled_rows(motion.t, rate)
     ideal = measure(arm, motion, Sensors(rate=rate))
     q = motion.motor_q.copy()
     for effect in arm.effects_of(EncoderOffset):

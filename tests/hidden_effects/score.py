@@ -1,0 +1,196 @@
+"""Run the tool on a case's files alone, then hold its answer against the truth."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hidden_effects.generator import Unreachable, write
+from hidden_effects.stage import Case
+
+Named = tuple[str, tuple[int, ...]]  # effect and joints from 1
+CLOSE_TO_ORACLE = 1.05
+
+
+def answer(folder: Path, *, by_command: bool = False) -> tuple[dict[str, Any], Any]:
+    """Return what ``lieid diagnose`` says of a folder's robot and recordings, and the last fit."""
+    return _by_command(folder) if by_command else _by_python(folder)
+
+
+def _by_python(folder: Path) -> tuple[dict[str, Any], Any]:
+    from lieid_casadi import Model, Recording, Robot, identify
+    from lieid_casadi.diagnosis import diagnose
+
+    model = Model(Robot.load(_robot(folder)), effects=["coulomb", "viscous", "offset"])
+    if (folder / "before.csv").exists():
+        fit = identify(model, Recording.load(folder / "before.csv"))
+        diagnosis = diagnose(fit, Recording.load(folder / "after.csv"))
+    else:
+        train, test = (Recording.load(folder / f"{name}.csv") for name in ("train", "test"))
+        diagnosis = diagnose(model, train, test)
+    return json.loads(json.dumps(diagnosis.to_dict())), diagnosis.fit
+
+
+def _by_command(folder: Path) -> tuple[dict[str, Any], Any]:
+    from lieid_casadi.cli.main import main
+    from lieid_casadi.identification import Fit
+
+    robot, found, fit = _robot(folder), folder / "found.json", folder / "found_fit.json"
+    if (folder / "before.csv").exists():
+        base = folder / "before.json"
+        _run(main, ["identify", robot, folder / "before.csv", "-o", base])
+        _run(main, ["diagnose", base, folder / "after.csv", "--json", found, "-o", fit])
+    else:
+        files = ["--train", folder / "train.csv", "--test", folder / "test.csv"]
+        _run(main, ["diagnose", robot, *files, "--json", found, "-o", fit])
+    return json.loads(found.read_text("utf-8")), Fit.load(fit)
+
+
+def _run(main: Any, command: Sequence[object]) -> None:
+    status = main([str(word) for word in command])
+    if status:
+        raise RuntimeError(f"lieid {' '.join(map(str, command))}: exit status {status}")
+
+
+def _robot(folder: Path) -> Path:
+    return next(iter(sorted(folder.glob("robot.*"))))
+
+
+def run_case(
+    case: Case, *, oracle: bool = True, by_command: bool = False, keep: Path | None = None
+) -> dict[str, Any]:
+    """Generate a case, ask the tool, and return the score; ``keep`` keeps its files."""
+    with tempfile.TemporaryDirectory(prefix="case") as scratch:
+        folder = Path(scratch) / "files" if keep is None else keep
+        try:
+            truth = write(case, folder)
+        except Unreachable as problem:
+            return {"case": case.name, "skipped": str(problem)}
+        begin = time.perf_counter()
+        try:
+            found, fit = answer(folder, by_command=by_command)
+        except Exception as problem:  # noqa: BLE001 - whatever it is, it is the tool's failure
+            return judge(case, truth, None) | {"error": f"{type(problem).__name__}: {problem}"}
+        seconds = time.perf_counter() - begin
+        result = judge(case, truth, found) | {"seconds": round(seconds, 2)}
+        if oracle and truth["effects"] and case.kind != "foreign" and not case.changed:
+            result |= {"rms_ratio": rms_against_oracle(folder, truth, fit)}
+    return result
+
+
+def rms_against_oracle(folder: Path, truth: dict[str, Any], fit: Any) -> float | None:
+    """Return test RMS on the affected joints over that of a fit that knew the truth; the worst.
+
+    Both are of moving samples, through the same filter.
+    """
+    from lieid_casadi import LieidError, Model, Recording, Robot, compare, identify
+
+    train, test = (Recording.load(folder / f"{name}.csv") for name in ("train", "test"))
+    specs = ["coulomb", "viscous", "offset", *(_spec(e) for e in truth["effects"])]
+    try:
+        model = Model(Robot.load(_robot(folder)), effects=specs)
+        knowing = compare(identify(model, train, processing=fit.processing), test).rms_moving
+    except LieidError:
+        return None
+    ratio = compare(fit, test).rms_moving / knowing
+    return float(np.max([ratio[e["joint"] - 1] for e in truth["effects"]]))
+
+
+def _spec(effect: dict[str, Any]) -> str:
+    if not effect["joints"]:
+        return str(effect["effect"])
+    return f"{effect['effect']}:{'<'.join(map(str, effect['joints']))}"
+
+
+def judge(case: Case, truth: dict[str, Any], found: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the score of an answer; None stands for no answer at all."""
+    steps = [] if found is None else found["steps"]
+    wanted = [] if case.kind == "foreign" else [_named(e) for e in truth["effects"]]
+    strict, _, _ = _matched(steps, wanted, sets=False)
+    within, extra, missed = _matched(steps, wanted, sets=True)
+    left = [] if found is None else found["unexplained"]
+    result = {
+        "case": case.name,
+        "mode": truth["mode"],
+        "kind": case.kind,
+        "arm": truth["arm"],
+        "simulated": truth["simulated"],
+        "truth": [
+            {key: e[key] for key in
+             ("effect", "joints", "target", "size", "left_part", "joint", "signals", "nearest",
+              "nearest_part")}
+            for e in truth["effects"]
+        ],
+        "answered": found is not None,
+        "verdict": None if found is None else found["verdict"],
+        "steps": [list(_named(step)) for step in steps],
+        "rivals": [[list(_named(r)) for r in step["indistinguishable"]] for step in steps],
+        "unexplained": [
+            {"joint": u["joint"], "fraction": round(u["fraction"], 3),
+             "depends_on": u["depends_on"]}
+            for u in left
+        ],
+        "cutoff": None if found is None else found.get("cutoff"),
+        "extra": [list(e) for e in extra],
+        "missed": [list(e) for e in missed],
+    }  # fmt: skip
+    return result | _points(case, truth, result, (strict, within))
+
+
+def _points(
+    case: Case, truth: dict[str, Any], result: dict[str, Any], complete: tuple[bool, bool]
+) -> dict[str, bool]:
+    """Return what counts for the bars."""
+    answered = bool(result["answered"])
+    if case.kind == "none":
+        alarm = bool(result["steps"]) or result["verdict"] != "sufficient"
+        return {"right": answered and not alarm, "named": bool(result["steps"])}
+    if case.kind == "foreign":
+        return _foreign_points(truth["effects"][0], result)
+    return {"right": answered and complete[0], "right_in_set": answered and complete[1]}
+
+
+def _foreign_points(effect: dict[str, Any], result: dict[str, Any]) -> dict[str, bool]:
+    quiet = bool(result["answered"]) and not result["steps"]
+    first = result["unexplained"][0] if result["unexplained"] else None
+    there = first is not None and first["joint"] == effect["joint"]
+    signals = first["depends_on"] if first else []
+    all_first = set(signals[: len(effect["signals"])]) == set(effect["signals"])
+    return {
+        "right": quiet and there and all_first,
+        "quiet": quiet,
+        "joint_first": there,
+        "one_signal_first": there and bool(signals) and signals[0] in effect["signals"],
+    }
+
+
+def _named(entry: dict[str, Any]) -> Named:
+    return str(entry["effect"]), tuple(entry["joints"])
+
+
+def _matched(
+    steps: list[dict[str, Any]], wanted: list[Named], *, sets: bool
+) -> tuple[bool, list[Named], list[Named]]:
+    """Return whether the steps are exactly what was wanted, what is too many, what is missing.
+
+    ``sets``: a step also stands for those that it says it cannot be told from.
+    """
+    open_steps, open_wanted = list(steps), list(wanted)
+    for step in steps:
+        if _named(step) in open_wanted:
+            open_wanted.remove(_named(step))
+            open_steps.remove(step)
+    if sets:
+        for step in list(open_steps):
+            rivals = [_named(r) for r in step["indistinguishable"]]
+            match = next((w for w in open_wanted if w in rivals), None)
+            if match is not None:
+                open_wanted.remove(match)
+                open_steps.remove(step)
+    extra = [_named(step) for step in open_steps]
+    return not extra and not open_wanted, extra, open_wanted

@@ -1,0 +1,210 @@
+"""A case before anything is hidden: its name, arm, motions, sensors, and what to hide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from hidden_effects.foreign import FOREIGN
+from hidden_effects.hidden import CHANGED, MISSING, Ground, Hidden
+from hidden_effects.hidden_arms import ARMS, load_arm
+from hidden_effects.motions import draw_motion
+from numpy.typing import NDArray
+
+from lieid_casadi.plant import (
+    Arm,
+    JointFriction,
+    Sensors,
+    Thermal,
+    Trajectory,
+    move_along,
+    perturbed_inertias,
+    torque_scale,
+)
+from lieid_casadi.plant.trajectories import Envelope
+
+Array = NDArray[np.float64]
+LEAST_NOISE, MOST_NOISE = 1e-4, 1.5e-2  # of what the drives can deliver
+SIZES = (5.0, 2.0, 1.0, 0.5)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case of the benchmark, known by its name.
+
+    Attributes
+    ----------
+    kind
+        ``none``, ``single``, ``pair``, ``triple``, ``foreign``.
+    changed
+        What has changed since a fit, rather than what the model lacks.
+    effect
+        Of singles and foreign ones; else drawn.
+    size
+        Of singles and foreign ones; else drawn from 5, 2, 1.
+    """
+
+    kind: str
+    draw: int
+    changed: bool = False
+    effect: str = ""
+    size: float = 0.0
+
+    @property
+    def name(self) -> str:
+        parts = ["changed" if self.changed else "missing", self.kind]
+        if self.effect:
+            parts += [self.effect, f"{self.size:g}x"]
+        return "-".join([*parts, str(self.draw)])
+
+    @classmethod
+    def parse(cls, name: str) -> Case:
+        mode, kind, *where, draw = name.split("-")
+        effect, size = (where[0], float(where[1].removesuffix("x"))) if where else ("", 0.0)
+        return cls(kind, int(draw), mode == "changed", effect, size)
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """An arm before anything is hidden, what it will do, and its sensors."""
+
+    arm_name: str
+    arm: Arm
+    plans: tuple[Trajectory, Trajectory]
+    kinds: tuple[str, str]
+    thermal: tuple[Thermal, Thermal]
+    sensors: Sensors
+    noise: Array
+    simulated: bool
+    changed: bool
+
+    @property
+    def counts(self) -> int:
+        """The run whose size counts: training, or after the change."""
+        return 1 if self.changed else 0
+
+    def plausible(self, factor: float) -> bool:
+        """Whether noise times ``factor`` is what sensors have, against the drives' torque."""
+        level = factor * float(np.mean(self.noise / torque_scale(self.arm.robot)))
+        return LEAST_NOISE <= level <= MOST_NOISE
+
+    def louder(self, factor: float) -> Stage:
+        """Return the same with noise times ``factor``."""
+        sensors = replace(
+            self.sensors,
+            **{
+                name: tuple(factor * x for x in getattr(self.sensors, name))
+                for name in ("torque_noise", "coloured_noise", "torque_step")
+            },
+        )
+        return replace(self, sensors=sensors, noise=factor * self.noise)
+
+
+def hide(stage: Stage, hidden: list[Hidden], strengths: list[float], run: int) -> Arm:
+    """Return the arm of a run with effects hidden in it (none before a change)."""
+    arm = replace(stage.arm, thermal=stage.thermal[run])
+    if stage.changed and run == 0:
+        return arm
+    for one, strength in zip(hidden, strengths, strict=True):
+        arm = one.hide(arm, strength, run)
+    return arm
+
+
+def set_up(case: Case, random: np.random.Generator, quiet: float) -> Stage:
+    """Return arm, motions and sensors; ``quiet`` lowers the noise, for effects that stay small."""
+    arm_name = str(random.choice(ARMS))
+    robot = load_arm(arm_name)
+    scale, speed = torque_scale(robot), Envelope.of(robot).velocity
+    friction = JointFriction(
+        coulomb=scale * random.uniform(0.01, 0.06, robot.n),
+        viscous=scale / speed * random.uniform(0.01, 0.06, robot.n),
+        offset=scale * random.uniform(-0.01, 0.01, robot.n),
+    )
+    parameters = perturbed_inertias(robot, seed=int(random.integers(2**31)))
+    duration = float(random.uniform(28.0, 36.0))
+    kinds = (
+        str(random.choice(["fourier", "fourier", "mixture", "poses"])),
+        str(random.choice(["fourier", "mixture", "poses"])),
+    )
+    plans = tuple(draw_motion(robot, kind, duration, random) for kind in kinds)
+    sensors, noise = _sensors(robot, scale * quiet, speed, random)
+    return Stage(
+        arm_name, Arm(robot, parameters, friction), (plans[0], plans[1]), kinds,
+        _thermal(case, random), sensors, noise, bool(random.random() < 0.2), case.changed,
+    )  # fmt: skip
+
+
+def _thermal(case: Case, random: np.random.Generator) -> tuple[Thermal, Thermal]:
+    def warm() -> Thermal:
+        return Thermal(
+            start=25.0 + random.uniform(0.0, 6.0),
+            rise=random.uniform(6.0, 15.0),
+            time_constant=random.uniform(8.0, 30.0),
+        )
+
+    first, second = warm(), warm()
+    if case.changed:  # before: a joint that keeps its temperature
+        first = Thermal(start=25.0, rise=random.uniform(0.0, 0.5), time_constant=20.0)
+    return first, second
+
+
+def _sensors(
+    robot: Any, scale: Array, speed: Array, random: np.random.Generator
+) -> tuple[Sensors, Array]:
+    noise = scale * np.exp(random.uniform(np.log(5e-4), np.log(4e-3)))
+    noise = noise * random.uniform(0.7, 1.4, robot.n)
+    coloured = float(random.uniform(0.0, 0.7))  # of the variance
+    step = 0.2 * noise if random.random() < 0.5 else np.zeros(robot.n)
+    rest = noise**2 - step**2 / 12.0
+    sensors = Sensors(
+        rate=float(random.choice([100.0, 100.0, 125.0, 200.0])),
+        counts_per_turn=float(2 ** int(random.integers(17, 21))),
+        counts_per_metre=float(random.choice([2e5, 1e6])),
+        velocity=str(random.choice(["difference", "difference", "exact", "none"])),  # type: ignore[arg-type]
+        velocity_noise=tuple(map(float, speed * random.uniform(0.0, 1e-3))),
+        torque_noise=tuple(map(float, np.sqrt((1.0 - coloured) * rest))),
+        coloured_noise=tuple(map(float, np.sqrt(coloured * rest))),
+        correlation_time=float(np.exp(random.uniform(np.log(0.01), np.log(0.1)))),
+        torque_step=tuple(map(float, step)),
+    )
+    return sensors, noise
+
+
+def choose(
+    case: Case, stage: Stage, random: np.random.Generator
+) -> tuple[list[Hidden] | None, list[float]]:
+    """Return the effects and the sizes they should have; None where one cannot be placed."""
+    library = CHANGED if case.changed else MISSING
+    count = {"none": 0, "single": 1, "foreign": 1, "pair": 2, "triple": 3}[case.kind]
+    if case.kind in ("single", "foreign"):
+        names, targets = [case.effect], [case.size]
+    else:
+        names = [str(x) for x in random.choice(list(library), count, replace=False)]
+        targets = [float(x) for x in random.choice(SIZES[:3], count)]
+    if {"temperature_friction", "warm_up"} <= set(names):
+        return None, []
+    plan = stage.plans[stage.counts]
+    t = np.arange(0.0, plan.duration, 0.01)
+    motion = move_along(stage.arm, t, *plan.at(t))
+    ground = Ground(
+        stage.arm,
+        torque_scale(stage.arm.robot),
+        np.abs(motion.dq).max(axis=0),
+        np.sqrt(np.mean(motion.dq**2, axis=0)),
+        np.abs(motion.rigid).max(axis=0),
+        motion.q.min(axis=0),
+        motion.q.max(axis=0),
+        plan.duration,
+        float(stage.sensors.rate or 0.0),
+        stage.thermal,
+        random,
+    )
+    hidden = []
+    for name in names:
+        make = FOREIGN[name] if case.kind == "foreign" else library[name]
+        one = make(ground, int(random.integers(stage.arm.n)))
+        if one is None:
+            return None, []
+        hidden.append(one)
+    return hidden, targets

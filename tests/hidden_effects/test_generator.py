@@ -1,0 +1,357 @@
+"""The benchmark's own generator: sizes, noise and places are what the truth says."""
+
+import ast
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hidden_effects import hidden, schedule
+from hidden_effects.foreign import FOREIGN
+from hidden_effects.generator import draw, write
+from hidden_effects.hidden_arms import ARMS, load_arm
+from hidden_effects.motions import draw_motion
+from hidden_effects.score import judge
+from hidden_effects.sizes import Space, clean, columns
+from hidden_effects.stage import Case, Stage
+from hidden_effects.strengths import Sizing
+from plant.arms import MujocoArm, with_links
+from scipy.signal import lfilter
+
+from lieid_casadi import Recording, Robot
+from lieid_casadi.plant import Arm, JointFriction, Sensors, measure, move_along, perturbed_inertias
+from lieid_casadi.plant.trajectories import Envelope
+
+HERE = Path(__file__).parent
+MAKES = (
+    "foreign",
+    "generator",
+    "hidden",
+    "hidden_arms",
+    "motions",
+    "nearest",
+    "sizes",
+    "stage",
+    "strengths",
+)
+
+
+@pytest.mark.parametrize("name", MAKES)
+def test_what_makes_cases_shares_nothing_with_effects(name):
+    tree = ast.parse((HERE / f"{name}.py").read_text("utf-8"))
+    imported = [n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
+    imported += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
+    own = {".".join(m.split(".")[:2]) for m in imported if m.startswith("lieid_casadi")}
+    assert own <= {"lieid_casadi.plant", "lieid_casadi.robot", "lieid_casadi"}
+    assert not any(m.startswith("casadi") for m in imported)
+
+
+def an_arm(name, seed=1):
+    robot = load_arm(name)
+    rng = np.random.default_rng(seed)
+    friction = JointFriction(*rng.uniform(0.2, 1.0, (3, robot.n)))
+    return Arm(robot, perturbed_inertias(robot, seed=seed), friction)
+
+
+def a_motion(robot, kind="mixture", seed=1, rate=200.0):
+    plan = draw_motion(robot, kind, 12.0, np.random.default_rng(seed))
+    t = np.arange(round(plan.duration * rate) + 1) / rate
+    return t, *plan.at(t)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_rigid_torques_are_those_of_mujoco(name):
+    arm = an_arm(name)
+    t, q, dq, ddq = a_motion(arm.robot)
+    rows = slice(None, None, 50)
+    expected = MujocoArm(with_links(arm.robot, arm.parameters)).torques(
+        q[rows], dq[rows], ddq[rows]
+    )
+    rigid = move_along(arm, t, q, dq, ddq).rigid[rows]
+    assert np.abs(rigid - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_an_arm_with_nothing_hidden_is_in_the_span(name):
+    """True inertias differ from nominal ones, and still rigid and plain friction explain all."""
+    arm = an_arm(name)
+    record = clean(arm, move_along(arm, *a_motion(arm.robot)), 200.0)
+    space = Space(arm.robot, record, np.ones(arm.n))
+    torque = space.stacked(record.tau)
+    assert space.by_joint(space.left(torque)).max() < 1e-8 * space.by_joint(torque).min()
+
+
+@pytest.mark.parametrize("kind", ["fourier", "poses", "mixture"])
+@pytest.mark.parametrize("name", ARMS)
+def test_motions_fit_themselves_and_the_arm(name, kind):
+    robot = load_arm(name)
+    t, q, dq, ddq = a_motion(robot, kind, seed=3, rate=2000.0)
+    envelope = Envelope.of(robot, margin=1.0)
+    assert np.all(q >= envelope.lower - 1e-9)
+    assert np.all(q <= envelope.upper + 1e-9)
+    assert np.all(np.abs(dq).max(axis=0) <= envelope.velocity + 1e-9)
+    # the trapezoidal rule is off by h²/12 · d³q/dt³ at most, jumps of ddq included
+    h = t[1] - t[0]
+    assert np.abs(np.diff(q, axis=0) - 0.5 * h * (dq[1:] + dq[:-1])).max() < 1e-5
+    assert np.abs(np.diff(dq, axis=0) - 0.5 * h * (ddq[1:] + ddq[:-1])).max() < 1e-2
+    assert 11.0 < t[-1] < 30.0
+
+
+SOME = (
+    "missing-single-stribeck-5x-0",
+    "missing-single-encoder_offset-1x-0",
+    "missing-single-torque_gain-2x-1",
+    "missing-single-presliding-1x-0",
+    "missing-single-joint_elasticity-2x-0",
+    "missing-single-base_tilt-0.5x-0",
+    "changed-single-payload-2x-0",
+    "changed-single-coulomb-1x-0",
+    "missing-foreign-friction_peak-5x-0",
+    "missing-pair-1",
+)
+
+
+@cache
+def drawn_once(name):
+    return draw(Case.parse(name))
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_sizes_are_as_stated(name):
+    """By other means: all rows of the recording, the columns' least squares solved directly."""
+    case = Case.parse(name)
+    drawn = drawn_once(name)
+    run = 1 if case.changed else 0
+    noise, arm, motion = drawn.noise, drawn.arms[run], drawn.motions[run]
+    silent = Sensors(rate=drawn.sensors.rate)
+    record = clean(arm, motion, drawn.sensors.rate)
+    recorded = measure(arm, motion, silent)
+    assert np.array_equal(recorded.tau, record.tau)
+    if case.kind == "pair":
+        for effect in drawn.truth["effects"]:
+            assert effect["size"] == pytest.approx(effect["target"], rel=0.15)
+        return
+    effect = drawn.truth["effects"][0]
+    assert effect["size"] == pytest.approx(effect["target"], rel=0.15)
+    if case.changed:
+        plain = replace_effects(arm, drawn.arms[0])
+        before = move_along(plain, record.t, record.q, record.dq, record.ddq).tau
+        rest = np.where(record.moving, record.tau - before, 0.0)
+    else:
+        a = columns(arm.robot, record)
+        n = arm.n
+        use = record.moving.ravel()
+        weight = np.tile(1.0 / noise, len(record.t))[use]
+        rows, torque = a.reshape(-1, a.shape[2])[use], record.tau.ravel()[use]
+        x = np.linalg.lstsq(rows * weight[:, None], torque * weight, rcond=1e-11)[0]
+        rest = np.zeros(len(record.t) * n)
+        rest[use] = torque - rows @ x
+        rest = rest.reshape(-1, n)
+    counts = record.moving.sum(axis=0)
+    by_joint = np.sqrt((rest**2).sum(axis=0) / counts) / noise
+    assert by_joint.max() == pytest.approx(effect["target"], rel=0.2)
+    assert np.argmax(by_joint) + 1 == effect["joint"]
+
+
+def replace_effects(arm, plain):
+    """The arm with the effects and friction of another."""
+    return replace(arm, effects=plain.effects, friction=plain.friction)
+
+
+@pytest.mark.parametrize("name", [n for n in SOME if "-single-" in n or "foreign" in n])
+def test_an_effect_is_where_the_truth_says(name):
+    """Noiseless torque with it less torque without it, on the same path of the links."""
+    case = Case.parse(name)
+    drawn = drawn_once(name)
+    arm = drawn.arms[1 if case.changed else 0]
+    effect = drawn.truth["effects"][0]
+    motion = drawn.motions[1 if case.changed else 0]
+    thin = slice(None, None, 10)
+    path = motion.t[thin], motion.q[thin], motion.dq[thin], motion.ddq[thin]
+    plain = replace_effects(arm, drawn.arms[0]) if case.changed else replace_effects(arm, bare(arm))
+    ideal = Sensors(rate=None)
+    with_it, without = (measure(a, move_along(a, *path), ideal) for a in (arm, plain))
+    # at rest dry friction is whatever it happens to be
+    change = np.where(np.abs(path[2]) > 1e-3, with_it.tau - without.tau, 0.0)
+    touched = np.flatnonzero(np.abs(change).max(axis=0) > 1e-6 * drawn.noise)
+    shown = np.flatnonzero(np.abs(with_it.q - without.q).max(axis=0) > 1e-12)
+    place = {j - 1 for j in effect["joints"][:1]}
+    if effect["effect"] in ("encoder_offset", "joint_elasticity"):
+        assert set(shown) == place
+    elif place:
+        assert set(touched) == place
+        assert not shown.size
+    else:
+        assert touched.size > 1
+
+
+def bare(arm):
+    return replace(arm, effects=())
+
+
+@pytest.mark.parametrize("name", ["missing-none-1", "missing-none-2", "missing-none-5"])
+def test_noise_is_as_stated(name):
+    drawn = draw(Case.parse(name))
+    sensors = drawn.sensors
+    recorded = measure(drawn.arms[0], drawn.motions[0], sensors, seed=3)
+    ideal = measure(drawn.arms[0], drawn.motions[0], Sensors(rate=sensors.rate))
+    noise = recorded.tau - ideal.tau
+    rms = np.sqrt(np.mean(noise**2, axis=0)) / drawn.noise
+    # the coloured part is correlated: fewer independent samples than rows
+    assert rms == pytest.approx(np.ones(len(rms)), rel=0.12)
+    assert np.sqrt(np.mean(rms**2)) == pytest.approx(1.0, rel=0.05)
+    lag = max(1, round(0.5 * sensors.correlation_time * sensors.rate))
+    coloured = np.array(sensors.coloured_noise) ** 2
+    keep = np.exp(-lag / sensors.rate / sensors.correlation_time)
+    correlation = np.mean(noise[lag:] * noise[:-lag], axis=0)
+    assert correlation.sum() == pytest.approx(
+        keep * coloured.sum(), abs=0.12 * (drawn.noise**2).sum()
+    )
+    white = lfilter([1.0, -1.0], [1.0], noise, axis=0)[1:]
+    assert np.all(np.std(white, axis=0) > 0.3 * drawn.noise)
+
+
+def test_files_are_what_a_user_would_have(tmp_path):
+    folder, truth = tmp_path / "files", tmp_path / "truth.json"
+    told = write(Case.parse("missing-single-temperature_friction-2x-0"), folder, truth)
+    assert json.loads(truth.read_text()) == told
+    assert {f.stem for f in folder.iterdir()} == {"robot", "train", "test"}
+    robot = Robot.load(next(folder.glob("robot.*")))
+    train = Recording.load(folder / "train.csv")
+    assert train.n == robot.n
+    assert train.temperature is not None
+    assert 2500 < len(train.t) < 12000
+    text = "".join(f.read_text()[:300] for f in folder.iterdir())
+    assert "temperature_friction" not in text
+
+
+def test_a_name_makes_one_case(tmp_path):
+    name = "changed-single-viscous-1x-0"
+    assert Case.parse(name).name == name
+    for k in range(2):
+        write(Case.parse(name), tmp_path / str(k))
+    for file in ("before.csv", "after.csv"):
+        assert (tmp_path / "0" / file).read_bytes() == (tmp_path / "1" / file).read_bytes()
+
+
+def test_before_a_change_nothing_is_hidden():
+    drawn = draw(Case.parse("changed-single-stribeck-2x-0"))
+    assert not drawn.arms[0].effects
+    assert drawn.arms[1].effects
+
+
+def test_the_schedule_is_what_the_issue_asks_for():
+    every = list(schedule.cases())
+    names = [case.name for case in every]
+    assert len(set(names)) == len(names)
+    assert all(Case.parse(name).name == name for name in names)
+    for changed in (False, True):
+        own = [c for c in every if c.changed == changed]
+        for kind, least in (("pair", 30), ("triple", 10), ("none", 200), ("foreign", 30)):
+            assert sum(c.kind == kind for c in own) >= least
+        for effect in hidden.CHANGED if changed else hidden.MISSING:
+            assert sum(c.effect == effect for c in own) >= 4
+    assert {c.effect for c in every if c.kind == "foreign"} == set(FOREIGN)
+
+
+def test_sizing_sees_what_is_absorbed():
+    """A payload is a part of the last link; an offset of the first, vertical joint is nothing."""
+    drawn = draw(Case.parse("missing-none-1"))
+    from hidden_effects.hidden import Hidden, with_effect
+
+    from lieid_casadi.plant import EncoderOffset, Payload, Thermal
+
+    arm = drawn.arms[0]
+    stage = Stage("", arm, (None, None), ("", ""), (Thermal(), Thermal()), drawn.sensors,
+                  drawn.noise, False, False)  # fmt: skip
+    m = drawn.motions[0]
+    sizing = Sizing(stage, m.t, (m.q, m.dq, m.ddq))
+    payload = Hidden(
+        "payload", (), with_effect(lambda s: Payload(mass=s, com=(0.0, 0.0, 0.05))), 9.0
+    )
+    assert sizing.size(payload, 1.0, [])[1] < 1e-6
+    turned = Hidden("encoder_offset", (0,), with_effect(lambda s: EncoderOffset(0, offset=s)), 1.0)
+    assert sizing.size(turned, 0.1, [])[0] < 1e-6
+
+
+def found(*steps, unexplained=(), verdict="effect_found"):
+    def step(label, rivals=()):
+        name, _, joint = label.partition(":")
+        return {"effect": name, "joints": [int(joint)] if joint else [], "indistinguishable": [
+            {**step(r), "kind": "data"} for r in rivals]}  # fmt: skip
+
+    return {
+        "verdict": verdict,
+        "steps": [step(*s) if isinstance(s, tuple) else step(s) for s in steps],
+        "unexplained": [
+            {"joint": j, "fraction": 0.5, "depends_on": list(d)} for j, *d in unexplained
+        ],
+    }
+
+
+def truth_of(*effects, signals=()):
+    return {
+        "mode": "missing", "kind": "", "arm": "panda", "simulated": False,
+        "effects": [
+            {"effect": name, "joints": [joint], "target": 5.0, "size": 5.0, "left_part": 1.0,
+             "joint": joint, "signals": list(signals), "nearest": "", "nearest_part": 0.0}
+            for name, joint in effects
+        ],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("answer", "right", "in_set"),
+    [
+        (found("stribeck:2"), True, True),
+        (found("stribeck:3"), False, False),
+        (found("stribeck:2", "viscous_asymmetric:1"), False, False),
+        (found(("presliding:2", ["stribeck:2"])), False, True),
+        (found(("presliding:2", ["stribeck:3"])), False, False),
+        (found(verdict="sufficient"), False, False),
+        (None, False, False),
+    ],
+)
+def test_score_of_a_single(answer, right, in_set):
+    score = judge(Case("single", 0, effect="stribeck", size=5.0), truth_of(("stribeck", 2)), answer)
+    assert (score["right"], score["right_in_set"]) == (right, in_set)
+
+
+def test_score_of_a_pair():
+    truth = truth_of(("stribeck", 2), ("payload", 1))
+    case = Case("pair", 0)
+    assert judge(case, truth, found("payload:1", "stribeck:2"))["right"]
+    half = judge(case, truth, found("payload:1"))
+    assert not half["right"]
+    assert half["missed"] == [["stribeck", (2,)]]
+
+
+@pytest.mark.parametrize(
+    ("answer", "right"),
+    [
+        (found(verdict="sufficient"), True),
+        (found("stribeck:1"), False),
+        (found(verdict="unexplained", unexplained=[(1, "q1")]), False),
+        (None, False),
+    ],
+)
+def test_score_of_nothing(answer, right):
+    assert judge(Case("none", 0), truth_of(), answer)["right"] == right
+
+
+@pytest.mark.parametrize(
+    ("answer", "right"),
+    [
+        (found(unexplained=[(2, "q3", "dq2")], verdict="unexplained"), True),
+        (found(unexplained=[(2, "dq2", "q3", "t")], verdict="unexplained"), True),
+        (found(unexplained=[(2, "dq2")], verdict="unexplained"), False),
+        (found(unexplained=[(1, "dq2", "q3")], verdict="unexplained"), False),
+        (found("stribeck:1", unexplained=[(2, "dq2", "q3")], verdict="unexplained"), False),
+    ],
+)
+def test_score_of_a_foreign_one(answer, right):
+    truth = truth_of(("friction_by_other_angle", 2), signals=("dq2", "q3"))
+    case = Case("foreign", 0, effect="friction_by_other_angle", size=5.0)
+    assert judge(case, truth, answer)["right"] == right
