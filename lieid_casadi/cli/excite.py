@@ -94,7 +94,7 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
 
 def _add_search(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("search")
-    group.add_argument("--starts", type=int, default=8, metavar="N")
+    group.add_argument("--starts", type=int, default=4, metavar="N")
     group.add_argument("--seed", type=int, default=0, metavar="N")
     group.add_argument("--time-limit", type=float, default=float("inf"), metavar="S")
 

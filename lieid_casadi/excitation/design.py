@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 SIGN_WIDTH = 0.02  # of the velocity limit: how sharp the smooth sign is
 MARGIN = 1e-3  # of each limit's scale: kept free while optimizing
 COARSE = 4  # grid of the optimization, in samples of the criterion
+FAR = 0.3  # of −log det per parameter, from Δ₂
 FINE = 20  # grid of the verification
 
 
@@ -120,13 +121,13 @@ class Objective:
             return p.samples.gradient(p.information.gradient(stacked, slope))
 
         value, slope = self.criterion.evaluate(gram)
-        if self.ceiling is None:
-            return Outcome(value, pulled(slope), gram, np.zeros(0), np.zeros((0, len(z))))
-        volume, volume_slope = LogDet().evaluate(gram)
-        return Outcome(
-            value, pulled(slope), gram,
-            np.array([volume - self.ceiling]), pulled(volume_slope)[None],
-        )  # fmt: skip
+        excess, slopes = np.zeros(0), np.zeros((0, len(z)))
+        if self.ceiling is not None:
+            volume, volume_slope = LogDet().evaluate(gram)
+            excess, slopes = np.array([volume - self.ceiling]), np.zeros((1, len(z)))
+            if excess[0] > -FAR:  # else no step would come near it
+                slopes[0] = pulled(volume_slope)
+        return Outcome(value, pulled(slope), gram, excess, slopes)
 
 
 def condition_number(gram: Array, metric: Array) -> float:

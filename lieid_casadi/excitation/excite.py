@@ -43,7 +43,7 @@ def excite(
     samples: int = 100,
     rate: float = 1000.0,
     scaling: str | ArrayLike = "si",
-    starts: int = 8,
+    starts: int = 4,
     seed: int = 0,
     time_limit: float = np.inf,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
