@@ -67,7 +67,9 @@ if TYPE_CHECKING:
     from lieid_casadi.comparison.compare import compare
     from lieid_casadi.comparison.comparison import Comparison
     from lieid_casadi.compiled import Compiled, compile
-    from lieid_casadi.diagnosis import Diagnosis, diagnose, extend
+    from lieid_casadi.diagnosis.diagnose import diagnose
+    from lieid_casadi.diagnosis.diagnosis import Diagnosis
+    from lieid_casadi.diagnosis.extend import extend
     from lieid_casadi.effects import Coefficient, Effect, Shape, Signals, effect, register
     from lieid_casadi.errors import LieidError, LieidWarning
     from lieid_casadi.identification.fit import Fit

@@ -54,20 +54,24 @@ def check_replaceable(folder: Path, *, force: bool) -> None:
 def write(demo: Demo, folder: Path) -> None:
     """Write everything beside the folder first, then put it in place at once."""
     from lieid_casadi.cli.compare import save_figure
-    from lieid_casadi.report import comparison_report
+    from lieid_casadi.export.c_code import export_c
+    from lieid_casadi.report import diagnosis_report
 
     fresh = folder.with_name(f".{folder.name}.new")
     shutil.rmtree(fresh, ignore_errors=True)
     fresh.mkdir(parents=True)
     (fresh / MARK).write_text("Made by lieid demo, which replaces this folder.\n")
+    demo.excitation.save(fresh / "excitation")
     demo.train.save(fresh / "train.csv.gz")
     demo.test.save(fresh / "test.csv.gz")
     demo.fit.save(fresh / "fit.json")
     demo.better.save(fresh / "better.json")
     save_figure(str(fresh / "comparison.png"), demo.comparison.plot())
     save_figure(str(fresh / "errors.png"), demo.comparison.plot_errors())
-    report = comparison_report(demo.fit, demo.comparison)
+    save_figure(str(fresh / "waterfall.png"), demo.diagnosis.plot())
+    report = diagnosis_report(demo.diagnosis, demo.better_comparison)
     (fresh / "report.html").write_text(report, encoding="utf-8")
+    export_c(demo.better, fresh / "c")
     if folder.exists():
         shutil.rmtree(folder)
     fresh.replace(folder)
@@ -76,34 +80,37 @@ def write(demo: Demo, folder: Path) -> None:
 def content(demo: Demo) -> dict[str, Any]:
     """Return the demo's numbers for machines."""
     return {
+        "excitation": demo.excitation.to_dict(),
         "before": {"effects": demo.fit.model.effects, **demo.comparison.to_dict()},
+        "diagnosis": demo.diagnosis.to_dict(),
         "after": {"effects": demo.better.model.effects, **demo.better_comparison.to_dict()},
     }
 
 
 def show(demo: Demo, folder: Path) -> None:
-    """Print the error per joint before and after."""
+    """Print the story: the motion, the verdict, the error per joint before and after."""
     before, after = demo.comparison, demo.better_comparison
-    added = [e for e in demo.better.model.effects if e not in demo.fit.model.effects]
+    output.say(
+        f"Excitation: condition number {demo.excitation.condition_number:.3g}, "
+        f"{demo.excitation.duration:.0f} s."
+    )
+    output.say(demo.diagnosis.sentence)
     rows: list[list[object]] = [
         [
             f"{j + 1} {name}",
             float(before.rms_moving[j]),
             float(after.rms_moving[j]),
-            float(after.noise_floor[j]),
+            float(demo.diagnosis.noise_floor[j]),
             float(after.torque_rms[j]),
         ]
         for j, name in enumerate(before.joint_names)
     ]
     output.table(
         "RMS error on a run that was not fitted, joints in motion, N·m",
-        [
-            "joint",
-            ", ".join(demo.fit.model.effects),
-            f"with {', '.join(added)}",
-            "noise floor",
-            "torque itself",
-        ],
+        ["joint", "+".join(demo.fit.model.effects), "diagnosed", "noise floor", "torque itself"],
         rows,
     )
-    output.say(f"Report, plots, recordings and fits are in {folder}/ (open report.html).")
+    output.say(
+        f"{folder}/report.html tells it with pictures; excitation, recordings, fits and C code "
+        "for a controller are beside it."
+    )

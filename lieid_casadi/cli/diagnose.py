@@ -36,14 +36,14 @@ def add_parser(commands: Any) -> None:
     arguments.add_effects(parser)
     arguments.add_recording_options(parser)
     arguments.add_processing(parser)
-    arguments.add_outputs(parser)
+    arguments.add_outputs(parser, html=True)
     arguments.add_threads(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> None:
     """Diagnose, print and write."""
-    output.check_writable(args.output, args.json, args.plot)
+    output.check_writable(args.output, args.json, args.html, args.plot)
     if Path(args.robot).suffix == ".json":
         diagnosis = _changed(args)
     else:
@@ -51,6 +51,10 @@ def run(args: argparse.Namespace) -> None:
     if args.output is not None:
         diagnosis.fit.save(args.output)
     output.write_json(args.json, diagnosis.to_dict())
+    if args.html is not None:
+        from lieid_casadi.report import diagnosis_report
+
+        output.write_file(args.html, diagnosis_report(diagnosis).encode())
     if args.plot is not None:
         from lieid_casadi.cli.compare import save_figure
 

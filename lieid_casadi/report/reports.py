@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.identification import Fit
 from lieid_casadi.report.page import render
 from lieid_casadi.report.section import Section
+from lieid_casadi.report.sections.diagnosis import (
+    evidence_section,
+    finding_section,
+    waterfall_section,
+)
 from lieid_casadi.report.sections.errors import errors_section
 from lieid_casadi.report.sections.moments import moments_section
 from lieid_casadi.report.sections.parameters import effects_section, links_section
@@ -14,6 +21,9 @@ from lieid_casadi.report.sections.provenance import provenance_section
 from lieid_casadi.report.sections.training import training_section
 from lieid_casadi.report.sections.verdict import verdict_section
 from lieid_casadi.report.sections.warnings import warnings_section
+
+if TYPE_CHECKING:
+    from lieid_casadi.diagnosis import Diagnosis
 
 
 def comparison_report(fit: Fit, comparison: Comparison) -> str:
@@ -36,6 +46,23 @@ def fit_report(fit: Fit) -> str:
     return render(
         f"{fit.model.robot.name}: identified model",
         [warnings_section(fit.warnings), *fit_sections(fit), provenance_section(fit)],
+    )
+
+
+def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None) -> str:
+    """Return the HTML report of a diagnosis; with a comparison of its last fit, that too."""
+    fit = diagnosis.fit
+    sections = [
+        finding_section(diagnosis),
+        waterfall_section(diagnosis),
+        evidence_section(diagnosis),
+        warnings_section(diagnosis.warnings),
+    ]
+    if comparison is not None:
+        sections += [torques_section(comparison), dependence_section(comparison)]
+    return render(
+        f"{fit.model.robot.name}: diagnosis",
+        [*sections, *fit_sections(fit), provenance_section(fit, comparison)],
     )
 
 

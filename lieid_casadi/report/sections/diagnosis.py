@@ -1,0 +1,89 @@
+"""What a diagnosis found, how sure it is, and what it turned down."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lieid_casadi.report.section import Section
+from lieid_casadi.report.sections.pictures import picture_section
+
+if TYPE_CHECKING:
+    from lieid_casadi.diagnosis import Diagnosis
+
+
+def finding_section(diagnosis: Diagnosis) -> Section:
+    """Return the verdict in one sentence and the error of each model on the way."""
+    from lieid_casadi.diagnosis.words import rows
+
+    headings, table = rows(diagnosis)
+    tested = "test" if diagnosis.baseline_test is not None else "training"
+    errors = {
+        "title": f"RMS error on the {tested}, N·m",
+        "headings": headings,
+        "rows": [[_text(cell) for cell in row] for row in table],
+        "note": "Each row adds one effect to the row above and fits everything again. p: "
+        "family-wise, for everything that was tried. The test chooses nothing.",
+    }
+    data = {"sentence": diagnosis.sentence, "tables": [errors]}
+    return Section("Verdict", "diagnosis.html", data)
+
+
+def waterfall_section(diagnosis: Diagnosis) -> Section:
+    """Return the picture of the error falling."""
+    return picture_section("From the first model to the last", diagnosis.plot(), "")
+
+
+def evidence_section(diagnosis: Diagnosis) -> Section:
+    """Return how sure each step is, its rivals and its parameters."""
+    from lieid_casadi.diagnosis.words import where
+
+    steps = [
+        [
+            step.effect,
+            where(step.joints),
+            ", ".join(f"{name} = {value:.4g}" for name, value in step.parameters.items()),
+            _text(step.evidence.effect_size),
+            f"{step.evidence.held_out_before:.3g} → {step.evidence.held_out_after:.3g}",
+            {True: "yes", False: "no", None: "–"}[step.evidence.confirmed],
+            ", ".join(
+                f"{rival.placement.label} ({kind})" for rival, kind in step.indistinguishable[:3]
+            )
+            or "–",
+        ]
+        for step in diagnosis.steps
+    ]
+    found = {
+        "title": "Evidence",
+        "headings": [
+            "effect", "on", "parameters", "size, N·m", "held-out error, N·m", "test confirms",
+            "cannot be told from",
+        ],
+        "rows": steps,
+        "note": "exact: no data can tell the two apart; data: this data cannot.",
+    }  # fmt: skip
+    left = {
+        "title": "Unexplained",
+        "headings": ["joint", "part of the error's variance", "follows"],
+        "rows": [
+            [f"{u.joint + 1}", f"{100 * u.fraction:.0f} %", ", ".join(u.depends_on)]
+            for u in diagnosis.unexplained
+        ],
+        "note": "Cross-validated. Write it as an effect of your own and run again.",
+    }
+    rejected = {
+        "title": f"Turned down ({diagnosis.tried} candidates were tried)",
+        "headings": ["effect", "because"],
+        "rows": [list(pair) for pair in diagnosis.rejected],
+        "note": "",
+    }
+    return Section(
+        "Evidence", "diagnosis.html", {"sentence": "", "tables": [found, left, rejected]}
+    )
+
+
+def _text(cell: object) -> str:
+    if cell is None:
+        return "–"
+    if isinstance(cell, float):
+        return "–" if cell != cell else f"{cell:.3g}"
+    return str(cell)
