@@ -128,6 +128,8 @@ def print_fit(fit: Fit, comparison: Comparison | None) -> None:
         f"σ_r+1 {c.beyond:.1g}; full regressor, SI). "
         f"Physically consistent: {'yes' if fit.physically_consistent else 'no'}."
     )
+    if fit.certificate is not None:
+        output.say(fit.certificate.summary())
     output.show_warnings(fit.warnings)
     if comparison is not None:
         known = {str(w) for w in fit.warnings}

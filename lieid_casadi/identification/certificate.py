@@ -64,6 +64,21 @@ class Certificate:
         """Relative increase of each joint's training error (n,) over weighted least squares."""
         return np.asarray(self.rms / self.rms_wls - 1.0)
 
+    def summary(self) -> str:
+        """Return in words what is certain, and what it costs."""
+        costs = " ".join(f"{100.0 * x:+.1f}" for x in self.cost)
+        friction = "" if np.isinf(self.least_dissipation) else ", friction dissipates"
+        found = (
+            f"every link's pseudo-inertia is positive definite (smallest eigenvalue "
+            f"{self.pseudo_inertia_eigenvalue.min():.2g}), M(q) too over {self.poses} random poses "
+            f"({self.mass_matrix_eigenvalue:.2g}){friction}"
+        )
+        return (
+            f"Physically possible: {found if self.holds else 'NO'}. RMS error against wls on the "
+            f"training data, joint by joint: {costs} %. Regularization {self.regularization:.2g} "
+            f"({self.regularization_source})."
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data."""
         return {

@@ -71,6 +71,14 @@ def test_bodies_can_exist_by_pinocchio(panda_fit):
     assert panda_fit.physically_consistent
 
 
+def test_the_certificate_says_in_words_what_feasibility_costs(panda_fit):
+    words = panda_fit.certificate.summary()
+    assert words.startswith("Physically possible: every link's pseudo-inertia is positive definite")
+    assert "over 10000 random poses" in words
+    assert "friction dissipates" in words
+    assert " ".join(f"{100 * x:+.1f}" for x in panda_fit.certificate.cost) + " %" in words
+
+
 def test_base_values_are_the_combination_of_the_parameters(panda_fit):
     combination = panda_fit.model.base.combination
     np.testing.assert_array_equal(panda_fit.values, combination @ panda_fit.parameters)
