@@ -22,12 +22,14 @@ from lieid_casadi.identification.fit import Source
 from lieid_casadi.identification.fixed_point import ShapeStart
 from lieid_casadi.identification.identify import center_temperature, unique_warnings
 from lieid_casadi.model import Model
+from lieid_casadi.one_thread import blas_on_one_thread
 from lieid_casadi.recording import Processing, Recording, period_noise, process
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 
+@blas_on_one_thread
 def diagnose(
     model: Model | Fit,
     train: Recording | Sequence[Recording],

@@ -43,6 +43,7 @@ from lieid_casadi.identification.prediction import predict_recording, training_e
 from lieid_casadi.identification.shape_fit import shape_columns
 from lieid_casadi.identification.weights import ESTIMATORS
 from lieid_casadi.model import Model
+from lieid_casadi.one_thread import blas_on_one_thread
 from lieid_casadi.recording import (
     Processed,
     Processing,
@@ -56,6 +57,7 @@ Array = NDArray[np.float64]
 METHODS = (*ESTIMATORS, "feasible")
 
 
+@blas_on_one_thread
 def identify(
     model: Model,
     recordings: Recording | RecordingStream | Sequence[Recording | RecordingStream],
