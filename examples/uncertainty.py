@@ -1,8 +1,10 @@
 """Do error bars hold? A simulated arm is measured 200 times, with other noise each time.
 
 Prints how often the 95 % intervals of base parameters hold the true values, for white and for
-coloured torque noise, and what encoder noise does, which no error bar shows: a bias. Draws
-``coverage.png``. Takes about three minutes: python examples/uncertainty.py [RUNS]
+coloured torque noise; and what encoder noise does, which no error bar shows: a bias, that
+instrumental variables reduce. Draws ``coverage.png``.
+
+Takes some minutes: python examples/uncertainty.py [RUNS]
 """
 
 import sys
@@ -11,6 +13,7 @@ import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.identification.instrumental import instrumental
 
 EFFECTS = "coulomb,viscous,offset"
 NOISE = 0.005  # of each joint's torque scale
@@ -32,13 +35,15 @@ def true_values(model, arm):
     return model.base.combination @ np.concatenate([arm.parameters, effects])
 
 
-def errors(arm, t, motion, sensors, runs):
+def errors(arm, t, motion, sensors, runs, instruments=False):
     """Return errors (runs, p) of the base values, and their stated standard deviations."""
     model = lieid.Model(arm.robot, EFFECTS)
     truth, found, stated = true_values(model, arm), [], []
     for seed in range(runs):
         recording = plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed)
         fit = lieid.identify(model, recording, processing=lieid.Processing(cutoff=8.0))
+        if instruments:
+            fit = instrumental(fit, recording).fit
         found.append(fit.values - truth)
         stated.append(fit.std)
     return np.array(found), np.array(stated)
@@ -50,16 +55,18 @@ def main(runs=200):
 
     arm, t, motion = arm_and_motion()
     noise = tuple(NOISE * plant.torque_scale(arm.robot))
+    white = plant.Sensors(torque_noise=noise)
+    coloured = plant.Sensors(coloured_noise=noise, correlation_time=0.1)
+    encoder = plant.Sensors(torque_noise=noise, position_noise=1e-4, velocity="difference")
     kinds = {
-        "white torque noise": plant.Sensors(torque_noise=noise),
-        "coloured torque noise, 0.1 s": plant.Sensors(coloured_noise=noise, correlation_time=0.1),
-        "white torque and 1e-4 rad encoder noise": plant.Sensors(
-            torque_noise=noise, position_noise=1e-4, velocity="difference"
-        ),
+        "white torque noise": (white, False),
+        "coloured torque noise, 0.1 s": (coloured, False),
+        "white torque and 1e-4 rad encoder noise": (encoder, False),
+        "the same, instrumental variables": (encoder, True),
     }
     figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
-    for name, sensors in kinds.items():
-        found, stated = errors(arm, t, motion, sensors, runs)
+    for name, (sensors, instruments) in kinds.items():
+        found, stated = errors(arm, t, motion, sensors, runs, instruments)
         held = np.mean(np.abs(found) < 1.96 * stated, axis=0)
         bias = np.abs(found.mean(axis=0)) / found.std(axis=0)
         print(

@@ -16,6 +16,7 @@ from lieid_casadi.identification.least_squares import Factor
 Array = NDArray[np.float64]
 log = logging.getLogger("lieid_casadi")
 TOLERANCE = 1e-8
+FRICTION_MARGIN = 1e-6  # of the joint's noise: friction dissipates in spite of the tolerance
 
 RELAX = (
     "relax the bounds on masses and centres of mass, or give a larger regularization "
@@ -67,11 +68,8 @@ class ConvexSolver:
             divergence += cp.trace(body) - cp.log_det(body)
             constraints.append(body >> problem.options.margin * unit)
         rows, bounds = linear_constraints(problem)
-        scaled = rows @ problem.scaling
-        size = np.linalg.norm(scaled, axis=1)
-        size[size == 0.0] = 1.0
         if len(rows):
-            constraints.append((scaled / size[:, None]) @ self._unknowns >= bounds / size)
+            constraints.append((rows @ problem.scaling) @ self._unknowns >= bounds)
         hidden = links + np.flatnonzero(~problem.seen)
         if len(hidden):
             constraints.append(self._unknowns[hidden] == 0.0)
@@ -120,7 +118,7 @@ class ConvexSolver:
 
 
 def linear_constraints(problem: FeasibleProblem) -> tuple[Array, Array]:
-    """Return rows and bounds of row @ parameters ≥ bound."""
+    """Return rows and bounds of row @ parameters ≥ bound, rows of unit size in scaled unknowns."""
     links, total = 10 * problem.n, problem.combination.shape[1]
     rows, bounds = [np.zeros((0, total))], [np.zeros(0)]
     unit = np.eye(total)[links:]
@@ -128,11 +126,19 @@ def linear_constraints(problem: FeasibleProblem) -> tuple[Array, Array]:
         finite = np.isfinite(side) & problem.seen
         rows.append(sign * unit[finite])
         bounds.append(side[finite])
-    friction = np.zeros((len(problem.friction), total))
-    friction[:, links:] = problem.friction
-    rows.append(friction)
-    bounds.append(np.zeros(len(friction)))
     for row, bound in problem.known_bodies:
         rows.append(np.concatenate([row, np.zeros(total - links)])[None])
         bounds.append(np.array([bound]))
-    return np.vstack(rows), np.concatenate(bounds)
+    known, limits = _unit_size(problem, np.vstack(rows), np.concatenate(bounds))
+    seen = problem.friction * problem.seen
+    friction = np.zeros((len(seen), total))
+    friction[:, links:] = seen
+    friction = friction[np.any(seen != 0.0, axis=1)]
+    friction, zeros = _unit_size(problem, friction, np.zeros(len(friction)))
+    return np.vstack([known, friction]), np.concatenate([limits, zeros + FRICTION_MARGIN])
+
+
+def _unit_size(problem: FeasibleProblem, rows: Array, bounds: Array) -> tuple[Array, Array]:
+    size = np.linalg.norm(rows @ problem.scaling, axis=1)
+    size[size == 0.0] = 1.0
+    return rows / size[:, None], bounds / size
