@@ -24,8 +24,8 @@ from lieid_casadi.recording.processing import Processed
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Stretch = list[tuple[int, Window]]  # number of a segment, and a window of its rows
-HELD_BYTES = 256 << 20
-STRETCH_BYTES = 64 << 20
+HELD_BYTES = 128 << 20
+STRETCH_BYTES = 32 << 20
 
 
 class Design:
@@ -41,7 +41,7 @@ class Design:
     segments : sequence of Processed
         Each with a torque.
     held : int, optional
-        Bytes of columns that may be kept; 256 MB if left out.
+        Bytes of columns that may be kept; 128 MB if left out.
     """
 
     def __init__(
@@ -62,8 +62,11 @@ class Design:
         width = 8 * sum(len(active) for active in self._active)
         self._stretches = _stretches(windows, width, HELD_BYTES if held is None else held)
         self._kept: list[list[Array]] | None = None
+        self._rows: Rows | None = None
         if len(self._stretches) == 1:
             self._kept = self._filtered(self._stretches[0])
+            if not self._varying.any():
+                self._rows, self._kept = self._stack(self._stretches[0], self._kept, []), None
 
     def rows(self, shapes: Array, link_parameters: Array | None) -> Rows:
         """Return the equations for given shape parameters and link parameters (10 n,).
@@ -71,6 +74,8 @@ class Design:
         Link parameters, with the effects' coefficients after them (10 n + m,) where effects on
         the whole arm need those, give the load of load-dependent effects; None means no load yet.
         """
+        if self._rows is not None:
+            return self._rows
         fresh: list[Array] = []
         if self._varying.any():
             fresh = [self._fresh(s, shapes, link_parameters) for s in self.segments]

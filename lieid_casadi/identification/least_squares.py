@@ -52,15 +52,20 @@ class Solution:
 
 def joint_factors(rows: Rows, weights: Sequence[Array] | None = None) -> list[Factor]:
     """Return one factor per joint, in all p columns; ``weights`` multiply the rows."""
+    if weights is None and rows.unweighted is not None:
+        return rows.unweighted
     triangles = [Triangle(len(columns) + 1) for columns in rows.columns]
     for part, where in rows.stretches():
         for j, (joint, triangle) in enumerate(zip(part.joints, triangles, strict=True)):
             weight = None if weights is None else weights[j][where[j]]
             triangle.add(joint.matrix, joint.torque, weights=weight)
-    return [
+    factors = [
         widened(triangle.r, columns, rows.count, int(length))
         for triangle, columns, length in zip(triangles, rows.columns, rows.lengths, strict=True)
     ]
+    if weights is None:
+        rows.unweighted = factors
+    return factors
 
 
 def widened(small: Array, columns: NDArray[np.integer], p: int, rows: int) -> Factor:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from lieid_casadi.identification.least_squares import Factor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -43,6 +47,7 @@ class Rows:
         self._joints: tuple[JointRows, ...] | None = tuple(joints)
         self.count = count
         self.segments = segments
+        self.unweighted: list[Factor] | None = None  # kept by `least_squares.joint_factors`
 
     @property
     def joints(self) -> tuple[JointRows, ...]:

@@ -22,10 +22,13 @@ from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.robust_loess import robust_loess
 from lieid_casadi.recording.spectrum import noise_dead_zone
 
-#: q, dq, ddq keep this many cut-offs: the columns' filter does the rest, and does it alone.
-MOTION_BAND = 3.0
-#: Rate over cut-off that the grid keeps at least, so that the steps of sgn(dq) stay sharp.
-GRID_OVER_CUTOFF = 20.0
+#: A stay in the dead zone for this long is rest (stiction holds the joint), not a reversal, s.
+REST_TIME = 0.03
+#: q, dq, ddq keep this many cut-offs: the columns' filter does the rest, and does it alone. They
+#: keep these Hz at least: reversals and rests are as short as they are, however low the cut-off.
+MOTION_BAND, LEAST_BAND = 3.0, 20.0
+#: Rate that the grid keeps at least, in cut-offs and in Hz, so that steps of sgn(dq) stay sharp.
+GRID_OVER_CUTOFF, LEAST_GRID = 20.0, 120.0
 #: Instants that are filtered at once; longer segments are taken in windows of this length.
 WINDOW = 1 << 16
 #: Places, and rows at each, where a long segment's noise is looked at.
@@ -50,7 +53,7 @@ class Grid:
         """The grid of a segment with stamps t at about a rate, Hz."""
         count = max(2, round((t[-1] - t[0]) * rate) + 1)
         rate = (count - 1) / (t[-1] - t[0])
-        step = max(1, int(rate / (GRID_OVER_CUTOFF * cutoff)))
+        step = max(1, int(rate / max(GRID_OVER_CUTOFF * cutoff, LEAST_GRID)))
         return cls(float(t[0]), float(t[-1]), count, step)
 
     @property
@@ -140,7 +143,7 @@ def signals_on_grid(
 def _windows(grid: Grid, cutoff: float, size: int) -> Iterator[tuple[int, int, int, int]]:
     """Kept instants of each window, and the instants of the grid that they need."""
     rate, kept = grid.rate, len(range(0, grid.count, grid.step))
-    margin = filter_memory(rate, MOTION_BAND * cutoff) + round(rate / cutoff) + NEIGHBOURS
+    margin = filter_memory(rate, motion_band(cutoff)) + _rest_length(rate) + NEIGHBOURS
     if grid.step > 1:
         margin = max(margin, filter_memory(rate, 0.4 * rate / grid.step, 8))
     for first in range(0, kept, size):
@@ -154,7 +157,7 @@ def _signals(
     part: Recording, times: Array, grid: Grid, cutoff: float, dead_zone: Array | None, loess: bool
 ) -> tuple[dict[str, NDArray[Any]], Array]:
     """Signals at times of the grid, at its full rate, and the dead zone."""
-    rate, band = grid.rate, MOTION_BAND * cutoff
+    rate, band = grid.rate, motion_band(cutoff)
     q = lowpass(smooth_at(part.t, part.q, times), rate, band)
     raw = _raw_velocity(part, times, rate)
     dq = lowpass(raw, rate, band)
@@ -164,7 +167,7 @@ def _signals(
         ddq = central_difference(dq, rate)
     else:
         ddq = lowpass(smooth_at(part.t, part.ddq, times), rate, band)
-    moving = _moving(dq, dead_zone, rate, cutoff)
+    moving = _moving(dq, dead_zone, rate)
     signals: dict[str, NDArray[Any]] = {
         "t": times,
         "q": q,
@@ -196,16 +199,26 @@ def _sampled_dead_zone(t: Array, rows: Rows, grid: Grid, cutoff: float) -> Array
         part = rows(int(first), int(first) + count)
         times = np.arange(part.t[0], part.t[-1], 1.0 / grid.rate)
         found.append(_raw_velocity(part, times, grid.rate))
-    band = MOTION_BAND * cutoff
+    band = motion_band(cutoff)
     return noise_dead_zone(np.concatenate(found), kept=band / (0.5 * grid.rate))
 
 
-def _moving(dq: Array, dead_zone: Array, rate: float, cutoff: float) -> Mask:
-    """Mark (K, n) where joints do not rest: rest is a stay in the dead zone of a filter's length.
+def motion_band(cutoff: float) -> float:
+    """Return the band of q, dq and ddq, Hz, for a cut-off of the columns."""
+    return max(MOTION_BAND * cutoff, LEAST_BAND)
 
-    A reversal passes through the dead zone sooner, and there the velocity's own sign is the
-    best guess; taking it for rest would leave dry friction out of every reversal.
+
+def _rest_length(rate: float) -> int:
+    return max(round(rate * REST_TIME), 2)
+
+
+def _moving(dq: Array, dead_zone: Array, rate: float) -> Mask:
+    """Mark (K, n) where joints do not rest.
+
+    Dry friction is undetermined where stiction holds a joint, be it for an instant at a reversal.
+    A reversal without stiction passes through the dead zone sooner, and there the velocity's own
+    sign is the best guess.
     """
-    length = max(round(rate / cutoff), 1)
-    rest = binary_opening(np.abs(dq) <= dead_zone, structure=np.ones((length, 1), dtype=bool))
+    structure = np.ones((_rest_length(rate), 1), dtype=bool)
+    rest = binary_opening(np.abs(dq) <= dead_zone, structure=structure)
     return np.asarray(~rest)

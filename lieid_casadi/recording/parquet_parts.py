@@ -60,7 +60,7 @@ class ParquetParts:
         changes: list[int] = []
         label: str | None = None
         wanted = [self._time] + ([LABEL] if self._layout.label is not None else [])
-        for batch in self._read(self._file.iter_batches(BATCH, columns=wanted)):
+        for batch in self._read(0, wanted):
             t[row : row + len(batch)] = _numbers(batch.column(self._time), self._path)
             if LABEL in wanted:
                 labels = [str(x) for x in batch.column(LABEL).to_pylist()]
@@ -75,8 +75,7 @@ class ParquetParts:
         """See `streams.Reader`."""
         if not self._held or first < self._held[0][0] or first > self._next + BATCH:
             group = int(np.searchsorted(self._starts, first, side="right")) - 1
-            groups = range(group, len(self._starts) - 1)
-            self._batches = self._read(self._file.iter_batches(BATCH, row_groups=groups))
+            self._batches = self._read(group)
             self._held, self._next = [], int(self._starts[group])
         while self._next < last:
             batch = next(self._batches)
@@ -92,9 +91,12 @@ class ParquetParts:
         title = f"{self._path} (rows {first + 1} to {last})"
         return recording_from_columns(columns, title, self._n)
 
-    def _read(self, batches: Iterator[Any]) -> Iterator[Any]:
+    def _read(self, group: int, columns: Sequence[str] | None = None) -> Iterator[Any]:
+        """Yield the batches from a row group on; each group apart, or all of them stay there."""
         try:
-            yield from (batch for batch in batches if len(batch))
+            for k in range(group, len(self._starts) - 1):
+                batches = self._file.iter_batches(BATCH, row_groups=[k], columns=columns)
+                yield from (batch for batch in batches if len(batch))
         except (self._pyarrow.ArrowInvalid, OSError) as error:
             reason = str(error).splitlines()[0]
             raise RecordingError(f"{self._path}: cannot be read ({reason})") from error

@@ -163,7 +163,7 @@ def test_rows_made_in_stretches_are_the_same(monkeypatch):
     assert len(segments[0].windows) > 3
     whole = Design(arm, segments).rows(model.initial_shapes, None)
     parts = Design(arm, segments, held=0).rows(model.initial_shapes, None)
-    assert len(list(parts.stretches())) == 1  # of 64 MB
+    assert len(list(parts.stretches())) == 1  # of 32 MB
     monkeypatch.setattr(design, "STRETCH_BYTES", 4000)
     parts = Design(arm, segments, held=0).rows(model.initial_shapes, None)
     assert len(list(parts.stretches())) > 3
