@@ -70,7 +70,7 @@ class Processed:
     t
         (K,) s, on the recording's own clock.
     q, dq, ddq
-        (K, n), low-passed at three times the cut-off, zero-phase; dq is 0 where a joint rests.
+        (K, n), low-passed well above the cut-off, zero-phase; dq is 0 where a joint rests.
     tau
         (K, n) or None; resampled, not low-passed: :meth:`filter` does that, as it does on
         every regressor column.
@@ -85,7 +85,7 @@ class Processed:
     dead_zone
         (n,) speed below which a joint counts as at rest, rad/s.
     moving
-        (K, n) False where a joint stays in its dead zone for a period of the cut-off or more.
+        (K, n) False where a joint stays in its dead zone long enough for stiction to hold it.
     options
         With the cut-off filled in.
     warnings
