@@ -23,10 +23,12 @@ from lieid_casadi.excitation.solve import Solution
 from lieid_casadi.excitation.symbolic_limits import Limit, Torque
 from lieid_casadi.excitation.trajectory import period_grid
 from lieid_casadi.model import Model
+from lieid_casadi.one_thread import blas_on_one_thread
 
 Array = NDArray[np.float64]
 
 
+@blas_on_one_thread
 def excite(
     model: Model,
     *,

@@ -112,11 +112,7 @@ class Sqp:
         return state.z
 
     def _state(self, objective: Objective, z: Array) -> State:
-        outcome = objective(z)
-        motion = self.constraints.sampled.motion(z)
-        excess = self.constraints.excess(motion)
-        violation = max(self.constraints.largest(excess), float(outcome.excess.max(initial=-1.0)))
-        return State(z, outcome, motion, excess, violation)
+        return state_at(self.constraints, objective, z)
 
     def _merit(self, state: State) -> float:
         return state.outcome.value + self.penalty * max(state.violation, 0.0)
@@ -227,6 +223,15 @@ class Sqp:
             slopes = jacobian(after.motion, chosen) - jacobian(before.motion, chosen)
             change = change + multipliers[: len(rows)][held] @ slopes
         self.hessian = damped_bfgs(self.hessian, move, change)
+
+
+def state_at(constraints: SampledConstraints, objective: Objective, z: Array) -> State:
+    """Evaluate objective and limits at z (m,)."""
+    outcome = objective(z)
+    motion = constraints.sampled.motion(z)
+    excess = constraints.excess(motion)
+    violation = max(constraints.largest(excess), float(outcome.excess.max(initial=-1.0)))
+    return State(z, outcome, motion, excess, violation)
 
 
 def _shortened(step: Step) -> Step:
