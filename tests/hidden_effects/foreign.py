@@ -40,7 +40,7 @@ def _bump(g: Ground, j: int) -> Hidden:
 def _end_stop(g: Ground, j: int) -> Hidden:
     """A bumper that is pressed near one end of the range."""
     span, up = float(g.upper[j] - g.lower[j]), g.sign()
-    start = float(g.upper[j]) - 0.25 * span if up > 0 else float(g.lower[j]) + 0.25 * span
+    start = float(g.upper[j]) - 0.15 * span if up > 0 else float(g.lower[j]) + 0.15 * span
     return _foreign(
         "end_stop", j, (f"q{j + 1}",),
         lambda s: up * np.maximum(up * (s.q[..., j] - start), 0.0) / span,
@@ -63,12 +63,15 @@ def _spring_from_other(g: Ground, j: int) -> Hidden:
     )
 
 
-def _cubed_sine_friction(g: Ground, j: int) -> Hidden:
-    """Dry friction that varies as the cube of a sine."""
-    i, phase = _revolute(g, j), g.angle()
+def _rough_spot(g: Ground, j: int) -> Hidden:
+    """Dry friction that is larger in one narrow place."""
+    i = _revolute(g, j)
+    span = float(g.upper[i] - g.lower[i])
+    centre = float(g.lower[i]) + span * float(g.random.uniform(0.3, 0.7))
+    width = span * g.log(0.05, 0.1)
     return _foreign(
-        "cubed_sine_friction", i, (f"dq{i + 1}", f"q{i + 1}"),
-        lambda s: np.sin(s.q[..., i] + phase) ** 3 * s.sign[..., i],
+        "rough_spot", i, (f"dq{i + 1}", f"q{i + 1}"),
+        lambda s: s.sign[..., i] / (1.0 + ((s.q[..., i] - centre) / width) ** 2),
     )  # fmt: skip
 
 
@@ -164,7 +167,7 @@ FOREIGN = {
     "end_stop": _end_stop,
     "cogging_of_other": _cogging_of_other,
     "spring_from_other": _spring_from_other,
-    "cubed_sine_friction": _cubed_sine_friction,
+    "rough_spot": _rough_spot,
     "friction_by_other_angle": _friction_by_other_angle,
     "viscous_by_angle": _viscous_by_angle,
     "friction_peak": _friction_peak,

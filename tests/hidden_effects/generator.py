@@ -27,6 +27,8 @@ from lieid_casadi.plant import Arm, Motion, Sensors, measure, move, move_along
 Array = NDArray[np.float64]
 ATTEMPTS = 80
 CLOSE_ENOUGH = 0.05  # on the motion that truly happened, at all instants
+TOO_FAR = 0.12  # then the case is drawn anew
+IMITATED = 0.8  # of what a foreign effect leaves, by one of a library: not foreign enough
 FINE_RATE, CONTROL_RATE = 1000.0, 500.0  # Hz
 
 
@@ -65,8 +67,18 @@ def draw(case: Case) -> Drawn:
         found = find_strengths(stage, hidden, targets)
         if found is not None:
             strengths, louder = found
-            return _finish(case, stage.louder(louder), hidden, targets, strengths, attempt)
+            drawn = _finish(case, stage.louder(louder), hidden, targets, strengths, attempt)
+            if _fair(case, drawn.truth):
+                return drawn
     raise Unreachable(f"{case.name}: no plausible arm in {ATTEMPTS} attempts")
+
+
+def _fair(case: Case, truth: dict[str, Any]) -> bool:
+    """Whether sizes are what they should be, and a foreign effect is one."""
+    effects = truth["effects"]
+    if case.kind == "foreign" and any(e["nearest_part"] > IMITATED for e in effects):
+        return False
+    return all(abs(e["target"] / e["size"] - 1.0) < TOO_FAR for e in effects)
 
 
 def write(case: Case, folder: Path, truth: Path | None = None) -> dict[str, Any]:
