@@ -14,10 +14,25 @@ Mask = NDArray[np.bool_]
 
 
 def read_only(values: ArrayLike) -> Array:
-    """Float64 copy that nobody can write to: recordings are shared, never changed."""
+    """Float64 array that nobody can write to: recordings are shared, never changed.
+
+    A copy, unless the memory cannot be written to already.
+    """
+    if isinstance(values, np.ndarray) and values.dtype == np.float64 and _frozen(values):
+        return values
     array = np.array(values, dtype=np.float64, order="C")
     array.flags.writeable = False
     return array
+
+
+def _frozen(values: Array) -> bool:
+    """Whether neither an array nor what it is a view of can be written to."""
+    owner: object = values
+    while isinstance(owner, np.ndarray):
+        if owner.flags.writeable:
+            return False
+        owner = owner.base
+    return owner is None and bool(values.flags.c_contiguous)
 
 
 def hash_of_arrays(arrays: Iterable[Any]) -> str:

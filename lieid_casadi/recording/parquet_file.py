@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -34,18 +33,18 @@ def load_parquet(
         pyarrow is not installed.
     """
     pyarrow, parquet = import_pyarrow(file)
-    content = file.read_bytes()
+    with open(file, "rb") as binary:
+        digest = hashlib.file_digest(binary, "sha256").hexdigest()
     try:
-        table = parquet.read_table(io.BytesIO(content))
+        content = parquet.ParquetFile(file)
+        columns = {}
+        for name in content.schema_arrow.names:  # one by one, or all are in memory twice
+            column = content.read(columns=[name]).column(0)
+            columns[name] = np.asarray(column.to_numpy(zero_copy_only=False))
     except (pyarrow.ArrowInvalid, OSError) as error:
         reason = str(error).splitlines()[0]
         raise RecordingError(f"{file}: not a Parquet file ({reason})") from error
-    columns = {
-        name: np.asarray(table.column(name).to_numpy(zero_copy_only=False))
-        for name in table.column_names
-    }
     recording = recording_from_columns(columns, str(file), n)
-    digest = hashlib.sha256(content).hexdigest()
     return replace(recording, name=file.name, source_hash=digest)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ def recording_from_columns(
 
     label = None if layout.label is None else columns[names[layout.label]]
     signals: dict[str, Any] = {
-        field: np.column_stack([number(index) for index in indices])
+        field: _side_by_side([number(index) for index in indices])
         for field, indices in layout.fields.items()
     }
     return Recording(
@@ -63,12 +63,19 @@ def layout_warnings(layout: Layout, title: str) -> tuple[LieidWarning, ...]:
     return (UnknownColumnWarning(f"{title}: columns left aside, names unknown: {names}"),)
 
 
+def _side_by_side(columns: Sequence[Array]) -> Array:
+    """Columns as one array that `read_only` need not copy."""
+    stacked = np.column_stack(columns)
+    stacked.flags.writeable = False
+    return stacked
+
+
 def _numbers(values: Any, where: str) -> Array:
     array = np.asarray(values)
     if array.ndim != 1:
         raise RecordingError(f"{where}: found shape {array.shape}, expected (N,)")
     if array.dtype.kind in "iufb":
-        return array.astype(np.float64)
+        return array.astype(np.float64, copy=False)
     converted = np.empty(array.size)
     for row, value in enumerate(array):
         try:
