@@ -35,20 +35,21 @@ def draw_waterfall(
     ax: Axes | None,
 ) -> Figure:
     """Draw errors (n,) of successive models, the first one's as 1, joint by joint."""
+    from matplotlib import colormaps
     from matplotlib.figure import Figure
 
+    colours = colormaps["viridis"]
     joints = len(series[0]) if series else 0
     figure: Figure
     if ax is None:
-        figure = Figure(figsize=(1.6 + 1.5 * joints, 3.6), layout="constrained")
+        figure = Figure(figsize=(3.6 + 1.2 * joints, 3.6), layout="constrained")
         ax = figure.add_subplot()
     else:
         figure = ax.get_figure(root=True)  # type: ignore[assignment]
     width = 0.8 / max(len(series), 1)
     for k, values in enumerate(series):
         at = np.arange(joints) - 0.4 + (k + 0.5) * width
-        shade = 0.75 - 0.6 * k / max(len(series) - 1, 1)
-        colour = (shade, shade, 1.0 - 0.4 * shade)
+        colour = "0.6" if k == 0 else colours(0.15 + 0.75 * k / len(series))
         ax.bar(at, values / series[0], width, label=labels[k], color=colour)
     if series and floor is not None:
         for j, part in enumerate(floor / series[0]):
@@ -56,5 +57,5 @@ def draw_waterfall(
     ax.set_xticks(range(joints), [f"{j + 1}" for j in range(joints)])
     ax.set_xlabel("joint" if floor is None else "joint (dashed: noise floor)")
     ax.set_ylabel(f"RMS error on the {'test' if tested else 'training'}\nfirst model = 1")
-    ax.legend(fontsize="small", ncols=2)
+    ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure
