@@ -13,6 +13,7 @@ __all__ = [
     "Compiled",
     "Diagnosis",
     "Effect",
+    "Excitation",
     "Fit",
     "Joint",
     "LieidError",
@@ -29,6 +30,7 @@ __all__ = [
     "compile",
     "diagnose",
     "effect",
+    "excite",
     "extend",
     "identify",
     "register",
@@ -42,6 +44,7 @@ _HOME = {
     "Compiled": "lieid_casadi.compiled",
     "Diagnosis": "lieid_casadi.diagnosis",
     "Effect": "lieid_casadi.effects",
+    "Excitation": "lieid_casadi.excitation",
     "Fit": "lieid_casadi.identification",
     "Joint": "lieid_casadi.robot",
     "LieidError": "lieid_casadi.errors",
@@ -57,6 +60,7 @@ _HOME = {
     "compile": "lieid_casadi.compiled",
     "diagnose": "lieid_casadi.diagnosis",
     "effect": "lieid_casadi.effects",
+    "excite": "lieid_casadi.excitation",
     "extend": "lieid_casadi.diagnosis",
     "identify": "lieid_casadi.identification",
     "register": "lieid_casadi.effects",
@@ -72,6 +76,8 @@ if TYPE_CHECKING:
     from lieid_casadi.diagnosis.extend import extend
     from lieid_casadi.effects import Coefficient, Effect, Shape, Signals, effect, register
     from lieid_casadi.errors import LieidError, LieidWarning
+    from lieid_casadi.excitation.excitation import Excitation
+    from lieid_casadi.excitation.excite import excite
     from lieid_casadi.identification.fit import Fit
     from lieid_casadi.identification.identify import identify
     from lieid_casadi.model import Model

@@ -6,10 +6,10 @@ import sys
 import lieid_casadi as lieid
 
 PUBLIC = {
-    "Coefficient", "Comparison", "Compiled", "Diagnosis", "Effect", "Fit", "Joint", "LieidError",
-    "LieidWarning", "Limits", "Model", "Processing", "Recording", "Robot", "Shape", "Signals",
-    "__version__", "compare", "compile", "diagnose", "effect", "extend", "identify", "register",
-    "robots",
+    "Coefficient", "Comparison", "Compiled", "Diagnosis", "Effect", "Excitation", "Fit", "Joint",
+    "LieidError", "LieidWarning", "Limits", "Model", "Processing", "Recording", "Robot", "Shape",
+    "Signals", "__version__", "compare", "compile", "diagnose", "effect", "excite", "extend",
+    "identify", "register", "robots",
 }  # fmt: skip
 
 
