@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import zlib
+import hashlib
 from collections.abc import Iterable, Iterator
 
 from hidden_effects.foreign import FOREIGN
@@ -54,5 +54,5 @@ def chosen(
         and (not effects or case.effect in effects)
         and (not sizes or case.size in sizes)
     ]
-    wanted.sort(key=lambda case: zlib.crc32(case.name.encode()))
+    wanted.sort(key=lambda case: hashlib.sha256(case.name.encode()).digest())
     return wanted[:limit]
