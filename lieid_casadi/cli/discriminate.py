@@ -1,0 +1,107 @@
+"""``lieid discriminate FIT EFFECT EFFECT… -o DIR``: the trajectory that tells rivals apart."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli.excite import check_folder, replace_folder
+from lieid_casadi.errors import UsageError
+
+if TYPE_CHECKING:
+    from lieid_casadi.discrimination import Discrimination
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "discriminate", help="design the trajectory that tells rival effects apart"
+    )
+    parser.add_argument("fit", metavar="FIT")
+    parser.add_argument("effects", nargs="+", metavar="EFFECT", help="stribeck:4, two at least")
+    parser.add_argument("-o", "--output", required=True, metavar="DIR")
+    parser.add_argument("--force", action="store_true", help="replace a folder with other content")
+    parser.add_argument(
+        "--size", action="append", default=[], metavar="EFFECT=V1[,V2…]",
+        help="coefficients, then shapes, of an effect; default: fitted, else as large as the noise",
+    )  # fmt: skip
+    parser.add_argument(
+        "--recordings", nargs="+", default=[], metavar="REC",
+        help="along which the colour of the fit's noise is measured",
+    )  # fmt: skip
+    parser.add_argument("--level", type=float, default=0.95, metavar="P", help="default: 0.95")
+    parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="of one period")
+    parser.add_argument("--harmonics", type=int, default=5, metavar="N")
+    parser.add_argument("--start-pose", type=float, nargs="+", metavar="Q", help="rad")
+    parser.add_argument("--acceleration", type=float, nargs="+", metavar="A", help="rad/s²")
+    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the files")
+    parser.add_argument("--time-limit", type=float, default=20.0, metavar="S", help="of the search")
+    parser.add_argument("--seed", type=int, default=0, metavar="N")
+    arguments.add_effects_file(parser)
+    arguments.add_recording_options(parser)
+    arguments.add_outputs(parser)
+    arguments.add_threads(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Design, write and tell."""
+    from lieid_casadi.discrimination import discriminate
+    from lieid_casadi.identification import Fit
+
+    folder = Path(args.output)
+    check_folder(folder, force=args.force)
+    output.check_writable(args.json)
+    arguments.load_effects_file(args.effects_file)
+    sizes = sizes_of(args.size)
+    fit = Fit.load(args.fit)
+    with output.progress("discriminate") as report:
+        result = discriminate(
+            fit, args.effects, sizes=sizes,
+            recordings=arguments.recordings_of(args.recordings, args, fit.model.robot),
+            level=args.level, duration=args.duration, harmonics=args.harmonics,
+            start_pose=args.start_pose, acceleration=args.acceleration, rate=args.rate,
+            time_limit=args.time_limit, seed=args.seed, progress=report,
+        )  # fmt: skip
+    replace_folder(folder, result.save)
+    output.write_json(args.json, result.to_dict())
+    show(result, folder)
+
+
+def sizes_of(texts: list[str]) -> dict[str, list[float]]:
+    """Return the sizes that ``--size EFFECT=V1,V2`` states.
+
+    Raises
+    ------
+    UsageError
+    """
+    sizes = {}
+    for text in texts:
+        label, _, numbers = text.partition("=")
+        try:
+            sizes[label] = [float(number) for number in numbers.split(",")]
+        except ValueError:
+            raise UsageError(
+                f"--size {text}: expected EFFECT=V1[,V2…], as stribeck:4=0.5"
+            ) from None
+    return sizes
+
+
+def show(result: Discrimination, folder: Path) -> None:
+    """Print the result."""
+    output.say(result.summary())
+    output.table(
+        "If one were true, and the other fitted",
+        ["true", "fitted", "left, % of the effect", "χ² a period", "χ² needed"],
+        [
+            [p.true, p.rival, 100.0 * p.remaining, p.noncentrality, p.needed]
+            if p.told
+            else [p.true, p.rival, "contains it", None, None]
+            for p in result.pairs
+        ],
+    )
+    sizes = [f"{label}: {', '.join(f'{x:.4g}' for x in v)}" for label, v in result.sizes.items()]
+    output.say(f"Sizes: {'; '.join(sizes)}. Designed in {result.solve_seconds:.2g} s.")
+    output.say(f"Files in {folder}; trajectory.csv is one period, to be run {result.periods} ×.")

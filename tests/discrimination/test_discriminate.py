@@ -1,0 +1,244 @@
+"""Motions that tell Stribeck friction from nonlinear viscous friction, judged from outside."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, ncx2
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.discrimination import discriminate
+from lieid_casadi.discrimination.discriminate import correlation_sum, noncentrality_needed
+from lieid_casadi.errors import EffectError, NoSolution
+
+RIVALS = ("stribeck:1", "viscous_polynomial:1")
+EFFECTS = ["coulomb", "viscous", "offset"]
+
+
+def measured(arm, t, q, dq, ddq, seed):
+    sensors = plant.demo_sensors(arm.robot)
+    return plant.measure_along(arm, t, q, dq, ddq, sensors=sensors, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return lieid.robots.two_link()
+
+
+@pytest.fixture(scope="module")
+def train(robot):
+    arm = plant.demo_arm(robot, hidden=None)
+    t = np.arange(0.0, 20.0, 0.002)
+    motion = plant.FourierTrajectory(robot, base_frequency=0.05, seed=1)
+    return measured(arm, t, *motion.at(t), seed=1)
+
+
+@pytest.fixture(scope="module")
+def fit(robot, train):
+    return lieid.identify(lieid.Model(robot, EFFECTS), train)
+
+
+@pytest.fixture(scope="module")
+def design(fit, train):
+    return discriminate(fit, RIVALS, recordings=[train], evaluations=900)
+
+
+def separation(fit, sizes, q, dq, ddq):
+    """Return what the worse of both refits leaves (N·m, RMS weighted by the noise).
+
+    Friction columns by NumPy, refits by least squares, the Stribeck velocity on a fine grid.
+    """
+    base = lieid.compile(fit.model).base_regressor(q, dq, ddq)
+    moving = (np.abs(dq) > 0.01) / fit.noise
+    base = (base * moving[:, :, None]).reshape(-1, base.shape[2])
+
+    def on_first(column):
+        rows = np.zeros_like(dq)
+        rows[:, 0] = column
+        return (rows * moving).ravel()
+
+    v = dq[:, 0]
+    (f_s, v_s), (f_v2, f_v3) = (sizes[name] for name in RIVALS)
+    polynomial = [on_first(np.sign(v) * v**2), on_first(v**3)]
+    widths = np.geomspace(1e-3, 2.0, 40)
+    stribeck = [[on_first(np.sign(v) * np.exp(-((v / w) ** 2)))] for w in widths]
+
+    def left(torque, columns):
+        matrix = np.column_stack([base, *columns])
+        scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-12)
+        solution = np.linalg.lstsq(matrix / scale, torque, rcond=1e-10)[0]
+        return np.sqrt(np.mean((torque - matrix / scale @ solution) ** 2))
+
+    one = left(on_first(f_s * np.sign(v) * np.exp(-((v / v_s) ** 2))), polynomial)
+    torque = f_v2 * polynomial[0] + f_v3 * polynomial[1]
+    return min(one, min(left(torque, columns) for columns in stribeck))
+
+
+def test_designed_motion_separates_better_than_random_ones(robot, fit, design):
+    designed = design.motion(rate=50.0)
+    t = designed.t
+    reached = separation(fit, design.sizes, designed.q, designed.dq, designed.ddq)
+    others = [
+        separation(
+            fit,
+            design.sizes,
+            *plant.FourierTrajectory(robot, base_frequency=1.0 / t[-1], seed=seed).at(t),
+        )
+        for seed in range(15)
+    ]
+    assert reached > 1.5 * max(others)
+
+
+def test_stated_noncentrality_is_that_of_the_motion(fit, train, design):
+    """From the independent columns, with the worth of rows computed here."""
+    designed = design.motion(rate=50.0)
+    rms = separation(fit, design.sizes, designed.q, designed.dq, designed.ddq)
+    worst = min(pair.noncentrality for pair in design.pairs)
+    # independent rows of one period that would give the stated noncentrality
+    rows = worst / rms**2 / fit.model.n / design.trajectory.duration
+    assert 4.0 < rows < 2.0 * fit.processing.cutoff
+
+
+def test_motion_is_within_limits_and_at_rest_at_both_ends(robot, design):
+    motion = design.motion(rate=2000.0)
+    assert np.all(motion.q <= robot.limit("position_upper"))
+    assert np.all(motion.q >= robot.limit("position_lower"))
+    assert np.all(np.abs(motion.dq) <= robot.limit("velocity"))
+    nominal = plant.Arm(robot, robot.link_parameters, plant.JointFriction.none(robot.n))
+    torque = plant.measure_along(nominal, motion.t, motion.q, motion.dq, motion.ddq).tau
+    assert np.all(np.abs(torque) <= robot.limit("torque"))
+    assert np.allclose(motion.dq[[0, -1]], 0.0, atol=1e-9)
+    assert np.allclose(motion.ddq[[0, -1]], 0.0, atol=1e-9)
+    numeric = np.gradient(motion.q, motion.t, axis=0)
+    assert np.abs(numeric - motion.dq)[1:-1].max() < 1e-4
+
+
+def test_stated_seconds_are_enough(robot, fit, design):
+    motion = design.motion(rate=1000.0, periods=design.periods)
+    assert motion.t[-1] == pytest.approx(design.seconds)
+    (extra, width), (quadratic, cubic) = (design.sizes[name] for name in RIVALS)
+    hidden = (
+        plant.Stribeck(0, extra=extra, velocity=width),
+        plant.ViscousPolynomial(0, quadratic=quadratic, cubic=cubic),
+    )
+    models = [lieid.Model(robot, [*EFFECTS, name]) for name in RIVALS]
+    right = 0
+    for run in range(20):
+        true = run % 2
+        arm = plant.demo_arm(robot, hidden=hidden[true])
+        recording = measured(arm, motion.t, motion.q, motion.dq, motion.ddq, 100 + run)
+        fits = [lieid.identify(m, recording, processing=fit.processing) for m in models]
+        misfit = [float(np.sum((f.rms_train / fit.noise) ** 2)) for f in fits]
+        right += int(np.argmin(misfit)) == true
+    assert right >= 18
+
+
+def test_needed_noncentrality_gives_the_power():
+    random = np.random.default_rng(0)
+    for k in (1, 3):
+        needed = noncentrality_needed(k, 0.95)
+        assert ncx2.sf(chi2.ppf(0.95, k), k, needed) == pytest.approx(0.95, abs=1e-6)
+        shift = np.zeros(k)
+        shift[0] = np.sqrt(needed)
+        draws = np.sum((random.standard_normal((20000, k)) + shift) ** 2, axis=1)
+        assert np.mean(draws > chi2.ppf(0.95, k)) == pytest.approx(0.95, abs=0.01)
+
+
+def test_correlated_rows_count_less():
+    random = np.random.default_rng(1)
+    white = random.standard_normal(20000)
+    coloured = np.zeros_like(white)
+    for k in range(1, len(white)):
+        coloured[k] = 0.8 * coloured[k - 1] + white[k]
+    assert correlation_sum(white) == pytest.approx(1.0, abs=0.1)
+    assert correlation_sum(coloured) == pytest.approx(1.8 / 0.2, rel=0.15)
+
+
+def test_larger_effects_take_less_time(fit):
+    sizes = {"stribeck:1": (0.2, 0.1), "viscous_polynomial:1": (0.03, 0.015)}
+    twice = {"stribeck:1": (0.4, 0.1), "viscous_polynomial:1": (0.06, 0.03)}
+    one, two = (discriminate(fit, RIVALS, sizes=s, evaluations=120) for s in (sizes, twice))
+    assert two.sizes["stribeck:1"] == [0.4, 0.1]
+    # the same search, since the criterion is the same but for a factor
+    assert one.exact_seconds == pytest.approx(4.0 * two.exact_seconds, rel=1e-6)
+
+
+def test_same_seed_same_motion(fit):
+    one, two = (discriminate(fit, RIVALS, evaluations=110, seed=3) for _ in range(2))
+    assert np.array_equal(one.trajectory.coefficients, two.trajectory.coefficients)
+
+
+def test_effect_of_the_fit_keeps_its_size(robot, train):
+    fit = lieid.identify(lieid.Model(robot, [*EFFECTS, "viscous_polynomial:1"]), train)
+    design = discriminate(fit, RIVALS, evaluations=110)
+    columns = [c.label for c in fit.model.columns]
+    first = next(k for k, label in enumerate(columns) if "f_v2" in label)
+    fitted = fit.effect_coefficients[first : first + 2]
+    assert design.sizes["viscous_polynomial:1"] == pytest.approx(fitted.tolist())
+    assert not any("polynomial" in effect for effect in design.model.effects)
+
+
+def test_a_rival_that_contains_the_other_is_told_one_way(fit):
+    sizes = {"stribeck/exponent:1": (0.2, 0.1, 0.5)}
+    rivals = ["stribeck:1", "stribeck/exponent:1"]
+    design = discriminate(fit, rivals, sizes=sizes, evaluations=110)
+    told = {(p.true, p.rival): p.told for p in design.pairs}
+    assert told == {tuple(rivals): False, tuple(rivals[::-1]): True}
+    assert "stribeck:1 by stribeck/exponent:1" in design.summary()
+    with pytest.raises(NoSolution, match="sizes"):  # with an exponent of 2 they are one
+        discriminate(fit, rivals)
+
+
+@pytest.mark.parametrize(
+    ("effects", "words"),
+    [
+        (["stribeck:1", "stribeck:1"], "twice"),
+        (["stribeck:1"], "two"),
+        (["stribeck:1", "nonsense:1"], "nonsense"),
+        (["stribeck", "viscous_polynomial:1"], "one"),
+        (["stribeck:3", "viscous_polynomial:1"], "3"),
+        (["temperature_friction:1", "stribeck:1"], "temperature"),
+    ],
+)
+def test_effects_that_cannot_be_asked_for(fit, effects, words):
+    with pytest.raises(EffectError, match=words):
+        discriminate(fit, effects)
+
+
+def test_size_with_a_wrong_count(fit):
+    with pytest.raises(EffectError, match="f_v2, f_v3"):
+        discriminate(fit, RIVALS, sizes={"viscous_polynomial:1": (1.0, 2.0, 3.0)})
+
+
+@pytest.mark.parametrize("alias", ["armature:1", "payload"])
+def test_absorbed_effects_have_no_solution(fit, alias):
+    with pytest.raises(NoSolution, match=f"{alias}.*no data"):
+        discriminate(fit, [alias, "stribeck:1"])
+
+
+def test_two_names_of_one_effect_have_no_solution(fit):
+    from lieid_casadi.effects.effect import REGISTER, effect
+
+    units = {"a": "N·m·s²/rad²", "b": "N·m·s³/rad³"}
+
+    @effect("half_polynomial", formula="a·…", coefficients=units)
+    def half(s, shape):
+        return [0.5 * s.sign * s.dq**2, 0.5 * s.dq**3 + s.sign * s.dq**2]
+
+    try:
+        with pytest.raises(NoSolution, match="no data can tell them apart"):
+            discriminate(fit, ["half_polynomial:1", "viscous_polynomial:1"])
+    finally:
+        del REGISTER["half_polynomial"]
+
+
+def test_saved_files_hold_the_motion_and_the_answer(design, tmp_path):
+    design.save(tmp_path / "out")
+    table = np.genfromtxt(tmp_path / "out" / "trajectory.csv", delimiter=",", names=True)
+    motion = design.motion()
+    assert np.allclose(table["q2"], motion.q[:, 1])
+    content = json.loads((tmp_path / "out" / "discriminate.json").read_text())
+    assert content == json.loads(json.dumps(design.to_dict()))
+    assert content["seconds"] == content["periods"] * content["duration"]
+    assert (tmp_path / "out" / "discriminate.png").stat().st_size > 10_000
