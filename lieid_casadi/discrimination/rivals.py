@@ -23,7 +23,7 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording
 
 Array = NDArray[np.float64]
-GRID = 9  # shapes at which a rival's refit is tried; its square root for each of two
+GRID = 25  # shapes at which a rival's refit is tried; its square root for each of two
 FINE_GRID = 81  # the same for the numbers that are reported
 RANK = 1e-9
 AT_REST = 2e-3  # of the velocity limit: below it friction is undetermined, and no evidence
