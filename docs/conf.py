@@ -40,6 +40,7 @@ ORDER = (
     "identification",
     "comparison",
     "diagnosis",
+    "discrimination",
     "report",
     "plant",
     "errors",

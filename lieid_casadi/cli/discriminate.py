@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import arguments, output
-from lieid_casadi.cli.excite import check_folder, replace_folder
+from lieid_casadi.cli.excite import INTERRUPTED, check_folder, replace_folder
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ def add_parser(commands: Any) -> None:
     parser.set_defaults(run=run)
 
 
-def run(args: argparse.Namespace) -> None:
-    """Design, write and tell."""
+def run(args: argparse.Namespace) -> int:
+    """Design, write and tell; 130 if interrupted with a trajectory kept."""
     from lieid_casadi.discrimination import discriminate
     from lieid_casadi.identification import Fit
 
@@ -68,6 +68,7 @@ def run(args: argparse.Namespace) -> None:
     replace_folder(folder, result.save)
     output.write_json(args.json, result.to_dict())
     show(result, folder)
+    return INTERRUPTED if result.interrupted else 0
 
 
 def sizes_of(texts: list[str]) -> dict[str, list[float]]:

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.discrimination.discrimination import Discrimination, Pair
 from lieid_casadi.discrimination.rivals import Rivals, Stacked
-from lieid_casadi.discrimination.search import Feasible, best_starts, climb
-from lieid_casadi.errors import ExcitationError, NoSolution
+from lieid_casadi.discrimination.search import Climb, Feasible, best_starts, climb
+from lieid_casadi.errors import ExcitationError, ModelError, NoSolution
 from lieid_casadi.excitation import basis as families
 from lieid_casadi.excitation.joint_limits import check_duration, check_start_pose, motion_range
 from lieid_casadi.excitation.symbolic_limits import Limit, Torque
@@ -23,6 +23,7 @@ from lieid_casadi.recording import Recording, process
 Array = NDArray[np.float64]
 ALIAS = 1e-6  # remaining part of an effect below which no data can tell it
 TRIED = 12  # random motions from which aliases and sizes are judged
+SAMPLES = 200
 CLIMBS = 3  # of the best random motions are refined
 
 
@@ -36,7 +37,7 @@ def discriminate(
     level: float = 0.95,
     duration: float = 10.0,
     harmonics: int = 5,
-    samples: int = 200,
+    samples: int | None = None,
     start_pose: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
     constraints: Sequence[Limit] | None = None,
@@ -76,6 +77,11 @@ def discriminate(
         Along which the colour of the residual is measured.
     duration : float
         Of one period, s.
+    samples : int
+        Of the criterion over a period; 200, or 8 a coefficient, if left out.
+    starts, evaluations : int
+        Random motions, and evaluations of the criterion altogether. Ctrl-C while the best of
+        them are refined keeps the best so far.
     time_limit : float
         s of the search.
     rate : float
@@ -86,6 +92,8 @@ def discriminate(
     EffectError
         Fewer than two effects, one twice, unknown, not on one joint, or one that needs a
         temperature; a size that does not fit.
+    ModelError
+        A fit without noise.
     ExcitationError
         Limits that are missing or contradict each other.
     NoSolution
@@ -99,6 +107,9 @@ def discriminate(
             f"starts {starts}, evaluations {evaluations}, rate {rate:g}; expected {TRIED} at "
             "least, 1 at least, and a positive number"
         )
+    silent = [f"joint {j + 1}" for j, noise in enumerate(fit.noise) if not noise > 0.0]
+    if silent:
+        raise ModelError(f"the fit knows no noise of {', '.join(silent)}; fit a measured recording")
     progress("compiling", 0.0)
     feasible = _feasible(fit, duration, harmonics, samples, start_pose, acceleration, constraints)
     rivals = Rivals(
@@ -123,22 +134,21 @@ def discriminate(
         values.append(value(z))
         if time.monotonic() > until - 0.5 * time_limit:
             break
-    best, highest, used = drawn[0], -1.0, len(values)
-    share = (evaluations - used) // CLIMBS
+    climbs: list[Climb] = []
+    share = (evaluations - len(values)) // CLIMBS
     for k, at in enumerate(best_starts(values, CLIMBS)):
         progress(f"refining {k + 1} of {CLIMBS}", 0.3 + 0.7 * k / CLIMBS)
         end = time.monotonic() + (until - time.monotonic()) / (CLIMBS - k)
-        z, reached, count = climb(
-            value, feasible, drawn[at], evaluations=share, until=end, random=random
+        climbs.append(
+            climb(value, feasible, drawn[at], evaluations=share, until=end, random=random)
         )
-        used += count
-        if reached > highest:
-            best, highest = z, reached
-    best, violation = feasible.verified(best)
+        if climbs[-1].interrupted:
+            break
+    best, violation = feasible.verified(max(climbs, key=lambda c: c.value).z)
     rivals.finer()
     stacked = rivals.along(feasible.motion(best))
     pairs = tuple(
-        _pair(rivals, stacked, pair, pair in told, level, samples) for pair in rivals.pairs
+        _pair(rivals, stacked, pair, pair in told, level, feasible.samples) for pair in rivals.pairs
     )
     worst = max(p.needed / p.noncentrality for p in pairs if p.told)
     return Discrimination(
@@ -146,8 +156,8 @@ def discriminate(
         periods=int(np.ceil(worst)), level=level,
         sizes={r.label: [*r.coefficients.tolist(), *r.shapes.tolist()] for r in rivals.rivals},
         pairs=pairs, random=_seconds(float(np.median(values)), duration),
-        max_violation=violation, evaluations=used, solve_seconds=time.monotonic() - began,
-        rate=rate,
+        max_violation=violation, evaluations=len(values) + sum(c.evaluations for c in climbs),
+        solve_seconds=time.monotonic() - began, rate=rate, interrupted=climbs[-1].interrupted,
     )  # fmt: skip
 
 
@@ -199,13 +209,15 @@ def _feasible(
     fit: Fit,
     duration: float,
     harmonics: int,
-    samples: int,
+    samples: int | None,
     start_pose: ArrayLike | None,
     acceleration: ArrayLike | None,
     constraints: Sequence[Limit] | None,
 ) -> Feasible:
     robot = fit.model.robot
     basis = families.make("fourier", duration=duration, harmonics=harmonics)
+    if samples is None:
+        samples = max(SAMPLES, 8 * basis.size)
     if samples < 4 * basis.size:
         raise ExcitationError(f"samples: {samples}; expected {4 * basis.size} at least")
     limits = motion_range(robot, acceleration)

@@ -72,6 +72,8 @@ class Discrimination:
     max_violation : float
         Of the limits on a fine grid, in parts of each; negative is room.
     evaluations : int
+    interrupted : bool
+        Whether Ctrl-C ended the search.
     """
 
     model: Model
@@ -85,6 +87,7 @@ class Discrimination:
     evaluations: int
     solve_seconds: float
     rate: float
+    interrupted: bool = False
 
     @property
     def seconds(self) -> float:
@@ -132,6 +135,7 @@ class Discrimination:
             ],
             "max_violation": self.max_violation,
             "evaluations": self.evaluations,
+            "interrupted": self.interrupted,
             "solve_seconds": self.solve_seconds,
             "coefficients": self.trajectory.coefficients.tolist(),
         }

@@ -114,6 +114,16 @@ class Feasible:
         return self._grids[factor]
 
 
+@dataclass(frozen=True, eq=False)
+class Climb:
+    """The best z that a search found, its value, and how many evaluations it took."""
+
+    z: Array
+    value: float
+    evaluations: int
+    interrupted: bool = False
+
+
 def climb(
     value: Callable[[Array], float],
     feasible: Feasible,
@@ -122,31 +132,37 @@ def climb(
     evaluations: int,
     until: float,
     random: np.random.Generator,
-) -> tuple[Array, float, int]:
-    """Return the best z found by random steps from a start, its value, and evaluations used.
+) -> Climb:
+    """Climb from a start by random steps; Ctrl-C keeps the best so far.
 
     A (1+1) evolution strategy with the one-fifth rule (Rechenberg 1973): a step of all joints or
-    of one is kept if it is better; steps grow after a success and shrink after a failure.
-    ``until`` is a time of `time.monotonic`. The optimum found is local.
+    of one is kept if it is better; steps grow after a success and shrink after a failure, and
+    start anew once they are small, since the worst pair of several makes ridges on which they
+    shrink. ``until`` is a time of `time.monotonic`. The optimum found is local.
     """
     n = feasible.parametrization.n
-    best, highest, step = start, value(start), STEP
-    used = 1
-    while used < evaluations and time.monotonic() < until:
-        move = random.standard_normal((n, len(best) // n))
-        if n > 1 and random.random() < 0.5:
-            only = np.zeros((n, 1))
-            only[random.integers(n)] = 1.0
-            move = move * only
-        size = np.sqrt(np.mean(best**2))
-        z = feasible.within(best + step * size * np.ravel(move))
-        reached = value(z)
-        used += 1
-        if reached > highest:
-            best, highest, step = z, reached, min(step * GROW, 1.0)
-        else:
-            step = step * GROW**-0.25 if step > SMALLEST else STEP
-    return best, highest, used
+    best, highest, step = start, -np.inf, STEP
+    used = 0
+    try:
+        highest = value(start)
+        used = 1
+        while used < evaluations and time.monotonic() < until:
+            move = random.standard_normal((n, len(best) // n))
+            if n > 1 and random.random() < 0.5:
+                only = np.zeros((n, 1))
+                only[random.integers(n)] = 1.0
+                move = move * only
+            size = np.sqrt(np.mean(best**2))
+            z = feasible.within(best + step * size * np.ravel(move))
+            reached = value(z)
+            used += 1
+            if reached > highest:
+                best, highest, step = z, reached, min(step * GROW, 1.0)
+            else:
+                step = step * GROW**-0.25 if step > SMALLEST else STEP
+    except KeyboardInterrupt:
+        return Climb(best, highest, used, interrupted=True)
+    return Climb(best, highest, used)
 
 
 def best_starts(values: Sequence[float], count: int) -> list[int]:

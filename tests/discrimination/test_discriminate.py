@@ -169,6 +169,38 @@ def test_same_seed_same_motion(fit):
     assert np.array_equal(one.trajectory.coefficients, two.trajectory.coefficients)
 
 
+def test_interrupted_search_keeps_the_best_so_far(fit, monkeypatch):
+    from lieid_casadi.discrimination.rivals import Rivals
+
+    calls, along = [], Rivals.along
+
+    def interrupted(self, motion):
+        calls.append(motion)
+        if len(calls) == 160:  # in the first refinement
+            raise KeyboardInterrupt
+        return along(self, motion)
+
+    monkeypatch.setattr(Rivals, "along", interrupted)
+    design = discriminate(fit, RIVALS)
+    assert design.interrupted
+    assert design.evaluations < 160
+    assert design.seconds > 0.0
+
+
+def test_more_harmonics_take_more_samples(fit):
+    design = discriminate(fit, RIVALS, harmonics=20, duration=20.0, starts=12, evaluations=20)
+    assert len(design.pairs[0].left) == 8 * 41
+
+
+def test_fit_without_noise(fit):
+    from dataclasses import replace
+
+    from lieid_casadi.errors import ModelError
+
+    with pytest.raises(ModelError, match="joint 2"):
+        discriminate(replace(fit, noise=np.array([0.1, 0.0])), RIVALS)
+
+
 def test_effect_of_the_fit_keeps_its_size(robot, train):
     fit = lieid.identify(lieid.Model(robot, [*EFFECTS, "viscous_polynomial:1"]), train)
     design = discriminate(fit, RIVALS, evaluations=110)
