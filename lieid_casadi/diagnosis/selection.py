@@ -213,6 +213,11 @@ class Search:
         if confirmed is False:
             self._refuse(candidate, "the test's error does not fall")
             return False
+        if self._within_a_sample(candidate, fit):
+            self._refuse(
+                candidate, "a delay below one sample: deriving the velocity shifts as much"
+            )
+            return False
         proposal = Proposal(label, joint, float(before[joint]), float(after[joint]))
         if self.ask is not None and not self.ask(proposal):
             self._refuse(candidate, "not wanted")
@@ -232,6 +237,17 @@ class Search:
         )
         self.fit = fit
         return True
+
+    def _within_a_sample(self, candidate: Candidate, fit: Fit) -> bool:
+        """Whether a delay is shorter than the recordings can tell from a shifted velocity."""
+        if candidate.name != "torque_delay":
+            return False
+        labels = [column.label for column in fit.model.columns]
+        delay = fit.effect_coefficients[
+            labels.index(f"torque_delay.delta:{candidate.joints[0] + 1}")
+        ]
+        slowest = min(segment.recording.rate for segment in self.segments)
+        return bool(abs(delay) * slowest < 1.0)
 
     def _polished(self, scene: Scene) -> Scene:
         """Fit all shape parameters together at the end; steps before had them from the grid."""
