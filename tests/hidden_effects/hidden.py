@@ -187,7 +187,11 @@ def _joint_elasticity(g: Ground, j: int) -> Hidden | None:
     if not g.revolute(j):
         return None
     most = 0.1 / max(float(g.load[j]), 1e-6)
-    return _one("joint_elasticity", j, most, lambda s: plant.JointElasticity(j, stiffness=1.0 / s))
+    # The plant's simulated links follow a smoothed path, on which motors chatter where they stick.
+    return Hidden(
+        "joint_elasticity", (j,),
+        with_effect(lambda s: plant.JointElasticity(j, stiffness=1.0 / s)), most, simulated=False,
+    )  # fmt: skip
 
 
 def _torque_ripple(g: Ground, j: int) -> Hidden | None:
@@ -207,6 +211,12 @@ def _position_spring(g: Ground, j: int) -> Hidden:
     return _one(
         "position_spring", j, most, lambda s: plant.PositionSpring(j, stiffness=s, rest=rest)
     )
+
+
+def _position_spring_after(g: Ground, j: int) -> Hidden:
+    """K·q: where the model is kept, a rest angle elsewhere would change the offset too."""
+    most = 0.3 * g.torque[j] / max(float(g.upper[j] - g.lower[j]), 1e-3)
+    return _one("position_spring", j, most, lambda s: plant.PositionSpring(j, stiffness=s))
 
 
 def _transmission_coupling(g: Ground, j: int) -> Hidden:
@@ -328,6 +338,7 @@ CHANGED: dict[str, Maker] = {
     name: make for name, make in MISSING.items() if name not in ("armature", "bias_drift")
 } | {
     "bias_drift": _bias_drift_after,
+    "position_spring": _position_spring_after,
     "payload": _payload,
     "coulomb": _plain_friction("coulomb"),
     "viscous": _plain_friction("viscous"),

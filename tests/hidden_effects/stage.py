@@ -157,12 +157,14 @@ def _sensors(
     coloured = float(random.uniform(0.0, 0.7))  # of the variance
     step = 0.2 * noise if random.random() < 0.5 else np.zeros(robot.n)
     rest = noise**2 - step**2 / 12.0
+    velocity = str(random.choice(["difference", "difference", "exact", "none"]))
+    velocity_noise = speed * random.uniform(0.0, 1e-3) * (velocity == "exact")
     sensors = Sensors(
         rate=float(random.choice([100.0, 100.0, 125.0, 200.0])),
         counts_per_turn=float(2 ** int(random.integers(17, 21))),
         counts_per_metre=float(random.choice([2e5, 1e6])),
-        velocity=str(random.choice(["difference", "difference", "exact", "none"])),  # type: ignore[arg-type]
-        velocity_noise=tuple(map(float, speed * random.uniform(0.0, 1e-3))),
+        velocity=velocity,  # type: ignore[arg-type]
+        velocity_noise=tuple(map(float, velocity_noise)),
         torque_noise=tuple(map(float, np.sqrt((1.0 - coloured) * rest))),
         coloured_noise=tuple(map(float, np.sqrt(coloured * rest))),
         correlation_time=float(np.exp(random.uniform(np.log(0.01), np.log(0.1)))),
