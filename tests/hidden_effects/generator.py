@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from hidden_effects.hidden import Hidden
 from hidden_effects.hidden_arms import write_robot
+from hidden_effects.motions import Smoothed
 from hidden_effects.nearest import nearest
 from hidden_effects.stage import Case, Stage, choose, hide, set_up
 from hidden_effects.strengths import Sizing, find_strengths, planned
@@ -64,6 +65,9 @@ def draw(case: Case) -> Drawn:
             continue
         if not all(h.simulated for h in hidden):
             stage = replace(stage, simulated=False)
+        if any(h.elastic for h in hidden):
+            first, second = map(Smoothed, stage.plans)
+            stage = replace(stage, plans=(first, second), simulated=False)
         found = find_strengths(stage, hidden, targets)
         if found is not None:
             strengths, louder = found

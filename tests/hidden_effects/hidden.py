@@ -76,6 +76,8 @@ class Hidden:
         Of effects that no library has: what the unexplained part depends on.
     simulated
         Whether it works under a controller (not where it needs the whole path).
+    elastic
+        Whether it needs a smooth motion of the links, exactly tracked.
     """
 
     effect: str
@@ -86,6 +88,7 @@ class Hidden:
     simulated: bool = True
     details: str = ""
     least: float = 0.0
+    elastic: bool = False
 
     @property
     def fixed(self) -> bool:
@@ -187,10 +190,9 @@ def _joint_elasticity(g: Ground, j: int) -> Hidden | None:
     if not g.revolute(j):
         return None
     most = 0.1 / max(float(g.load[j]), 1e-6)
-    # The plant's simulated links follow a smoothed path, on which motors chatter where they stick.
     return Hidden(
         "joint_elasticity", (j,),
-        with_effect(lambda s: plant.JointElasticity(j, stiffness=1.0 / s)), most, simulated=False,
+        with_effect(lambda s: plant.JointElasticity(j, stiffness=1.0 / s)), most, elastic=True,
     )  # fmt: skip
 
 

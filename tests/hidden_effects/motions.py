@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
 
 from lieid_casadi.plant import FourierTrajectory, Trajectory, point_to_point
 from lieid_casadi.plant.trajectories import Envelope, Waypoints
 from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
+SAMPLE, WIDTH, MARGIN = 1e-3, 0.01, 0.06  # s: of smoothed motions, and what is added at the ends
 PAUSE = 0.3  # s of rest at each end of a move between two motions
 
 
@@ -60,6 +63,21 @@ def _move(envelope: Envelope, a: Array, b: Array) -> Waypoints:
     by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / envelope.acceleration)
     time = max(float(np.maximum(by_velocity, by_acceleration).max()), 0.5)
     return Waypoints(np.array([a, b]), np.array([PAUSE]), np.array([time]), time + 2.0 * PAUSE)
+
+
+class Smoothed:
+    """A motion without jumps of its jerk: elastic joints answer to its derivatives up to q⁗."""
+
+    def __init__(self, motion: Trajectory) -> None:
+        self.duration = motion.duration + 2.0 * MARGIN
+        t = np.arange(0.0, self.duration + SAMPLE, SAMPLE)
+        q = motion.at(np.clip(t - MARGIN, 0.0, motion.duration))[0]
+        q = gaussian_filter1d(q, WIDTH / SAMPLE, axis=0, mode="nearest", truncate=6.0)
+        self._path = CubicSpline(t, q)
+
+    def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
+        times = np.clip(np.asarray(t, dtype=float), 0.0, self.duration)
+        return self._path(times), self._path(times, 1), self._path(times, 2)
 
 
 def draw_motion(robot: Robot, kind: str, duration: float, random: np.random.Generator) -> Chain:
