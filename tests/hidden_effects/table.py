@@ -14,6 +14,7 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 Row = dict[str, Any]
+OTHER_JOINT = "right, other joint"
 COUNTED = 1.0  # multiples of the noise from which an effect counts for the bars
 
 
@@ -159,12 +160,14 @@ def _by_effect(console: Console, rows: list[Row], mode: str) -> None:
 
 
 def named_first(row: Row) -> str:
-    """What a diagnosis named first: an effect, on the wrong joint, unexplained, or nothing."""
+    """What a diagnosis named first: an effect, perhaps on another joint, unexplained, nothing."""
     if not row["answered"]:
         return "no answer"
     if not row["steps"]:
         return "unexplained" if row["verdict"] == "unexplained" else "nothing"
-    return str(row["steps"][0][0])
+    name, joints = row["steps"][0]
+    places = [e["joints"] for e in row["truth"] if e["effect"] == name]
+    return str(name) if not places or list(joints) in places else OTHER_JOINT
 
 
 def confusion_picture(rows: Sequence[Row], path: Path, mode: str = "missing") -> None:
@@ -180,7 +183,7 @@ def confusion_picture(rows: Sequence[Row], path: Path, mode: str = "missing") ->
     hidden = [kinds.get(r["kind"]) or str(r["truth"][0]["effect"]) for r in rows]
     down = sorted(set(hidden), key=lambda x: (x.startswith("("), x))
     across = sorted({d for d in down if not d.startswith("(")} | {named_first(r) for r in rows})
-    across.sort(key=lambda x: (x in ("nothing", "unexplained", "no answer"), x))
+    across.sort(key=lambda x: (x in (OTHER_JOINT, "nothing", "unexplained", "no answer"), x))
     counts = np.zeros((len(down), len(across)))
     for name, row in zip(hidden, rows, strict=True):
         counts[down.index(name), across.index(named_first(row))] += 1
