@@ -146,3 +146,15 @@ class ShortSegmentWarning(LieidWarning):
 
 class SameRecordingWarning(LieidWarning):
     """A test on a recording that the fit was made from."""
+
+
+class NegativeMassWarning(LieidWarning):
+    """A payload whose mass came out negative."""
+
+
+class PayloadMisfitWarning(LieidWarning):
+    """A run whose error a payload does not explain."""
+
+
+class FrictionChangedWarning(LieidWarning):
+    """Friction that is no longer that of the fit."""

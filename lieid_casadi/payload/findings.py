@@ -1,0 +1,205 @@
+"""What there is to say about a payload: what was not told, what contradicts the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import (
+    ConvergenceWarning,
+    FrictionChangedWarning,
+    IdentificationError,
+    LieidWarning,
+    NegativeMassWarning,
+    PayloadMisfitWarning,
+    SameRecordingWarning,
+    UnidentifiableWarning,
+)
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.least_squares import name_direction
+from lieid_casadi.payload.body import DEPENDS_ON, NAMES, UNITS
+from lieid_casadi.payload.estimate import NOTHING, NotIdentified, PayloadEstimate
+from lieid_casadi.payload.regression import Estimate, LoadedRun
+from lieid_casadi.recording import Recording
+from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
+
+Array = NDArray[np.float64]
+WEAK = 0.3  # standard deviation over size, above which a number says little
+LENGTH = 0.02  # m: a centre of mass this well known is told wherever it is
+ANOTHER_ARM = 0.2  # of the torque's variation: no payload leaves that much …
+TIMES = 5.0  # … and that many times the fit's own error
+MISFIT = 2.0  # times the fit's own error: told
+FALL = 0.1  # of the error by refitting friction, that is worth telling
+CERTAIN = 4.0  # standard deviations
+
+
+def rms(errors: Sequence[Array]) -> Array:
+    """Return each joint's RMS (n,), NaN without rows."""
+    return np.array([np.sqrt(np.mean(e**2)) if len(e) else np.nan for e in errors])
+
+
+def without_a_number(values: Array, std: Array) -> NDArray[np.bool_]:
+    """Mark quantities (10,) that are not even worth a number: places of a mass that is none."""
+    lost = np.zeros(10, dtype=bool)
+    lost[1:] = not abs(values[0]) > NOTHING * std[0]
+    return lost
+
+
+def not_identified(
+    values: Array, std: Array, seen: NDArray[np.bool_], hidden: Array
+) -> tuple[NotIdentified, ...]:
+    """Return the quantities that the motion could not tell, and why.
+
+    Parameters
+    ----------
+    values, std : (10,)
+        As `body.NAMES`.
+    seen : (10,)
+        What the torque shows at all.
+    hidden : (h, 10)
+        Directions of m, m·c, I that it does not show, in comparable units.
+    """
+    nothing = without_a_number(values, std)
+    moment = float(np.max(np.abs(values[[4, 6, 9]])))
+    sizes = [
+        abs(values[0]),
+        *(max(abs(c), LENGTH / WEAK) for c in values[1:4]),
+        *(moment for _ in range(6)),
+    ]
+    found = []
+    for k, name in enumerate(NAMES):
+        if not seen[k]:
+            reason = _hidden_reason(k, hidden)
+        elif nothing[k]:
+            reason = f"mass {values[0]:.3g} ± {std[0]:.2g} kg cannot be told from none"
+        elif not std[k] <= WEAK * sizes[k]:
+            reason = f"standard deviation {std[k]:.2g} {UNITS[k]}" + (
+                f", {100 * std[k] / abs(values[k]):.0f} % of the value"
+                if k == 0
+                else f"; the largest moment of inertia is {moment:.2g}"
+                if k > 3
+                else ""
+            )
+            reason += ": the motion is too slow or too small for it"
+        else:
+            continue
+        found.append(NotIdentified(name, reason))
+    return tuple(found)
+
+
+def _hidden_reason(k: int, hidden: Array) -> str:
+    for direction in hidden:
+        if np.any(DEPENDS_ON[k] & (np.abs(direction) > 1e-6)):
+            return (
+                f"the torque does not change along {name_direction(direction, LABELS)} "
+                "(the arm's joints, or this motion, do not show it)"
+            )
+    return "a mass of exactly zero has no place"
+
+
+LABELS = tuple(name.replace("mc", "m·c") for name in LINK_PARAMETER_NAMES)
+
+
+def of_the_fit(fit: Fit, recordings: Sequence[Recording]) -> list[LieidWarning]:
+    """Tell what the fit itself lacks for this question."""
+    trained = {source.sha256: source.name for source in fit.provenance.recordings}
+    found: list[LieidWarning] = [
+        SameRecordingWarning(
+            f"{r.name or 'the recording'} is one that the fit was made from: what it carries is "
+            "part of the fit already"
+        )
+        for r in recordings
+        if r.source_hash and r.source_hash in trained
+    ]
+    found += [
+        UnidentifiableWarning(
+            f"the fit's own training: {w}; if the loaded run shows it, the payload takes it on"
+        )
+        for w in fit.warnings
+        if isinstance(w, UnidentifiableWarning)
+    ]
+    return found
+
+
+def require_same_arm(fit: Fit, estimate: Estimate, run: LoadedRun) -> None:
+    """Raise where so much remains that no payload can be the reason.
+
+    Raises
+    ------
+    IdentificationError
+    """
+    rows = run.design.rows(fit.shapes, fit.parameters)
+    after, own = rms(estimate.after), _own_error(fit)
+    spread = np.array([np.std(j.torque) if len(j.torque) else np.inf for j in rows.joints])
+    part = np.nan_to_num(after / np.where(spread > 0.0, spread, np.inf))
+    bad = (part > ANOTHER_ARM) & (np.nan_to_num(after) > TIMES * own)
+    # a small joint may be at odds by its friction alone: ask where the load is
+    heaviest = int(np.argmax(np.where(np.isfinite(spread), spread, 0.0)))
+    if not bad[heaviest] and bad.sum() <= len(bad) // 2:
+        return
+    j = int(np.argmax(np.where(bad, part, 0.0)))
+    name = run.design.segments[0].recording.name or "the recording"
+    raise IdentificationError(
+        f"{name}: no payload explains this run: on joint {j + 1} an error of {after[j]:.3g} N·m "
+        f"remains of a torque that varies by {spread[j]:.3g} (the fit's own error is "
+        f"{own[j]:.2g}); expected a run of the arm {fit.model.robot.name!r}, torques in N·m "
+        "or currents with --torque-constants"
+    )
+
+
+def changed_friction(
+    run: LoadedRun, kept: Estimate, refitted: Estimate, frictional: NDArray[np.bool_]
+) -> list[LieidWarning]:
+    """Tell friction that is no longer the fit's, and what the mass would be."""
+    before, after = rms(kept.after), rms(refitted.after)
+    fall = np.nan_to_num(1.0 - after / np.where(before > 0.0, before, np.inf))
+    free = np.flatnonzero(frictional | run.drifting)
+    columns = run.fit.model.base_columns
+    certain = np.abs(refitted.free) > CERTAIN * refitted.free_std
+    parts = [
+        f"{columns[k].label} {run.fit.values[k]:.3g} → {run.fit.values[k] + change:.3g}"
+        for k, change, sure in zip(free, refitted.free, certain, strict=True)
+        if sure and frictional[k] and fall[columns[k].joint] > FALL
+    ]
+    if not parts:
+        return []
+    std = float(np.sqrt(refitted.covariance[0, 0]))
+    return [
+        FrictionChangedWarning(
+            f"friction is not the fit's any more ({', '.join(parts[:6])}"
+            f"{', …' if len(parts) > 6 else ''}); with friction refitted (--refit-friction) the "
+            f"mass is {refitted.parameters[0]:.4g} ± {std:.2g} kg"
+        )
+    ]
+
+
+def of_the_payload(fit: Fit, result: PayloadEstimate, estimate: Estimate) -> list[LieidWarning]:
+    """Tell a negative mass, an error that is left, an iteration that did not settle."""
+    found: list[LieidWarning] = []
+    if result.mass < 0.0:
+        size = "significantly" if result.mass < -NOTHING * result.mass_std else "within its noise"
+        found.append(
+            NegativeMassWarning(
+                f"mass {result.mass:.3g} ± {result.mass_std:.2g} kg is negative, {size}; the "
+                f"nearest body that can exist has {result.feasible.mass:.3g} kg"
+            )
+        )
+    own = _own_error(fit)
+    for j, after in enumerate(result.rms_after):
+        if after > MISFIT * own[j]:
+            found.append(
+                PayloadMisfitWarning(
+                    f"joint {j + 1}: an error of {after:.3g} N·m remains with the payload, "
+                    f"{after / own[j]:.1f} times the fit's own; the payload's numbers are worth "
+                    "less than their standard deviations say (lieid diagnose FIT REC)"
+                )
+            )
+    if not estimate.settled:
+        found.append(ConvergenceWarning("the load had not settled with the payload"))
+    return found
+
+
+def _own_error(fit: Fit) -> Array:
+    return np.maximum(np.where(np.isfinite(fit.rms_cv), fit.rms_cv, fit.noise), 1e-9)

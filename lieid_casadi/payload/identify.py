@@ -1,0 +1,168 @@
+"""Identify a payload from a fit without it and a run with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import IdentificationError
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.design import Design
+from lieid_casadi.identification.fit import Source
+from lieid_casadi.identification.fixed_point import Progress
+from lieid_casadi.identification.identify import (
+    center_temperature,
+    check_recordings,
+    check_with_model,
+    unique_warnings,
+)
+from lieid_casadi.one_thread import blas_on_one_thread
+from lieid_casadi.payload import findings
+from lieid_casadi.payload.body import physical, physical_slopes, told
+from lieid_casadi.payload.estimate import FeasibleBody, FrictionChange, PayloadEstimate
+from lieid_casadi.payload.feasible_body import SCALE, possible_body
+from lieid_casadi.payload.regression import Estimate, LoadedRun
+from lieid_casadi.recording import Recording, process
+
+Array = NDArray[np.float64]
+DRIFTS = ("coulomb", "viscous", "offset")  # what changes with warmth and wear
+
+
+@blas_on_one_thread
+def identify_payload(
+    fit: Fit,
+    recordings: Recording | Sequence[Recording],
+    *,
+    cutoff: float | None = None,
+    refit_friction: bool = False,
+    progress: Progress | None = None,
+) -> PayloadEstimate:
+    """Identify the body at the tool that a fit does not know of.
+
+    What the torque measured under load exceeds the fit's by is regressed on the tool's columns,
+    both through the fit's filter, while the fit's numbers may move within their uncertainty.
+    Friction that depends on the load sees the payload.
+
+    Parameters
+    ----------
+    fit : Fit
+        Made without the payload, by any method.
+    recordings : Recording or sequence of Recording
+        With the payload, and torques.
+    cutoff : float, optional
+        Of the low-pass, Hz; the fit's own if left out.
+    refit_friction : bool
+        Whether Coulomb and viscous friction and offsets are free in this run, for an arm whose
+        warmth is not that of the fit.
+    progress : callable, optional
+        Called with a stage's name and the fraction done.
+
+    Returns
+    -------
+    PayloadEstimate
+
+    Raises
+    ------
+    ModelError, EffectError, RecordingError
+        Recordings that do not fit the model.
+    IdentificationError
+        Nothing moves; nothing to refit; or no payload explains the run: it is of another arm.
+    NoSolution
+        The solver did not find a possible body.
+    """
+    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    report = progress or (lambda stage, fraction: None)
+    check_recordings(fit.model, given)
+    report("check", 0.0)
+    found = [w for recording in given for w in check_with_model(fit.compiled, recording)]
+    found += findings.of_the_fit(fit, given)
+    report("process", 0.2)
+    options = replace(fit.processing, average_periods=False, cutoff=cutoff or fit.processing.cutoff)
+    segments, _ = center_temperature(process(given, options), fit.temperature_mean)
+    run = LoadedRun(fit, Design(fit.compiled, segments))
+    _require_motion(run)
+    frictional = np.array([name in DRIFTS for name in run.names])
+    if refit_friction and not frictional.any():
+        raise IdentificationError(
+            f"nothing to refit: the fit of {fit.model.robot.name!r} has none of {', '.join(DRIFTS)}"
+        )
+    report("regress", 0.4)
+    kept = run.estimate(np.zeros_like(frictional))
+    refitted = run.estimate(frictional) if frictional.any() else kept
+    estimate = refitted if refit_friction else kept
+    findings.require_same_arm(fit, estimate, run)
+    if not refit_friction:
+        found += findings.changed_friction(run, kept, refitted, frictional)
+    report("possible body", 0.8)
+    result = _result(fit, run, estimate, frictional if refit_friction else None)
+    found += [w for segment in segments for w in segment.warnings]
+    found += findings.of_the_payload(fit, result, estimate)
+    report("done", 1.0)
+    return replace(
+        result,
+        recordings=tuple(Source(r.name, r.source_hash) for r in given),
+        warnings=unique_warnings(found),
+    )
+
+
+def _require_motion(run: LoadedRun) -> None:
+    rows = run.design.rows(run.fit.shapes, run.fit.parameters)
+    if not rows.lengths.any():
+        raise IdentificationError(
+            "no joint moves in the loaded run; expected motion, best that of the fit's training"
+        )
+
+
+def _result(
+    fit: Fit, run: LoadedRun, estimate: Estimate, refitted: NDArray[np.bool_] | None
+) -> PayloadEstimate:
+    hidden = estimate.hidden / SCALE
+    hidden = hidden / np.maximum(np.abs(hidden).max(axis=1, keepdims=True), 1e-300)
+    seen = told(hidden)
+    values, std = physical(estimate.parameters), np.full(10, np.nan)
+    if estimate.parameters[0] != 0.0:
+        slopes = physical_slopes(estimate.parameters)
+        std = np.sqrt(np.einsum("ij,jk,ik->i", slopes, estimate.covariance, slopes))
+    else:
+        seen[:] = False
+    not_identified = findings.not_identified(values, std, seen, hidden)
+    lost = ~seen | findings.without_a_number(values, std)
+    body = possible_body(estimate.parameters, estimate.covariance, estimate.hidden)
+    moved = run.errors(body, refitted, estimate.free)
+    return PayloadEstimate(
+        robot=fit.model.robot.name,
+        joint_names=tuple(joint.name for joint in fit.model.robot.joints),
+        values=np.where(lost, np.nan, values),
+        std=np.where(lost, np.nan, std),
+        parameters=estimate.parameters,
+        covariance=estimate.covariance,
+        feasible=FeasibleBody(body, findings.rms(moved)),
+        not_identified=not_identified,
+        rms_before=findings.rms(estimate.before),
+        rms_after=findings.rms(estimate.after),
+        rms_fit=np.where(np.isfinite(fit.rms_cv), fit.rms_cv, fit.noise),
+        friction=() if refitted is None else _friction(fit, refitted, estimate),
+        cutoff=run.design.segments[0].cutoff,
+        recordings=(),
+        warnings=(),
+    )
+
+
+def _friction(
+    fit: Fit, refitted: NDArray[np.bool_], estimate: Estimate
+) -> tuple[FrictionChange, ...]:
+    drifting = np.array([p.name.startswith("bias_drift") for p in fit.model.base_columns])
+    free = np.flatnonzero(refitted | drifting)
+    found = []
+    for k, change, std in zip(free, estimate.free, estimate.free_std, strict=True):
+        p = fit.model.base_columns[k]
+        if refitted[k]:
+            found.append(
+                FrictionChange(
+                    p.name, p.joint, float(fit.values[k]), float(change), float(std), p.unit
+                )
+            )
+    return tuple(found)

@@ -1,0 +1,223 @@
+"""Equations of a loaded run: payload columns, and what the fit leaves open of its own numbers.
+
+Per joint, with M the filtered base columns along the loaded run (load friction at the load with
+the payload) and β̂ the fit's values,
+
+    torque − M·β̂ = M·B·π + J·δ + F·φ + noise,   δ ~ N(0, C),
+
+π being the payload's ten parameters, B what they add to the base parameters (a body at the tool
+adds to the last link), J the derivatives by values and shapes, C the fit's covariance, and φ
+numbers that are free (friction that is refitted, drift). With δ = L·z, C = L·Lᵀ, the fit's
+uncertainty is one more set of rows: z = 0 with unit weight. So the estimate is that of both runs
+together, as in Khalil, Gautier, Lemoine, "Identification of the payload inertial parameters of
+industrial manipulators", ICRA 2007, without the first run's data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.compiled.reduction import Triangle
+from lieid_casadi.dynamics.base_parameters import parameter_transport
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.covariance import hac_covariance
+from lieid_casadi.identification.design import Design, JointRows, Rows
+from lieid_casadi.identification.least_squares import Factor, combine, joint_factors, solve
+from lieid_casadi.identification.shape_fit import shape_columns
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+BODY = 10
+ROUNDS = 30
+SETTLED = 1e-8  # of the payload's torque
+STEP = 1e-3  # kg, kg·m, kg·m²: for the friction's slope over load
+KNOWN = 1e-12  # of the largest variance (of unit columns): below it a number counts as exact
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Least squares of a loaded run.
+
+    Attributes
+    ----------
+    parameters, covariance : (10,), (10, 10)
+        Of the payload, tool frame.
+    hidden : (h, 10)
+        Directions of the payload's parameters that the run does not show.
+    free, free_std : (f,)
+        Change of the fit's free numbers.
+    before, after : tuple of (R,)
+        Measured − predicted per joint: by the fit alone, and with the payload (and what was
+        refitted), the fit's own numbers kept.
+    noise : (n,)
+        Standard deviation per joint of what is left after the fit's numbers have moved, too.
+    settled : bool
+    """
+
+    parameters: Array
+    covariance: Array
+    hidden: Array
+    free: Array
+    free_std: Array
+    before: tuple[Array, ...]
+    after: tuple[Array, ...]
+    noise: Array
+    settled: bool
+
+
+class LoadedRun:
+    """A fit along a loaded run.
+
+    Parameters
+    ----------
+    fit : Fit
+    design : Design
+        Of the fit's model along the run.
+    """
+
+    def __init__(self, fit: Fit, design: Design) -> None:
+        self.fit, self.design = fit, design
+        base, n = fit.model.base, fit.model.n
+        self.transport = parameter_transport(fit.model.robot.tool)
+        self.to_base = base.combination[:, BODY * (n - 1) : BODY * n] @ self.transport
+        self.names = [p.name.split(".")[0] for p in fit.model.base_columns]
+        # drift is one recording's own: nothing is known of it in another
+        self.drifting = np.array([name == "bias_drift" for name in self.names])
+        self.values = np.where(self.drifting, 0.0, fit.values)
+        self.root = _root(fit.covariance)
+        first = design.segments[0]
+        step = float(np.median(np.diff(first.filtered_time)))
+        # rows closer than half a period of the cut-off tell the same thing
+        self.information = min(1.0, 2.0 * first.cutoff * step)
+
+    def loaded_parameters(self, body: Array) -> Array:
+        """Return link parameters and coefficients (10 n + m,) with a body at the tool."""
+        parameters = self.fit.parameters.copy()
+        last = BODY * self.fit.model.n
+        parameters[last - BODY : last] += self.transport @ body
+        return parameters
+
+    def estimate(self, free: NDArray[np.bool_]) -> Estimate:
+        """Solve; ``free`` marks base columns (p,) whose values may take any value."""
+        free = free | self.drifting
+        noise, body = self.fit.noise, np.zeros(BODY)
+        settled, before = False, self._residuals(self._rows(body), body)
+        for _ in range(ROUNDS):
+            rows, errors = self._equations(body, free)
+            factor = self._with_prior(combine(joint_factors(rows), self._weights(noise)))
+            solution = solve(factor)
+            fresh = solution.values[:BODY]
+            noise = self._noise(rows, solution.values, noise)
+            moved = [j.matrix[:, :BODY] @ (fresh - body) for j in rows.joints]
+            size = np.sqrt(sum(float(e @ e) for e in errors))
+            change = np.sqrt(sum(float(x @ x) for x in moved))
+            body = fresh
+            if change <= SETTLED * size:
+                settled = True
+                break
+        unit = solution.unit_covariance
+        weights = [np.full(len(j.torque), w) for j, w in zip(rows.joints, self._weights(noise))]
+        covariance = hac_covariance(rows, weights, rows.residuals(solution.values), unit)
+        known = slice(BODY, BODY + self.root.shape[1])
+        covariance = covariance + unit[:, known] @ unit[known, :]
+        chosen = solution.values[BODY + self.root.shape[1] :]
+        after = self._residuals(self._rows(body), body, np.flatnonzero(free), chosen)
+        return Estimate(
+            body,
+            covariance[:BODY, :BODY],
+            np.array([h[:BODY] for h in solution.hidden]).reshape(-1, BODY),
+            chosen,
+            np.sqrt(np.diag(covariance)[BODY + self.root.shape[1] :]),
+            tuple(before),
+            tuple(after),
+            noise,
+            settled,
+        )
+
+    def errors(
+        self, body: Array, free: NDArray[np.bool_] | None, change: Array
+    ) -> list[Array]:
+        """Return measured − predicted torque per joint (R,) with a body at the tool."""
+        chosen = self.drifting if free is None else free | self.drifting
+        return self._residuals(self._rows(body), body, np.flatnonzero(chosen), change)
+
+    def _rows(self, body: Array) -> Rows:
+        return self.design.rows(self.fit.shapes, self.loaded_parameters(body))
+
+    def _residuals(
+        self, rows: Rows, body: Array, free: Indices | None = None, change: Array | None = None
+    ) -> list[Array]:
+        values = self.values + self.to_base @ body
+        if free is not None and change is not None:
+            values[free] += change
+        return rows.residuals(values)
+
+    def _equations(self, body: Array, free: NDArray[np.bool_]) -> tuple[Rows, list[Array]]:
+        """Return rows in [π; z; φ], linear at a payload, and the residuals there."""
+        rows, values = self._rows(body), self.values + self.to_base @ body
+        errors = rows.residuals(values)
+        parameters = self.loaded_parameters(body)
+        by_load = self._load_slopes(rows, body, values)
+        by_shape: list[Array] = [np.zeros((len(j.torque), 0)) for j in rows.joints]
+        if len(self.fit.shapes):
+            by_shape = shape_columns(self.design, values, self.fit.shapes, parameters)
+        joints, count = [], BODY + self.root.shape[1] + int(free.sum())
+        p = len(self.values)
+        for joint, error, slope, shape in zip(rows.joints, errors, by_load, by_shape, strict=True):
+            wide = np.zeros((len(error), p))
+            wide[:, joint.columns] = joint.matrix
+            payload = wide @ self.to_base + slope
+            matrix = np.column_stack(
+                [payload, wide @ self.root[:p] + shape @ self.root[p:], wide[:, free]]
+            )
+            target = error + payload @ body
+            joints.append(JointRows(np.arange(count), matrix, target, joint.instant))
+        return Rows(joints, count, rows.segments), errors
+
+    def _load_slopes(self, rows: Rows, body: Array, values: Array) -> list[Array]:
+        """Return how friction changes with the payload, through the load, per joint (R, 10)."""
+        varying, shapes = self.design.varying, self.fit.shapes
+        slopes = [np.zeros((int(length), BODY)) for length in rows.lengths]
+        if not len(varying):
+            return slopes
+        here = self.design.varying_rows(shapes, self.loaded_parameters(body))
+        for k, unit in enumerate(STEP * np.eye(BODY)):
+            there = self.design.varying_rows(shapes, self.loaded_parameters(body + unit))
+            for slope, one, other in zip(slopes, here, there, strict=True):
+                slope[:, k] = (other - one) @ values[varying] / STEP
+        return slopes
+
+    def _weights(self, noise: Array) -> Array:
+        return np.asarray(np.sqrt(self.information) / noise)
+
+    def _with_prior(self, factor: Factor) -> Factor:
+        """Add the rows z = 0."""
+        known = self.root.shape[1]
+        prior = np.zeros((known, factor.r.shape[1]))
+        prior[:, BODY : BODY + known] = np.eye(known)
+        triangle = Triangle(factor.r.shape[1])
+        triangle.add(factor.r)
+        triangle.add(prior)
+        return Factor(triangle.r, factor.rows + known)
+
+    def _noise(self, rows: Rows, solved: Array, before: Array) -> Array:
+        """Return each joint's residual standard deviation (n,)."""
+        noise = before.copy()
+        taken = 1.0 + BODY / max(rows.lengths.sum(), 1)
+        for j, error in enumerate(rows.residuals(solved)):
+            if len(error):
+                noise[j] = max(float(np.sqrt(np.mean(error**2))) * taken, 1e-12)
+        return noise
+
+
+def _root(covariance: Array) -> Array:
+    """Return L (p, k) with C = L·Lᵀ, exact numbers left out."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    unit = np.where(size > 0.0, size, 1.0)
+    variance, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
+    kept = variance > KNOWN * max(float(variance[-1]), KNOWN)
+    return np.asarray(unit[:, None] * axes[:, kept] * np.sqrt(variance[kept]))
