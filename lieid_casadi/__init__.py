@@ -12,6 +12,7 @@ __all__ = [
     "Comparison",
     "Compiled",
     "Diagnosis",
+    "DriveGains",
     "Effect",
     "Excitation",
     "Fit",
@@ -20,6 +21,7 @@ __all__ = [
     "LieidWarning",
     "Limits",
     "Model",
+    "PayloadEstimate",
     "Processing",
     "Recording",
     "Robot",
@@ -29,10 +31,12 @@ __all__ = [
     "compare",
     "compile",
     "diagnose",
+    "drive_gains",
     "effect",
     "excite",
     "extend",
     "identify",
+    "identify_payload",
     "register",
     "robots",
 ]
@@ -43,6 +47,7 @@ _HOME = {
     "Comparison": "lieid_casadi.comparison",
     "Compiled": "lieid_casadi.compiled",
     "Diagnosis": "lieid_casadi.diagnosis",
+    "DriveGains": "lieid_casadi.gains",
     "Effect": "lieid_casadi.effects",
     "Excitation": "lieid_casadi.excitation",
     "Fit": "lieid_casadi.identification",
@@ -51,6 +56,7 @@ _HOME = {
     "LieidWarning": "lieid_casadi.errors",
     "Limits": "lieid_casadi.robot",
     "Model": "lieid_casadi.model",
+    "PayloadEstimate": "lieid_casadi.payload",
     "Processing": "lieid_casadi.recording",
     "Recording": "lieid_casadi.recording",
     "Robot": "lieid_casadi.robot",
@@ -59,10 +65,12 @@ _HOME = {
     "compare": "lieid_casadi.comparison",
     "compile": "lieid_casadi.compiled",
     "diagnose": "lieid_casadi.diagnosis",
+    "drive_gains": "lieid_casadi.gains",
     "effect": "lieid_casadi.effects",
     "excite": "lieid_casadi.excitation",
     "extend": "lieid_casadi.diagnosis",
     "identify": "lieid_casadi.identification",
+    "identify_payload": "lieid_casadi.payload",
     "register": "lieid_casadi.effects",
 }
 
@@ -78,9 +86,13 @@ if TYPE_CHECKING:
     from lieid_casadi.errors import LieidError, LieidWarning
     from lieid_casadi.excitation.excitation import Excitation
     from lieid_casadi.excitation.excite import excite
+    from lieid_casadi.gains.estimate import DriveGains
+    from lieid_casadi.gains.identify import drive_gains
     from lieid_casadi.identification.fit import Fit
     from lieid_casadi.identification.identify import identify
     from lieid_casadi.model import Model
+    from lieid_casadi.payload.estimate import PayloadEstimate
+    from lieid_casadi.payload.identify import identify_payload
     from lieid_casadi.recording import Processing, Recording
     from lieid_casadi.robot import Joint, Limits, Robot
 

@@ -17,7 +17,7 @@ from lieid_casadi.cli import arguments
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
 COMMANDS = (
     "demo", "show", "excite", "identify", "predict", "compare", "friction", "diagnose", "extend",
-    "discriminate", "export",
+    "discriminate", "payload", "gains", "export",
 )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +48,7 @@ class FeasibleBody:
 
     @property
     def mass(self) -> float:
-        """kg."""
+        """Mass, kg."""
         return float(self.parameters[0])
 
     @property
@@ -133,7 +134,7 @@ class PayloadEstimate:
 
     @property
     def mass(self) -> float:
-        """kg."""
+        """Mass, kg."""
         return float(self.values[0])
 
     @property
@@ -148,7 +149,7 @@ class PayloadEstimate:
 
     @property
     def mass_std(self) -> float:
-        """kg."""
+        """Standard deviation of the mass, kg."""
         return float(self.std[0])
 
     @property
@@ -172,7 +173,7 @@ class PayloadEstimate:
         m, std = self.mass, self.mass_std
         if not np.isfinite(m):
             return "The motion does not tell the payload's mass."
-        size = f"{m:.4g} ± {std:.2g} kg (one standard deviation)"
+        size = f"{with_std(m, std)} kg (one standard deviation)"
         if abs(m) <= NOTHING * std:
             return f"No payload can be told from none: {size}."
         if m < 0.0:
@@ -196,9 +197,7 @@ class PayloadEstimate:
                 "name": name,
                 "value": _number(self.values[k]),
                 "std": _number(self.std[k]),
-                "interval": None
-                if np.isnan(self.values[k])
-                else [float(low[k]), float(high[k])],
+                "interval": None if np.isnan(self.values[k]) else [float(low[k]), float(high[k])],
                 "feasible": float(possible[k]),
                 "unit": UNITS[k],
                 "told": name not in doubtful,
@@ -263,6 +262,18 @@ class PayloadEstimate:
 
     def __repr__(self) -> str:
         return f"<PayloadEstimate: {self.sentence}>"
+
+
+def with_std(value: float, std: float) -> str:
+    """Return a value and its standard deviation, both to the second digit of the latter.
+
+    Examples
+    --------
+    >>> with_std(2.00003, 0.00182)
+    '2.0000 ± 0.0018'
+    """
+    decimals = min(max(1 - math.floor(math.log10(std)), 0), 12) if 0.0 < std < math.inf else 4
+    return f"{value:z.{decimals}f} ± {std:.{decimals}f}"
 
 
 def _number(x: float) -> float | None:

@@ -20,14 +20,15 @@ from lieid_casadi.errors import (
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.least_squares import name_direction
 from lieid_casadi.payload.body import DEPENDS_ON, NAMES, UNITS
-from lieid_casadi.payload.estimate import NOTHING, NotIdentified, PayloadEstimate
+from lieid_casadi.payload.estimate import NOTHING, NotIdentified, PayloadEstimate, with_std
 from lieid_casadi.payload.regression import Estimate, LoadedRun
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
 
 Array = NDArray[np.float64]
 WEAK = 0.3  # standard deviation over size, above which a number says little
-LENGTH = 0.02  # m: a centre of mass this well known is told wherever it is
+MASS = 0.05  # kg: a mass this well known is told however small it is
+LENGTH = 0.02  # m: so is a place
 ANOTHER_ARM = 0.2  # of the torque's variation: no payload leaves that much …
 TIMES = 5.0  # … and that many times the fit's own error
 MISFIT = 2.0  # times the fit's own error: told
@@ -64,7 +65,7 @@ def not_identified(
     nothing = without_a_number(values, std)
     moment = float(np.max(np.abs(values[[4, 6, 9]])))
     sizes = [
-        abs(values[0]),
+        max(abs(values[0]), MASS / WEAK),
         *(max(abs(c), LENGTH / WEAK) for c in values[1:4]),
         *(moment for _ in range(6)),
     ]
@@ -73,7 +74,7 @@ def not_identified(
         if not seen[k]:
             reason = _hidden_reason(k, hidden)
         elif nothing[k]:
-            reason = f"mass {values[0]:.3g} ± {std[0]:.2g} kg cannot be told from none"
+            reason = f"the mass, {with_std(values[0], std[0])} kg, cannot be told from none"
         elif not std[k] <= WEAK * sizes[k]:
             reason = f"standard deviation {std[k]:.2g} {UNITS[k]}" + (
                 f", {100 * std[k] / abs(values[k]):.0f} % of the value"
@@ -131,10 +132,10 @@ def require_same_arm(fit: Fit, estimate: Estimate, run: LoadedRun) -> None:
     IdentificationError
     """
     rows = run.design.rows(fit.shapes, fit.parameters)
-    after, own = rms(estimate.after), _own_error(fit)
+    left, own = estimate.noise, _own_error(fit)
     spread = np.array([np.std(j.torque) if len(j.torque) else np.inf for j in rows.joints])
-    part = np.nan_to_num(after / np.where(spread > 0.0, spread, np.inf))
-    bad = (part > ANOTHER_ARM) & (np.nan_to_num(after) > TIMES * own)
+    part = left / np.where(spread > 0.0, spread, np.inf)
+    bad = (part > ANOTHER_ARM) & (left > TIMES * own)
     # a small joint may be at odds by its friction alone: ask where the load is
     heaviest = int(np.argmax(np.where(np.isfinite(spread), spread, 0.0)))
     if not bad[heaviest] and bad.sum() <= len(bad) // 2:
@@ -142,7 +143,7 @@ def require_same_arm(fit: Fit, estimate: Estimate, run: LoadedRun) -> None:
     j = int(np.argmax(np.where(bad, part, 0.0)))
     name = run.design.segments[0].recording.name or "the recording"
     raise IdentificationError(
-        f"{name}: no payload explains this run: on joint {j + 1} an error of {after[j]:.3g} N·m "
+        f"{name}: no payload explains this run: on joint {j + 1} an error of {left[j]:.3g} N·m "
         f"remains of a torque that varies by {spread[j]:.3g} (the fit's own error is "
         f"{own[j]:.2g}); expected a run of the arm {fit.model.robot.name!r}, torques in N·m "
         "or currents with --torque-constants"
@@ -170,7 +171,7 @@ def changed_friction(
         FrictionChangedWarning(
             f"friction is not the fit's any more ({', '.join(parts[:6])}"
             f"{', …' if len(parts) > 6 else ''}); with friction refitted (--refit-friction) the "
-            f"mass is {refitted.parameters[0]:.4g} ± {std:.2g} kg"
+            f"mass is {with_std(float(refitted.parameters[0]), std)} kg"
         )
     ]
 
@@ -182,18 +183,19 @@ def of_the_payload(fit: Fit, result: PayloadEstimate, estimate: Estimate) -> lis
         size = "significantly" if result.mass < -NOTHING * result.mass_std else "within its noise"
         found.append(
             NegativeMassWarning(
-                f"mass {result.mass:.3g} ± {result.mass_std:.2g} kg is negative, {size}; the "
+                f"mass {with_std(result.mass, result.mass_std)} kg is negative, {size}; the "
                 f"nearest body that can exist has {result.feasible.mass:.3g} kg"
             )
         )
     own = _own_error(fit)
-    for j, after in enumerate(result.rms_after):
-        if after > MISFIT * own[j]:
+    for j, left in enumerate(estimate.noise):
+        if np.isfinite(result.rms_after[j]) and left > MISFIT * own[j]:
             found.append(
                 PayloadMisfitWarning(
-                    f"joint {j + 1}: an error of {after:.3g} N·m remains with the payload, "
-                    f"{after / own[j]:.1f} times the fit's own; the payload's numbers are worth "
-                    "less than their standard deviations say (lieid diagnose FIT REC)"
+                    f"joint {j + 1}: with the payload, and the fit's numbers moved within their "
+                    f"uncertainty, an error of {left:.3g} N·m remains, {left / own[j]:.1f} times "
+                    "the fit's own; the payload's numbers are worth less than their standard "
+                    "deviations say (lieid diagnose FIT REC tells what else has changed)"
                 )
             )
     if not estimate.settled:

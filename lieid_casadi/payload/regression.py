@@ -120,8 +120,11 @@ class LoadedRun:
                 settled = True
                 break
         unit = solution.unit_covariance
-        weights = [np.full(len(j.torque), w) for j, w in zip(rows.joints, self._weights(noise))]
-        covariance = hac_covariance(rows, weights, rows.residuals(solution.values), unit)
+        each = [
+            np.full(int(length), weight)
+            for length, weight in zip(rows.lengths, self._weights(noise), strict=True)
+        ]
+        covariance = hac_covariance(rows, each, rows.residuals(solution.values), unit)
         known = slice(BODY, BODY + self.root.shape[1])
         covariance = covariance + unit[:, known] @ unit[known, :]
         chosen = solution.values[BODY + self.root.shape[1] :]
@@ -138,9 +141,7 @@ class LoadedRun:
             settled,
         )
 
-    def errors(
-        self, body: Array, free: NDArray[np.bool_] | None, change: Array
-    ) -> list[Array]:
+    def errors(self, body: Array, free: NDArray[np.bool_] | None, change: Array) -> list[Array]:
         """Return measured − predicted torque per joint (R,) with a body at the tool."""
         chosen = self.drifting if free is None else free | self.drifting
         return self._residuals(self._rows(body), body, np.flatnonzero(chosen), change)

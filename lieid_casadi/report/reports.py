@@ -16,6 +16,11 @@ from lieid_casadi.report.sections.diagnosis import (
 from lieid_casadi.report.sections.errors import errors_section
 from lieid_casadi.report.sections.moments import moments_section
 from lieid_casadi.report.sections.parameters import effects_section, links_section
+from lieid_casadi.report.sections.payload import (
+    payload_picture_section,
+    payload_section,
+    payload_verdict_section,
+)
 from lieid_casadi.report.sections.pictures import dependence_section, torques_section
 from lieid_casadi.report.sections.provenance import provenance_section
 from lieid_casadi.report.sections.training import training_section
@@ -24,6 +29,7 @@ from lieid_casadi.report.sections.warnings import warnings_section
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis import Diagnosis
+    from lieid_casadi.payload import PayloadEstimate
 
 
 def comparison_report(fit: Fit, comparison: Comparison) -> str:
@@ -63,6 +69,21 @@ def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None)
     return render(
         f"{fit.model.robot.name}: diagnosis",
         [*sections, *fit_sections(fit), provenance_section(fit, comparison)],
+    )
+
+
+def payload_report(fit: Fit, payload: PayloadEstimate) -> str:
+    """Return the HTML report of a payload."""
+    return render(
+        f"{payload.robot}: payload",
+        [
+            payload_verdict_section(payload),
+            payload_section(payload),
+            payload_picture_section(payload),
+            warnings_section(payload.warnings, fit.warnings),
+            *fit_sections(fit),
+            provenance_section(fit, loaded=payload.recordings),
+        ],
     )
 
 

@@ -6,10 +6,11 @@ import sys
 import lieid_casadi as lieid
 
 PUBLIC = {
-    "Coefficient", "Comparison", "Compiled", "Diagnosis", "Effect", "Excitation", "Fit", "Joint",
-    "LieidError", "LieidWarning", "Limits", "Model", "Processing", "Recording", "Robot", "Shape",
-    "Signals", "__version__", "compare", "compile", "diagnose", "effect", "excite", "extend",
-    "identify", "register", "robots",
+    "Coefficient", "Comparison", "Compiled", "Diagnosis", "DriveGains", "Effect", "Excitation",
+    "Fit", "Joint", "LieidError", "LieidWarning", "Limits", "Model", "PayloadEstimate",
+    "Processing", "Recording", "Robot", "Shape", "Signals", "__version__", "compare", "compile",
+    "diagnose", "drive_gains", "effect", "excite", "extend", "identify", "identify_payload",
+    "register", "robots",
 }  # fmt: skip
 
 

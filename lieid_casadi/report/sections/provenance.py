@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.identification import Fit
+from lieid_casadi.identification.fit import Source
 from lieid_casadi.report.section import Section
 
 
-def provenance_section(fit: Fit, comparison: Comparison | None = None) -> Section:
+def provenance_section(
+    fit: Fit, comparison: Comparison | None = None, *, loaded: Sequence[Source] = ()
+) -> Section:
     """Return versions, and names and hashes of all recordings."""
     sources = [("training", source) for source in fit.provenance.recordings]
     if comparison is not None:
         sources += [("test", source) for source in comparison.recordings]
+    sources += [("with payload", source) for source in loaded]
     data = {
         "facts": [
             ("robot", fit.model.robot.name),

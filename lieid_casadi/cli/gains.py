@@ -1,0 +1,112 @@
+"""``lieid gains ROBOT --unloaded REC… --loaded REC… --mass KG``: drive gains in N·m/A."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import arguments, output
+from lieid_casadi.errors import UsageError
+
+if TYPE_CHECKING:
+    from lieid_casadi.gains import DriveGains
+    from lieid_casadi.recording import Recording
+    from lieid_casadi.robot import Robot
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "gains", help="drive gains in N·m/A, from currents and a payload of known mass"
+    )
+    arguments.add_robot(parser)
+    parser.add_argument(
+        "--unloaded", nargs="+", required=True, metavar="REC", help="currents without payload"
+    )
+    parser.add_argument(
+        "--loaded", nargs="+", required=True, metavar="REC", help="currents with the payload"
+    )
+    parser.add_argument("--mass", type=float, required=True, metavar="KG", help="of the payload")
+    parser.add_argument(
+        "--com",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="its centre of mass in the tool's frame, m, where known",
+    )
+    parser.add_argument("--yaml", metavar="FILE", help="write the robot with its torque constants")
+    parser.add_argument("--plot", metavar="FILE", help="draw the gains")
+    arguments.add_effects(parser)
+    arguments.add_processing(parser)
+    arguments.add_outputs(parser)
+    arguments.add_threads(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Identify, print and write."""
+    from lieid_casadi.gains import drive_gains
+
+    output.check_writable(args.json, args.yaml, args.plot)
+    if not args.mass > 0.0:
+        raise UsageError(f"--mass {args.mass:g}: expected kg above 0")
+    model = arguments.model_of(args)
+    robot = model.robot
+    with output.progress("gains") as report:
+        gains = drive_gains(
+            robot,
+            _currents(args.unloaded, robot),
+            _currents(args.loaded, robot),
+            mass=args.mass,
+            com=args.com,
+            effects=args.effects,
+            processing=arguments.processing_of(args),
+            progress=report,
+        )
+    if args.yaml is not None:
+        from lieid_casadi.robot.yaml_file import write_yaml
+
+        output.write_file(args.yaml, write_yaml(gains.robot_with_gains()).encode())
+    output.write_json(args.json, gains.to_dict())
+    if args.plot is not None:
+        from lieid_casadi.cli.compare import save_figure
+
+        save_figure(args.plot, gains.plot())
+    print_gains(gains)
+
+
+def _currents(paths: list[str], robot: Robot) -> list[Recording]:
+    from lieid_casadi.recording import Recording
+
+    return [Recording.load(path, n=robot.n) for path in paths]
+
+
+def print_gains(gains: DriveGains) -> None:
+    """Print the gains, what was not told, and the option that other commands take."""
+    output.table(
+        f"Drive gains by a payload of {gains.mass:g} kg (low-pass {gains.cutoff:.3g} Hz)",
+        ["joint", "gain", "std", "std %", "95 % from", "to", "unit", "RMS error, A", "N·m"],
+        [
+            [
+                f"{row['joint']} {row['name']}{'' if row['told'] else ' *'}",
+                row["gain"],
+                row["std"],
+                None if row["gain"] is None else 100.0 * row["std"] / abs(row["gain"]),
+                *(row["interval"] or (None, None)),
+                row["unit"],
+                float(gains.rms_current[j]),
+                float(gains.rms[j]),
+            ]
+            for j, row in enumerate(gains.table())
+        ],
+    )
+    for part in gains.not_identified:
+        output.say(f"  * the gain of joint {part.joint + 1} is not told: {part.reason}.")
+    centre = ", ".join(
+        "not told" if c != c else f"{1000 * c:.1f} ± {1000 * s:.1f}"
+        for c, s in zip(gains.com, gains.com_std, strict=True)
+    )
+    output.say(f"Payload's centre of mass in the tool's frame: ({centre}) mm.")
+    if gains.option is not None:
+        output.say(f"For the other commands:\n{gains.option}")
+    output.show_warnings(gains.warnings)

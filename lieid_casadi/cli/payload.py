@@ -1,0 +1,116 @@
+"""``lieid payload FIT REC…``: what hangs on the tool."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import arguments, output
+
+if TYPE_CHECKING:
+    from lieid_casadi.payload import PayloadEstimate
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "payload", help="mass, centre of mass and inertia of what hangs on the tool"
+    )
+    parser.add_argument("fit", metavar="FIT", help="made without the payload")
+    parser.add_argument("recordings", nargs="+", metavar="REC", help="measured with it")
+    parser.add_argument(
+        "--refit-friction",
+        action="store_true",
+        help="Coulomb and viscous friction and offsets may differ from the fit's (warmth)",
+    )
+    parser.add_argument("--cutoff", type=float, metavar="HZ", help="default: the fit's own")
+    parser.add_argument("--plot", metavar="FILE", help="draw the fall of the error")
+    arguments.add_effects_file(parser)
+    arguments.add_recording_options(parser)
+    arguments.add_outputs(parser, html=True)
+    arguments.add_threads(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Identify, print and write."""
+    from lieid_casadi.identification import Fit
+    from lieid_casadi.payload import identify_payload
+
+    output.check_writable(args.json, args.html, args.plot)
+    arguments.load_effects_file(args.effects_file)
+    fit = Fit.load(args.fit)
+    recordings = arguments.recordings_of(args.recordings, args, fit.model.robot)
+    with output.progress("payload") as report:
+        payload = identify_payload(
+            fit,
+            recordings,
+            cutoff=args.cutoff,
+            refit_friction=args.refit_friction,
+            progress=report,
+        )
+    output.write_json(args.json, payload.to_dict())
+    if args.html is not None:
+        from lieid_casadi.report import payload_report
+
+        output.write_file(args.html, payload_report(fit, payload).encode())
+    if args.plot is not None:
+        from lieid_casadi.cli.compare import save_figure
+
+        save_figure(args.plot, payload.plot())
+    print_payload(payload)
+
+
+def print_payload(payload: PayloadEstimate) -> None:
+    """Print the verdict, the quantities, the error's fall and what was not told."""
+    output.say(payload.sentence)
+    output.table(
+        "Payload in the tool's frame; inertia about the centre of mass",
+        ["", "value", "std", "95 % from", "to", "feasible", "unit"],
+        [
+            [
+                row["name"] + ("" if row["told"] else " *"),
+                row["value"],
+                row["std"],
+                *(row["interval"] or (None, None)),
+                row["feasible"],
+                row["unit"],
+            ]
+            for row in payload.table()
+        ],
+    )
+    by_reason: dict[str, list[str]] = {}
+    for part in payload.not_identified:
+        by_reason.setdefault(part.reason, []).append(part.name)
+    for reason, names in by_reason.items():
+        output.say(f"  * not told: {', '.join(names)}; {reason}.")
+    output.table(
+        f"RMS error in motion, N·m (low-pass {payload.cutoff:.3g} Hz)",
+        ["joint", "fit alone", "with the payload", "feasible", "the fit's own, held out"],
+        [
+            [f"{j + 1} {name}", *(float(x) for x in row)]
+            for j, (name, row) in enumerate(
+                zip(
+                    payload.joint_names,
+                    zip(
+                        payload.rms_before,
+                        payload.rms_after,
+                        payload.feasible.rms_after,
+                        payload.rms_fit,
+                        strict=True,
+                    ),
+                    strict=True,
+                )
+            )
+        ],
+    )
+    if payload.friction:
+        output.table(
+            "Friction in the loaded run",
+            ["number", "in the fit", "change", "std", "unit"],
+            [
+                [f"{part.name}:{part.joint + 1}", part.fitted, part.change, part.std, part.unit]
+                for part in payload.friction
+            ],
+        )
+    output.show_warnings(payload.warnings)

@@ -1,0 +1,6 @@
+"""Drive gains in N·m/A from motor currents and a payload of known mass."""
+
+from lieid_casadi.gains.estimate import DriveGains, GainNotIdentified
+from lieid_casadi.gains.identify import drive_gains
+
+__all__ = ["DriveGains", "GainNotIdentified", "drive_gains"]

@@ -1,0 +1,272 @@
+"""Identify drive gains from currents with and without a payload of known mass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieid_casadi.compiled import compile
+from lieid_casadi.effects import Effect
+from lieid_casadi.errors import (
+    ConvergenceWarning,
+    EffectError,
+    IdentificationError,
+    LieidWarning,
+    ModelError,
+)
+from lieid_casadi.gains.estimate import DriveGains, GainNotIdentified
+from lieid_casadi.gains.regression import BODY, GainProblem, Solution
+from lieid_casadi.identification.design import Design
+from lieid_casadi.identification.fit import Source
+from lieid_casadi.identification.fixed_point import Progress
+from lieid_casadi.identification.identify import center_temperature, unique_warnings
+from lieid_casadi.model import Model
+from lieid_casadi.one_thread import blas_on_one_thread
+from lieid_casadi.recording import Processing, Recording, check, process
+from lieid_casadi.robot import Robot
+
+Array = NDArray[np.float64]
+WEAK = 0.1  # standard deviation over gain, above which it is not told
+NOT_SHOWN = 0.3  # of all gains: the mass is not seen at all
+ANOTHER_ARM = 0.3  # error over the torque's spread, on half of the joints
+UNSEEN = 1e-6  # of a hidden direction
+
+
+@blas_on_one_thread
+def drive_gains(
+    robot: Robot,
+    unloaded: Recording | Sequence[Recording],
+    loaded: Recording | Sequence[Recording],
+    *,
+    mass: float,
+    com: ArrayLike | None = None,
+    effects: str | Iterable[str | Effect] = "coulomb,viscous,offset",
+    processing: Processing | None = None,
+    progress: Progress | None = None,
+) -> DriveGains:
+    """Identify N·m/A of every drive by a payload of known mass.
+
+    Gains, the arm's base parameters, friction and what is unknown of the payload are found
+    together by total least squares; the known mass gives the scale (Gautier, Briot, 2014).
+
+    Parameters
+    ----------
+    robot : Robot
+        Its geometry; inertias are not needed.
+    unloaded, loaded : Recording or sequence of Recording
+        With currents, without and with the payload; best the same exciting motions.
+    mass : float
+        Of the payload, kg.
+    com : (3,), optional
+        Its centre of mass in the tool's frame, m; identified if left out.
+    effects : str or sequence
+        Friction of the joints; without shape parameters.
+    processing : Processing, optional
+    progress : callable, optional
+        Called with a stage's name and the fraction done.
+
+    Returns
+    -------
+    DriveGains
+
+    Raises
+    ------
+    IdentificationError
+        A mass that is not positive, the same recording as both, a payload that does not show,
+        recordings of another arm.
+    ModelError, RecordingError, EffectError
+        No currents, another number of joints, effects with shape parameters.
+    """
+    empty, full = _listed(unloaded), _listed(loaded)
+    known = _known(mass, com)
+    model = Model(robot, effects)
+    report = progress or (lambda stage, fraction: None)
+    _check(model, empty, full)
+    report("check", 0.0)
+    currents = [_in_amperes(r) for r in (*empty, *full)]
+    found: list[LieidWarning] = [w for r in (*empty, *full) for w in check(r, robot)]
+    report("process", 0.2)
+    options = process(currents, processing)[0].options
+    compiled = compile(model)
+    before, after = (process(part, options) for part in _split(currents, len(empty)))
+    segments, _ = center_temperature([*before, *after])
+    found += [w for segment in segments for w in segment.warnings]
+    report("regress", 0.4)
+    split = len(before)
+    designs = (Design(compiled, segments[:split]), Design(compiled, segments[split:]))
+    solution = GainProblem(*designs, known).solve()
+    _require_motion(solution)
+    if not solution.settled:
+        found.append(ConvergenceWarning("gains and load had not settled"))
+    result = _result(model, solution, mass, known, options, (empty, full))
+    report("done", 1.0)
+    return replace(result, warnings=unique_warnings(found))
+
+
+def _listed(recordings: Recording | Sequence[Recording]) -> list[Recording]:
+    return [recordings] if isinstance(recordings, Recording) else list(recordings)
+
+
+def _split(recordings: Sequence[Recording], count: int) -> tuple[list[Recording], list[Recording]]:
+    return list(recordings[:count]), list(recordings[count:])
+
+
+def _known(mass: float, com: ArrayLike | None) -> Array:
+    """Return the payload's parameters (10,) as far as they are known."""
+    if not (np.isfinite(mass) and mass > 0.0):
+        raise IdentificationError(f"mass of the payload is {mass:g} kg, expected more than 0")
+    known = np.full(BODY, np.nan)
+    known[0] = mass
+    if com is not None:
+        centre = np.asarray(com, dtype=float)
+        if centre.shape != (3,) or not np.all(np.isfinite(centre)):
+            raise IdentificationError(f"com is {com}, expected three numbers, m")
+        known[1:4] = mass * centre
+    return known
+
+
+def _check(model: Model, empty: Sequence[Recording], full: Sequence[Recording]) -> None:
+    if model.shapes:
+        raise EffectError(
+            f"{model.shapes[0].label}: effects with shape parameters cannot be fitted with drive "
+            "gains; expected linear ones such as coulomb, viscous, offset, load_friction"
+        )
+    for part, recordings in (("unloaded", empty), ("loaded", full)):
+        if not recordings:
+            raise IdentificationError(f"no {part} recording given; expected at least one")
+    for recording in (*empty, *full):
+        name = recording.name or "recording"
+        if recording.n != model.n:
+            raise ModelError(
+                f"{name}: {recording.n} joints; robot {model.robot.name!r} has {model.n}"
+            )
+        if recording.current is None:
+            raise ModelError(f"{name}: no motor currents; expected columns i1…i{model.n}")
+    same = {r.source_hash for r in empty if r.source_hash} & {r.source_hash for r in full}
+    for recording in full:
+        if recording.source_hash in same:
+            raise IdentificationError(
+                f"{recording.name or 'recording'}: given as unloaded and as loaded; expected "
+                "different recordings"
+            )
+
+
+def _in_amperes(recording: Recording) -> Recording:
+    """Return a recording whose torque is its current."""
+    return recording.with_torque_constants(np.ones(recording.n))
+
+
+def _require_motion(solution: Solution) -> None:
+    if not any(len(e) for e in solution.residuals):
+        raise IdentificationError("no joint moves; expected exciting motion")
+
+
+def _result(
+    model: Model,
+    solution: Solution,
+    mass: float,
+    known: Array,
+    options: Processing,
+    recordings: tuple[Sequence[Recording], Sequence[Recording]],
+) -> DriveGains:
+    n = model.n
+    gains = solution.gains
+    std = np.sqrt(np.diag(solution.covariance)[:n])
+    rms = np.array([np.sqrt(np.mean(e**2)) if len(e) else np.nan for e in solution.residuals])
+    spread = np.abs(gains) * np.array([np.std(i) if len(i) else np.nan for i in solution.currents])
+    relative = rms / np.where(spread > 0.0, spread, np.nan)
+    seen = _seen(solution, n)
+    seen &= np.array([len(i) > 0 and bool(np.any(i)) for i in solution.currents])
+    _require_load(gains, std, seen, mass)
+    _require_arm(model, relative, recordings)
+    parts = []
+    for j in range(n):
+        if not seen[j]:
+            parts.append(GainNotIdentified(j, "nothing of its motion reaches the payload's scale"))
+        elif not std[j] <= WEAK * abs(gains[j]):
+            parts.append(
+                GainNotIdentified(
+                    j,
+                    f"standard deviation {100 * std[j] / abs(gains[j]):.0f} % of the gain: the "
+                    "joint feels the payload too little in this motion",
+                )
+            )
+    com, com_std = _centre(model, solution, mass, known)
+    return DriveGains(
+        robot=model.robot,
+        effects=tuple(model.effects),
+        gains=np.where(seen, gains, np.nan),
+        std=np.where(seen, std, np.nan),
+        covariance=solution.covariance[:n, :n],
+        not_identified=tuple(parts),
+        mass=float(mass),
+        com=com,
+        com_std=com_std,
+        rms=rms,
+        rms_current=rms / np.abs(gains),
+        relative_rms=relative,
+        cutoff=float(options.cutoff or np.nan),
+        unloaded=tuple(Source(r.name, r.source_hash) for r in recordings[0]),
+        loaded=tuple(Source(r.name, r.source_hash) for r in recordings[1]),
+        warnings=(),
+    )
+
+
+def _seen(solution: Solution, n: int) -> NDArray[np.bool_]:
+    """Mark the gains (n,) that no hidden direction contains."""
+    seen = np.ones(n, dtype=bool)
+    scale = np.maximum(np.abs(solution.gains), 1e-300)
+    for direction in solution.hidden:
+        part = np.abs(direction[:n]) / scale
+        # of the direction's own size in gains; payload parameters alone do not matter
+        largest = float(np.max(np.abs(direction), initial=0.0))
+        seen &= part * scale <= UNSEEN * largest
+    return seen
+
+
+def _centre(model: Model, solution: Solution, mass: float, known: Array) -> tuple[Array, Array]:
+    """Return the payload's centre of mass and standard deviations (3,), NaN where not shown."""
+    com = solution.body[1:4] / mass
+    if not np.isnan(known[1]):
+        return com, np.zeros(3)
+    first = model.n + model.base.count
+    std = np.sqrt(np.diag(solution.covariance)[first : first + 3]) / mass
+    lost = np.zeros(3, dtype=bool)
+    for direction in solution.hidden:
+        lost |= np.abs(direction[first : first + 3]) > UNSEEN * np.max(np.abs(direction))
+    return np.where(lost, np.nan, com), np.where(lost, np.nan, std)
+
+
+def _require_load(gains: Array, std: Array, seen: NDArray[np.bool_], mass: float) -> None:
+    """Raise where the load is not there, or was taken off."""
+    relative = std[seen] / np.abs(gains[seen])
+    if not len(relative) or np.min(relative) > NOT_SHOWN:
+        raise IdentificationError(
+            f"the loaded recordings do not show a payload of {mass:g} kg beside the unloaded "
+            "ones (all gains are uncertain by more than 30 %); expected more motion, or the "
+            "right recordings"
+        )
+    told = seen & (std <= NOT_SHOWN * np.abs(gains))
+    if np.all(gains[told] < 0.0):
+        raise IdentificationError(
+            "all drive gains come out negative: are the unloaded and the loaded recordings "
+            "exchanged, or the currents' signs reversed?"
+        )
+
+
+def _require_arm(
+    model: Model, relative: Array, recordings: tuple[Sequence[Recording], Sequence[Recording]]
+) -> None:
+    """Raise where the model explains too little of the currents."""
+    bad = np.nan_to_num(relative) > ANOTHER_ARM
+    if bad.sum() > len(bad) // 2:
+        j = int(np.argmax(np.nan_to_num(relative)))
+        names = ", ".join(r.name or "recording" for part in recordings for r in part)
+        raise IdentificationError(
+            f"{names}: the arm {model.robot.name!r} with one payload explains too little (on "
+            f"joint {j + 1} an error of {100 * relative[j]:.0f} % of the torque's spread); "
+            "expected runs of that arm, all loaded ones with the same payload"
+        )

@@ -1,0 +1,210 @@
+"""Equations of unloaded and loaded runs in motor currents, and their solution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.dynamics.base_parameters import parameter_transport
+from lieid_casadi.errors import IdentificationError
+from lieid_casadi.gains.total_least_squares import NullVector, null_vector
+from lieid_casadi.identification.covariance import hac_covariance
+from lieid_casadi.identification.design import Design, JointRows, Rows, varying_columns
+from lieid_casadi.identification.fixed_point import prior
+from lieid_casadi.identification.least_squares import Factor, combine, joint_factors, solve
+
+Array = NDArray[np.float64]
+BODY = 10
+ROUNDS = 100
+SETTLED = 1e-6  # of the gains
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Result: gains, base values and payload, with the covariance of all.
+
+    Attributes
+    ----------
+    gains : (n,)
+        N·m/A.
+    values : (p,)
+        Base parameters, N·m.
+    body : (10,)
+        Payload, tool frame; m, m·c, inertia about the tool's origin.
+    covariance : (n + p + u, n + p + u)
+        Of gains, base values and the payload's unknown parameters.
+    hidden : (h, n + p + u)
+        Directions that the data does not show.
+    residuals : tuple of (R,)
+        Per joint, N·m.
+    currents : tuple of (R,)
+        Per joint, A, filtered.
+    settled : bool
+    """
+
+    gains: Array
+    values: Array
+    body: Array
+    covariance: Array
+    hidden: Array
+    residuals: tuple[Array, ...]
+    currents: tuple[Array, ...]
+    settled: bool
+
+
+class GainProblem:
+    """The stacked equations of an arm's runs.
+
+    Parameters
+    ----------
+    unloaded, loaded : Design
+        Of the same model; their torques are currents.
+    known : (10,)
+        Payload's parameters in the tool's frame, NaN where not known.
+    """
+
+    def __init__(self, unloaded: Design, loaded: Design, known: Array) -> None:
+        self.unloaded, self.loaded = unloaded, loaded
+        self.model = unloaded.model
+        n, base = self.model.n, self.model.base
+        self.transport = parameter_transport(self.model.robot.tool)
+        to_base = base.combination[:, BODY * (n - 1) : BODY * n] @ self.transport
+        self.unknown = np.isnan(known)
+        self.known = np.where(self.unknown, 0.0, known)
+        self.to_unknown = to_base[:, self.unknown]
+        self.by_mass = to_base @ self.known
+        self.moving_load = bool(varying_columns(self.model).any())
+
+    @property
+    def width(self) -> int:
+        """Number of unknowns."""
+        return self.model.n + self.model.base.count + int(self.unknown.sum())
+
+    def solve(self) -> Solution:
+        """Alternate null vector, weights and load until the gains settle.
+
+        Raises
+        ------
+        IdentificationError
+            The payload does not show in the currents.
+        """
+        n, parameters, body = self.model.n, None, np.zeros(BODY)
+        rows = self._rows(parameters, body)
+        lengths = np.maximum(rows.lengths, 1)
+        gains, noise = np.ones(n), _own_noise(rows)
+        found: NullVector | None = None
+        settled = False
+        for _ in range(ROUNDS):
+            if self.moving_load and parameters is not None:
+                rows = self._rows(parameters, body)
+            # weighted by 1/noise, a current's noise σ = noise/|k| is 1/|k| in each row
+            factor = self._combined(rows, noise)
+            found = null_vector(factor, np.sqrt(lengths) / np.abs(gains))
+            if found is None:
+                raise IdentificationError(
+                    "the motion does not show the payload's mass apart from what is unknown of "
+                    "arm and payload; expected the same motions with and without the payload, "
+                    "slow and fast, or a known --com"
+                )
+            change = np.max(np.abs(found.gains - gains) / np.maximum(np.abs(found.gains), 1e-300))
+            gains = found.gains
+            residuals = self._residuals(rows, found)
+            noise = np.array([_size(e) if len(e) else 1.0 for e in residuals])
+            values = found.others[: self.model.base.count]
+            body = self.known.copy()
+            body[self.unknown] = found.others[self.model.base.count :]
+            parameters = self.model.base.lift(values, prior(self.model))
+            if change <= SETTLED:
+                settled = True
+                break
+        assert found is not None
+        return self._with_covariance(rows, found, body, noise, settled)
+
+    def _with_covariance(
+        self, rows: Rows, found: NullVector, body: Array, noise: Array, settled: bool
+    ) -> Solution:
+        """Evaluate the covariance at currents without noise, which the solution predicts."""
+        residuals = self._residuals(rows, found)
+        n = self.model.n
+        clean = []
+        for j, (joint, e) in enumerate(zip(rows.joints, residuals, strict=True)):
+            matrix = joint.matrix[:, :-1].copy()
+            matrix[:, j] -= e / found.gains[j]
+            clean.append(JointRows(joint.columns[:-1], matrix, e, joint.instant))
+        exact = Rows(clean, self.width, rows.segments)
+        weights = [np.full(len(j.torque), 1.0 / s) for j, s in zip(clean, noise, strict=True)]
+        least = solve(combine(joint_factors(exact), 1.0 / noise))
+        return Solution(
+            gains=found.gains,
+            values=found.others[: self.model.base.count],
+            body=body,
+            covariance=hac_covariance(exact, weights, residuals, least.unit_covariance),
+            hidden=np.array(least.hidden).reshape(-1, self.width),
+            residuals=tuple(residuals),
+            currents=tuple(j.matrix[:, k] for k, j in enumerate(rows.joints[:n])),
+            settled=settled,
+        )
+
+    def _rows(self, parameters: Array | None, body: Array) -> Rows:
+        """Return rows in [gains; base values; payload; 1], all of whose sums should be zero."""
+        shapes = self.model.initial_shapes
+        loaded = parameters
+        if parameters is not None:
+            last = BODY * self.model.n
+            loaded = parameters.copy()
+            loaded[last - BODY : last] += self.transport @ body
+        empty = self.unloaded.rows(shapes, parameters)
+        full = self.loaded.rows(shapes, loaded)
+        first = int(empty.segments[-1])
+        joints = []
+        for j, (one, other) in enumerate(zip(empty.joints, full.joints, strict=True)):
+            joints.append(
+                JointRows(
+                    np.arange(self.width + 1),
+                    np.vstack([self._wide(j, one, False), self._wide(j, other, True)]),
+                    np.zeros(len(one.torque) + len(other.torque)),
+                    np.concatenate([one.instant, first + other.instant]),
+                )
+            )
+        segments = np.concatenate([empty.segments, first + full.segments[1:]])
+        return Rows(joints, self.width + 1, segments)
+
+    def _wide(self, j: int, joint: JointRows, with_payload: bool) -> Array:
+        n, p = self.model.n, self.model.base.count
+        matrix = np.zeros((len(joint.torque), self.width + 1))
+        matrix[:, j] = joint.torque
+        matrix[:, n + joint.columns] = -joint.matrix
+        if with_payload:
+            matrix[:, n + p : -1] = -joint.matrix @ self.to_unknown[joint.columns]
+            matrix[:, -1] = -joint.matrix @ self.by_mass[joint.columns]
+        return matrix
+
+    def _combined(self, rows: Rows, noise: Array) -> Factor:
+        factor = combine(joint_factors(rows), 1.0 / noise)
+        return Factor(factor.r[:, :-1], factor.rows)  # the right-hand side is zero
+
+    def _residuals(self, rows: Rows, found: NullVector) -> list[Array]:
+        solution = np.concatenate([found.gains, found.others, [1.0]])
+        return [joint.matrix @ solution for joint in rows.joints]
+
+
+def _own_noise(rows: Rows) -> Array:
+    """Return what each joint's current has that no other column of its rows explains, A."""
+    found = []
+    for j, joint in enumerate(rows.joints):
+        if not len(joint.torque):
+            found.append(1.0)
+            continue
+        others = np.delete(joint.matrix, j, axis=1)
+        size = np.linalg.norm(others, axis=0)
+        others = others[:, size > 0.0] / size[size > 0.0]
+        current = joint.matrix[:, j]
+        error = current - others @ np.linalg.lstsq(others, current, rcond=1e-9)[0]
+        found.append(_size(error))
+    return np.array(found)
+
+
+def _size(error: Array) -> float:
+    return max(float(np.sqrt(np.mean(error**2))), 1e-12)
