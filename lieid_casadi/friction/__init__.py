@@ -5,7 +5,7 @@ from lieid_casadi.friction.curve import FrictionCurve
 from lieid_casadi.friction.extract import friction_curve
 from lieid_casadi.friction.fit_curve import fit_friction
 from lieid_casadi.friction.result import FrictionFit
-from lieid_casadi.friction.stages import TwoStage, two_stage
+from lieid_casadi.friction.stages import TwoStage, together, two_stage
 
 __all__ = [
     "FrictionAgreement",
@@ -15,5 +15,6 @@ __all__ = [
     "compare_friction",
     "fit_friction",
     "friction_curve",
+    "together",
     "two_stage",
 ]

@@ -103,12 +103,24 @@ def two_stage(
         for joint, recordings in runs.items()
     }
     given = [excitation] if isinstance(excitation, Recording) else list(excitation)
-    return TwoStage(rigid, friction, _together(rigid, friction, given))
+    return TwoStage(rigid, friction, together(rigid, friction, given))
 
 
-def _together(
+def together(
     rigid: Fit, friction: Mapping[int, FrictionFit], excitation: Sequence[Recording]
 ) -> Fit:
+    """Put a first stage and friction by joint (from 0) together, as `two_stage` does.
+
+    For friction curves that were made otherwise, with a payload for instance.
+
+    Parameters
+    ----------
+    rigid : Fit
+        First stage; its friction is kept on joints without a second stage.
+    friction : mapping of int to FrictionFit
+    excitation : sequence of Recording
+        That ``rms_train`` refers to.
+    """
     placements = _kept(rigid, friction)
     for own in friction.values():
         placements += own.model.placements
