@@ -152,6 +152,10 @@ class NegativeMassWarning(LieidWarning):
     """A payload whose mass came out negative."""
 
 
+class ImpossiblePayloadWarning(LieidWarning):
+    """A payload's numbers that no body can have."""
+
+
 class PayloadMisfitWarning(LieidWarning):
     """A run whose error a payload does not explain."""
 

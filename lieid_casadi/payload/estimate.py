@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import LieidWarning
+from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning
 from lieid_casadi.identification.fit import Source, warning_list
 from lieid_casadi.payload.body import NAMES, UNITS, physical
 from lieid_casadi.robot.inertia import pseudo_inertia
@@ -168,8 +168,23 @@ class PayloadEstimate:
         return self.values - NORMAL * self.std, self.values + NORMAL * self.std
 
     @property
+    def explained(self) -> bool:
+        """Whether a payload explains the run on most joints."""
+        misfits = sum(isinstance(w, PayloadMisfitWarning) for w in self.warnings)
+        return 2 * misfits < len(self.joint_names)
+
+    @property
     def sentence(self) -> str:
         """The answer in words."""
+        if self.explained:
+            return self._taken_as_payload
+        return (
+            "A payload does not explain this run: is it this arm, and has nothing else changed? "
+            f"Taken as one: {self._taken_as_payload}"
+        )
+
+    @property
+    def _taken_as_payload(self) -> str:
         m, std = self.mass, self.mass_std
         if not np.isfinite(m):
             return "The motion does not tell the payload's mass."
@@ -212,6 +227,7 @@ class PayloadEstimate:
             "robot": self.robot,
             "frame": "tool",
             "verdict": self.sentence,
+            "explained": self.explained,
             "mass": _number(self.mass),
             "com": _numbers(self.com),
             "inertia": _numbers(self.inertia),

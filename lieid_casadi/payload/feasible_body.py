@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, solve_triangular
 
+from lieid_casadi.errors import NoSolution
 from lieid_casadi.identification.convex_solver import ConvexSolver
 from lieid_casadi.identification.feasible_options import FeasibleOptions
 from lieid_casadi.identification.feasible_problem import FeasibleProblem
@@ -16,6 +17,7 @@ Array = NDArray[np.float64]
 DENSITY = 2700.0  # kg/m³, aluminium: the ball that stands for a body nothing is known of
 LEAST_MASS = 1e-3  # kg, of that ball
 WEIGHT = 0.01  # of the divergence from it, against squared standard deviations
+SOFTER = (1.0, 10.0, 100.0, 1000.0)  # standard deviations, where the estimate is far from any body
 SCALE = np.array([1.0, *(0.1,) * 3, *(0.01,) * 6])  # typical sizes, for rounding only
 
 
@@ -49,7 +51,19 @@ def possible_body(parameters: Array, covariance: Array, hidden: Array) -> Array:
         typical=factor,
         options=FeasibleOptions(),
     )
-    return ConvexSolver(problem).solve(factor, WEIGHT)
+    solver, failure = ConvexSolver(problem), None
+    for softer in SOFTER:
+        try:
+            return solver.solve(Factor(factor.r / softer, factor.rows), WEIGHT)
+        except NoSolution as error:
+            failure = error
+    assert failure is not None
+    raise failure
+
+
+def distance(body: Array, parameters: Array, covariance: Array, hidden: Array) -> float:
+    """Return how far a body (10,) is from an estimate, in standard deviations."""
+    return float(np.sqrt(_precision(parameters, covariance, hidden).misfit(body)))
 
 
 def _ball(parameters: Array) -> Array:

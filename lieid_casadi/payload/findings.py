@@ -11,6 +11,7 @@ from lieid_casadi.errors import (
     ConvergenceWarning,
     FrictionChangedWarning,
     IdentificationError,
+    ImpossiblePayloadWarning,
     LieidWarning,
     NegativeMassWarning,
     PayloadMisfitWarning,
@@ -21,6 +22,7 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.identification.least_squares import name_direction
 from lieid_casadi.payload.body import DEPENDS_ON, NAMES, UNITS
 from lieid_casadi.payload.estimate import NOTHING, NotIdentified, PayloadEstimate, with_std
+from lieid_casadi.payload.feasible_body import distance
 from lieid_casadi.payload.regression import Estimate, LoadedRun
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
@@ -31,6 +33,7 @@ MASS = 0.05  # kg: a mass this well known is told however small it is
 LENGTH = 0.02  # m: so is a place
 ANOTHER_ARM = 0.2  # of the torque's variation: no payload leaves that much …
 TIMES = 5.0  # … and that many times the fit's own error
+IMPOSSIBLE = 6.0  # standard deviations in ten numbers: p = 1e-4
 MISFIT = 2.0  # times the fit's own error: told
 FALL = 0.1  # of the error by refitting friction, that is worth telling
 CERTAIN = 4.0  # standard deviations
@@ -185,6 +188,16 @@ def of_the_payload(fit: Fit, result: PayloadEstimate, estimate: Estimate) -> lis
             NegativeMassWarning(
                 f"mass {with_std(result.mass, result.mass_std)} kg is negative, {size}; the "
                 f"nearest body that can exist has {result.feasible.mass:.3g} kg"
+            )
+        )
+    away = distance(
+        result.feasible.parameters, estimate.parameters, estimate.covariance, estimate.hidden
+    )
+    if away > IMPOSSIBLE and not result.mass < 0.0:
+        found.append(
+            ImpossiblePayloadWarning(
+                f"no body can have these numbers: the nearest possible one is {away:.0f} standard "
+                "deviations away; either something else has changed too, or this is another arm"
             )
         )
     own = _own_error(fit)

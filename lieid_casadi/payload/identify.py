@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import IdentificationError
+from lieid_casadi.errors import IdentificationError, LieidWarning
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.design import Design
 from lieid_casadi.identification.fit import Source
@@ -16,16 +16,16 @@ from lieid_casadi.identification.fixed_point import Progress
 from lieid_casadi.identification.identify import (
     center_temperature,
     check_recordings,
-    check_with_model,
     unique_warnings,
 )
+from lieid_casadi.identification.prediction import predict_recording
 from lieid_casadi.one_thread import blas_on_one_thread
 from lieid_casadi.payload import findings
 from lieid_casadi.payload.body import physical, physical_slopes, told
 from lieid_casadi.payload.estimate import FeasibleBody, FrictionChange, PayloadEstimate
 from lieid_casadi.payload.feasible_body import SCALE, possible_body
 from lieid_casadi.payload.regression import Estimate, LoadedRun
-from lieid_casadi.recording import Recording, process
+from lieid_casadi.recording import Recording, check, process
 
 Array = NDArray[np.float64]
 DRIFTS = ("coulomb", "viscous", "offset")  # what changes with warmth and wear
@@ -77,8 +77,9 @@ def identify_payload(
     report = progress or (lambda stage, fraction: None)
     check_recordings(fit.model, given)
     report("check", 0.0)
-    found = [w for recording in given for w in check_with_model(fit.compiled, recording)]
-    found += findings.of_the_fit(fit, given)
+    for recording in given:
+        check(recording, fit.model.robot)  # raises; its warnings need the payload's torque
+    found = findings.of_the_fit(fit, given)
     report("process", 0.2)
     options = replace(fit.processing, average_periods=False, cutoff=cutoff or fit.processing.cutoff)
     segments, _ = center_temperature(process(given, options), fit.temperature_mean)
@@ -94,6 +95,8 @@ def identify_payload(
     refitted = run.estimate(frictional) if frictional.any() else kept
     estimate = refitted if refit_friction else kept
     findings.require_same_arm(fit, estimate, run)
+    nominal = run.loaded_parameters(estimate.parameters)
+    found += [w for recording in given for w in _checked(fit, recording, nominal)]
     if not refit_friction:
         found += findings.changed_friction(run, kept, refitted, frictional)
     report("possible body", 0.8)
@@ -106,6 +109,16 @@ def identify_payload(
         recordings=tuple(Source(r.name, r.source_hash) for r in given),
         warnings=unique_warnings(found),
     )
+
+
+def _checked(fit: Fit, recording: Recording, parameters: Array) -> tuple[LieidWarning, ...]:
+    """Check a recording against the rigid torque with the payload."""
+    rigid = parameters.copy()
+    rigid[10 * fit.model.n :] = 0.0
+    torque = predict_recording(
+        fit.compiled, recording, fit.processing, rigid, fit.shapes, fit.temperature_mean
+    )
+    return check(recording, fit.model.robot, nominal_torque=torque)
 
 
 def _require_motion(run: LoadedRun) -> None:

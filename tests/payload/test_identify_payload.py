@@ -1,0 +1,272 @@
+"""A payload of the plant (Pinocchio's body at the tool) is found, with errors that are told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from payload.loaded_plant import COM, CUTOFF, MASS, PANDA, PAYLOAD, TRUTH, fitted, measured
+from robot.random_arms import random_arm
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.errors import (
+    FrictionChangedWarning,
+    IdentificationError,
+    ModelError,
+    NegativeMassWarning,
+    SameRecordingWarning,
+)
+from lieid_casadi.payload.body import NAMES
+
+ARM = plant.demo_arm(PANDA, seed=1, hidden=None)
+LOADED = ARM.with_effects(PAYLOAD)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return fitted(ARM, name="monday.csv")
+
+
+@pytest.fixture(scope="module")
+def payload(fit):
+    return lieid.identify_payload(fit, measured(LOADED, motion=7, seed=5))
+
+
+def off(payload):
+    """Error of each number in its standard deviations."""
+    return (payload.values - TRUTH) / payload.std
+
+
+def test_all_ten_numbers_within_three_standard_deviations(payload):
+    assert np.all(np.abs(off(payload)) < 3.0)
+    assert payload.mass_std < 0.005
+    assert np.all(payload.com_std < 0.5e-3)
+    assert payload.warnings == ()
+    assert payload.explained
+
+
+def test_error_falls_to_what_the_fit_has_itself(payload):
+    assert np.all(payload.rms_after < 1.2 * payload.rms_fit)
+    assert np.all(payload.rms_before > 3.0 * payload.rms_after)
+    assert np.all(payload.feasible.rms_after < 1.02 * payload.rms_after)
+
+
+def test_feasible_body_is_a_body_near_it(payload):
+    body = payload.feasible
+    assert body.eigenvalues[0] > 0.0
+    assert body.mass == pytest.approx(MASS, abs=0.01)
+    assert np.allclose(body.com, COM, atol=1e-3)
+    xx, _, yy, _, _, zz = body.inertia
+    assert max(xx, yy, zz) <= xx + yy + zz - max(xx, yy, zz)  # the triangle inequality
+
+
+def test_weak_parts_are_flagged_and_strong_ones_not(payload):
+    """A ball of 12 cm on 30 s of motion: some of its 0.003 kg·m² drown, mass and place do not."""
+    doubtful = {part.name for part in payload.not_identified}
+    assert doubtful.isdisjoint({"mass", "com_x", "com_y", "com_z"})
+    assert {"Ixx", "Iyy"} <= doubtful
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    mass=st.floats(0.3, 5.0),
+    com=st.tuples(*[st.floats(-0.2, 0.2)] * 3),
+    radius=st.floats(0.05, 0.2),
+)
+def test_exact_on_any_arm_without_noise(seed, mass, com, radius):
+    """Random geometries, sliding joints, tools turned and moved: Pinocchio's torque against our tool columns."""
+    robot = random_arm(np.random.default_rng(seed), 6)
+    still = plant.JointFriction.none(robot.n)
+    arm = plant.Arm(robot, robot.link_parameters, still)
+    body = plant.Payload(mass=mass, com=com, radius=radius)
+    ideal = plant.Sensors(rate=200.0)
+    model = lieid.Model(robot)
+    fit = lieid.identify(model, measured(arm, sensors=ideal), processing=CUTOFF)
+    found = lieid.identify_payload(fit, measured(arm.with_effects(body), motion=9, sensors=ideal))
+    inertia = 0.4 * mass * radius**2
+    told = np.isfinite(found.values)
+    assert told[0]
+    truth = np.array([mass, *com, inertia, 0, inertia, 0, 0, inertia])
+    assert np.allclose(found.values[told], truth[told], rtol=2e-3, atol=2e-3 * mass)
+
+
+def test_uncertainty_of_the_fit_is_part_of_the_payloads(fit):
+    """A short training makes a worse payload of the same loaded run, and says so."""
+    loaded = measured(LOADED, motion=7, seed=5)
+    known = replace(fit, covariance=np.zeros_like(fit.covariance))
+    short = fitted(ARM, seconds=6.0, motion=3)
+    exact, usual, poor = (lieid.identify_payload(f, loaded) for f in (known, fit, short))
+    assert np.all(usual.std > exact.std)
+    assert poor.mass_std > 1.5 * usual.mass_std
+    assert np.all(np.abs(off(poor)) < 3.5)
+
+
+def coverage(runs, **options):
+    held = []
+    for seed in range(runs):
+        fit = fitted(ARM, motion=10 * seed + 4, seed=seed)
+        loaded = measured(LOADED, motion=10 * seed + 7, seed=1000 + seed)
+        held.append(np.abs(off(lieid.identify_payload(fit, loaded, **options))))
+    return np.array(held)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("refit", [False, True])
+def test_intervals_cover_the_truth(refit):
+    """60 fits and loaded runs, other motions and noise in each: 92-98.5 % of 600 numbers."""
+    z = coverage(60, refit_friction=refit)
+    inside = z < 1.96
+    assert 0.92 <= inside.mean() <= 0.985
+    assert inside.mean(axis=0).min() >= 0.85
+    assert np.mean(z > 3.0) <= 0.01
+
+
+def test_friction_that_grows_with_load_sees_the_payload():
+    """A model without it has ten times the error, and says so."""
+    grown = [plant.LoadFriction(j, gain=0.15) for j in range(PANDA.n)]
+    arm = ARM.with_effects(*grown)
+    fit = fitted(arm, "coulomb,viscous,offset,load_friction")
+    blind = fitted(arm)
+    loaded = measured(arm.with_effects(PAYLOAD), motion=7, seed=5)
+    found, wrong = (lieid.identify_payload(f, loaded) for f in (fit, blind))
+    assert np.all(np.abs(off(found)) < 3.5)
+    assert np.all(found.rms_after[:4] < 0.5 * wrong.rms_after[:4])
+    assert found.mass_std < 0.1 * wrong.mass_std
+
+
+def test_shape_parameters_and_drift_of_a_fit():
+    """Stribeck's velocity has an uncertainty, too; a drift is no other recording's."""
+    arm = ARM.with_effects(plant.Stribeck(1, extra=3.0, velocity=0.2))
+    fit = fitted(arm, "coulomb,viscous,offset,stribeck:2,bias_drift:4")
+    drifting = arm.with_effects(PAYLOAD, plant.BiasDrift(3, rate=0.05))
+    found = lieid.identify_payload(fit, measured(drifting, motion=7, seed=5))
+    assert np.all(np.abs(off(found)) < 3.5)
+
+
+def test_friction_that_has_changed_is_told_and_refitted(fit):
+    friction = replace(ARM.friction, coulomb=1.3 * ARM.friction.coulomb)
+    warm = replace(ARM, friction=friction).with_effects(PAYLOAD)
+    loaded = measured(warm, motion=7, seed=5)
+    kept = lieid.identify_payload(fit, loaded)
+    assert any(isinstance(w, FrictionChangedWarning) for w in kept.warnings)
+    refitted = lieid.identify_payload(fit, loaded, refit_friction=True)
+    assert np.all(np.abs(off(refitted)) < 3.0)
+    assert np.all(refitted.rms_after < kept.rms_after)
+    found = {p.joint: p for p in refitted.friction if p.name == "coulomb.f_c"}
+    for j, change in enumerate(0.3 * ARM.friction.coulomb):
+        assert found[j].change == pytest.approx(change, abs=4 * found[j].std + 0.02 * change)
+
+
+def test_a_fit_of_the_method_feasible(fit):
+    model = lieid.Model(PANDA, "coulomb,viscous,offset")
+    feasible = lieid.identify(model, measured(ARM), method="feasible", processing=CUTOFF)
+    found = lieid.identify_payload(feasible, measured(LOADED, motion=7, seed=5))
+    assert np.all(np.abs(off(found)) < 3.5)
+
+
+def test_no_payload_is_none(fit):
+    found = lieid.identify_payload(fit, measured(ARM, motion=7, seed=5))
+    assert abs(found.mass) < 3.0 * found.mass_std
+    assert found.sentence.startswith("No payload can be told from none")
+    assert {part.name for part in found.not_identified} == set(NAMES[1:])
+    assert np.isnan(found.com).all()
+    assert found.to_dict()["com"] == [None] * 3
+
+
+def test_negative_mass_is_told_with_a_body_beside_it():
+    fit = fitted(LOADED)
+    found = lieid.identify_payload(fit, measured(ARM, motion=7, seed=5))
+    assert found.mass == pytest.approx(-MASS, abs=4 * found.mass_std)
+    assert any(isinstance(w, NegativeMassWarning) for w in found.warnings)
+    assert "less than the fit knows of" in found.sentence
+    assert found.feasible.mass > 0.0
+    assert found.feasible.eigenvalues[0] > 0.0
+
+
+def test_a_planar_arm_tells_four_numbers():
+    robot = lieid.robots.two_link()
+    arm = plant.demo_arm(robot, seed=2, hidden=None)
+    body = plant.Payload(mass=1.5, com=(0.1, 0.05, 0.0), radius=0.1)
+    found = lieid.identify_payload(fitted(arm), measured(arm.with_effects(body), motion=7, seed=5))
+    told = {name for name, value in zip(NAMES, found.values, strict=True) if np.isfinite(value)}
+    assert told == {"mass", "com_x", "com_y", "Izz"}
+    assert found.mass == pytest.approx(1.5, abs=3 * found.mass_std)
+    reasons = {part.name: part.reason for part in found.not_identified}
+    assert "does not change along" in reasons["com_z"]
+    assert found.feasible.eigenvalues[0] > 0.0
+
+
+def test_a_wrist_that_hardly_moves_leaves_inertia_untold(fit):
+    """Slow, small motion: mass and place by gravity, inertia flagged, never a number as truth."""
+    path = plant.FourierTrajectory(PANDA, base_frequency=1 / 30, harmonics=3, seed=7)
+    t = np.arange(0.0, 30.0, 0.001)
+    q, dq, ddq = path.at(t)
+    middle = q.mean(axis=0)
+    slow = plant.measure_along(
+        LOADED, t, middle + 0.3 * (q - middle), 0.3 * dq, 0.3 * ddq,
+        sensors=plant.demo_sensors(PANDA), seed=5,
+    )  # fmt: skip
+    found = lieid.identify_payload(fit, slow)
+    doubtful = {part.name for part in found.not_identified}
+    assert {"Ixx", "Iyy", "Izz"} <= doubtful
+    assert "mass" not in doubtful
+    assert abs(found.mass - MASS) < 3.0 * found.mass_std
+
+
+def test_the_training_itself_is_told(fit):
+    found = lieid.identify_payload(fit, measured(ARM, name="monday.csv"))
+    assert any(isinstance(w, SameRecordingWarning) for w in found.warnings)
+
+
+def test_another_arm_is_refused(fit):
+    """An arm of the same joints, twice as heavy: no payload explains its torque."""
+    heavy = plant.Arm(PANDA, 2.0 * ARM.parameters, ARM.friction)
+    with pytest.raises(IdentificationError, match=r"no payload explains this run: on joint \d"):
+        lieid.identify_payload(fit, measured(heavy, motion=7))
+
+
+def test_an_arm_of_the_same_build_is_told(fit):
+    """Other inertias and friction within 20 %: no refusal, but no payload either."""
+    other = plant.demo_arm(PANDA, seed=50, hidden=None)
+    found = lieid.identify_payload(fit, measured(other, motion=7))
+    assert not found.explained
+    assert found.sentence.startswith("A payload does not explain this run")
+
+
+def test_torques_of_other_units_are_refused(fit):
+    run = measured(LOADED, motion=7)
+    with pytest.raises(IdentificationError, match="no payload explains"):
+        lieid.identify_payload(fit, replace(run, tau=-run.tau))
+
+
+def test_another_number_of_joints_is_refused(fit):
+    other = measured(plant.demo_arm(lieid.robots.two_link(), hidden=None))
+    with pytest.raises(ModelError, match=r"2 joints; robot .* has 7"):
+        lieid.identify_payload(fit, other)
+
+
+def test_an_arm_at_rest_is_refused(fit):
+    t = np.arange(0.0, 5.0, 0.01)
+    still = np.zeros((len(t), 7))
+    pose = np.tile(np.array([0, 0.3, 0, -1.5, 0, 1.8, 0]), (len(t), 1))
+    run = plant.measure_along(LOADED, t, pose, still, still)
+    with pytest.raises(IdentificationError, match="no joint moves"):
+        lieid.identify_payload(fit, run)
+
+
+def test_nothing_to_refit_is_refused():
+    rigid = plant.Arm(PANDA, ARM.parameters, plant.JointFriction.none(7))
+    fit = lieid.identify(lieid.Model(PANDA), measured(rigid), processing=CUTOFF)
+    with pytest.raises(IdentificationError, match="nothing to refit"):
+        lieid.identify_payload(fit, measured(rigid, motion=7), refit_friction=True)
+
+
+def test_views(payload):
+    assert payload._repr_html_().count("<tr>") == 11
+    figure = payload.plot()
+    assert len(figure.axes[0].patches) == 14
+    assert payload.plot(figure.axes[0]) is figure
+    assert payload.sentence in repr(payload)
