@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lieid_casadi.robot import Robot
 
 CRITERIA = ("combined", "condition", "hadamard", "logdet", "a_optimal", "e_optimal")
+SOLVERS = ("ipopt", "sqp")
 FAMILIES = ("fourier", "modified_fourier", "spline")
 INTERRUPTED = 130
 
@@ -94,6 +95,7 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
 
 def _add_search(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("search")
+    group.add_argument("--solver", choices=SOLVERS, default="ipopt")
     group.add_argument("--starts", type=int, default=4, metavar="N")
     group.add_argument("--seed", type=int, default=0, metavar="N")
     group.add_argument("--time-limit", type=float, default=float("inf"), metavar="S")
@@ -116,8 +118,8 @@ def run(args: argparse.Namespace) -> int:
             constraints=limits_of(args, model.robot), start_pose=args.start_pose,
             free_start=args.free_start, acceleration=args.acceleration, family=args.family,
             duration=args.duration, harmonics=args.harmonics, periods=args.periods,
-            samples=args.samples, rate=args.rate, scaling=args.scaling, starts=args.starts,
-            seed=args.seed, time_limit=args.time_limit, progress=report,
+            samples=args.samples, rate=args.rate, scaling=args.scaling, solver=args.solver,
+            starts=args.starts, seed=args.seed, time_limit=args.time_limit, progress=report,
         )  # fmt: skip
     replace_folder(folder, excitation.save)
     output.write_json(args.json, excitation.to_dict())

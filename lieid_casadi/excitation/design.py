@@ -13,7 +13,7 @@ from lieid_casadi.excitation.constraints import ConstraintSet, SampledConstraint
 from lieid_casadi.excitation.criteria import Criterion, LogDet
 from lieid_casadi.excitation.information import Information
 from lieid_casadi.excitation.joint_limits import MotionRange
-from lieid_casadi.excitation.sqp import Outcome
+from lieid_casadi.excitation.solver import Outcome
 from lieid_casadi.excitation.symbolic_limits import Limit
 from lieid_casadi.excitation.trajectory import Parametrization, SampledBasis, period_grid
 from lieid_casadi.model import Model
@@ -40,6 +40,8 @@ class Design:
         Start pose; where the trajectory may start anywhere (``fixed`` False), the middle of it.
     column_scale : (P,)
         Factors of the full regressor's columns; ones for plain SI.
+    solver : str
+        ``ipopt`` or ``sqp``.
     """
 
     model: Model
@@ -51,6 +53,7 @@ class Design:
     fixed: bool
     criterion: str
     column_scale: Array
+    solver: str = "ipopt"
 
 
 class Problem:

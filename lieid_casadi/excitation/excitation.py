@@ -61,7 +61,7 @@ class Excitation:
         Of the criterion, over one period.
     quality : Quality
         Condition number and singular values at the samples.
-    criterion, scaling : str
+    criterion, scaling, solver : str
     max_violation : float
         Largest excess over any limit on a grid 20 times finer than the samples, in the limit's
         unit; 0 if every limit holds.
@@ -86,6 +86,7 @@ class Excitation:
     quality: Quality
     criterion: str
     scaling: str
+    solver: str
     max_violation: float
     fullness: tuple[Fullness, ...]
     starts: tuple[Start, ...]
@@ -175,6 +176,7 @@ class Excitation:
             "effects": self.model.effects,
             "criterion": self.criterion,
             "scaling": self.scaling,
+            "solver": self.solver,
             "condition_number": self.condition_number,
             "singular_values": {
                 "largest": float(sizes[0]),

@@ -19,7 +19,7 @@ from lieid_casadi.excitation.multi_start import Attempt, solve_all
 from lieid_casadi.excitation.quality import quality
 from lieid_casadi.excitation.run_in import RunIn, run_in
 from lieid_casadi.excitation.scaling import column_scale
-from lieid_casadi.excitation.solve import Solution
+from lieid_casadi.excitation.solve import SOLVERS, Solution
 from lieid_casadi.excitation.symbolic_limits import Limit, Torque
 from lieid_casadi.excitation.trajectory import period_grid
 from lieid_casadi.model import Model
@@ -45,6 +45,7 @@ def excite(
     samples: int = 100,
     rate: float = 1000.0,
     scaling: str | ArrayLike = "si",
+    solver: str = "ipopt",
     starts: int = 4,
     seed: int = 0,
     time_limit: float = np.inf,
@@ -80,6 +81,9 @@ def excite(
     scaling : str or (P,)
         Of the full regressor's columns: ``si``, ``units`` (by the arm's mass and length),
         ``prior`` (by the size of the stated parameters), or factors.
+    solver : str
+        ``ipopt``, or ``sqp``: a sequential quadratic programme of this library, which needs less
+        time and ends at slightly larger condition numbers (tests/benchmarks/excitation_ipopt.py).
     starts : int
         Random starts, of which the best is kept.
     time_limit : float
@@ -102,6 +106,7 @@ def excite(
         model, criterion=criterion, inertial_only=inertial_only, constraints=constraints,
         start_pose=start_pose, free_start=free_start, acceleration=acceleration, samples=samples,
         basis=families.make(family, duration=duration, harmonics=harmonics), scaling=scaling,
+        solver=solver,
     )  # fmt: skip
     if periods < 1 or starts < 1:
         raise ExcitationError(f"periods {periods}, starts {starts}; expected 1 at least")
@@ -130,8 +135,9 @@ def excite(
     return Excitation(
         model=design.model, trajectory=trajectory, periods=periods, rest_pose=design.pose,
         run_in=way, rate=rate, samples=samples, quality=judged, criterion=criterion,
-        scaling=scaling if isinstance(scaling, str) else "given", max_violation=violation,
-        fullness=full, starts=tuple(_start(a) for a in attempts), history=best.history,
+        scaling=scaling if isinstance(scaling, str) else "given", solver=solver,
+        max_violation=violation, fullness=full, starts=tuple(_start(a) for a in attempts),
+        history=best.history,
         build_seconds=built - began, solve_seconds=solved - built,
         interrupted=any(a.interrupted for a in attempts),
     )  # fmt: skip
@@ -149,10 +155,13 @@ def make_design(
     acceleration: ArrayLike | None = None,
     samples: int = 100,
     scaling: str | ArrayLike = "si",
+    solver: str = "ipopt",
 ) -> Design:
     """Check what is asked for and put it together; see `excite`."""
     if criterion not in NAMES:
         raise ExcitationError(f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}")
+    if solver not in SOLVERS:
+        raise ExcitationError(f"solver: {solver!r}; expected one of {', '.join(SOLVERS)}")
     if samples < 4 * basis.size:
         raise ExcitationError(
             f"samples: {samples}; expected {4 * basis.size} at least for {basis.size} "
@@ -169,7 +178,7 @@ def make_design(
         constraints = (Torque(),) if known else ()
     return Design(
         seen, basis, samples, limits, tuple(constraints), pose, not free_start, criterion,
-        column_scale(seen, scaling),
+        column_scale(seen, scaling), solver,
     )  # fmt: skip
 
 

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation import criteria
-from lieid_casadi.excitation.criteria import Criterion, Hadamard, LogDet, Stage
 from lieid_casadi.excitation.design import COARSE, FINE, MARGIN, Problem
-from lieid_casadi.excitation.sqp import Iteration, Sqp, State
+from lieid_casadi.excitation.ipopt import Ipopt
+from lieid_casadi.excitation.plan import Plan, make_plan, volume_of
+from lieid_casadi.excitation.solver import Iteration, Solver, State
+from lieid_casadi.excitation.sqp import Sqp
 
 Array = NDArray[np.float64]
 FEASIBLE = 0.5 * MARGIN  # scaled excess, margin included, that a kept iterate may have
@@ -24,6 +25,7 @@ ROUNDS = 4  # of solving again on the fine grid
 POLISH = 40  # iterations of one round
 VOLUME_SLACK = 0.5  # of −log det per parameter: Δ₂ beyond what C3 reached
 DELTA_1 = 100.0  # condition number that C1 accepts (Table III, note 2)
+SOLVERS: dict[str, Callable[..., Solver]] = {"ipopt": Ipopt, "sqp": Sqp}
 Progress = Callable[[str, float], None]
 
 
@@ -64,7 +66,10 @@ class Solution:
 
 @dataclass(eq=False)
 class Tracker:
-    """Keeps the history and the best iterate inside the limits."""
+    """Keeps the history and the best iterate inside the limits.
+
+    ``kept`` are all that were the best once; the last of them need not hold between the samples.
+    """
 
     problem: Problem
     rank: Callable[[State], float]
@@ -73,6 +78,7 @@ class Tracker:
     total: int
     best: State | None = None
     best_rank: float = np.inf
+    kept: list[State] = field(default_factory=list)
     last: State | None = None
     history: list[Step] = field(default_factory=list)
     started: float = field(default_factory=time.monotonic)
@@ -89,6 +95,7 @@ class Tracker:
         )
         if state.violation <= FEASIBLE and self.rank(state) < self.best_rank:
             self.best, self.best_rank = state, self.rank(state)
+            self.kept.append(state)
         text = f"{name} {iteration.number + 1}, cond {condition:.4g}"
         if state.violation > FEASIBLE:
             text += f", {state.violation:.1e} beyond a limit"
@@ -111,69 +118,37 @@ def solve(
     """
     plan = make_plan(problem)
     tracker = Tracker(
-        problem, plan.rank, [stage.criterion.name for stage in plan.stages], progress,
+        problem, plan.rank if plan.bounded_from is None else volume_of,
+        [stage.criterion.name for stage in plan.stages], progress,
         sum(stage.iterations for stage in plan.stages),
     )  # fmt: skip
     deadline = time.monotonic() + time_limit
-    constraints = problem.constraints(COARSE)
-    solver = Sqp(constraints, problem.parametrization.size, tracker, deadline)
+    solver = SOLVERS[problem.design.solver](
+        problem.constraints(COARSE), problem.parametrization.size, tracker, deadline
+    )
     z, ceiling, stopped = random_start(problem, seed), None, False
     try:
         for stage in plan.stages:
             if stage is plan.bounded_from:
                 ceiling = ceiling_of(tracker)
+                tracker.rank = plan.rank
             z = solver.minimize(
                 problem.objective(stage.criterion, ceiling), z,
                 iterations=stage.iterations, tolerance=stage.tolerance,
             )  # fmt: skip
-        z = verified(problem, solver, tracker, plan, ceiling)
+        z = verified(problem, solver, tracker, plan, ceiling, deadline)
     except KeyboardInterrupt:
-        if tracker.best is None:
+        held = last_that_holds(problem, tracker)
+        if held is None:
             raise
-        stopped = True
-        z = tracker.best.z
+        tracker.best, stopped, z = held, True, held.z
+    assert tracker.best is not None
     gram = problem.gram(z)
     volume = float(np.linalg.slogdet(gram)[1])
     return Solution(
-        z, tracker.best_rank, problem.condition_number(gram), -volume,
+        z, plan.rank(tracker.best), problem.condition_number(gram), -volume,
         tuple(tracker.history), time.monotonic() - tracker.started, seed, stopped,
     )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """Stages of a criterion; from ``bounded_from`` on, −log det is bounded (Δ₂)."""
-
-    stages: tuple[Stage, ...]
-    rank: Callable[[State], float]
-    bounded_from: Stage | None = None
-
-
-def make_plan(problem: Problem) -> Plan:
-    """Return the stages of the design's criterion.
-
-    ``combined`` is the paper's: 1/∏ of the column norms first, then the condition number while
-    −log det stays below what the first stage reached and a slack.
-    """
-    name = problem.design.criterion
-
-    def by_condition(state: State) -> float:
-        return problem.condition_number(state.outcome.gram)
-
-    if name == "combined":
-        start = Stage(Hadamard(), 60, 1e-4)
-        then = criteria.condition_stages(problem.metric)
-        return Plan((start, *then), by_condition, then[0])
-    stages = criteria.stages(name, problem.metric)
-    if name == "condition":
-        return Plan(stages, by_condition)
-    last = stages[-1].criterion
-    return Plan(stages, lambda state: value_of(last, state))
-
-
-def value_of(criterion: Criterion, state: State) -> float:
-    """Return a criterion's value at a state that may come from another stage."""
-    return criterion.evaluate(state.outcome.gram)[0]
 
 
 def ceiling_of(tracker: Tracker) -> float:
@@ -184,7 +159,7 @@ def ceiling_of(tracker: Tracker) -> float:
     reached = tracker.best or tracker.last
     assert reached is not None
     tracker.best, tracker.best_rank = None, np.inf  # what follows must keep to Δ₂
-    return LogDet().evaluate(reached.outcome.gram)[0] + VOLUME_SLACK
+    return volume_of(reached) + VOLUME_SLACK
 
 
 def random_start(problem: Problem, seed: int) -> Array:
@@ -221,9 +196,16 @@ def random_start(problem: Problem, seed: int) -> Array:
 
 
 def verified(
-    problem: Problem, solver: Sqp, tracker: Tracker, plan: Plan, ceiling: float | None
+    problem: Problem,
+    solver: Solver,
+    tracker: Tracker,
+    plan: Plan,
+    ceiling: float | None,
+    deadline: float,
 ) -> Array:
     """Return the best iterate once the fine grid holds; solve on that grid as long as it does not.
+
+    Once time is up, the best of those before that hold.
 
     Raises
     ------
@@ -238,10 +220,22 @@ def verified(
         excess = exact.excess(exact.sampled.motion(reached.z))
         if tracker.best is not None and exact.largest(excess) <= 0.0:
             return reached.z
+        if time.monotonic() > deadline and (held := last_that_holds(problem, tracker)) is not None:
+            tracker.best = held
+            return held.z
         tracker.best, tracker.best_rank = None, np.inf
         solver.constraints = problem.constraints(FINE)
         solver.minimize(objective, reached.z, iterations=POLISH, tolerance=1e-5)
     raise NoSolution(why_not(problem, tracker))
+
+
+def last_that_holds(problem: Problem, tracker: Tracker) -> State | None:
+    """Return the last of the best iterates so far that holds on the fine grid."""
+    exact = problem.constraints(FINE, margin=0.0)
+    for state in reversed(tracker.kept):
+        if exact.largest(exact.excess(exact.sampled.motion(state.z))) <= 0.0:
+            return state
+    return None
 
 
 def why_not(problem: Problem, tracker: Tracker) -> str:

@@ -10,6 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from lieid_casadi.excitation.excitation import Excitation
 
+SOLVERS = {"ipopt": "Ipopt", "sqp": "sequential quadratic programming"}
+
 
 def summary(excitation: Excitation) -> str:
     """Return a few paragraphs: how good, against what, which limits bind, what stays weak."""
@@ -28,7 +30,8 @@ def summary(excitation: Excitation) -> str:
         f"{e.end:.4g} s count ({e.periods} × {e.trajectory.duration:.4g} s).",
         f"Condition number {e.condition_number:.4g} (σ₁ {q.singular_values[0]:.4g}, "
         f"σ_r {q.singular_values[q.rank - 1]:.4g} of the full regressor at {e.samples} samples, "
-        f"{unit}, {effects}); −log det {e.neg_log_det:.4g} for {q.rank} base parameters.{against}",
+        f"{unit}, {effects}); −log det {e.neg_log_det:.4g} for {q.rank} base parameters. "
+        f"Solved by {SOLVERS[e.solver]}.{against}",
         f"Every limit holds on a grid 20 times finer than the samples "
         f"(largest excess {e.max_violation:.1g}).",
     ]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lieid_casadi.excitation import quadratic
-from lieid_casadi.excitation.sqp import damped_bfgs
+from lieid_casadi.excitation.quasi_newton import damped_bfgs
 
 
 @settings(max_examples=60, deadline=None)

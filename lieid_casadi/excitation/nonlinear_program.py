@@ -1,0 +1,185 @@
+"""One run of Ipopt, through CasADi, on a program whose functions are ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Values = Sequence[float | Array]
+PUSH = 1e-4  # from a limit, of slacks that start on it
+CONVERGED = 1e-6  # optimality error; what uses Ipopt stops it earlier
+SILENT = {"print_level": 0, "sb": "yes"}
+
+
+class Program(Protocol):
+    """min f(z) with g(z) ≤ 0; every method takes z (m,)."""
+
+    pattern: NDArray[np.bool_]
+    """Entries (rows, m) of ∂g/∂z that may differ from zero."""
+    linear: bool
+    """Whether ∂g/∂z never changes."""
+
+    def value(self, z: Array) -> float:
+        """Return f."""
+
+    def gradient(self, z: Array) -> Array:
+        """Return ∂f/∂z (m,)."""
+
+    def limits(self, z: Array) -> Array:
+        """Return g (rows,)."""
+
+    def slopes(self, z: Array) -> Array:
+        """Return ∂g/∂z (rows, m)."""
+
+    def hessian(self, z: Array, multipliers: Array) -> Array:
+        """Return the Lagrangian's Hessian (m, m), or what stands for it."""
+
+    def done(self, z: Array) -> bool:
+        """Take note of an iterate; whether to stop there."""
+
+
+@dataclass(eq=False)
+class Failure:
+    """What our functions raised; C++ between them and us would lose it."""
+
+    exception: BaseException | None = None
+
+
+def run_ipopt(
+    program: Program, z: Array, multipliers: Array, *, reach: float, barrier: float, iterations: int
+) -> Array:
+    """Run Ipopt from z; return the multipliers (rows,). The iterates go to ``program.done``.
+
+    Parameters
+    ----------
+    multipliers : (rows,)
+        To start with.
+    reach : float
+        How far each variable may go from z.
+    barrier : float
+        Barrier parameter μ, kept: what a run ends at is on the central path.
+
+    Raises
+    ------
+    BaseException
+        Whatever the program's methods raise, Ctrl-C among it.
+    """
+    failure = Failure()
+    x = ca.MX.sym("z", len(z))
+    # CasADi keeps no reference to Python's side of a function: these live as long as the solver
+    functions = _functions(program, len(z), failure)
+    options: dict[str, Any] = {
+        "grad_f": functions["grad_f"], "jac_g": functions["jac_g"],
+        "hess_lag": functions["hess_lag"], "iteration_callback": functions["iteration_callback"],
+        "no_nlp_grad": True, "print_time": False, "show_eval_warnings": False,
+        "error_on_fail": False,
+        "ipopt": {
+            **SILENT, "max_iter": iterations, "tol": CONVERGED, "nlp_scaling_method": "none",
+            "mu_strategy": "monotone", "mu_init": barrier, "mu_target": barrier,
+            "warm_start_init_point": "yes", "warm_start_slack_bound_push": PUSH,
+            "warm_start_slack_bound_frac": PUSH, "warm_start_bound_push": PUSH,
+            "warm_start_bound_frac": PUSH, "warm_start_mult_bound_push": 1e-9,
+            "acceptable_iter": 0, "jac_d_constant": "yes" if program.linear else "no",
+        },
+    }  # fmt: skip
+    nlp = {"x": x, "f": functions["f"](x), "g": functions["g"](x)}
+    solver = ca.nlpsol("excitation", "ipopt", nlp, options)
+    try:
+        result = solver(
+            x0=z, lbx=z - reach, ubx=z + reach, lbg=-np.inf, ubg=0.0, lam_g0=multipliers
+        )
+    except RuntimeError:
+        if failure.exception is None:
+            raise
+    if failure.exception is not None:
+        raise failure.exception
+    return np.asarray(result["lam_g"].full().ravel())
+
+
+def _functions(program: Program, size: int, failure: Failure) -> dict[str, _Function]:
+    """Return the functions in CasADi's names and signatures."""
+    rows = len(program.pattern)
+    slopes = ca.DM(program.pattern.astype(float))
+    sparsity = ca.sparsify(slopes).sparsity()
+    entries = tuple(np.array(part, dtype=np.intp) for part in sparsity.get_triplet())
+    triangle = ca.Sparsity.upper(size)
+    upper = tuple(np.array(part, dtype=np.intp) for part in triangle.get_triplet())
+    one, none = ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
+    z_, g_ = ca.Sparsity.dense(size), ca.Sparsity.dense(rows)
+    p = program
+
+    def hessian(z: Array, _: Array, of_objective: Array, multipliers: Array) -> Values:
+        return [of_objective[0] * p.hessian(z, multipliers)[upper]]
+
+    def made(name: str, inputs: list[Any], outputs: list[Any], rule: Rule) -> _Function:
+        return _Function(name, inputs, outputs, rule, failure)
+
+    return {
+        "f": made("f", [z_], [one], lambda z: [p.value(z)]),
+        "g": made("g", [z_], [g_], lambda z: [p.limits(z)]),
+        "grad_f": made(
+            "grad_f", [z_, none], [one, z_], lambda z, _: [p.value(z), p.gradient(z)]
+        ),
+        "jac_g": made(
+            "jac_g", [z_, none], [g_, sparsity],
+            lambda z, _: [p.limits(z), p.slopes(z)[entries]],
+        ),
+        "hess_lag": made("hess_lag", [z_, none, one, g_], [triangle], hessian),
+        "iteration_callback": made(
+            "iteration_callback", [_of_result(k, z_, g_) for k in range(ca.nlpsol_n_out())], [one],
+            lambda z, *_: [float(p.done(z))],
+        ),
+    }  # fmt: skip
+
+
+def _of_result(k: int, z: ca.Sparsity, g: ca.Sparsity) -> ca.Sparsity:
+    name = ca.nlpsol_out(k)
+    shapes = {"x": z, "lam_x": z, "f": ca.Sparsity.dense(1, 1), "g": g, "lam_g": g}
+    return shapes.get(name, ca.Sparsity(0, 0))
+
+
+Rule = Callable[..., Values]
+
+
+class _Function(ca.Callback):
+    """A CasADi function by a Python rule that gives the nonzeros of each output."""
+
+    def __init__(
+        self,
+        name: str,
+        inputs: list[ca.Sparsity],
+        outputs: list[ca.Sparsity],
+        rule: Rule,
+        failure: Failure,
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._inputs, self._outputs, self._rule, self._failure = inputs, outputs, rule, failure
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return len(self._inputs)
+
+    def get_n_out(self) -> int:
+        return len(self._outputs)
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return self._inputs[i]
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return self._outputs[i]
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
+        if self._failure.exception is not None:  # Ipopt tries again elsewhere
+            raise self._failure.exception
+        try:
+            values = self._rule(*(np.asarray(argument).ravel() for argument in arguments))
+        except BaseException as exception:  # kept, and raised again beyond Ipopt
+            self._failure.exception = exception
+            raise
+        return [ca.DM(s, v) for s, v in zip(self._outputs, values, strict=True)]
