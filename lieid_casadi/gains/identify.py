@@ -145,6 +145,12 @@ def _check(model: Model, empty: Sequence[Recording], full: Sequence[Recording]) 
             )
         if recording.current is None:
             raise ModelError(f"{name}: no motor currents; expected columns i1…i{model.n}")
+        still = np.flatnonzero(np.ptp(recording.current, axis=0) == 0.0)
+        if len(still):
+            raise IdentificationError(
+                f"{name}: the current i{still[0] + 1} is the same in every row "
+                f"({recording.current[0, still[0]]:g} A); expected what the motor drew"
+            )
     same = {r.source_hash for r in empty if r.source_hash} & {r.source_hash for r in full}
     for recording in full:
         if recording.source_hash in same:
@@ -178,14 +184,18 @@ def _result(
     rms = np.array([np.sqrt(np.mean(e**2)) if len(e) else np.nan for e in solution.residuals])
     spread = np.abs(gains) * np.array([np.std(i) if len(i) else np.nan for i in solution.currents])
     relative = rms / np.where(spread > 0.0, spread, np.nan)
-    seen = _seen(solution, n)
-    seen &= np.array([len(i) > 0 and bool(np.any(i)) for i in solution.currents])
+    moves = np.array([len(i) > 0 for i in solution.currents])
+    seen = _seen(solution, n) & moves
     _require_load(gains, std, seen, mass)
     _require_arm(model, relative, recordings)
     parts = []
     for j in range(n):
-        if not seen[j]:
-            parts.append(GainNotIdentified(j, "nothing of its motion reaches the payload's scale"))
+        if not moves[j]:
+            parts.append(GainNotIdentified(j, "the joint never moves"))
+        elif not seen[j]:
+            parts.append(
+                GainNotIdentified(j, "none of its torque hangs together with the payload's")
+            )
         elif not std[j] <= WEAK * abs(gains[j]):
             parts.append(
                 GainNotIdentified(
@@ -206,7 +216,7 @@ def _result(
         com=com,
         com_std=com_std,
         rms=rms,
-        rms_current=rms / np.abs(gains),
+        rms_current=rms / np.where(moves, np.abs(gains), np.nan),
         relative_rms=relative,
         cutoff=float(options.cutoff or np.nan),
         unloaded=tuple(Source(r.name, r.source_hash) for r in recordings[0]),

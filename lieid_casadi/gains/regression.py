@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.errors import IdentificationError
-from lieid_casadi.gains.total_least_squares import NullVector, null_vector
+from lieid_casadi.gains.total_least_squares import NullVector, most_likely, null_vector
 from lieid_casadi.identification.covariance import hac_covariance
 from lieid_casadi.identification.design import Design, JointRows, Rows, varying_columns
 from lieid_casadi.identification.fixed_point import prior
@@ -83,44 +83,53 @@ class GainProblem:
         return self.model.n + self.model.base.count + int(self.unknown.sum())
 
     def solve(self) -> Solution:
-        """Alternate null vector, weights and load until the gains settle.
+        """Alternate the most likely gains, noise and load until the gains settle.
 
         Raises
         ------
         IdentificationError
             The payload does not show in the currents.
         """
-        n, parameters, body = self.model.n, None, np.zeros(BODY)
+        parameters, body = None, np.zeros(BODY)
         rows = self._rows(parameters, body)
-        lengths = np.maximum(rows.lengths, 1)
-        gains, noise = np.ones(n), _own_noise(rows)
+        noise = _own_noise(rows)
+        gains = np.zeros(self.model.n)
         found: NullVector | None = None
         settled = False
         for _ in range(ROUNDS):
             if self.moving_load and parameters is not None:
                 rows = self._rows(parameters, body)
-            # weighted by 1/noise, a current's noise σ = noise/|k| is 1/|k| in each row
-            factor = self._combined(rows, noise)
-            found = null_vector(factor, np.sqrt(lengths) / np.abs(gains))
+            factors = [Factor(f.r[:, :-1], f.rows) for f in joint_factors(rows)]  # the sum is zero
+            if found is None:
+                # in units of its noise, each current has the noise 1 in each of its rows
+                size = np.sqrt(np.maximum(rows.lengths, 1))
+                found = null_vector(combine(factors, 1.0 / noise), size)
             if found is None:
                 raise IdentificationError(
                     "the motion does not show the payload's mass apart from what is unknown of "
                     "arm and payload; expected the same motions with and without the payload, "
                     "slow and fast, or a known --com"
                 )
-            change = np.max(np.abs(found.gains - gains) / np.maximum(np.abs(found.gains), 1e-300))
+            found = most_likely(factors, found, noise)
+            change = np.abs(found.gains - gains) / np.maximum(np.abs(found.gains), 1e-300)
             gains = found.gains
             residuals = self._residuals(rows, found)
-            noise = np.array([_size(e) if len(e) else 1.0 for e in residuals])
+            noise = np.array(
+                [
+                    _size(e) / abs(k) if len(e) else 1.0
+                    for e, k in zip(residuals, gains, strict=True)
+                ]
+            )
             values = found.others[: self.model.base.count]
             body = self.known.copy()
             body[self.unknown] = found.others[self.model.base.count :]
             parameters = self.model.base.lift(values, prior(self.model))
-            if change <= SETTLED:
+            if change.max() <= SETTLED:
                 settled = True
                 break
         assert found is not None
-        return self._with_covariance(rows, found, body, noise, settled)
+        torque_noise = np.where(gains != 0.0, np.abs(gains), 1.0) * noise
+        return self._with_covariance(rows, found, body, torque_noise, settled)
 
     def _with_covariance(
         self, rows: Rows, found: NullVector, body: Array, noise: Array, settled: bool
@@ -131,7 +140,8 @@ class GainProblem:
         clean = []
         for j, (joint, e) in enumerate(zip(rows.joints, residuals, strict=True)):
             matrix = joint.matrix[:, :-1].copy()
-            matrix[:, j] -= e / found.gains[j]
+            if len(e):
+                matrix[:, j] -= e / found.gains[j]
             clean.append(JointRows(joint.columns[:-1], matrix, e, joint.instant))
         exact = Rows(clean, self.width, rows.segments)
         weights = [np.full(len(j.torque), 1.0 / s) for j, s in zip(clean, noise, strict=True)]
@@ -180,10 +190,6 @@ class GainProblem:
             matrix[:, n + p : -1] = -joint.matrix @ self.to_unknown[joint.columns]
             matrix[:, -1] = -joint.matrix @ self.by_mass[joint.columns]
         return matrix
-
-    def _combined(self, rows: Rows, noise: Array) -> Factor:
-        factor = combine(joint_factors(rows), 1.0 / noise)
-        return Factor(factor.r[:, :-1], factor.rows)  # the right-hand side is zero
 
     def _residuals(self, rows: Rows, found: NullVector) -> list[Array]:
         solution = np.concatenate([found.gains, found.others, [1.0]])

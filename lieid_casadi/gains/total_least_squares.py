@@ -3,18 +3,20 @@
 Per joint j, i_j·k_j − M_j·β − M_j·B·π = 0, the payload's known mass being one column with the
 coefficient 1: M. Gautier, S. Briot, "Global identification of joint drive gains and dynamic
 parameters of robots", J. Dynamic Systems, Measurement, and Control 2014. Noise is in the currents
-alone, and each joint has its own: the exact columns are eliminated first (Golub, Hoffman, Stewart,
-Linear Algebra and its Applications 1987), rows are weighted by 1/(k_j·σ_j), and both are repeated
-until the gains settle. The fixed point is the maximum of the likelihood over gains, parameters
-and the joints' noise.
+alone, and each joint has its own. The exact columns are eliminated first (Golub, Hoffman, Stewart,
+Linear Algebra and its Applications 1987); from that null vector, which weighs all joints' rows
+alike, the maximum of the likelihood is found, where the error of each current counts in units of
+its own noise.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from lieid_casadi.identification.least_squares import Factor
 
@@ -30,6 +32,7 @@ class NullVector:
     Attributes
     ----------
     gains : (n,)
+        Zero where the column is zero: a joint that never moves.
     others : (q,)
         Coefficients of the exact columns but the last.
     """
@@ -49,10 +52,11 @@ def null_vector(factor: Factor, noise: Array) -> NullVector | None:
         Of each noisy column: expected norm of the noise in its weighted rows.
     """
     n, r = len(noise), factor.r
-    noisy, exact = r[:, :n] / noise, r[:, n:]
+    there = np.linalg.norm(r[:, :n], axis=0) > 0.0
+    noisy, exact = r[:, :n][:, there] / noise[there], r[:, n:]
     size = np.linalg.norm(exact, axis=0)
     exact = exact / np.where(size > 0.0, size, 1.0)
-    if size[-1] == 0.0 or _own_part(exact) < SHOWN:
+    if size[-1] == 0.0 or not there.any() or _own_part(exact) < SHOWN:
         return None
     u, singular, _ = np.linalg.svd(exact, full_matrices=False)
     basis = u[:, singular > RANK * singular[0]]
@@ -62,8 +66,52 @@ def null_vector(factor: Factor, noise: Array) -> NullVector | None:
     coefficients = coefficients / np.where(size > 0.0, size, 1.0)
     if coefficients[-1] == 0.0:
         return None
-    gains = direction / noise / coefficients[-1]
+    gains = np.zeros(n)
+    gains[there] = direction / noise[there] / coefficients[-1]
     return NullVector(gains, coefficients[:-1] / coefficients[-1])
+
+
+def most_likely(factors: Sequence[Factor], start: NullVector, noise: Array) -> NullVector:
+    """Return gains and others that minimize Σ_j ‖i_j − torque_j/k_j‖² / σ_j².
+
+    The unknowns are 1/k_j, in which a gain that the motion hardly tells does no harm.
+
+    Parameters
+    ----------
+    factors : sequence of n Factor
+        Of each joint's rows, columns as for `null_vector`.
+    start : NullVector
+        Near the minimum.
+    noise : (n,)
+        σ_j of the currents, A.
+    """
+    n = len(noise)
+    there = np.flatnonzero(start.gains)
+    current = [factors[j].r[:, j] / noise[j] for j in there]
+    torque = [-factors[j].r[:, n:] / noise[j] for j in there]
+
+    def error(x: Array) -> Array:
+        others = np.append(x[len(there) :], 1.0)
+        return np.concatenate(
+            [i - a * (m @ others) for i, a, m in zip(current, x, torque, strict=False)]
+        )
+
+    def slopes(x: Array) -> Array:
+        others = np.append(x[len(there) :], 1.0)
+        blocks = []
+        for k, (a, m) in enumerate(zip(x, torque, strict=False)):
+            block = np.zeros((len(m), len(x)))
+            block[:, k], block[:, len(there) :] = -m @ others, -a * m[:, :-1]
+            blocks.append(block)
+        return np.vstack(blocks)
+
+    first = np.concatenate([1.0 / start.gains[there], start.others])
+    x = least_squares(
+        error, first, slopes, x_scale="jac", max_nfev=200, ftol=1e-12, xtol=1e-12, gtol=1e-12
+    ).x
+    gains = np.zeros(n)
+    gains[there] = 1.0 / x[: len(there)]
+    return NullVector(gains, x[len(there) :])
 
 
 def _own_part(exact: Array) -> float:

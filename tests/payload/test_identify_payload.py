@@ -77,7 +77,7 @@ def test_weak_parts_are_flagged_and_strong_ones_not(payload):
     radius=st.floats(0.05, 0.2),
 )
 def test_exact_on_any_arm_without_noise(seed, mass, com, radius):
-    """Random geometries, sliding joints, tools turned and moved: Pinocchio's torque against our tool columns."""
+    """Random geometries, sliding joints, tools turned and moved, against Pinocchio."""
     robot = random_arm(np.random.default_rng(seed), 6)
     still = plant.JointFriction.none(robot.n)
     arm = plant.Arm(robot, robot.link_parameters, still)

@@ -1,0 +1,86 @@
+"""``lieid gains``: table, JSON, the option's text, YAML; one line and status 2 for bad input."""
+
+import json
+
+import numpy as np
+import pytest
+from gains.test_drive_gains import ARM, GAINS, LOADED, MASS, amperes
+
+import lieid_casadi as lieid
+from lieid_casadi.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("gains")
+    amperes(ARM, seconds=15.0).save(folder / "empty.csv")
+    amperes(LOADED, motion=5, seed=1, seconds=15.0).save(folder / "loaded.csv")
+    run = amperes(ARM, seconds=5.0)
+    lieid.Recording.from_arrays(run.t, run.q, run.dq, run.current).save(folder / "torque.csv")
+    return folder
+
+
+def lieid_gains(files, *words, unloaded="empty.csv", loaded="loaded.csv", mass=MASS):
+    given = ["--unloaded", files / unloaded, "--loaded", files / loaded, "--mass", mass]
+    return main(["gains", "panda", *map(str, [*given, *words])])
+
+
+def test_table_json_yaml_and_the_option(files, tmp_path, capsys):
+    out, yaml, picture = tmp_path / "g.json", tmp_path / "arm.yaml", tmp_path / "g.png"
+    assert lieid_gains(files, "--json", out, "--yaml", yaml, "--plot", picture) == 0
+    shown = capsys.readouterr().out
+    content = json.loads(out.read_text())
+    assert len(content["gains"]) == len(content["std"]) == 7
+    z = (np.array(content["gains"]) - GAINS) / np.array(content["std"])
+    assert np.all(np.abs(z) < 3.5)
+    assert content["not_identified"] == []
+    assert content["warnings"] == []
+    assert content["option"] in shown.splitlines()
+    robot = lieid.Robot.load(yaml)
+    assert np.allclose(robot.torque_constants, content["gains"])
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_printed_option_is_taken_by_identify(files, tmp_path, capsys):
+    assert lieid_gains(files) == 0
+    lines = capsys.readouterr().out.splitlines()
+    option = next(line for line in lines if line.startswith("--torque-constants")).split()
+    words = ["identify", "panda", str(files / "empty.csv"), *option, "-o", str(tmp_path / "f.json")]
+    assert main(words) == 0
+    fit = lieid.Fit.load(tmp_path / "f.json")
+    coulomb = fit.values[[p.name == "coulomb.f_c" for p in fit.model.base_columns]]
+    assert np.allclose(coulomb, ARM.friction.coulomb, rtol=0.05)
+
+
+def test_a_known_centre_of_mass(files, capsys):
+    assert lieid_gains(files, "--com", 0.03, -0.02, 0.08) == 0
+    assert "(30.0 ± 0.0, -20.0 ± 0.0, 80.0 ± 0.0) mm" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "files_and_mass", "message"),
+    [
+        ([], {"mass": 0}, "--mass 0: expected kg above 0"),
+        ([], {"mass": -2}, "--mass -2: expected kg above 0"),
+        ([], {"mass": "nan"}, "--mass nan: expected kg above 0"),
+        ([], {"mass": "heavy"}, "invalid float value"),
+        ([], {"loaded": "empty.csv"}, "given as unloaded and as loaded"),
+        ([], {"loaded": "torque.csv"}, "no motor currents"),
+        ([], {"unloaded": "loaded.csv", "loaded": "empty.csv"}, "exchanged"),
+        ([], {"loaded": "gone.csv"}, "no such file"),
+        (["--effects", "coulom"], {}, "unknown effect 'coulom'"),
+        (["--com", 1, 2], {}, "expected 3 arguments"),
+    ],
+)
+def test_bad_input_is_one_line(files, tmp_path, capsys, words, files_and_mass, message):
+    out = tmp_path / "g.json"
+    try:
+        status = lieid_gains(files, *words, "--json", out, **files_and_mass)
+    except SystemExit as stop:  # argparse's own
+        status = stop.code
+    said = capsys.readouterr()
+    assert status == 2
+    assert said.err.count("\n") == 1
+    assert message in said.err
+    assert said.out == ""
+    assert not out.exists()
