@@ -46,9 +46,15 @@ def sparse_function(
 
 
 def ramp(dq: ca.SX, width: ca.SX) -> ca.SX:
-    """Return sgn(q̇) with a ramp from −1 to 1 over |q̇| ≤ width, where noise decides the sign."""
-    slope = dq / ca.fmax(width, 1e-200)
-    return ca.if_else(ca.fabs(dq) < width, slope, ca.sign(dq))
+    """Return sgn(q̇), inside |q̇| ≤ width its expected value beside noise on q̇.
+
+    With Gaussian noise of a third of the width the sign is erf(3 q̇ / (√2 width)) on average;
+    this is the polynomial step of degree seven, within 0.04 of it and cheap in C.
+    """
+    x = dq / ca.fmax(width, 1e-200)
+    square = x * x
+    step = x * (35.0 - square * (35.0 - square * (21.0 - 5.0 * square))) / 16.0
+    return ca.if_else(ca.fabs(dq) < width, step, ca.sign(dq))
 
 
 class ModelFunctions:
