@@ -36,7 +36,7 @@ class Presliding(Effect):
 
     def __init__(self, *, option: str = "") -> None:
         self.option = option
-        self.coefficients = (Coefficient("f_c", "N·m"),)
+        self.coefficients = (Coefficient("f_c", "N·m", lower=0.0),)
         self.shapes = (Shape("w", "rad", 0.01, 1e-4, 0.5),)
         self.signals = ("q", "dq", "time")
         if option == "":
