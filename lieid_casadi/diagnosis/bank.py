@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import EffectFunction, SegmentSignals, columns_along
-from lieid_casadi.diagnosis.whitening import Noise, Runs
 from lieid_casadi.effects import ArmEffect
+from lieid_casadi.identification.noise_model import Noise, Runs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

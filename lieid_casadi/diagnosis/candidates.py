@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.diagnosis.as_change import as_change
 from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
 from lieid_casadi.effects.effect import REGISTER, make
 from lieid_casadi.identification.shape_range import ShapeRange
@@ -127,6 +128,8 @@ def candidates(
         effect = make(label)
         if effect.option or effect.name in NOT_TRIED or not _has_signals(effect, segments):
             continue
+        if present:
+            effect = as_change(effect, [p.effect.name for p in model.placements])
         scanned = any(shape.scan for shape in effect.shapes)
         for placement in _places(effect, model.n):
             joints = joints_of(placement)
@@ -148,14 +151,14 @@ def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Arr
     count = GRID if len(effect.shapes) == 1 else int(np.ceil(np.sqrt(GRID)))
     axes = []
     for shape in effect.shapes:
-        lower, upper = _limits(shape, segments, joint)
+        lower, upper = shape_limits(shape, segments, joint)
         limited = replace(shape, lower=lower, upper=upper)
         places = np.linspace(0.0, 1.0, count + 2)[1:-1]
         axes.append(ShapeRange.of([limited]).shapes(places[:, None])[:, 0])
     return np.array(list(product(*axes)))
 
 
-def _limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tuple[float, float]:
+def shape_limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tuple[float, float]:
     """Return bounds within what a joint's motion can show, by the shape parameter's unit."""
     if shape.unit == "s":
         longest = max(float(segment.t[-1] - segment.t[0]) for segment in segments)

@@ -6,7 +6,7 @@ ones), so that what the fit never knew well is not taken for a change.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +17,20 @@ from lieid_casadi.diagnosis.choosing import BLOCK, FOLD, block_index, by_contrib
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
 from lieid_casadi.diagnosis.evidence import Family
 from lieid_casadi.diagnosis.forward import Price, best_set, column_stack, with_groups
+from lieid_casadi.diagnosis.pruning import STOOD_IN, stand_ins
 from lieid_casadi.diagnosis.rivals import FOLDS, cross_validated_gain, rivals_of
 from lieid_casadi.diagnosis.scene import Scene
 from lieid_casadi.diagnosis.screening import Baseline, screen
 from lieid_casadi.diagnosis.selection import LEVEL
 from lieid_casadi.diagnosis.unexplained import Unexplained, smooth_bank, unexplained
-from lieid_casadi.diagnosis.whitening import Noise, noise_of
+from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.identify import center_temperature, unique_warnings
+from lieid_casadi.identification.noise_model import Noise
 from lieid_casadi.recording import Recording, process
 
 Array = NDArray[np.float64]
-MISFIT = 1.3  # times the held-out error of the fit: more, and something has changed
+MISFIT = 1.15  # times the held-out error of the fit: more, and something has changed
 WORTH = 0.1  # least fall of a joint's error that is worth a change
 TINY = 1e-12  # of the largest variance: below it a number counts as that well known
 MOST_CHANGES = 6
@@ -48,8 +50,7 @@ def changed(
     segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
     report("look for changes", 0.2)
     scene = Scene.of(fit, segments, kept=True)
-    null = np.where(np.isfinite(fit.rms_cv), fit.rms_cv, fit.noise)
-    search = _Search(scene, null, seed)
+    search = _Search(scene, held_out_noise(fit), seed)
     steps: list[Step] = []
     while len(steps) < MOST_CHANGES:
         step = search.next_step()
@@ -58,13 +59,17 @@ def changed(
         steps.append(step)
         report("look for changes", 0.2 + 0.1 * len(steps))
     left = search.left_over()
+    out = {p.label for p in search.stand_ins(left)}
+    if out:
+        steps = [step for step in steps if step.label not in out]
+        left = search.without(out)
     verdict = "unexplained" if left else "effect_found" if steps else "sufficient"
     report("done", 1.0)
     return Diagnosis(
         mode="changed",
         verdict=verdict,
         joint_names=before.joint_names,
-        noise_floor=null,
+        noise_floor=search.null,
         noise_source="held_out",
         baseline_effects=tuple(fit.model.effects),
         baseline_train=None,
@@ -83,11 +88,13 @@ def changed(
 class _Search:
     """Changes found so far, on rows of the new recordings."""
 
-    def __init__(self, scene: Scene, null: Array, seed: int) -> None:
-        self.scene, self.null, self.seed = scene, null, seed
-        self.plain = tuple(Noise(np.ones(1), max(float(s), 1e-12)) for s in null)
+    def __init__(self, scene: Scene, noise: tuple[Noise, ...], seed: int) -> None:
+        self.scene, self.noise, self.seed = scene, noise, seed
+        self.null = np.array([each.spread for each in noise])
+        self.plain = tuple(Noise.white(each.spread) for each in noise)
         self.bank = scene.bank.whitened(self.plain, scene.runs)
         self.baseline = _with_prior(scene, self.plain)
+        self.kept = _kept(scene, self.plain)
         self.blocks = block_index(scene, self.plain, BLOCK)
         self.folds = block_index(scene, self.plain, FOLD) % FOLDS
         self.chosen: list[int] = []
@@ -102,7 +109,7 @@ class _Search:
         for g in self.chosen:
             barred[self.bank.candidate[g]] = True
         here = with_groups(self.baseline, self.bank, self.chosen)
-        high = self._misfit(here) > MISFIT
+        high = self._misfit(self.chosen) > MISFIT
         price = Price(each=float(np.log(max(here.rows, 2))), part=WORTH)
         found = best_set(self.bank, here, price, barred) if high.any() else []
         for winner in by_contribution(self.bank, here, found):
@@ -121,8 +128,8 @@ class _Search:
         candidate = self.bank.candidates[self.bank.candidate[winner]]
         label = candidate.placement.label
         columns = column_stack(self.bank, winner)
-        after = here.with_columns(columns)
-        fall = 1.0 - self._misfit(after) / self._misfit(here)
+        before, after = self._misfit(self.chosen), self._misfit([*self.chosen, winner])
+        fall = 1.0 - after / before
         held = cross_validated_gain(columns, here, self.folds)
         log10_p, rows = self._evidence(winner, others)
         joint = int(np.argmax(np.where(high, fall, -np.inf)))
@@ -134,7 +141,7 @@ class _Search:
             self.rejected.append((label, reason))
             return None
         self.chosen.append(winner)
-        sizes = self.null * self._misfit(after)
+        sizes = self.null * after
         return Step(
             label=label,
             effect=candidate.name,
@@ -145,8 +152,8 @@ class _Search:
             evidence=Evidence(
                 log10_p,
                 rows,
-                float(self.null[joint] * np.sqrt(self._squares(here, after)[joint])),
-                float(self.null[joint] * self._misfit(here)[joint]),
+                float(self.null[joint] * np.sqrt(max(before[joint] ** 2 - after[joint] ** 2, 0.0))),
+                float(self.null[joint] * before[joint]),
                 float(sizes[joint]),
                 None,
             ),
@@ -172,34 +179,19 @@ class _Search:
             s.name: float(v) for s, v in zip(candidate.effect.shapes, shapes, strict=True)
         }
 
-    def _misfit(self, baseline: Baseline) -> Array:
-        """Return each joint's residual over the fit's held-out error (n,)."""
-        return np.array(
-            [
-                np.sqrt(np.mean(baseline.residual[baseline.joint(j)] ** 2))
-                if len(baseline.residual[baseline.joint(j)])
-                else 0.0
-                for j in range(len(self.plain))
-            ]
-        )
+    def _misfit(self, groups: Sequence[int]) -> Array:
+        """Return each joint's error over the fit's held-out error (n,).
 
-    def _squares(self, before: Baseline, after: Baseline) -> Array:
-        return np.maximum(self._misfit(before) ** 2 - self._misfit(after) ** 2, 0.0)
-
-    def _coloured(self, residual: Baseline) -> tuple[Noise, ...]:
-        """Return the noise as what the chosen and the other candidates leave has it."""
-        found = []
-        for j, (plain, runs) in enumerate(zip(self.plain, self.scene.runs, strict=True)):
-            values = residual.residual[residual.joint(j)] * plain.sigma
-            found.append(noise_of(values, runs, 1.0))
-        return tuple(found)
+        The model's own numbers stay as they are; only what changed is fitted.
+        """
+        kept = with_groups(self.kept, self.bank, groups)
+        rows = [kept.residual[kept.joint(j)] for j in range(len(self.plain))]
+        return np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in rows])
 
     def _evidence(self, winner: int, others: Sequence[int]) -> tuple[float, int]:
         groups = [*self.chosen, *others]
-        after = with_groups(self.baseline, self.bank, [*groups, winner])
-        noise = self._coloured(after)
-        bank = self.scene.bank.whitened(noise, self.scene.runs)
-        beside = with_groups(_with_prior(self.scene, noise), bank, groups)
+        bank = self.scene.bank.whitened(self.noise, self.scene.runs)
+        beside = with_groups(_with_prior(self.scene, self.noise), bank, groups)
         screening = screen(bank, beside, every=True)
         left = beside.with_columns(column_stack(bank, winner))
         rows = int(beside.ends[len(self.plain)])
@@ -208,24 +200,59 @@ class _Search:
         gain = float(screening.gain[winner]) / dispersion
         return family.log10_p(gain, int(screening.rank[winner])), rows
 
+    def stand_ins(self, left: Sequence[Unexplained]) -> list[Placement]:
+        """Return changes that only resemble what the error follows."""
+        placements = [self.bank.candidates[self.bank.candidate[g]].placement for g in self.chosen]
+        return stand_ins(
+            self.kept, with_groups(self.kept, self.bank, self.chosen), left, placements
+        )
+
+    def without(self, out: Collection[str]) -> tuple[Unexplained, ...]:
+        """Take changes back, and return what smooth functions explain then."""
+        self.rejected += [(label, STOOD_IN) for label in out]
+        self.chosen = [
+            g
+            for g in self.chosen
+            if self.bank.candidates[self.bank.candidate[g]].placement.label not in out
+        ]
+        return self.left_over()
+
     def left_over(self) -> tuple[Unexplained, ...]:
         """Return what smooth functions explain where the error is still raised."""
         here = with_groups(self.baseline, self.bank, self.chosen)
-        high = self._misfit(here) > MISFIT
+        high = self._misfit(self.chosen) > MISFIT
         if not high.any():
             return ()
         smooth = smooth_bank(self.scene.signals, self.scene.runs)
-        noise = self._coloured(here)
-        bank = self.scene.bank.whitened(noise, self.scene.runs)
-        white = with_groups(_with_prior(self.scene, noise), bank, self.chosen)
+        bank = self.scene.bank.whitened(self.noise, self.scene.runs)
+        white = with_groups(_with_prior(self.scene, self.noise), bank, self.chosen)
         found = unexplained(
             smooth.whitened(self.plain, self.scene.runs),
-            (smooth.whitened(noise, self.scene.runs), white),
+            (smooth.whitened(self.noise, self.scene.runs), white),
             here,
             self.folds,
             seed=self.seed,
         )
         return tuple(u for u in found if high[u.joint])
+
+
+def held_out_noise(fit: Fit) -> tuple[Noise, ...]:
+    """Return the noise of each joint's residual, as large as on data that the fit has not seen.
+
+    It must not be taken from the new recording: a slow change would pass for the noise's memory.
+    """
+    ratio = np.nan_to_num(fit.rms_cv / np.maximum(fit.noise, 1e-300), nan=1.0)
+    return tuple(
+        n.times(max(float(r), 1.0)) for n, r in zip(fit.residual_noise, ratio, strict=True)
+    )
+
+
+def _kept(scene: Scene, noise: Sequence[Noise]) -> Baseline:
+    """Return the residual's baseline beside a model whose numbers cannot move."""
+    rows = zip(noise, scene.residual, scene.runs, strict=True)
+    residuals = [n.whiten(residual, runs) for n, residual, runs in rows]
+    ends = np.concatenate([[0], np.cumsum([len(r) for r in residuals])]).astype(np.intp)
+    return Baseline(np.zeros((ends[-1], 0)), np.concatenate(residuals), ends)
 
 
 def _with_prior(scene: Scene, noise: Sequence[Noise]) -> Baseline:

@@ -13,7 +13,7 @@ from lieid_casadi.diagnosis.forward import Price, best_set, column_stack, with_g
 from lieid_casadi.diagnosis.rivals import Rival, cross_validated_gain
 from lieid_casadi.diagnosis.scene import Scene
 from lieid_casadi.diagnosis.screening import Baseline, screen
-from lieid_casadi.diagnosis.whitening import Noise, noise_of
+from lieid_casadi.identification.noise_model import Noise, noise_of
 from lieid_casadi.identification.shape_range import ShapeRange
 
 Array = NDArray[np.float64]
@@ -33,13 +33,13 @@ def pilot_noise(scene: Scene) -> tuple[tuple[Noise, ...], tuple[Noise, ...]]:
     bank, baseline = scene.bank.whitened(scene.plain, scene.runs), scene.baseline(scene.plain)
     rich = with_groups(baseline, bank, best_set(bank, baseline, PILOT))
     freedom = 1.0 - rich.basis.shape[1] / max(rich.rows, 1)
-    coloured, plain = [], []
-    for j, (white, runs) in enumerate(zip(scene.plain, scene.runs, strict=True)):
-        residual = rich.residual[rich.joint(j)] * white.sigma
-        coloured.append(noise_of(residual, runs, freedom))
-        size = np.sqrt(np.mean(residual**2) / max(freedom, 0.1)) if len(residual) else 1.0
-        plain.append(Noise(np.ones(1), max(float(size), 1e-12)))
-    return tuple(coloured), tuple(plain)
+    coloured = tuple(
+        noise_of(
+            rich.residual[rich.joint(j)] * white.sigma / runs.weights(white.spread), runs, freedom
+        )
+        for j, (white, runs) in enumerate(zip(scene.plain, scene.runs, strict=True))
+    )
+    return coloured, tuple(Noise.white(noise.spread) for noise in coloured)
 
 
 def refined_shapes(bank: Bank[Candidate], gain: Array, winner: int) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import casadi as ca
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lieid_casadi.diagnosis.candidates import PEAKS
 from lieid_casadi.diagnosis.vectorized import Vectorized
 from lieid_casadi.effects import Effect, Placement, Signals
+from lieid_casadi.functions import ramp
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.along import Along, effects_along
 from lieid_casadi.recording import Processed
@@ -47,13 +48,19 @@ class SegmentSignals:
                 "q": segment.q,
                 "dq": segment.dq,
                 "ddq": segment.ddq,
-                "sign": np.clip(segment.dq / np.maximum(segment.dead_zone, 1e-200), -1.0, 1.0),
+                "sign": _sign()(segment.dq, segment.dead_zone)[0],
                 "load": load,
                 "temperature": np.zeros(shape) if warmth is None else warmth,
                 "time": np.array(time),
             },
             arm,
         )
+
+
+@cache
+def _sign() -> Vectorized:
+    dq, width = ca.SX.sym("dq"), ca.SX.sym("width")
+    return Vectorized([dq, width], [ramp(dq, width)])
 
 
 class EffectFunction:

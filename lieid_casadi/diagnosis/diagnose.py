@@ -11,7 +11,7 @@ from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.diagnosis.changed import changed
 from lieid_casadi.diagnosis.choosing import FOLD, block_index
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
-from lieid_casadi.diagnosis.pruning import stand_ins
+from lieid_casadi.diagnosis.pruning import STOOD_IN, stand_ins
 from lieid_casadi.diagnosis.rivals import FOLDS
 from lieid_casadi.diagnosis.scene import Scene
 from lieid_casadi.diagnosis.selection import Found, Proposal, Search
@@ -106,7 +106,7 @@ def diagnose(
         [found.candidate.placement for found in search.found],
     )
     if out:
-        scene = search.without(out, "explains but a part of what the error follows", scene)
+        scene = search.without(out, STOOD_IN, scene)
         left = left_over(search, scene, seed=seed)
     steps = tuple(_step(found, tested(found.fit), scene) for found in search.found)
     floor, source = _noise_floor(given, search, scene)

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from lieid_casadi.diagnosis.scene import Scene
 from lieid_casadi.diagnosis.screening import Baseline
 from lieid_casadi.diagnosis.unexplained import Unexplained
-from lieid_casadi.diagnosis.whitening import Noise
 from lieid_casadi.effects import Placement
+from lieid_casadi.identification.noise_model import Noise
 
 Array = NDArray[np.float64]
 # Right effects on a UR10e reach 0.06, stand-ins begin at 0.05: most, not all, are told apart.
+STOOD_IN = "explains but a part of what the error follows"
 STAND_IN = 0.1  # unexplained variance over what a joint's steps explain: more, and they stand in
 
 

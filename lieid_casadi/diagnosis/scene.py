@@ -13,10 +13,11 @@ from lieid_casadi.diagnosis.bank import Bank, Known, build_bank
 from lieid_casadi.diagnosis.candidates import Candidate, candidates
 from lieid_casadi.diagnosis.columns import SegmentSignals, scanned_grid
 from lieid_casadi.diagnosis.screening import Baseline
-from lieid_casadi.diagnosis.whitening import Noise, Runs, runs_of
 from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.design import Design, Rows
+from lieid_casadi.identification.doubt import doubt_along
+from lieid_casadi.identification.noise_model import Noise, Runs, runs_of, spread_of
 from lieid_casadi.identification.shape_fit import shape_columns
 from lieid_casadi.recording import Processed
 
@@ -75,7 +76,7 @@ class Scene:
         """
         design = Design(fit.compiled, segments)
         rows = design.rows(fit.shapes, fit.parameters)
-        runs = runs_of(rows, segments) if before is None else before.runs
+        runs = _runs(fit, rows, segments) if before is None else before.runs
         known: Known = {} if before is None else before.known
         matrices = _dense(rows)
         if len(fit.shapes):
@@ -118,13 +119,24 @@ class Scene:
     @cached_property
     def plain(self) -> tuple[Noise, ...]:
         """White noise of the size of the fit's residuals."""
-        return tuple(Noise(np.ones(1), float(sigma)) for sigma in self.fit.noise)
+        return tuple(
+            Noise.white(spread_of(residual, runs.doubt))
+            for residual, runs in zip(self.residual, self.runs, strict=True)
+        )
 
     def baseline(self, noise: Sequence[Noise]) -> Baseline:
         """Return the model's columns and the residual on whitened rows."""
         matrices = [n.whiten(m, r) for n, m, r in zip(noise, self.columns, self.runs, strict=True)]
         torques = [n.whiten(t, r) for n, t, r in zip(noise, self.torque, self.runs, strict=True)]
         return Baseline.of(matrices, torques)
+
+
+def _runs(fit: Fit, rows: Rows, segments: Sequence[Processed]) -> tuple[Runs, ...]:
+    doubt = [doubt_along(fit.compiled, s, fit.shapes, fit.parameters) for s in segments]
+    usable = np.zeros((int(rows.segments[-1]), fit.model.n), dtype=bool)
+    for j, joint in enumerate(rows.joints):
+        usable[joint.instant, j] = True
+    return runs_of(usable, segments, np.concatenate(doubt))
 
 
 def _dense(rows: Rows) -> list[Array]:

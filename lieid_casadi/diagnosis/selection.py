@@ -24,6 +24,7 @@ from lieid_casadi.diagnosis.choosing import (
 )
 from lieid_casadi.diagnosis.evidence import Family
 from lieid_casadi.diagnosis.forward import best_set, column_stack, with_groups
+from lieid_casadi.diagnosis.plausible import beyond_motion, out_of_bounds
 from lieid_casadi.diagnosis.pruning import superfluous
 from lieid_casadi.diagnosis.rivals import FOLDS, rivals_of
 from lieid_casadi.diagnosis.scene import Scene
@@ -202,6 +203,10 @@ class Search:
         wanted = Model.of_placements(self.fit.model.robot, placements)
         start = np.concatenate([self.fit.shapes, point])
         fit = self.refit(wanted, ShapeStart(start, held=True))
+        against = out_of_bounds(fit, candidate.placement)
+        if against:
+            self._refuse(candidate, against)
+            return False
         before, after = self.fit.rms_cv, fit.rms_cv
         fall = 1.0 - after / before
         if np.nanmax(fall) < WORTH:
@@ -253,7 +258,14 @@ class Search:
         """Fit all shape parameters together at the end; steps before had them from the grid."""
         if not self.found or not len(self.fit.shapes):
             return scene
-        self.fit = self.refit(self.fit.model, ShapeStart(self.fit.shapes))
+        polished = self.refit(self.fit.model, ShapeStart(self.fit.shapes))
+        for placement in self._accepted:
+            against = out_of_bounds(polished, placement) or beyond_motion(
+                polished, placement, self.segments
+            )
+            if against:
+                return self._polished(self.without([placement], against, scene))
+        self.fit = polished
         self.found[-1] = replace(self.found[-1], fit=self.fit)
         return Scene.of(self.fit, self.segments, before=scene)
 

@@ -18,13 +18,14 @@ from lieid_casadi.diagnosis.evidence import Family
 from lieid_casadi.diagnosis.forward import column_stack
 from lieid_casadi.diagnosis.rivals import cross_validated_gain
 from lieid_casadi.diagnosis.screening import Baseline, screen
-from lieid_casadi.diagnosis.whitening import Runs
+from lieid_casadi.identification.noise_model import Runs
 
 Array = NDArray[np.float64]
 LEVEL = 1e-4  # family-wise
 LEAST = 0.08  # part of a joint's residual variance below which nothing is told
 ADDS = 0.25  # of what the signals before it explain: less, and a signal is not named
 MOST_SIGNALS = 3
+SLOW = 12  # half waves over a recording, up to which a function of time is smooth
 
 
 @dataclass(frozen=True)
@@ -200,9 +201,8 @@ def _bases(signals: SegmentSignals, ranges: dict[str, Array]) -> dict[str, Array
                 )
             else:
                 bases[f"{column}{i + 1}"] = np.polynomial.legendre.legvander(x, 5)[:, 1:]
-    time = signals.values["time"][:, 0]
-    x = 2.0 * time / max(float(ranges["time"][1, 0]), 1e-9) - 1.0
-    bases["t"] = np.polynomial.legendre.legvander(x, 5)[:, 1:]
+    part = signals.values["time"][:, 0] / max(float(ranges["time"][1, 0]), 1e-9)
+    bases["t"] = np.cos(np.pi * part[:, None] * np.arange(1, SLOW + 1))
     if signals.segment.temperature is not None:
         for i in range(signals.segment.n):
             low, high = ranges["temperature"][:, i]

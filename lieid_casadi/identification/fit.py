@@ -15,6 +15,7 @@ from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import EffectError, LieidWarning, ModelError
 from lieid_casadi.identification.certificate import Certificate
 from lieid_casadi.identification.conditioning import Conditioning
+from lieid_casadi.identification.noise_model import Noise
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording.processing import Processed, Processing
 from lieid_casadi.recording.recording import Recording
@@ -67,6 +68,8 @@ class Fit:
         for ``feasible``, else those nearest to the robot's nominal ones.
     noise : (n,)
         Standard deviation of the residual per joint, N·m.
+    residual_noise : tuple of Noise
+        Of each joint: the residual's size and memory, where dry friction is not in doubt.
     rms_train, rms_train_raw : (n,)
         Error on the training recordings, N·m: measured and predicted through the same filter,
         and raw, that is resampled to a uniform grid but not filtered.
@@ -90,6 +93,7 @@ class Fit:
     covariance: Array
     parameters: Array
     noise: Array
+    residual_noise: tuple[Noise, ...]
     rms_train: Array
     rms_train_raw: Array
     rms_cv: Array

@@ -20,6 +20,7 @@ from lieid_casadi.errors import FitFileError, LieidWarning, RobotError
 from lieid_casadi.identification.certificate import Certificate
 from lieid_casadi.identification.conditioning import Conditioning
 from lieid_casadi.identification.fit import Fit, Provenance, warning_list
+from lieid_casadi.identification.noise_model import Noise
 from lieid_casadi.model import Model
 from lieid_casadi.recording.atomic_file import atomic_binary
 from lieid_casadi.recording.processing import Processing
@@ -40,6 +41,14 @@ class RobotText(msgspec.Struct, forbid_unknown_fields=True):
     lock: list[str]
 
 
+class NoiseFile(msgspec.Struct, forbid_unknown_fields=True):
+    """The noise of one joint's residual."""
+
+    filter: list[float]
+    sigma: float
+    spread: float
+
+
 class Content(msgspec.Struct, forbid_unknown_fields=True):
     """Everything in a fit file."""
 
@@ -55,6 +64,7 @@ class Content(msgspec.Struct, forbid_unknown_fields=True):
     covariance: list[list[float | None]]
     parameters: list[float]
     noise: list[float]
+    residual_noise: list[NoiseFile]
     rms_train: list[float]
     rms_train_raw: list[float]
     rms_cv: list[float | None]
@@ -81,6 +91,9 @@ def save(fit: Fit, path: str | Path) -> None:
         covariance=[_nullable(row) for row in fit.covariance],
         parameters=fit.parameters.tolist(),
         noise=fit.noise.tolist(),
+        residual_noise=[
+            NoiseFile(e.filter.tolist(), e.sigma, e.spread) for e in fit.residual_noise
+        ],
         rms_train=fit.rms_train.tolist(),
         rms_train_raw=fit.rms_train_raw.tolist(),
         rms_cv=_nullable(fit.rms_cv),
@@ -112,6 +125,9 @@ def load(path: str | Path) -> Fit:
             covariance=_matrix(content.covariance),
             parameters=np.array(content.parameters),
             noise=np.array(content.noise),
+            residual_noise=tuple(
+                Noise(np.array(e.filter), e.sigma, e.spread) for e in content.residual_noise
+            ),
             rms_train=np.array(content.rms_train),
             rms_train_raw=np.array(content.rms_train_raw),
             rms_cv=np.array([np.nan if x is None else x for x in content.rms_cv]),

@@ -39,6 +39,7 @@ from lieid_casadi.identification.least_squares import (
     remaining_fraction,
     solve,
 )
+from lieid_casadi.identification.noise_model import residual_noise
 from lieid_casadi.identification.prediction import predict_recording, training_errors
 from lieid_casadi.identification.shape_fit import shape_columns
 from lieid_casadi.identification.weights import ESTIMATORS
@@ -148,6 +149,7 @@ def identify(
         covariance=_covariance(design, state),
         parameters=state.parameters,
         noise=state.weighting.noise,
+        residual_noise=residual_noise(compiled, segments, state),
         rms_train=rms,
         rms_train_raw=rms_raw,
         rms_cv=cross_validated_rms(folds, estimate),

@@ -76,6 +76,17 @@ class Rows:
         """Return measured − predicted torque per joint (R,)."""
         return self._collected(lambda joint: joint.torque - joint.matrix @ values[joint.columns])
 
+    def on_time_line(self, values: Array) -> Array:
+        """Return the residuals on the common time line (instants, n); NaN where there is no row."""
+        line = np.full((int(self.segments[-1]), len(self.columns)), np.nan)
+        first = 0
+        for part, _ in self.stretches():
+            for j, joint in enumerate(part.joints):
+                residual = joint.torque - joint.matrix @ values[joint.columns]
+                line[first + joint.instant, j] = residual
+            first += int(part.segments[-1])
+        return line
+
     def predicted(self, values: Array) -> Array:
         """Return the predicted torque of all rows, joint after joint."""
         return np.concatenate(self._collected(lambda joint: joint.matrix @ values[joint.columns]))

@@ -49,8 +49,11 @@ def test_one_hidden_effect_is_named(name, joint, strength):
     assert diagnosis.verdict == "effect_found"
     (step,) = diagnosis.steps
     assert step.rms_test[joint] < 0.8 * diagnosis.baseline_test[joint]
-    # as good as the noise lets any model be
-    assert step.rms_test[joint] < 1.2 * diagnosis.noise_floor[joint]
+    knowing = lieid.identify(
+        lieid.Model(ROBOT, [*MODEL.effects, step.label]), train, processing=diagnosis.fit.processing
+    )
+    assert step.rms_test[joint] < 1.02 * lieid.compare(knowing, test).rms[joint]
+    assert step.rms_test[joint] < 1.3 * diagnosis.noise_floor[joint]
     assert step.evidence.confirmed
     assert step.evidence.log10_p < -5
 

@@ -9,13 +9,13 @@ from lieid_casadi.diagnosis.forward import Price, best_set, column_stack
 from lieid_casadi.diagnosis.rivals import cross_validated_gain, rivals_of
 from lieid_casadi.diagnosis.screening import Baseline, screen
 from lieid_casadi.diagnosis.unexplained import Smooth
-from lieid_casadi.diagnosis.whitening import Noise, Runs, noise_of
+from lieid_casadi.identification.noise_model import Noise, Runs, noise_of
 
 ROWS = 300
 
 
 def runs():
-    return [Runs((np.arange(ROWS),)) for _ in range(2)]
+    return [Runs((np.arange(ROWS),), np.zeros(ROWS)) for _ in range(2)]
 
 
 def arena(seed=0, groups=6, width=2):
@@ -118,7 +118,7 @@ def test_autoregression_whitens_its_own_noise():
     series, white = np.zeros(4000), random.normal(size=4000)
     for k in range(2, 4000):
         series[k] = 1.2 * series[k - 1] - 0.5 * series[k - 2] + 0.3 * white[k]
-    runs_ = Runs((np.arange(2500), np.arange(2500, 4000)))
+    runs_ = Runs((np.arange(2500), np.arange(2500, 4000)), np.zeros(4000))
     noise = noise_of(series, runs_, 1.0)
     assert noise.order >= 2
     np.testing.assert_allclose(noise.filter[1:3], [-1.2, 0.5], atol=0.06)
@@ -129,10 +129,23 @@ def test_autoregression_whitens_its_own_noise():
 
 
 def test_white_noise_stays_as_it_is():
-    noise = Noise(np.ones(1), 2.0)
+    noise = Noise.white(2.0)
     np.testing.assert_allclose(
-        noise.whiten(np.arange(5.0), Runs((np.arange(5),))), np.arange(5) / 2
+        noise.whiten(np.arange(5.0), Runs((np.arange(5),), np.zeros(5))), np.arange(5) / 2
     )
+
+
+def test_rows_in_doubt_count_for_as_much_as_they_are_sure():
+    random = np.random.default_rng(5)
+    doubt = np.where(np.arange(20_000) % 4 == 0, 3.0, 0.0)
+    series = random.standard_normal(20_000) * np.hypot(0.5, doubt)
+    runs_ = Runs((np.arange(20_000),), doubt)
+    noise = noise_of(series, runs_)
+    assert noise.spread == pytest.approx(0.5, rel=0.03)
+    whitened = noise.whiten(series, runs_)
+    rows = noise.instants(runs_)
+    for sure in (doubt[rows] == 0.0, doubt[rows] > 0.0):
+        assert np.std(whitened[sure]) == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_column_of_zeros_does_not_hide_its_group():

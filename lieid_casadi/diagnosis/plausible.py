@@ -1,0 +1,40 @@
+"""Whether numbers that a refit found can be what the effect says they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lieid_casadi.diagnosis.candidates import shape_limits
+from lieid_casadi.effects import Placement
+from lieid_casadi.identification import Fit
+from lieid_casadi.recording import Processed
+
+SPARE = 0.5  # of the least shape that a motion shows
+
+
+def out_of_bounds(fit: Fit, placement: Placement) -> str:
+    """Return which coefficient of an effect has a sign that the physics rules out, or nothing."""
+    columns = fit.model.columns
+    for column, value in zip(columns, fit.effect_coefficients, strict=True):
+        if _of(placement, column.name, column.joint) and value < column.lower:
+            return f"{column.label} = {value:.2g} {column.unit} cannot be"
+    return ""
+
+
+def beyond_motion(fit: Fit, placement: Placement, segments: Sequence[Processed]) -> str:
+    """Return which shape parameter left what the motion can show, or nothing.
+
+    A width in velocity below the dead zone is made of samples whose sign is anyone's guess.
+    """
+    shapes = {shape.name: shape for shape in placement.effect.shapes}
+    for parameter, value in zip(fit.model.shapes, fit.shapes, strict=True):
+        if _of(placement, parameter.name, parameter.joint):
+            name = parameter.name.rpartition(".")[2]
+            least, _ = shape_limits(shapes[name], segments, placement.joint)
+            if value < SPARE * least:
+                return f"{parameter.label} = {value:.2g} {parameter.unit} is less than motion shows"
+    return ""
+
+
+def _of(placement: Placement, name: str, joint: int | None) -> bool:
+    return joint == placement.joint and name.rpartition(".")[0] == placement.effect.label
