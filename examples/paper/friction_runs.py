@@ -1,0 +1,76 @@
+"""Runs of single joints to and fro (6.4.2), in poses that load them."""
+
+from __future__ import annotations
+
+import numpy as np
+from arm import HEAVIEST, ROBOT, Array, N, with_payload
+
+import lieid_casadi as lieid
+from lieid_casadi.excitation.friction_sweep import friction_sweep
+
+SWEEP_RATE = 200.0
+SECONDS = 3.0  # of a run at constant speed
+EDGE = np.deg2rad(50.0)  # room for a run on both sides of the middle
+SWINGS = (0.5, 1.0, 2.0, 4.0)  # rad/s² of joint 1, whose load is inertia alone
+
+
+def friction_runs(
+    joint: int, speeds: tuple[float, ...], centres: int
+) -> list[tuple[Array, Array, Array, Array]]:
+    """Return t, q, dq, ddq of each run to and fro of one joint (from 0), as many as centres."""
+    pose, middles = _loading_pose(joint, centres)
+    runs = []
+    for centre in middles:
+        start = pose.copy()
+        start[joint] = centre
+        sweep = friction_sweep(
+            lieid.Model(ROBOT),
+            joint,
+            speeds=speeds,
+            seconds=SECONDS,
+            start_pose=start,
+            rate=SWEEP_RATE,
+        ).motion
+        runs.append((sweep.t, sweep.q, sweep.dq, sweep.ddq))
+    if joint == 0:
+        runs += [_swing(start, a, max(speeds)) for a in SWINGS]
+    return runs
+
+
+def _loading_pose(joint: int, count: int) -> tuple[Array, Array]:
+    """Return a pose that loads a joint (from 0), and middles with little to much load.
+
+    Of 400 random ones, the pose with the largest gravity torque under the heaviest payload that
+    every drive can bear; of joint 1 the one with the largest inertia.
+    """
+    lower, upper = ROBOT.limit("position_lower") + EDGE, ROBOT.limit("position_upper") - EDGE
+    random = np.random.default_rng(joint)
+    path = np.linspace(lower[joint], upper[joint], 37)
+    bearable = 0.8 * ROBOT.limit("torque")
+    arm = lieid.compile(lieid.Model(ROBOT))
+    links = with_payload(ROBOT.link_parameters, HEAVIEST)
+    push = np.zeros((len(path), N))
+    push[:, joint] = 1.0 if joint == 0 else 0.0
+    best, largest = np.zeros(N), np.zeros(len(path))
+    for _ in range(400):
+        q = np.tile(random.uniform(lower, upper), (len(path), 1))
+        q[:, joint] = path
+        torque = np.abs(arm.inverse_dynamics(q, 0.0 * q, push, links))
+        if np.all(torque <= bearable) and torque[:, joint].max() > largest.max():
+            best, largest = q[0], torque[:, joint]
+    if joint == 0:  # what it feels does not depend on where it stands
+        return best, np.linspace(-1.0, 1.0, count)
+    wanted = np.linspace(largest.min(), largest.max(), count)
+    return best, np.unique(path[[int(np.argmin(np.abs(largest - w))) for w in wanted]])
+
+
+def _swing(pose: Array, acceleration: float, fastest: float) -> tuple[Array, Array, Array, Array]:
+    """Return a minute of joint 1 to and fro: its load is inertia, the same both ways."""
+    omega = acceleration / fastest
+    t = np.arange(0.0, 60.0, 1.0 / SWEEP_RATE)
+    q = np.tile(pose, (len(t), 1))
+    dq, ddq = np.zeros_like(q), np.zeros_like(q)
+    q[:, 0] += fastest / omega * np.sin(omega * t)
+    dq[:, 0] = fastest * np.cos(omega * t)
+    ddq[:, 0] = -acceleration * np.sin(omega * t)
+    return t, q, dq, ddq

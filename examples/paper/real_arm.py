@@ -1,0 +1,206 @@
+"""The same columns from recordings of a real arm, as far as they allow."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from figure_5 import draw_curve
+from figure_7 import MODELS, prediction_error
+from lab import EQ_10, EQ_16, EQ_18, REF_6
+from measure import Errors, errors
+from page import Claim, Section, joints, listed, show, table
+from tables_5_6 import draw
+
+import lieid_casadi as lieid
+from lieid_casadi.friction import FrictionFit, fit_friction, friction_curve
+from lieid_casadi.recording import Processing, Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lieid_casadi.friction import FrictionCurve
+
+UR10E_GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)  # N·m/A, with the recordings
+CUTOFF = Processing(cutoff=7.0)
+SHOWN_SECONDS = 15.0
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """An arm's recordings: to identify from, to test with, and of one joint to and fro.
+
+    ``joint`` counts from 0; ``constants`` (N·m/A) turn currents into torques.
+    """
+
+    name: str
+    robot: Path
+    train: tuple[Path, ...]
+    test: tuple[Path, ...]
+    alone: Path | None = None
+    joint: int = 0
+    constants: tuple[float, ...] | None = None
+
+    def load(self, path: Path) -> Recording:
+        """Read one recording."""
+        return Recording.load(path, torque_constants=self.constants)
+
+
+def ur10e() -> Recorded | None:
+    """Return the UR10e under LIEID_RECORDINGS, or None where it is not."""
+    stated = os.environ.get("LIEID_RECORDINGS")
+    folder = Path(stated) / "ur10e" if stated else None
+    if folder is None or not folder.is_dir():
+        return None
+    return Recorded(
+        "UR10e",
+        folder / "ur10e.urdf",
+        tuple(folder / f"excitation_{k}s.csv.gz" for k in (30, 50)),
+        (folder / "excitation_14_harmonics.csv.gz",),
+        folder / "joint_2_alone_currents.csv.gz",
+        1,
+        UR10E_GAINS,
+    )
+
+
+def section(recorded: Recorded | None) -> Section:
+    """Make Tables V and VI and Figs. 5 to 7 from recordings."""
+    if recorded is None:
+        return Section(
+            "A real arm",
+            "No recordings of a real arm were at hand when this page was made, so this part is "
+            "left out: set `LIEID_RECORDINGS` to the folder that has `ur10e/`, or give `--robot`, "
+            ""
+            "`--train` and `--test`.",
+        )
+    robot = lieid.Robot.load(recorded.robot)
+    train, test = ([recorded.load(p) for p in paths] for paths in (recorded.train, recorded.test))
+    fits = {
+        title: lieid.identify(
+            lieid.Model(robot, effects=f"armature,{effects}"),
+            train,
+            method=method,
+            processing=CUTOFF,
+        )
+        for title, effects, method in (
+            ("Eq. 10", EQ_10, "wls"),
+            ("Eq. 16", EQ_16, "wls"),
+            ("ref. 6", REF_6, "feasible"),
+            ("Eq. 18", f"{EQ_18},offset", "wls"),
+        )
+    }
+    seen, unseen = ({k: errors(fit, r) for k, fit in fits.items()} for r in (train, test))
+    body = (
+        f"{recorded.name}, torque from motor currents, {CUTOFF.cutoff:g} Hz. No payload was on it "
+        "and no temperature recorded, so Table IV has no true column, and there is nothing for "
+        "6.5.2 but one joint. Models as above with `armature`, which drives measured by their "
+        "current need; Eq. 18 is fitted to the excitation in one go.\n\n"
+        f"**Identification** ({', '.join(_stem(p) for p in recorded.train)}) and **another "
+        f"trajectory** ({', '.join(_stem(p) for p in recorded.test)})\n\n"
+        + table(["", "", *joints(robot.n), "sum"], [*_rows(seen, "V"), *_rows(unseen, "VI")])
+        + "\n![Measured and estimated torques](figures/recorded_6.png)\n"
+    )
+    claims = [
+        *_claims(recorded.name, seen, "as Table V"),
+        *_claims(recorded.name, unseen, "as Table VI"),
+    ]
+    pictures = {"recorded_6": draw(unseen["Eq. 16"], SHOWN_SECONDS)}
+    if recorded.alone is not None:
+        text, claim, picture = _friction(recorded, fits["Eq. 18"])
+        body += text
+        claims.append(claim)
+        pictures["recorded_5"] = picture
+    return Section(f"A real arm: {recorded.name}", body, tuple(claims), pictures)
+
+
+def _stem(path: Path) -> str:
+    return f"`{path.name.split('.')[0]}`"
+
+
+def _rows(found: dict[str, Errors], name: str) -> list[list[str | float]]:
+    rows: list[list[str | float]] = [
+        [f"as Table {name}, {title}", "RMS", *map(float, e.rms), e.total]
+        for title, e in found.items()
+    ]
+    return rows + [
+        [f"as Table {name}, {title}", "σ", *map(float, e.correlation), "–"]
+        for title, e in found.items()
+    ]
+
+
+def _claims(arm: str, found: dict[str, Errors], where: str) -> list[Claim]:
+    claims = []
+    for better, other in (("Eq. 16", "Eq. 10"), ("Eq. 16", "ref. 6"), ("Eq. 18", "Eq. 16")):
+        larger = np.flatnonzero(found[better].rms >= found[other].rms)
+        change = found[better].total / found[other].total - 1.0
+        claims.append(
+            Claim(
+                f"{arm}, {where}",
+                f"{better} leaves smaller residuals than {other} in all joints",
+                len(larger) == 0,
+                f"larger on joints {listed(larger)}; sum {100 * change:+.1f} %",
+                ranking=True,
+            )
+        )
+    return claims
+
+
+def _friction(recorded: Recorded, whole: lieid.Fit) -> tuple[str, Claim, Figure]:
+    """Fit the four models to the first half of one joint's motion and test on the second."""
+    assert recorded.alone is not None
+    alone = recorded.load(recorded.alone)
+    middle = float(0.5 * (alone.t[0] + alone.t[-1]))
+    first, second = (
+        friction_curve(whole, part, recorded.joint, processing=CUTOFF)
+        for part in (alone.cut(None, middle), alone.cut(middle, None))
+    )
+    fits = {model: fit_friction(first, model) for model in MODELS}
+    found = {model: prediction_error(fit, second) for model, fit in fits.items()}
+    rows: list[list[str | float]] = [
+        [title, fits[m].rms, fits[m].correlation, found[m]] for m, title in MODELS.items()
+    ]
+    others = [found[m] for m in list(MODELS)[1:]]
+    text = (
+        f"\n**As Figs. 5 and 7**: joint {recorded.joint + 1} alone to and fro "
+        f"({_stem(recorded.alone)}), {_range(first)}; models fitted to the first half of the "
+        "recording and tested on the second, N·m.\n\n"
+        + table(["model", "RMS, fitted", "σ, fitted", "RMS, second half"], rows)
+        + "\n![Friction over speed, coloured by load](figures/recorded_5.png)\n"
+    )
+    claim = Claim(
+        f"{recorded.name}, as 6.5.2",
+        "Eq. 8 has the smallest error of the four friction models on motion it has not seen",
+        found["paper"] < min(others),
+        f"{found['paper']:.3f} N·m; the others {', '.join(f'{x:.3f}' for x in others)}",
+        ranking=True,
+    )
+    return text, claim, _draw(fits["paper"], fits["he2021"])
+
+
+def _range(curve: FrictionCurve) -> str:
+    return (
+        f"{np.rad2deg(curve.speed.min()):.2g} to {np.rad2deg(curve.speed.max()):.3g} °/s under "
+        f"{curve.load.min():.2g} to {curve.load.max():.3g} N·m"
+    )
+
+
+def _draw(*fits: FrictionFit) -> Figure:
+    from matplotlib import colormaps
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(1, len(fits), figsize=(8.5, 3.4), sharey=True, layout="constrained")
+    curve = fits[0].curve
+    speed = np.rad2deg(np.geomspace(curve.speed.min(), curve.speed.max(), 80))
+    for axis, fit, title in zip(axes, fits, (MODELS["paper"], MODELS["he2021"]), strict=True):
+        draw_curve(axis, fit, speed, colormaps["viridis"])
+        axis.set_title(f"{title}, {axis.get_title(loc='left')}", loc="left", fontsize=9)
+    figure.supxlabel("speed, °/s (bright: much load)", fontsize=9)
+    figure.supylabel("friction, N·m", fontsize=9)
+    return figure
+
+
+if __name__ == "__main__":
+    show(section(ur10e()))
