@@ -4,8 +4,7 @@ Ipopt gets the limits' peaks on a fine time grid as its rows, some hundred in pl
 As soon as an iterate breaks a limit that is not among them, its peaks become rows and Ipopt goes
 on from there, or from the iterate before where the breach is large. The Hessian is a damped BFGS
 matrix of ours that outlives runs and stages; Ipopt's own limited-memory one forgets at each. The
-barrier parameter falls from stage to stage, together with the smoothing of the criterion. With all
-samples as rows and the limited-memory Hessian the same Ipopt needs some twenty times as long.
+barrier parameter falls from stage to stage, together with the smoothing of the criterion.
 """
 
 from __future__ import annotations

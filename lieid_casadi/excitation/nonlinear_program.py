@@ -41,12 +41,15 @@ class Program(Protocol):
         """Return the Lagrangian's Hessian (m, m), or what stands for it."""
 
     def done(self, z: Array) -> bool:
-        """Take note of an iterate; whether to stop there."""
+        """Take note of an iterate (the first is where the run begins); whether to stop there."""
 
 
 @dataclass(eq=False)
 class Failure:
-    """What our functions raised; C++ between them and us would lose it."""
+    """What our functions raised; C++ between them and us would print it and go on.
+
+    From then on all of them are not a number, and Ipopt gives up.
+    """
 
     exception: BaseException | None = None
 
@@ -90,13 +93,7 @@ def run_ipopt(
     }  # fmt: skip
     nlp = {"x": x, "f": functions["f"](x), "g": functions["g"](x)}
     solver = ca.nlpsol("excitation", "ipopt", nlp, options)
-    try:
-        result = solver(
-            x0=z, lbx=z - reach, ubx=z + reach, lbg=-np.inf, ubg=0.0, lam_g0=multipliers
-        )
-    except RuntimeError:
-        if failure.exception is None:
-            raise
+    result = solver(x0=z, lbx=z - reach, ubx=z + reach, lbg=-np.inf, ubg=0.0, lam_g0=multipliers)
     if failure.exception is not None:
         raise failure.exception
     return np.asarray(result["lam_g"].full().ravel())
@@ -175,11 +172,10 @@ class _Function(ca.Callback):
         return self._outputs[i]
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
-        if self._failure.exception is not None:  # Ipopt tries again elsewhere
-            raise self._failure.exception
-        try:
-            values = self._rule(*(np.asarray(argument).ravel() for argument in arguments))
-        except BaseException as exception:  # kept, and raised again beyond Ipopt
-            self._failure.exception = exception
-            raise
-        return [ca.DM(s, v) for s, v in zip(self._outputs, values, strict=True)]
+        if self._failure.exception is None:
+            try:
+                values = self._rule(*(np.asarray(argument).ravel() for argument in arguments))
+                return [ca.DM(s, v) for s, v in zip(self._outputs, values, strict=True)]
+            except BaseException as exception:  # noqa: BLE001 (raised again beyond Ipopt)
+                self._failure.exception = exception
+        return [ca.DM(s, np.full(s.nnz(), np.nan)) for s in self._outputs]

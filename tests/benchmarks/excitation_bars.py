@@ -25,15 +25,18 @@ SPEED = 1.0  # m/s
 LEVEL = 12.75
 
 
-def panda(starts=10, peers=4):
+def panda_problem(solver="ipopt"):
     """43 inertial columns, 5 harmonics at 0.05 Hz, 5 rad/s², free start, 100 samples."""
-    model = lieid.Model(lieid.robots.panda())
     design = make_design(
-        model, basis=make(), criterion="condition", constraints=(), acceleration=5.0,
-        free_start=True,
+        lieid.Model(lieid.robots.panda()), basis=make(), criterion="condition", constraints=(),
+        acceleration=5.0, free_start=True, solver=solver,
     )  # fmt: skip
+    return Problem(design)
+
+
+def panda(starts=10, peers=4):
     began = time.perf_counter()
-    problem = Problem(design)
+    problem = panda_problem()
     say(f"panda: built in {time.perf_counter() - began:.2f} s")
     ours, reached = [], []
     for seed in range(starts):
@@ -76,7 +79,7 @@ def panda(starts=10, peers=4):
     say(f"  cond {LEVEL}, medians: {mine:.3f} s here, {other:.3f} s SLSQP: {other / mine:.1f} x")
 
 
-def limits(starts=10):
+def limits_problem(solver="ipopt"):
     """The same with torque, Cartesian speed, floor and self-collision, at rest at the middle."""
     robot = lieid.robots.panda()
     links = capsules_of(robot)
@@ -85,9 +88,14 @@ def limits(starts=10):
         constraints=(
             Torque(), CartesianSpeed(SPEED), floor(capsules=links), SelfCollision(0.02, links),
         ),
+        solver=solver,
     )  # fmt: skip
+    return Problem(design)
+
+
+def limits(starts=10):
     began = time.perf_counter()
-    problem = Problem(design)
+    problem = limits_problem()
     say(f"all limits ({SPEED:g} m/s): built in {time.perf_counter() - began:.2f} s")
     report(problem, starts)
 
@@ -106,20 +114,24 @@ def report(problem, starts):
         )
 
 
-def ur10e(starts=5, seconds=20.0):
+def ur10e_problem(solver="ipopt", duration=20.0):
     """Inertial, Coulomb, viscous and offset columns, torque limits and self-collision."""
+    robot = lieid.Robot.from_urdf(UR10E)
+    design = make_design(
+        lieid.Model(robot, effects=["coulomb", "viscous", "offset"]),
+        basis=make(duration=duration), criterion="condition",
+        constraints=(Torque(), SelfCollision(0.02, capsules_of(robot))), solver=solver,
+    )  # fmt: skip
+    return Problem(design)
+
+
+def ur10e(starts=5, seconds=20.0):
     if not UR10E.exists():
         say(f"ur10e: skipped, no {UR10E}")
         return
-    robot = lieid.Robot.from_urdf(UR10E)
-    model = lieid.Model(robot, effects=["coulomb", "viscous", "offset"])
-    constraints = (Torque(), SelfCollision(0.02, capsules_of(robot)))
     for duration in (20.0, 12.0):
-        design = make_design(
-            model, basis=make(duration=duration), criterion="condition", constraints=constraints
-        )
         began = time.perf_counter()
-        problem = Problem(design)
+        problem = ur10e_problem(duration=duration)
         say(f"ur10e, {duration:g} s: built in {time.perf_counter() - began:.2f} s")
         report(problem, starts)
         log = run_slsqp(

@@ -1,0 +1,222 @@
+"""The solvers behind one interface: optima, limits between the samples, Ctrl-C, time limits."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import ExcitationError
+from lieid_casadi.excitation import Torque, excite
+from lieid_casadi.excitation.basis import make
+from lieid_casadi.excitation.design import Problem
+from lieid_casadi.excitation.excite import make_design
+from lieid_casadi.excitation.ipopt import Ipopt
+from lieid_casadi.excitation.nonlinear_program import run_ipopt
+from lieid_casadi.excitation.solve import SOLVERS
+from lieid_casadi.excitation.solver import Outcome
+from lieid_casadi.plant.rigid import build_pinocchio
+
+PANDA = lieid.robots.panda()
+both = pytest.mark.parametrize("solver", list(SOLVERS))
+
+
+@both
+def test_torques_and_joint_limits_hold_between_the_samples(solver):
+    import pinocchio as pin
+
+    found = excite(
+        lieid.Model(PANDA), criterion="condition", constraints=[Torque(0.9)], acceleration=5.0,
+        starts=1, solver=solver,
+    )  # fmt: skip
+    motion = found.motion(500.0)
+    model = build_pinocchio(PANDA)
+    data = model.createData()
+    signals = zip(motion.q, motion.dq, motion.ddq, strict=True)
+    torques = np.array([pin.rnea(model, data, *sample).copy() for sample in signals])
+    assert np.all(np.abs(torques) <= 0.9 * PANDA.limit("torque"))
+    assert np.all(motion.q >= PANDA.limit("position_lower"))
+    assert np.all(motion.q <= PANDA.limit("position_upper"))
+    assert np.all(np.abs(motion.dq) <= PANDA.limit("velocity"))
+    assert np.abs(motion.ddq).max() <= 5.0
+    assert found.max_violation == 0.0
+    assert found.condition_number < 15.0
+    assert found.to_dict()["solver"] == solver
+    assert {"ipopt": "Ipopt", "sqp": "quadratic"}[solver] in found.summary()
+
+
+@both
+def test_interruption_keeps_a_trajectory_that_holds(solver):
+    calls = []
+
+    def progress(stage, fraction):
+        calls.append(stage)
+        if len(calls) == 50:
+            raise KeyboardInterrupt
+
+    found = excite(lieid.Model(PANDA), starts=2, progress=progress, solver=solver)
+    assert found.interrupted
+    assert found.max_violation == 0.0
+    assert len(calls) == 50
+
+
+@both
+def test_the_time_limit_ends_with_what_holds(solver):
+    found = excite(lieid.Model(PANDA), starts=1, time_limit=0.05, solver=solver)
+    assert found.max_violation == 0.0
+    full = excite(lieid.Model(PANDA), starts=1, solver=solver)
+    assert len(found.history) < len(full.history)
+
+
+@both
+def test_all_criteria_fall(solver):
+    """Each criterion ends below where its start was, and below the other criteria's optima."""
+    options = {"duration": 6.0, "starts": 2, "solver": solver}
+    model = lieid.Model(lieid.robots.two_link())
+    volume = excite(model, criterion="logdet", **options)
+    condition = excite(model, criterion="condition", **options)
+    assert volume.neg_log_det < condition.neg_log_det
+    assert condition.condition_number < volume.condition_number
+    assert volume.history[-1].value < volume.history[0].value
+
+
+def test_an_unknown_solver(tmp_path, capsys):
+    model = lieid.Model(lieid.robots.two_link())
+    with pytest.raises(ExcitationError, match=r"solver: 'snopt'; expected one of ipopt, sqp"):
+        excite(model, solver="snopt")
+    target = tmp_path / "x"
+    with pytest.raises(SystemExit, match="2"):
+        main(["excite", "two_link", "-o", str(target), "--solver", "snopt"])
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "snopt" in told
+    assert not target.exists()
+
+
+def test_the_solver_is_recorded(tmp_path):
+    quick = ["--duration", "6", "--starts", "1", "--rate", "100", "--solver", "sqp"]
+    assert main(["excite", "two_link", "-o", str(tmp_path / "x"), *quick]) == 0
+    assert json.loads((tmp_path / "x" / "excitation.json").read_text())["solver"] == "sqp"
+
+
+@pytest.fixture(scope="module")
+def problem():
+    robot = lieid.robots.two_link()
+    design = make_design(
+        lieid.Model(robot), basis=make(duration=6.0), criterion="condition", constraints=()
+    )
+    return Problem(design)
+
+
+@both
+def test_a_quadratic_objective_within_linear_limits(problem, solver):
+    """The optimum of a convex problem, by its optimality conditions from another program."""
+    from scipy.optimize import minimize
+
+    size = problem.parametrization.size
+    target = np.random.default_rng(3).normal(size=size)
+
+    def objective(z):
+        away = z - target
+        return Outcome(0.5 * float(away @ away), away, np.eye(1), np.zeros(0), np.zeros((0, size)))
+
+    constraints = problem.constraints(1)
+    made = SOLVERS[solver](constraints, size)
+    z = np.zeros(size)
+    for _ in range(8):
+        z = made.minimize(objective, z, iterations=200, tolerance=1e-9)
+
+    def slack(z):
+        excess = constraints.excess(constraints.sampled.motion(z))
+        return -np.concatenate([side.ravel() for pair in excess for side in pair])
+
+    held = minimize(
+        lambda z: objective(z).value, np.zeros(size), jac=lambda z: objective(z).gradient,
+        constraints={"type": "ineq", "fun": slack}, method="SLSQP",
+        options={"maxiter": 500, "ftol": 1e-12},
+    )  # fmt: skip
+    assert held.success
+    assert np.isclose(objective(z).value, held.fun, rtol=2e-3)
+    assert slack(z).min() > -5e-3
+
+
+class Rosenbrock:
+    """Within the unit disc: the optimum is on its edge, near (0.7864, 0.6177)."""
+
+    pattern = np.ones((1, 2), dtype=bool)
+    linear = False
+
+    def __init__(self, failure=None, where="done", when=3):
+        self.failure, self.where, self.left = failure, where, when
+        self.iterates = []
+
+    def may_fail(self, where):
+        if self.failure is not None and where == self.where:
+            self.left -= 1
+            if self.left <= 0:
+                raise self.failure
+
+    def value(self, z):
+        self.may_fail("value")
+        return (1.0 - z[0]) ** 2 + 100.0 * (z[1] - z[0] ** 2) ** 2
+
+    def gradient(self, z):
+        self.may_fail("gradient")
+        steep = 200.0 * (z[1] - z[0] ** 2)
+        return np.array([-2.0 * (1.0 - z[0]) - 2.0 * z[0] * steep, steep])
+
+    def limits(self, z):
+        return np.array([z @ z - 1.0])
+
+    def slopes(self, z):
+        return 2.0 * z[None]
+
+    def hessian(self, z, multipliers):
+        self.may_fail("hessian")
+        curved = [[2.0 - 400.0 * (z[1] - 3.0 * z[0] ** 2), -400.0 * z[0]], [-400.0 * z[0], 200.0]]
+        return np.array(curved) + 2.0 * multipliers[0] * np.eye(2)
+
+    def done(self, z):
+        self.iterates.append(z.copy())
+        self.may_fail("done")
+        return False
+
+
+def test_ipopt_with_an_exact_hessian():
+    program = Rosenbrock()
+    multipliers = run_ipopt(
+        program, np.zeros(2), np.zeros(1), reach=2.0, barrier=1e-9, iterations=100
+    )
+    z = program.iterates[-1]
+    np.testing.assert_allclose(z, [0.78641, 0.61770], atol=1e-5)
+    np.testing.assert_allclose(
+        program.gradient(z) + multipliers @ program.slopes(z), 0.0, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("where", ["value", "gradient", "hessian", "done"])
+@pytest.mark.parametrize("failure", [KeyboardInterrupt(), ValueError("ours")])
+def test_what_our_functions_raise_comes_through_ipopt(failure, where, capfd):
+    program = Rosenbrock(failure, where)
+    with pytest.raises(type(failure)):
+        run_ipopt(program, np.zeros(2), np.zeros(1), reach=2.0, barrier=1e-9, iterations=100)
+    assert program.left == 0
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_run_stops_where_a_limit_was_overlooked(problem):
+    """Without rows an objective that pulls outwards would leave every limit behind."""
+    size = problem.parametrization.size
+
+    def outwards(z):
+        return Outcome(-float(z.sum()), -np.ones(size), np.eye(1), np.zeros(0), np.zeros((0, size)))
+
+    seen = []
+    solver = Ipopt(problem.constraints(2), size, lambda iteration: seen.append(iteration.state))
+    z = solver.minimize(outwards, np.zeros(size), iterations=80, tolerance=1e-6)
+    assert max(state.violation for state in seen) < 1.0
+    constraints = problem.constraints(2)
+    assert constraints.largest(constraints.excess(constraints.sampled.motion(z))) < 0.01
+    assert replace(seen[-1].outcome).value < -0.5
