@@ -41,6 +41,8 @@ ORDER = (
     "comparison",
     "diagnosis",
     "discrimination",
+    "payload",
+    "gains",
     "report",
     "plant",
     "errors",

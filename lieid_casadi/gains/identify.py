@@ -151,13 +151,19 @@ def _check(model: Model, empty: Sequence[Recording], full: Sequence[Recording]) 
                 f"{name}: the current i{still[0] + 1} is the same in every row "
                 f"({recording.current[0, still[0]]:g} A); expected what the motor drew"
             )
-    same = {r.source_hash for r in empty if r.source_hash} & {r.source_hash for r in full}
-    for recording in full:
-        if recording.source_hash in same:
-            raise IdentificationError(
-                f"{recording.name or 'recording'}: given as unloaded and as loaded; expected "
-                "different recordings"
-            )
+    for one in empty:
+        for other in full:
+            if _overlap(one, other):
+                raise IdentificationError(
+                    f"{other.name or 'recording'}: given as unloaded and as loaded; expected "
+                    "different recordings"
+                )
+
+
+def _overlap(one: Recording, other: Recording) -> bool:
+    """Whether two recordings share rows of one source."""
+    same = bool(one.source_hash) and one.source_hash == other.source_hash
+    return bool(same and one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1])
 
 
 def _in_amperes(recording: Recording) -> Recording:

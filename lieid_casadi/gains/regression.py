@@ -17,8 +17,8 @@ from lieid_casadi.identification.least_squares import Factor, combine, joint_fac
 
 Array = NDArray[np.float64]
 BODY = 10
-ROUNDS = 100
-SETTLED = 1e-6  # of the gains
+ROUNDS = 20
+SETTLED = 1e-5  # of the gains
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ from lieid_casadi.identification.least_squares import Factor
 Array = NDArray[np.float64]
 RANK = 1e-9  # of scaled columns
 SHOWN = 1e-6  # of the known column's norm that the others leave
+MOST_STEPS = 50  # of the search
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +87,7 @@ def most_likely(factors: Sequence[Factor], start: NullVector, noise: Array) -> N
         σ_j of the currents, A.
     """
     n = len(noise)
-    there = np.flatnonzero(start.gains)
+    there = [int(j) for j in np.flatnonzero(start.gains)]
     current = [factors[j].r[:, j] / noise[j] for j in there]
     torque = [-factors[j].r[:, n:] / noise[j] for j in there]
 
@@ -107,7 +108,7 @@ def most_likely(factors: Sequence[Factor], start: NullVector, noise: Array) -> N
 
     first = np.concatenate([1.0 / start.gains[there], start.others])
     x = least_squares(
-        error, first, slopes, x_scale="jac", max_nfev=200, ftol=1e-12, xtol=1e-12, gtol=1e-12
+        error, first, slopes, x_scale="jac", max_nfev=MOST_STEPS, ftol=1e-12, xtol=1e-12, gtol=1e-12
     ).x
     gains = np.zeros(n)
     gains[there] = 1.0 / x[: len(there)]

@@ -108,14 +108,15 @@ LABELS = tuple(name.replace("mc", "m·c") for name in LINK_PARAMETER_NAMES)
 
 def of_the_fit(fit: Fit, recordings: Sequence[Recording]) -> list[LieidWarning]:
     """Tell what the fit itself lacks for this question."""
-    trained = {source.sha256: source.name for source in fit.provenance.recordings}
+    # parts of one file (FILE@T0:T1) have its hash and names of their own
+    trained = {(source.sha256, source.name) for source in fit.provenance.recordings}
     found: list[LieidWarning] = [
         SameRecordingWarning(
             f"{r.name or 'the recording'} is one that the fit was made from: what it carries is "
             "part of the fit already"
         )
         for r in recordings
-        if r.source_hash and r.source_hash in trained
+        if r.source_hash and (r.source_hash, r.name) in trained
     ]
     found += [
         UnidentifiableWarning(

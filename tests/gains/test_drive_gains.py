@@ -218,6 +218,24 @@ def test_input_that_does_not_fit_is_refused(unloaded):
         gains(unloaded, [])
 
 
+def test_two_parts_of_one_file_are_two_recordings(tmp_path):
+    """The payload was put on half-way."""
+    one, other = amperes(ARM, seconds=15.0), amperes(LOADED, motion=5, seed=1, seconds=15.0)
+    shift = 20.0
+    whole = lieid.Recording.from_arrays(
+        np.concatenate([one.t, shift + other.t]),
+        np.concatenate([one.q, other.q]),
+        np.concatenate([one.dq, other.dq]),
+        current=np.concatenate([one.current, other.current]),
+    )
+    whole.save(tmp_path / "day.csv")
+    parts = [lieid.Recording.load(f"{tmp_path / 'day.csv'}@{at}") for at in ("0:18", "18:", "5:9")]
+    found = lieid.drive_gains(PANDA, parts[0], parts[1], mass=MASS, processing=CUTOFF)
+    assert np.all(np.abs(found.gains - GAINS) < 3.5 * found.std)
+    with pytest.raises(IdentificationError, match="given as unloaded and as loaded"):
+        lieid.drive_gains(PANDA, parts[0], parts[2], mass=MASS)
+
+
 def test_views(found):
     assert found._repr_html_().count("<tr>") == 8
     figure = found.plot()
