@@ -25,6 +25,7 @@ from lieid_casadi.identification.fixed_point import Progress
 from lieid_casadi.identification.identify import center_temperature, unique_warnings
 from lieid_casadi.model import Model
 from lieid_casadi.one_thread import blas_on_one_thread
+from lieid_casadi.payload.identify import require_one_load
 from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.robot import Robot
 
@@ -92,6 +93,8 @@ def drive_gains(
     options = process(currents, processing)[0].options
     compiled = compile(model)
     before, after = (process(part, options) for part in _split(currents, len(empty)))
+    require_one_load(before)
+    require_one_load(after)
     segments, _ = center_temperature([*before, *after])
     found += [w for segment in segments for w in segment.warnings]
     report("regress", 0.4)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space, solve_triangular
+from scipy.linalg import null_space
 
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.identification.convex_solver import ConvexSolver
@@ -15,6 +15,7 @@ from lieid_casadi.robot.inertia import link_parameters, pseudo_inertia
 
 Array = NDArray[np.float64]
 DENSITY = 2700.0  # kg/m³, aluminium: the ball that stands for a body nothing is known of
+ROUNDING = 1e-13  # of the largest variance
 LEAST_MASS = 1e-3  # kg, of that ball
 WEIGHT = 0.01  # of the divergence from it, against squared standard deviations
 SOFTER = (1.0, 10.0, 100.0, 1000.0)  # standard deviations, where the estimate is far from any body
@@ -81,10 +82,9 @@ def _precision(parameters: Array, covariance: Array, hidden: Array) -> Factor:
     # what the data tells are the combinations seenᵀ·(parameters / scale)
     values = seen.T @ (parameters / SCALE)
     spread = seen.T @ (covariance / np.outer(SCALE, SCALE)) @ seen
-    spread = spread + 1e-14 * np.trace(spread) / len(spread) * np.eye(len(spread))
-    root = np.linalg.cholesky(spread)
-    rows = solve_triangular(root, seen.T / SCALE, lower=True)
-    target = solve_triangular(root, values, lower=True)
+    variance, axes = np.linalg.eigh(spread)
+    whiten = (axes / np.sqrt(np.maximum(variance, ROUNDING * variance[-1]))).T
+    rows, target = whiten @ (seen.T / SCALE), whiten @ values
     r = np.zeros((11, 11))
     r[: len(rows), :10], r[: len(rows), 10] = rows, target
     return Factor(r, 1)

@@ -45,10 +45,21 @@ def rms(errors: Sequence[Array]) -> Array:
 
 
 def without_a_number(values: Array, std: Array) -> NDArray[np.bool_]:
-    """Mark quantities (10,) that are not even worth a number: places of a mass that is none."""
-    lost = np.zeros(10, dtype=bool)
-    lost[1:] = not abs(values[0]) > NOTHING * std[0]
+    """Mark quantities (10,) that are not worth a number: pure noise, places of no mass."""
+    lost = ~(std <= _sizes(values))
+    lost[1:] |= _no_mass(values, std)
     return lost
+
+
+def _no_mass(values: Array, std: Array) -> bool:
+    return not abs(values[0]) > NOTHING * std[0]
+
+
+def _sizes(values: Array) -> Array:
+    """Return what a standard deviation (10,) is held against."""
+    moment = float(np.max(np.abs(values[[4, 6, 9]])))
+    places = np.maximum(np.abs(values[1:4]), LENGTH / WEAK)
+    return np.array([max(abs(values[0]), MASS / WEAK), *places, *(moment,) * 6])
 
 
 def not_identified(
@@ -65,32 +76,25 @@ def not_identified(
     hidden : (h, 10)
         Directions of m, m·c, I that it does not show, in comparable units.
     """
-    nothing = without_a_number(values, std)
-    moment = float(np.max(np.abs(values[[4, 6, 9]])))
-    sizes = [
-        max(abs(values[0]), MASS / WEAK),
-        *(max(abs(c), LENGTH / WEAK) for c in values[1:4]),
-        *(moment for _ in range(6)),
-    ]
-    found = []
+    sizes, found = _sizes(values), []
     for k, name in enumerate(NAMES):
         if not seen[k]:
             reason = _hidden_reason(k, hidden)
-        elif nothing[k]:
+        elif k > 0 and _no_mass(values, std):
             reason = f"the mass, {with_std(values[0], std[0])} kg, cannot be told from none"
         elif not std[k] <= WEAK * sizes[k]:
-            reason = f"standard deviation {std[k]:.2g} {UNITS[k]}" + (
-                f", {100 * std[k] / abs(values[k]):.0f} % of the value"
-                if k == 0
-                else f"; the largest moment of inertia is {moment:.2g}"
-                if k > 3
-                else ""
-            )
+            reason = f"standard deviation {std[k]:.2g} {UNITS[k]}{_beside(k, values, std, sizes)}"
             reason += ": the motion is too slow or too small for it"
         else:
             continue
         found.append(NotIdentified(name, reason))
     return tuple(found)
+
+
+def _beside(k: int, values: Array, std: Array, sizes: Array) -> str:
+    if k == 0:
+        return f", {100 * std[0] / abs(values[0]):.0f} % of the value"
+    return f"; the largest moment of inertia is {sizes[k]:.2g}" if k > 3 else ""
 
 
 def _hidden_reason(k: int, hidden: Array) -> str:

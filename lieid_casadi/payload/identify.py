@@ -25,9 +25,10 @@ from lieid_casadi.payload.body import physical, physical_slopes, told
 from lieid_casadi.payload.estimate import FeasibleBody, FrictionChange, PayloadEstimate
 from lieid_casadi.payload.feasible_body import SCALE, possible_body
 from lieid_casadi.payload.regression import Estimate, LoadedRun
-from lieid_casadi.recording import Recording, check, process
+from lieid_casadi.recording import Processed, Recording, check, process
 
 Array = NDArray[np.float64]
+ROUNDING = 1e-10  # of a variance that nearly cancels
 DRIFTS = ("coulomb", "viscous", "offset")  # what changes with warmth and wear
 
 
@@ -83,6 +84,7 @@ def identify_payload(
     report("process", 0.2)
     options = replace(fit.processing, average_periods=False, cutoff=cutoff or fit.processing.cutoff)
     segments, _ = center_temperature(process(given, options), fit.temperature_mean)
+    require_one_load(segments)
     run = LoadedRun(fit, Design(fit.compiled, segments))
     _require_motion(run)
     frictional = np.array([name in DRIFTS for name in run.names])
@@ -121,6 +123,22 @@ def _checked(fit: Fit, recording: Recording, parameters: Array) -> tuple[LieidWa
     return check(recording, fit.model.robot, nominal_torque=torque)
 
 
+def require_one_load(segments: Sequence[Processed]) -> None:
+    """Raise where the column ``load`` names several payloads.
+
+    Raises
+    ------
+    IdentificationError
+    """
+    labels = list(dict.fromkeys(s.payload_label for s in segments if s.payload_label is not None))
+    if len(labels) > 1:
+        name = segments[0].recording.name or "the recordings"
+        raise IdentificationError(
+            f"{name}: column load names {len(labels)} payloads ({', '.join(labels[:4])}); expected "
+            "one, or the part with it as REC@T0:T1"
+        )
+
+
 def _require_motion(run: LoadedRun) -> None:
     rows = run.design.rows(run.fit.shapes, run.fit.parameters)
     if not rows.lengths.any():
@@ -138,7 +156,7 @@ def _result(
     values, std = physical(estimate.parameters), np.full(10, np.nan)
     if estimate.parameters[0] != 0.0:
         slopes = physical_slopes(estimate.parameters)
-        std = np.sqrt(np.einsum("ij,jk,ik->i", slopes, estimate.covariance, slopes))
+        std = _propagated(slopes, estimate.covariance)
     else:
         seen[:] = False
     not_identified = findings.not_identified(values, std, seen, hidden)
@@ -162,6 +180,13 @@ def _result(
         recordings=(),
         warnings=(),
     )
+
+
+def _propagated(slopes: Array, covariance: Array) -> Array:
+    """Return standard deviations of linear functions, never below what rounding leaves open."""
+    variance = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)
+    apart = slopes**2 @ np.diag(covariance)  # as if nothing cancelled
+    return np.asarray(np.sqrt(np.maximum(variance, ROUNDING * apart)))
 
 
 def _friction(
