@@ -74,6 +74,28 @@ def run_ipopt(
         Whatever the program's methods raise, Ctrl-C among it.
     """
     failure = Failure()
+    try:
+        found = _run(program, z, multipliers, failure, reach, barrier, iterations)
+    except RuntimeError as error:
+        # Ctrl-C while CasADi asks a function for its shapes
+        if "KeyboardInterrupt" in str(error):
+            raise KeyboardInterrupt from error
+        raise
+    if failure.exception is not None:
+        raise failure.exception
+    return found
+
+
+def _run(
+    program: Program,
+    z: Array,
+    multipliers: Array,
+    failure: Failure,
+    reach: float,
+    barrier: float,
+    iterations: int,
+) -> Array:
+    """Return the multipliers; see `run_ipopt`."""
     x = ca.MX.sym("z", len(z))
     # CasADi keeps no reference to Python's side of a function: these live as long as the solver
     functions = _functions(program, len(z), failure)
@@ -94,8 +116,6 @@ def run_ipopt(
     nlp = {"x": x, "f": functions["f"](x), "g": functions["g"](x)}
     solver = ca.nlpsol("excitation", "ipopt", nlp, options)
     result = solver(x0=z, lbx=z - reach, ubx=z + reach, lbg=-np.inf, ubg=0.0, lam_g0=multipliers)
-    if failure.exception is not None:
-        raise failure.exception
     return np.asarray(result["lam_g"].full().ravel())
 
 

@@ -206,6 +206,17 @@ def test_what_our_functions_raise_comes_through_ipopt(failure, where, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_an_interrupt_while_casadi_prepares(monkeypatch):
+    import lieid_casadi.excitation.nonlinear_program as room
+
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(room._Function, "get_n_in", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_ipopt(Rosenbrock(), np.zeros(2), np.zeros(1), reach=2.0, barrier=1e-9, iterations=100)
+
+
 def test_a_run_stops_where_a_limit_was_overlooked(problem):
     """Without rows an objective that pulls outwards would leave every limit behind."""
     size = problem.parametrization.size
