@@ -160,5 +160,9 @@ class PayloadMisfitWarning(LieidWarning):
     """A run whose error a payload does not explain."""
 
 
+class NotCountedWarning(LieidWarning):
+    """An effect that an excitation's regressor leaves out, or counts as another."""
+
+
 class FrictionChangedWarning(LieidWarning):
     """Friction that is no longer that of the fit."""

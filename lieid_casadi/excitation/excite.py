@@ -19,6 +19,7 @@ from lieid_casadi.excitation.multi_start import Attempt, solve_all
 from lieid_casadi.excitation.quality import quality
 from lieid_casadi.excitation.run_in import RunIn, run_in
 from lieid_casadi.excitation.scaling import column_scale
+from lieid_casadi.excitation.seen import seen_by_design
 from lieid_casadi.excitation.solve import SOLVERS, Solution
 from lieid_casadi.excitation.symbolic_limits import Limit, Torque
 from lieid_casadi.excitation.trajectory import period_grid
@@ -53,6 +54,9 @@ def excite(
     executor: Executor | None = None,
 ) -> Excitation:
     """Design an optimal excitation trajectory that is safe to run as it is.
+
+    The regressor that counts is the model's own, effects included, as far as it follows from motion
+    and time; warnings name what does not (temperature, memory, effects on the whole arm).
 
     Parameters
     ----------
@@ -125,7 +129,7 @@ def excite(
     trajectory = problem.parametrization.trajectory(best.z)
     if free_start:
         here = trajectory.at(np.zeros(1)).q[0]
-        way = run_in(design.pose, here, design.range, problem.sets)
+        way = run_in(design.pose, here, design.range, problem.sets, step=1.0 / rate)
     judged = quality(
         design.model,
         trajectory.at(period_grid(duration, samples)),
@@ -140,6 +144,7 @@ def excite(
         history=best.history,
         build_seconds=built - began, solve_seconds=solved - built,
         interrupted=any(a.interrupted for a in attempts),
+        warnings=() if inertial_only else seen_by_design(model)[1],
     )  # fmt: skip
 
 
@@ -167,7 +172,7 @@ def make_design(
             f"samples: {samples}; expected {4 * basis.size} at least for {basis.size} "
             "coefficients a joint"
         )
-    seen = Model(model.robot) if inertial_only else model
+    seen = Model(model.robot) if inertial_only else seen_by_design(model)[0]
     robot = seen.robot
     limits = motion_range(robot, acceleration)
     check_duration(robot, limits, basis.duration)

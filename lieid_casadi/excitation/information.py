@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from lieid_casadi.dynamics import recursion
 from lieid_casadi.dynamics.motion import Motion as Symbols
 from lieid_casadi.dynamics.regressor import regressor
-from lieid_casadi.effects import Effect
-from lieid_casadi.effects.arm_effect import ArmEffect
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.kernel import SampleKernel, pulled_back
+from lieid_casadi.excitation.seen import counts
 from lieid_casadi.excitation.trajectory import Motion
 from lieid_casadi.model import EffectSignals, Model
 
@@ -48,15 +47,19 @@ class Information:
     Raises
     ------
     ExcitationError
-        An effect whose columns do not follow from a joint's motion at one instant.
+        An effect whose columns do not follow from motion and time at one instant; see
+        `seen_by_design`.
     """
 
     def __init__(self, model: Model, *, sign_width: Array) -> None:
         self.model = model
         symbols = Symbols.symbols(model.n)
-        matrix = base_regressor(model, symbols, sign_width)
+        time = ca.SX.sym("time")
+        self._timed = any("time" in p.effect.signals for p in model.placements)
+        further = {"time": time} if self._timed else {}
+        matrix = base_regressor(model, symbols, sign_width, time)
         kept = model.base.count
-        self._values = SampleKernel("base_columns", symbols, matrix)
+        self._values = SampleKernel("base_columns", symbols, matrix, further)
         seed = ca.SX.sym("seed", len(self._values.rows))
         # nonzeros in the kernel's order: row after row
         flat = ca.vertcat(
@@ -66,7 +69,9 @@ class Information:
             )
         )
         pulled = pulled_back(flat, seed, symbols)
-        self._pulled = SampleKernel("base_columns_reverse", symbols, pulled, {"seed": seed})
+        self._pulled = SampleKernel(
+            "base_columns_reverse", symbols, pulled, {"seed": seed, **further}
+        )
         self._columns, self._rows = self._values.columns, self._values.rows
         self.size = kept
 
@@ -74,7 +79,7 @@ class Information:
         """Return the stacked base regressor of a motion."""
         n, samples = self.model.n, len(motion)
         stacked = np.zeros((self.size, n, samples))
-        stacked[self._columns, self._rows] = self._values.values(motion)
+        stacked[self._columns, self._rows] = self._values.values(motion, **self._time(motion))
         return StackedRegressor(motion, stacked.reshape(self.size, n * samples))
 
     def gradient(self, stacked: StackedRegressor, slope: Array) -> Array:
@@ -82,16 +87,21 @@ class Information:
         n, samples = self.model.n, len(stacked.motion)
         seeds = (2.0 * slope @ stacked.rows).reshape(self.size, n, samples)
         seed = np.ascontiguousarray(seeds[self._columns, self._rows].T)
-        pulled = self._pulled.dense(stacked.motion, seed=seed)[:, 0, :]
+        pulled = self._pulled.dense(stacked.motion, seed=seed, **self._time(stacked.motion))[
+            :, 0, :
+        ]
         return np.ascontiguousarray(pulled.reshape(3, n, samples).transpose(1, 0, 2))
 
+    def _time(self, motion: Motion) -> dict[str, Array]:
+        return {"time": motion.t[:, None]} if self._timed else {}
 
-def base_regressor(model: Model, symbols: Symbols, sign_width: Array) -> ca.SX:
+
+def base_regressor(model: Model, symbols: Symbols, sign_width: Array, time: ca.SX) -> ca.SX:
     """Return the kept columns (n, p) of [Y, effect columns] with a smooth sign."""
-    unreachable = [p.label for p in model.placements if needs_more_than_motion(p.effect)]
+    unreachable = [p.label for p in model.placements if not counts(p.effect)]
     if unreachable:
         raise ExcitationError(
-            f"{', '.join(unreachable)}: depends on time, temperature, the past or the whole arm, "
+            f"{', '.join(unreachable)}: depends on temperature, the past or the whole arm, "
             "which a design does not see; leave it out"
         )
     n = model.n
@@ -100,18 +110,7 @@ def base_regressor(model: Model, symbols: Symbols, sign_width: Array) -> ca.SX:
     if any("load" in p.effect.signals for p in model.placements):
         parameters = ca.SX(ca.DM(model.robot.link_parameters))
         load = recursion.inverse_dynamics(model.robot, symbols, parameters)
-    signals = EffectSignals(
-        symbols.q, symbols.dq, symbols.ddq, sign, load, ca.SX(n, 1), ca.SX(1, 1)
-    )
+    signals = EffectSignals(symbols.q, symbols.dq, symbols.ddq, sign, load, ca.SX(n, 1), time)
     shapes = ca.SX(ca.DM(model.initial_shapes))
     every = ca.horzcat(regressor(model.robot, symbols), model.effect_columns(signals, shapes))
     return every[:, [int(k) for k in model.base.kept]]
-
-
-def needs_more_than_motion(effect: Effect) -> bool:
-    """Whether an effect's columns do not follow from a joint's motion at one instant."""
-    return (
-        isinstance(effect, ArmEffect)
-        or bool(effect.states)
-        or bool({"temperature", "time"} & set(effect.signals))
-    )

@@ -104,7 +104,7 @@ def stacked_regressors(model: Model, motion: Motion) -> tuple[Array, Array]:
         load = arm.inverse_dynamics(*signals, model.robot.link_parameters)
     columns = [arm.regressor(*signals)]
     if model.columns:
-        columns.append(arm.effect_columns(*signals, load=load))
+        columns.append(arm.effect_columns(*signals, load=load, time=motion.t))
     full = np.concatenate(columns, axis=2).reshape(-1, len(model.base.names))
     return np.ascontiguousarray(full[:, model.base.kept]), full
 

@@ -40,8 +40,17 @@ class RunIn:
         return Motion(np.asarray(t), self.start + shape * way, first * way, second * way)
 
 
-def run_in(rest: Array, start: Array, limits: MotionRange, sets: Sequence[ConstraintSet]) -> RunIn:
+def run_in(
+    rest: Array,
+    start: Array,
+    limits: MotionRange,
+    sets: Sequence[ConstraintSet],
+    *,
+    step: float = 1e-3,
+) -> RunIn:
     """Return the way from the rest pose to the trajectory's start, within all limits.
+
+    Its duration is a multiple of ``step`` (s), so that samples end at rest.
 
     Raises
     ------
@@ -57,7 +66,7 @@ def run_in(rest: Array, start: Array, limits: MotionRange, sets: Sequence[Constr
     )
     broken = ""
     for factor in SLOWER:
-        path = RunIn(rest, start, factor * quickest)
+        path = RunIn(rest, start, float(np.ceil(factor * quickest / step)) * step)
         broken = _broken(path, sets)
         if not broken:
             return path

@@ -156,6 +156,26 @@ def test_the_trial_of_the_paper(capsys):
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.parametrize("free_start", [False, True])
+def test_the_file_begins_and_ends_at_rest_at_the_rest_pose(free_start):
+    """Run-in and run-out are smooth: position, velocity and acceleration are continuous."""
+    found = excite(
+        lieid.Model(lieid.robots.two_link()), duration=6.0, periods=2, starts=1, rate=500.0,
+        start_pose=[0.3, -0.4], free_start=free_start,
+    )  # fmt: skip
+    motion = found.motion()
+    np.testing.assert_allclose(motion.q[[0, -1]], [[0.3, -0.4]] * 2, atol=1e-9)
+    np.testing.assert_allclose(motion.dq[[0, -1]], 0.0, atol=1e-9)
+    np.testing.assert_allclose(motion.ddq[[0, -1]], 0.0, atol=1e-7)
+    assert (found.run_in.duration > 0.5) is free_start
+    assert motion.t[-1] == pytest.approx(found.duration)
+    limits = lieid.robots.two_link().limit("velocity")
+    assert np.abs(np.diff(motion.q, axis=0)).max() <= 1.001 * limits.max() / 500.0
+    for low, high in ((motion.q, motion.dq), (motion.dq, motion.ddq)):
+        trapezoid = 0.5 * (high[1:] + high[:-1]) / 500.0
+        np.testing.assert_allclose(np.diff(low, axis=0), trapezoid, atol=2e-4)
+
+
 def test_periods_repeat():
     found = excite(lieid.Model(lieid.robots.two_link()), periods=3, duration=6.0, starts=1)
     t = np.linspace(0.0, 6.0, 50)

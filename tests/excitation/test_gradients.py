@@ -119,7 +119,7 @@ def test_information_is_the_models_own_regressor():
     )
 
 
-@pytest.mark.parametrize("effect", ["temperature_friction", "warm_up", "presliding", "bias_drift"])
+@pytest.mark.parametrize("effect", ["temperature_friction", "presliding", "bias_drift"])
 def test_what_no_motion_excites_is_refused(effect):
     from lieid_casadi.effects.effect import REGISTER
 
