@@ -34,6 +34,8 @@ SMALLER = 0.3  # barrier parameter from stage to stage
 SETTLED = 0.1  # gain of an iteration, in parts of the barrier parameter, that ends a run
 SLACK = 1e-2  # least slack that a new row's multiplier is guessed from
 STILL = 2  # iterations without gain that end a run
+STUCK = 10  # the same where a limit is broken
+HOPELESS = 20  # runs without a smaller breach that end a stage
 
 
 @dataclass(eq=False)
@@ -64,7 +66,7 @@ class Ipopt:
         c = self.constraints
         state = state_at(c, objective, z)
         rows, multipliers = c.peaks(state.excess, NEAR), np.zeros(0)
-        count = 0
+        count, in_vain, least = 0, 0, np.inf
         if self.barrier is None:
             self.barrier = min(BARRIER, ABOVE * tolerance)
         while True:
@@ -74,14 +76,18 @@ class Ipopt:
             lacking = c.peaks(run.last.excess, KEPT).without(rows)
             held = float(np.abs(run.state.z - state.z).max()) > 0.99 * REACH
             state = run.state
-            if count >= iterations or time.monotonic() > self.deadline:
+            outside = state.violation > OVERLOOKED
+            in_vain = in_vain + 1 if outside and state.violation > 0.99 * least else 0
+            least = min(least, state.violation)
+            ended = count >= iterations or in_vain >= HOPELESS
+            if ended or time.monotonic() > self.deadline:
                 break
             if len(lacking):
                 found = c.peaks(state.excess, NEAR).joined(c.peaks(run.last.excess, NEAR))
                 kept = c.at(state.excess, rows) > FAR
                 multipliers, rows = multipliers[kept], rows.chosen(kept).joined(found)
             elif not held:
-                if self.barrier <= tolerance:
+                if self.barrier <= tolerance or outside:
                     break
                 self.barrier = max(SMALLER * self.barrier, tolerance)
         self.barrier = max(SMALLER * self.barrier, tolerance)
@@ -180,9 +186,12 @@ class Run:
             return True
         self.state = state
         gain = abs(before.outcome.value - state.outcome.value)
-        gain += max(state.violation - OVERLOOKED, 0.0)
+        outside = state.violation > OVERLOOKED
+        if outside:
+            gain += abs(before.violation - state.violation)
         self._still = self._still + 1 if gain < self._enough else 0
-        return overlooked or self._still >= STILL or time.monotonic() > solver.deadline
+        ended = self._still >= (STUCK if outside else STILL)
+        return overlooked or ended or time.monotonic() > solver.deadline
 
     def _at(self, z: Array) -> State:
         if not np.array_equal(self._here.z, z):

@@ -24,7 +24,6 @@ SMALLER = 6  # times at most
 ROUNDS = 4  # of solving again on the fine grid
 POLISH = 40  # iterations of one round
 VOLUME_SLACK = 0.5  # of −log det per parameter: Δ₂ beyond what C3 reached
-DELTA_1 = 100.0  # condition number that C1 accepts (Table III, note 2)
 SOLVERS: dict[str, Callable[..., Solver]] = {"ipopt": Ipopt, "sqp": Sqp}
 Progress = Callable[[str, float], None]
 
