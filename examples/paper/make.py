@@ -100,10 +100,9 @@ def closing(claims: Sequence[Claim]) -> str:
     holds = [claim for claim in ranking if claim.holds]
     fails = [claim for claim in ranking if not claim.holds]
     return (
-        "## Closing note\n\n"
-        f"{len(ranking)} rankings of criteria and models could be checked here. **The ranking "
-        f"holds** ({len(holds)}): {listed_claims(holds)}.\n\n"
-        f"**It does not hold** ({len(fails)}): {listed_claims(fails)}.\n\n"
+        f"## Closing note\n\n{len(ranking)} rankings of criteria and models could be checked.\n\n"
+        f"**The paper's ranking holds** in {len(holds)}:\n\n{listed_claims(holds)}\n\n"
+        f"**It does not hold** in {len(fails)}:\n\n{listed_claims(fails)}\n\n"
         "What this shows, and what not: the plant's friction is the paper's by construction, so "
         "that Eq. 8 wins Fig. 7 on it says only that the procedure finds what is there; whether "
         "real friction is like that, a real arm must say. Temperature is constant throughout. The "

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
 from lieid_casadi.identification import Fit
-from lieid_casadi.recording import Processing, Recording, period_noise, process
+from lieid_casadi.recording import Processed, Processing, Recording, period_noise
 
 Array = NDArray[np.float64]
 
@@ -40,13 +41,10 @@ class Errors:
         return float(self.rms.sum())
 
 
-def errors(
-    fit: Fit, recordings: Recording | list[Recording], processing: Processing | None = None
-) -> Errors:
-    """Compare a fit with recordings through its own filters, or through these."""
-    given = [recordings] if isinstance(recordings, Recording) else recordings
+def errors(fit: Fit, segments: Sequence[Processed]) -> Errors:
+    """Compare a fit with recordings as `process` returns them."""
     parts = []
-    for segment in process(given, processing or fit.processing):
+    for segment in segments:
         assert segment.tau is not None
         step = segment.filtered_time[1] - segment.filtered_time[0]
         reach = int(np.ceil(1.0 / segment.cutoff / step))
@@ -83,11 +81,6 @@ def noise(recording: Recording, processing: Processing) -> Array:
     if found is None:
         return np.full(recording.n, np.nan)
     return found
-
-
-def straight(processing: Processing) -> Processing:
-    """Return the same filters without averaging and without robust smoothing."""
-    return replace(processing, average_periods=False, smoother="butterworth")
 
 
 def _rms(values: Array) -> float:

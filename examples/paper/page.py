@@ -87,12 +87,14 @@ def joints(n: int) -> list[str]:
 
 def listed(found: Sequence[int] | np.ndarray) -> str:
     """Return joints (from 0) as people name them."""
-    return ", ".join(str(j + 1) for j in found) or "none"
+    if len(found) == 0:
+        return "no joint"
+    return f"joint{'s' * (len(found) > 1)} {', '.join(str(j + 1) for j in found)}"
 
 
 def listed_claims(claims: Sequence[Claim]) -> str:
-    """Return claims as a list in a sentence."""
-    return "; ".join(f"{claim.text} ({claim.source}: {claim.evidence})" for claim in claims) or "–"
+    """Return claims as a list."""
+    return "\n".join(f"- {c.text} ({c.source}): {c.evidence}" for c in claims) or "- none"
 
 
 def plain_logarithmic(axis: Axes, low: float, high: float) -> None:

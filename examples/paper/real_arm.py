@@ -17,7 +17,7 @@ from tables_5_6 import draw
 
 import lieid_casadi as lieid
 from lieid_casadi.friction import FrictionFit, fit_friction, friction_curve
-from lieid_casadi.recording import Processing, Recording
+from lieid_casadi.recording import Processing, Recording, process
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -92,7 +92,10 @@ def section(recorded: Recorded | None) -> Section:
             ("Eq. 18", f"{EQ_18},offset", "wls"),
         )
     }
-    seen, unseen = ({k: errors(fit, r) for k, fit in fits.items()} for r in (train, test))
+    seen, unseen = (
+        {k: errors(fit, s) for k, fit in fits.items()}
+        for s in (process(train, CUTOFF), process(test, CUTOFF))
+    )
     body = (
         f"{recorded.name}, torque from motor currents, {CUTOFF.cutoff:g} Hz. No payload was on it "
         "and no temperature recorded, so Table IV has no true column, and there is nothing for "
@@ -141,7 +144,7 @@ def _claims(arm: str, found: dict[str, Errors], where: str) -> list[Claim]:
                 f"{arm}, {where}",
                 f"{better} leaves smaller residuals than {other} in all joints",
                 len(larger) == 0,
-                f"larger on joints {listed(larger)}; sum {100 * change:+.1f} %",
+                f"larger on {listed(larger)}; sum {100 * change:+.1f} %",
                 ranking=True,
             )
         )

@@ -10,7 +10,7 @@ from lab import CUTOFF, EQ_10, EQ_16, PAPERS_FILTERS, PERIOD, REF_6, Lab
 from measure import Errors, errors, noise
 from page import COLOURS, INK, Claim, Section, joints, listed, show, table
 
-from lieid_casadi.recording import Recording
+from lieid_casadi.recording import Recording, process
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,9 +48,10 @@ def section(lab: Lab) -> Section:
 
 
 def _compared(lab: Lab, recording: Recording) -> dict[str, Errors]:
-    found = {name: errors(fit, recording) for name, fit in lab.no_load_fits.items()}
+    segments = process(recording, PAPERS_FILTERS)
+    found = {name: errors(fit, segments) for name, fit in lab.no_load_fits.items()}
     for name, title in BEYOND.items():
-        found[title] = errors(lab.payload_fits[name], recording, PAPERS_FILTERS)
+        found[title] = errors(lab.payload_fits[name], segments)
     return found
 
 
@@ -86,8 +87,8 @@ def _ranking(source: str, printed: dict[str, Any], here: dict[str, Errors]) -> l
                 source,
                 f"Eq. 16 leaves smaller residuals than {other} in all joints",
                 bool(np.all(ours > 0.0)),
-                f"larger here on joints {listed(np.flatnonzero(ours <= 0.0))}; in the paper's own "
-                f"table on joints {listed(np.flatnonzero(own[:-1] <= 0.0))}",
+                f"larger here on {listed(np.flatnonzero(ours <= 0.0))}; in the paper's own "
+                f"table on {listed(np.flatnonzero(own[:-1] <= 0.0))}",
                 ranking=True,
             ),
             Claim(

@@ -97,6 +97,7 @@ def test_errors_leave_out_standstill(scripts):
     """A joint that rests and reverses: what friction does there is not in ``moving``."""
     arm, lab, measure = scripts("arm"), scripts("lab"), scripts("measure")
     from lieid_casadi import plant
+    from lieid_casadi.recording import process
 
     t = np.arange(0.0, 12.0, 0.002)
     motion = plant.FourierTrajectory(arm.ROBOT, base_frequency=0.1, periods=1, seed=3).at(t)
@@ -108,7 +109,7 @@ def test_errors_leave_out_standstill(scripts):
         {f"{k}:{j + 1}": x for k, row in lab.TRUE.items() for j, x in enumerate(row)},
         f"{lab.EQ_18},offset",
     )
-    found = measure.errors(truth, run)
+    found = measure.errors(truth, process(run, lab.LINEAR))
     assert np.all(found.left_out > 0.15)  # it rests for two of twelve seconds
     assert np.all(found.moving < 0.2 * found.rms)
 
