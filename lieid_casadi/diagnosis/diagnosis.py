@@ -164,10 +164,7 @@ class Diagnosis:
                 "rms_test": _numbers(self.baseline_test),
             },
             "steps": [step.to_dict() for step in self.steps],
-            "unexplained": [
-                {"joint": u.joint + 1, "fraction": u.fraction, "depends_on": list(u.depends_on)}
-                for u in self.unexplained
-            ],
+            "unexplained": [u.to_dict() for u in self.unexplained],
             "rejected": [{"effect": label, "reason": reason} for label, reason in self.rejected],
             "tried": self.tried,
             "cutoff": self.fit.processing.cutoff,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,13 @@ from lieid_casadi.diagnosis.forward import column_stack
 from lieid_casadi.diagnosis.rivals import cross_validated_gain
 from lieid_casadi.diagnosis.screening import Baseline, screen
 from lieid_casadi.identification.noise_model import Runs
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from lieid_casadi.diagnosis.form import Form
+    from lieid_casadi.diagnosis.shapes import SmoothShape
 
 Array = NDArray[np.float64]
 LEVEL = 1e-4  # family-wise
@@ -58,25 +66,56 @@ class Unexplained:
         Of the residual's variance on held-out blocks.
     depends_on : tuple of str
         At most three columns, strongest first.
+    terms : tuple of tuple of str
+        Columns of each smooth function that explains it, strongest first.
+    shapes : tuple of SmoothShape
+        Those functions, with bands.
+    form : Form or None
+        A short formula that explains nearly as much.
     """
 
     joint: int
     fraction: float
     depends_on: tuple[str, ...]
+    terms: tuple[tuple[str, ...], ...] = ()
+    shapes: tuple[SmoothShape, ...] = ()
+    form: Form | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for JSON, joints from 1."""
+        return {
+            "joint": self.joint + 1,
+            "fraction": self.fraction,
+            "depends_on": list(self.depends_on),
+            "form": None if self.form is None else self.form.to_dict(),
+            "shape": [shape.to_dict() for shape in self.shapes],
+        }
+
+    def as_effect_code(self) -> str:
+        """Return lines of Python that register it as an effect of one's own; see `own_effect`."""
+        from lieid_casadi.diagnosis.own_effect import effect_code
+
+        return effect_code(self)
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the strongest smooth function: a curve with its band, or a map; not shown."""
+        from lieid_casadi.diagnosis.shape_plots import plot_shapes
+
+        return plot_shapes([self], ax)
 
 
 def smooth_bank(signals: Sequence[SegmentSignals], runs: Sequence[Runs]) -> Bank[Smooth]:
     """Return smooth functions of every signal on every joint, filtered, on its runs."""
     n = len(runs)
-    ranges = _ranges(signals)
-    bases = [_bases(s, ranges) for s in signals]
+    ranges = ranges_of(signals)
+    bases = [bases_of(s, ranges) for s in signals]
     tried: list[Smooth] = []
     size: list[int] = []
     on_joint: list[list[tuple[int, Array]]] = [[] for _ in runs]
     first = 0
     for names in _terms(n, "temp1" in bases[0]):
         values = np.concatenate(
-            [s.segment.filter(_product(b, names)) for s, b in zip(signals, bases, strict=True)]
+            [s.segment.filter(product_of(b, names)) for s, b in zip(signals, bases, strict=True)]
         )
         for joint in _joints_of(names, n):
             tried.append(Smooth(joint, names, values.shape[1]))
@@ -120,9 +159,10 @@ def unexplained(
             if family.log10_p(screening.gain[g] / max(spread, 1.0), int(screening.rank[g]))
             < np.log10(LEVEL)
         ]
-        names, fraction = _strongest(bank, baseline, sure, folds, variance)
+        names, terms, fraction = _strongest(bank, baseline, sure, folds, variance)
         if names and fraction >= LEAST:
-            found.append((fraction * variance, Unexplained(joint, min(fraction, 1.0), names)))
+            part = Unexplained(joint, min(fraction, 1.0), names, terms)
+            found.append((fraction * variance, part))
     return tuple(u for _, u in sorted(found, key=lambda pair: -pair[0]))
 
 
@@ -132,9 +172,10 @@ def _strongest(
     groups: Sequence[int],
     folds: NDArray[np.intp],
     variance: float,
-) -> tuple[tuple[str, ...], float]:
+) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], float]:
     """Add the group with the largest held-out gain until what is added is little."""
     names: list[str] = []
+    terms: list[tuple[str, ...]] = []
     total = 0.0
     while len(names) < MOST_SIGNALS:
         gain = screen(bank, baseline).gain
@@ -145,10 +186,11 @@ def _strongest(
         winner = best[int(np.argmax(gains))]
         fresh = [s for s in bank.candidates[winner].signals if s not in names]
         names += fresh[: MOST_SIGNALS - len(names)]
+        terms.append(bank.candidates[winner].signals)
         total += max(gains)
         baseline = baseline.with_columns(column_stack(bank, winner))
         groups = [g for g in groups if g != winner]
-    return tuple(names), total / variance if variance > 0.0 else 0.0
+    return tuple(names), tuple(terms), total / variance if variance > 0.0 else 0.0
 
 
 def _terms(n: int, warm: bool) -> list[tuple[str, ...]]:
@@ -171,7 +213,7 @@ def _joints_of(names: tuple[str, ...], n: int) -> list[int]:
     return sorted(indices)
 
 
-def _ranges(signals: Sequence[SegmentSignals]) -> dict[str, Array]:
+def ranges_of(signals: Sequence[SegmentSignals]) -> dict[str, Array]:
     """Return lowest and highest values (2, n) of each signal."""
     ranges = {}
     for name in ("q", "dq", "ddq", "load", "temperature", "time"):
@@ -180,7 +222,7 @@ def _ranges(signals: Sequence[SegmentSignals]) -> dict[str, Array]:
     return ranges
 
 
-def _bases(signals: SegmentSignals, ranges: dict[str, Array]) -> dict[str, Array]:
+def bases_of(signals: SegmentSignals, ranges: dict[str, Array]) -> dict[str, Array]:
     """Return basis functions (K, b) of each column along a segment."""
     bases = {}
     for name, column in (("q", "q"), ("dq", "dq"), ("ddq", "ddq"), ("load", "load")):
@@ -211,7 +253,8 @@ def _bases(signals: SegmentSignals, ranges: dict[str, Array]) -> dict[str, Array
     return bases
 
 
-def _product(bases: dict[str, Array], names: tuple[str, ...]) -> Array:
+def product_of(bases: dict[str, Array], names: tuple[str, ...]) -> Array:
+    """Return the smooth functions (K, b) of one or two columns."""
     if len(names) == 1:
         return bases[names[0]]
     first, second = (bases[name][:, :4] for name in names)
