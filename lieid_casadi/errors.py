@@ -140,6 +140,10 @@ class JointLimitWarning(LieidWarning):
     """Positions or velocities beyond the robot's own limits."""
 
 
+class RepeatedRowsWarning(LieidWarning):
+    """Rows that repeat the one before while the arm moves: the source was slower."""
+
+
 class ShortSegmentWarning(LieidWarning):
     """A segment that is too short to be filtered was left out."""
 

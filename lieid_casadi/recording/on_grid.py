@@ -20,7 +20,7 @@ from lieid_casadi.recording.filtering import (
 from lieid_casadi.recording.overlap import filter_memory
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.robust_loess import robust_loess
-from lieid_casadi.recording.spectrum import noise_dead_zone
+from lieid_casadi.recording.velocity import Look, Velocity, velocity_of
 
 #: A stay in the dead zone for this long is rest (stiction holds the joint), not a reversal, s.
 REST_TIME = 0.03
@@ -110,7 +110,7 @@ def signals_on_grid(
     """
     grid = Grid.of(t, rate, cutoff)
     whole = loess or grid.count <= 2 * WINDOW
-    dead_zone = None if whole else _sampled_dead_zone(t, rows, grid, cutoff)
+    velocity = None if whole else _sampled_velocity(t, rows, grid, cutoff)
     kept = len(range(0, grid.count, grid.step))
     made: dict[str, NDArray[Any]] = {}
     for first, last, start, end in _windows(grid, cutoff, kept if whole else WINDOW // grid.step):
@@ -118,7 +118,7 @@ def signals_on_grid(
         low, high = np.searchsorted(t, [times[0], times[-1]])
         low, high = max(int(low) - NEIGHBOURS, 0), min(int(high) + NEIGHBOURS, len(t))
         part = rows(0, len(t)) if whole else rows(low, high)
-        signals, dead_zone = _signals(part, times, grid, cutoff, dead_zone, loess)
+        signals, velocity = _signals(part, times, grid, cutoff, velocity, loess)
         inside = slice(first * grid.step - start, (last - 1) * grid.step - start + 1, grid.step)
         for name, values in signals.items():
             if name not in made:
@@ -126,7 +126,7 @@ def signals_on_grid(
             made[name][first:last] = values[inside]
     for array in made.values():
         array.flags.writeable = False
-    assert dead_zone is not None
+    assert velocity is not None
     return GridSignals(
         t=made["t"],
         q=made["q"],
@@ -135,7 +135,7 @@ def signals_on_grid(
         tau=made.get("tau"),
         temperature=made.get("temperature"),
         moving=made["moving"],
-        dead_zone=dead_zone,
+        dead_zone=velocity.dead_zone,
         rate=grid.rate / grid.step,
     )
 
@@ -154,20 +154,27 @@ def _windows(grid: Grid, cutoff: float, size: int) -> Iterator[tuple[int, int, i
 
 
 def _signals(
-    part: Recording, times: Array, grid: Grid, cutoff: float, dead_zone: Array | None, loess: bool
-) -> tuple[dict[str, NDArray[Any]], Array]:
-    """Signals at times of the grid, at its full rate, and the dead zone."""
+    part: Recording,
+    times: Array,
+    grid: Grid,
+    cutoff: float,
+    velocity: Velocity | None,
+    loess: bool,
+) -> tuple[dict[str, NDArray[Any]], Velocity]:
+    """Signals at times of the grid, at its full rate, and where the velocity came from."""
     rate, band = grid.rate, motion_band(cutoff)
-    q = lowpass(smooth_at(part.t, part.q, times), rate, band)
-    raw = _raw_velocity(part, times, rate)
-    dq = lowpass(raw, rate, band)
-    if dead_zone is None:
-        dead_zone = noise_dead_zone(raw, kept=band / (0.5 * rate))
-    if part.ddq is None:
+    look = _look(part, times, rate)
+    q = lowpass(look.q, rate, band)
+    if velocity is None:
+        velocity = velocity_of([look], rate, cutoff, band)
+    dq = lowpass(look.velocity(velocity.derived), rate, band)
+    if part.ddq is not None:
+        ddq = lowpass(smooth_at(part.t, part.ddq, times), rate, band)
+    elif np.array_equal(velocity.derived, velocity.accelerates):
         ddq = central_difference(dq, rate)
     else:
-        ddq = lowpass(smooth_at(part.t, part.ddq, times), rate, band)
-    moving = _moving(dq, dead_zone, rate)
+        ddq = central_difference(lowpass(look.velocity(velocity.accelerates), rate, band), rate)
+    moving = _moving(dq, velocity.dead_zone, rate)
     signals: dict[str, NDArray[Any]] = {
         "t": times,
         "q": q,
@@ -183,24 +190,23 @@ def _signals(
         signals["tau"] = tau
     if part.temperature is not None:
         signals["temperature"] = straight_at(part.t, part.temperature, times)
-    return signals, dead_zone
+    return signals, velocity
 
 
-def _raw_velocity(part: Recording, times: Array, rate: float) -> Array:
-    if part.dq is None:
-        return central_difference(smooth_at(part.t, part.q, times), rate)
-    return smooth_at(part.t, part.dq, times)
+def _look(part: Recording, times: Array, rate: float) -> Look:
+    q = smooth_at(part.t, part.q, times)
+    measured = None if part.dq is None else smooth_at(part.t, part.dq, times)
+    return Look(q, measured, central_difference(q, rate))
 
 
-def _sampled_dead_zone(t: Array, rows: Rows, grid: Grid, cutoff: float) -> Array:
-    """The dead zone of a segment that is not looked at as a whole."""
+def _sampled_velocity(t: Array, rows: Rows, grid: Grid, cutoff: float) -> Velocity:
+    """The decision for a segment that is not looked at as a whole."""
     found, count = [], min(NOISE_ROWS, len(t) // NOISE_PLACES)
     for first in np.linspace(0, len(t) - count, NOISE_PLACES).astype(int):
         part = rows(int(first), int(first) + count)
         times = np.arange(part.t[0], part.t[-1], 1.0 / grid.rate)
-        found.append(_raw_velocity(part, times, grid.rate))
-    band = motion_band(cutoff)
-    return noise_dead_zone(np.concatenate(found), kept=band / (0.5 * grid.rate))
+        found.append(_look(part, times, grid.rate))
+    return velocity_of(found, grid.rate, cutoff, motion_band(cutoff))
 
 
 def motion_band(cutoff: float) -> float:

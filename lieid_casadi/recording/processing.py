@@ -17,8 +17,10 @@ from lieid_casadi.recording.on_grid import signals_on_grid
 from lieid_casadi.recording.overlap import Window, filter_memory, windows
 from lieid_casadi.recording.periods import mean_period
 from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.repeats import without_repeats
 from lieid_casadi.recording.spectrum import choose_cutoff
 from lieid_casadi.recording.streams import RecordingStream, scratch
+from lieid_casadi.recording.timing import sample_period
 
 #: Weight of rest in a filtered sample that counts as moving.
 REST_LEFT = 0.1
@@ -71,6 +73,7 @@ class Processed:
         (K,) s, on the recording's own clock.
     q, dq, ddq
         (K, n), low-passed well above the cut-off, zero-phase; dq is 0 where a joint rests.
+        dq and ddq are derived from q where it is clearly quieter than the measured dq.
     tau
         (K, n) or None; resampled, not low-passed: :meth:`filter` does that, as it does on
         every regressor column.
@@ -228,15 +231,16 @@ def _too_short(segment: Recording | RecordingStream, cutoff: float, trim: float)
 def _process_segment(
     segment: Recording | RecordingStream, options: Processing, cutoff: float
 ) -> Processed:
-    rate = segment.rate
+    t, rows, told = without_repeats(segment)
+    rate = 1.0 / sample_period(t)
     if cutoff >= HIGHEST_CUTOFF * rate:
         raise RecordingError(
             f"{segment.name or 'recording'}: cutoff {cutoff:g} Hz, expected less than "
             f"{HIGHEST_CUTOFF * rate:.3g} Hz at a rate of {rate:.4g} Hz"
         )
     signals = signals_on_grid(
-        segment.t,
-        segment.rows,
+        t,
+        rows,
         rate,
         cutoff,
         loess=options.smoother == "rloess",
@@ -256,4 +260,5 @@ def _process_segment(
         dead_zone=read_only(signals.dead_zone),
         moving=signals.moving,
         options=options,
+        warnings=() if told is None else (told,),
     )

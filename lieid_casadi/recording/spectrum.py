@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.signal import welch
 
@@ -15,6 +17,7 @@ from lieid_casadi.recording.filtering import (
     uniform_time,
 )
 from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.repeats import without_repeats
 
 #: Least and most cut-off over the band of the motion.
 LEAST_BANDS, MOST_BANDS = 6.0, 25.0
@@ -38,9 +41,10 @@ def choose_cutoff(recording: Recording) -> float:
     band of the motion (:func:`motion_band`), at most a quarter of the rate. Without torque
     six times the band of the motion. Two digits; 5 Hz where nothing moves.
     """
-    highest = 0.25 * recording.rate
     longest = max(recording.segments(), key=lambda segment: segment.duration)
-    longest = longest.rows(0, min(len(longest), ENOUGH_ROWS))
+    stamps, rows, _ = without_repeats(longest)
+    longest = rows(0, min(len(stamps), ENOUGH_ROWS))
+    highest = 0.25 * longest.rate
     band = motion_band(longest) if len(longest) > 8 else None
     if band is None:
         return _two_digits(min(5.0, highest), highest)
@@ -121,7 +125,7 @@ def _band(dq: Array, rate: float) -> float | None:
     return float(np.median(frequency[np.argmax(below >= 0.99, axis=0)]))
 
 
-def noise_dead_zone(dq: Array, *, kept: float = 1.0) -> Array:
+def noise_dead_zone(dq: Array, *, kept: float = 1.0, quantum: Array | None = None) -> Array:
     """Speed below which a joint counts as at rest, per joint.
 
     Three standard deviations of the velocity's noise, which is the robust spread of the
@@ -136,24 +140,34 @@ def noise_dead_zone(dq: Array, *, kept: float = 1.0) -> Array:
     kept
         Part of the band below Nyquist that a later low-pass keeps: the noise falls with
         its square root.
+    quantum
+        (n,) resolution, rad/s, where it is not the smallest step between the samples.
 
     Returns
     -------
     (n,) rad/s, never 0.
     """
-    spread = np.zeros(dq.shape[1])
-    if dq.shape[0] > 8:
-        fourth = np.diff(dq, n=4, axis=0)
-        spread = 1.4826 * np.median(np.abs(fourth - np.median(fourth, axis=0)), axis=0)
-    noise = 3.0 * spread / np.sqrt(70.0) * np.sqrt(min(kept, 1.0))
+    noise = 3.0 * noise_spread([dq]) * np.sqrt(min(kept, 1.0))
     top = np.percentile(np.abs(dq), 99.0, axis=0)
-    resolution = np.array([_resolution(column) for column in dq.T])
-    return np.asarray(
-        np.maximum.reduce([noise, 1.5 * resolution, TOP_SPEED_PART * top, 0 * top + 1e-6])
-    )
+    step = resolution(dq) if quantum is None else quantum
+    return np.asarray(np.maximum.reduce([noise, 1.5 * step, TOP_SPEED_PART * top, 0 * top + 1e-6]))
+
+
+def noise_spread(places: Sequence[Array]) -> Array:
+    """Standard deviation (n,) of white noise on signals (N, n), seen at some places of them."""
+    fourth = [np.diff(x, n=4, axis=0) for x in places if x.shape[0] > 8]
+    if not fourth:
+        return np.zeros(places[0].shape[1])
+    left = np.concatenate(fourth)
+    spread = 1.4826 * np.median(np.abs(left - np.median(left, axis=0)), axis=0)
+    return np.asarray(spread / np.sqrt(70.0))
+
+
+def resolution(values: Array) -> Array:
+    """Smallest step (n,) between distinct values: the quantum, or next to nothing."""
+    return np.array([_resolution(column) for column in values.T])
 
 
 def _resolution(values: Array) -> float:
-    """Smallest step between distinct values: the quantum, or next to nothing."""
     distinct = np.unique(values)
     return float(np.min(np.diff(distinct))) if distinct.size > 1 else 0.0

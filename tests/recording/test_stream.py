@@ -19,8 +19,8 @@ from lieid_casadi.recording import (
 pq = pytest.importorskip("pyarrow.parquet")
 
 
-def recording(samples=20_000, *, gaps=(), labels=None, dq=True, seed=0):
-    """Smooth motion of two joints at about 200 Hz, with a rest, jitter and noise."""
+def recording(samples=20_000, *, gaps=(), labels=None, dq=1e-3, seed=0):
+    """Smooth motion of two joints at about 200 Hz, with a rest, jitter and noise (dq: rad/s)."""
     rng = np.random.default_rng(seed)
     t = np.arange(samples) * 0.005 + rng.uniform(-5e-4, 5e-4, samples)
     for gap in gaps:
@@ -30,8 +30,8 @@ def recording(samples=20_000, *, gaps=(), labels=None, dq=True, seed=0):
     rest = slice(3 * samples // 20, 4 * samples // 20)
     q[rest], velocity[rest] = q[rest.start], 0.0
     tau = 3.0 * velocity + np.sign(velocity) + 0.1 * rng.normal(size=q.shape)
-    noisy = velocity + 1e-3 * rng.normal(size=q.shape)
-    return Recording.from_arrays(t, q, noisy if dq else None, tau, load=labels)
+    noisy = None if dq is None else velocity + dq * rng.normal(size=q.shape)
+    return Recording.from_arrays(t, q, noisy, tau, load=labels)
 
 
 @pytest.fixture
@@ -39,14 +39,17 @@ def small_windows(monkeypatch):
     monkeypatch.setattr(on_grid, "WINDOW", 3000)
 
 
-@pytest.mark.parametrize("dq", [True, False])
+@pytest.mark.parametrize("dq", [1e-2, 1e-6, None])
 @pytest.mark.parametrize("cutoff", [1.0, 4.0, 20.0])
 def test_a_long_segment_in_windows_is_that_of_the_whole(monkeypatch, dq, cutoff):
-    long = recording(dq=dq)
-    (whole,) = process(long, Processing(cutoff=cutoff))
+    long, decided, decide = recording(dq=dq), [], on_grid.velocity_of
+    with monkeypatch.context() as patch:
+        patch.setattr(on_grid, "velocity_of", lambda *a: decided.append(decide(*a)) or decided[0])
+        (whole,) = process(long, Processing(cutoff=cutoff))
+    assert np.all(decided[0].derived == (dq != 1e-6))
     monkeypatch.setattr(on_grid, "WINDOW", 3000)
     # the noise is looked at in places; here they are the whole
-    monkeypatch.setattr(on_grid, "_sampled_dead_zone", lambda *_: whole.dead_zone)
+    monkeypatch.setattr(on_grid, "_sampled_velocity", lambda *_: decided[0])
     (parts,) = process(long, Processing(cutoff=cutoff))
     assert parts.rate == whole.rate
     np.testing.assert_allclose(parts.t, whole.t, atol=1e-12)
