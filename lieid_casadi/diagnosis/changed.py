@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from lieid_casadi.comparison import compare
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.choosing import BLOCK, FOLD, block_index, by_contribution, spokesman
+from lieid_casadi.diagnosis.describing import described
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
 from lieid_casadi.diagnosis.evidence import Family
 from lieid_casadi.diagnosis.forward import Price, best_set, column_stack, with_groups
 from lieid_casadi.diagnosis.pruning import STOOD_IN, stand_ins
+from lieid_casadi.diagnosis.remainder import Remainder
 from lieid_casadi.diagnosis.rivals import FOLDS, cross_validated_gain, rivals_of
 from lieid_casadi.diagnosis.scene import Scene
 from lieid_casadi.diagnosis.screening import Baseline, screen
@@ -63,6 +65,7 @@ def changed(
     if out:
         steps = [step for step in steps if step.label not in out]
         left = search.without(out)
+    left = described(left, Remainder.of(scene, search.plain, search.beside()))
     verdict = "unexplained" if left else "effect_found" if steps else "sufficient"
     report("done", 1.0)
     return Diagnosis(
@@ -217,9 +220,13 @@ class _Search:
         ]
         return self.left_over()
 
+    def beside(self) -> Baseline:
+        """Return the rows beside the model and all changes found so far."""
+        return with_groups(self.baseline, self.bank, self.chosen)
+
     def left_over(self) -> tuple[Unexplained, ...]:
         """Return what smooth functions explain where the error is still raised."""
-        here = with_groups(self.baseline, self.bank, self.chosen)
+        here = self.beside()
         high = self._misfit(self.chosen) > MISFIT
         if not high.any():
             return ()

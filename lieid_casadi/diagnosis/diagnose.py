@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.diagnosis.changed import changed
 from lieid_casadi.diagnosis.choosing import FOLD, block_index
+from lieid_casadi.diagnosis.describing import described
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
 from lieid_casadi.diagnosis.pruning import STOOD_IN, stand_ins
+from lieid_casadi.diagnosis.remainder import Remainder
 from lieid_casadi.diagnosis.rivals import FOLDS
 from lieid_casadi.diagnosis.scene import Scene
 from lieid_casadi.diagnosis.selection import Found, Proposal, Search
@@ -108,6 +110,7 @@ def diagnose(
     if out:
         scene = search.without(out, STOOD_IN, scene)
         left = left_over(search, scene, seed=seed)
+    left = described(left, Remainder.of(scene, search.plain, scene.baseline(search.plain)))
     steps = tuple(_step(found, tested(found.fit), scene) for found in search.found)
     floor, source = _noise_floor(given, search, scene)
     before = tested(first)

@@ -167,6 +167,7 @@ def effect(
     coefficients: Mapping[str, str],
     shapes: Sequence[Shape] = (),
     signals: Sequence[str] = ("q", "dq", "sign"),
+    couples: bool = False,
 ) -> Callable[[Callable[..., Sequence[ca.SX]]], type[Effect]]:
     """Register a function ``columns(signals, shape)`` as an effect.
 
@@ -174,6 +175,9 @@ def effect(
     ----------
     coefficients : mapping
         Linear coefficient → unit, in the order of the returned columns.
+    couples : bool
+        Whether another joint acts on this one: its signals are ``signals.other``, and the effect
+        is placed on pairs, ``name:5<6``.
 
     Examples
     --------
@@ -193,6 +197,7 @@ def effect(
             "coefficients": tuple(Coefficient(key, unit) for key, unit in coefficients.items()),
             "shapes": tuple(shapes),
             "signals": tuple(signals),
+            "couples": couples,
             "columns": lambda self, s, shape: function(s, shape),
         }
         return register(type(name, (Effect,), members))
