@@ -153,7 +153,14 @@ def test_each_column_opposes_motion(label, s):
 
 
 @pytest.mark.parametrize(
-    "label", ["stribeck/wide", "load_friction/cubic", "temperature_friction/x", "presliding/gms"]
+    "label",
+    [
+        "stribeck/wide",
+        "load_friction/cubic",
+        "temperature_friction/x",
+        "presliding/gms",
+        "transmission_coupling/load",
+    ],
 )
 def test_unknown_options_are_refused(label):
     with pytest.raises(EffectError, match="unknown effect"):
