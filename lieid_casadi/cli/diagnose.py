@@ -146,7 +146,22 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
                 for step in diagnosis.steps
             ],
         )
+    _print_unexplained(diagnosis)
     if diagnosis.rejected:
         output.table("Turned down", ["candidate", "why"], [list(r) for r in diagnosis.rejected])
     output.say(f"{diagnosis.tried} candidates were tried.")
     output.show_warnings(diagnosis.warnings)
+
+
+def _print_unexplained(diagnosis: Diagnosis) -> None:
+    """Print the lines that make what stays an effect of the user's own."""
+    from lieid_casadi.diagnosis.own_effect import own_effects
+
+    own = own_effects(diagnosis.unexplained)
+    if own.labels:
+        labels = ",".join([*diagnosis.fit.model.effects, *own.labels])
+        output.say(
+            "What stays as an effect of your own: keep these lines in a file F.py and run again "
+            f"with --effects-file F.py --effects '{labels}'\n"
+        )
+        output.say("\n".join("    " + line if line else "" for line in own.code.splitlines()))

@@ -3,6 +3,19 @@
 from lieid_casadi.diagnosis.diagnose import diagnose
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
 from lieid_casadi.diagnosis.extend import Extension, extend
+from lieid_casadi.diagnosis.own_effect import OwnEffects, own_effects
 from lieid_casadi.diagnosis.selection import Proposal
+from lieid_casadi.diagnosis.unexplained import Unexplained
 
-__all__ = ["Diagnosis", "Evidence", "Extension", "Proposal", "Step", "diagnose", "extend"]
+__all__ = [
+    "Diagnosis",
+    "Evidence",
+    "Extension",
+    "OwnEffects",
+    "Proposal",
+    "Step",
+    "Unexplained",
+    "diagnose",
+    "extend",
+    "own_effects",
+]

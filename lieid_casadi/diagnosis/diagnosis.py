@@ -188,6 +188,12 @@ class Diagnosis:
 
         return plot_waterfall(self, ax)
 
+    def plot_unexplained(self, ax: Axes | None = None) -> Figure:
+        """Draw the smooth functions that explain what stays: curves and maps; not shown."""
+        from lieid_casadi.diagnosis.shape_plots import plot_shapes
+
+        return plot_shapes(self.unexplained, ax)
+
     def _repr_html_(self) -> str:
         from lieid_casadi.diagnosis.words import html
 

@@ -130,9 +130,7 @@ def _written(powers: dict[str, int]) -> str:
     """Return ``N·m·s²/rad²`` of {N·m: 1, s: 2, rad: −2}."""
 
     def joined(parts: list[tuple[str, int]]) -> str:
-        return "·".join(
-            (f"({u})" if "·" in u and p > 1 else u) + SUPERSCRIPT[p] for u, p in parts
-        )
+        return "·".join((f"({u})" if "·" in u and p > 1 else u) + SUPERSCRIPT[p] for u, p in parts)
 
     above = [(unit, power) for unit, power in powers.items() if power > 0]
     below = [(unit, -power) for unit, power in powers.items() if power < 0]

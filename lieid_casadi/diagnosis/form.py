@@ -150,9 +150,7 @@ def _pair_gains(gram: Array, products: Array) -> Array:
     return np.where(apart > APART, gain, -np.inf)
 
 
-def _with_third(
-    gram: Array, products: Array, price: Array, pair: Indices
-) -> tuple[float, Indices]:
+def _with_third(gram: Array, products: Array, price: Array, pair: Indices) -> tuple[float, Indices]:
     """Return the best third column beside two others, and the score of the three."""
     inverse = np.linalg.inv(gram[np.ix_(pair, pair)])
     values = inverse @ products[pair]

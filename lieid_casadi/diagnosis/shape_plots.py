@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lieid_casadi.diagnosis.shapes import SmoothShape, split_column
+from lieid_casadi.diagnosis.shapes import SmoothShape
 from lieid_casadi.diagnosis.unexplained import Unexplained
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-UNITS = {"q": "rad", "dq": "rad/s", "ddq": "rad/s²", "load": "N·m", "temp": "°C", "t": "s"}
 CONTOURS = 12
 
 
@@ -63,7 +62,7 @@ def draw_shape(shape: SmoothShape, ax: Axes) -> None:
         ax.fill_between(x, shape.low, shape.high, color="tab:blue", alpha=0.25, linewidth=0.0)
         ax.plot(x, shape.value, color="tab:blue")
         ax.axhline(0.0, color="0.6", linewidth=0.8)
-        ax.set_xlabel(_axis(shape.signals[0]))
+        ax.set_xlabel(f"{shape.signals[0]}, {shape.units[0]}")
         return
     _draw_map(shape, ax)
 
@@ -78,10 +77,6 @@ def _draw_map(shape: SmoothShape, ax: Axes) -> None:
     unsure = np.ma.masked_invalid(np.where((shape.low < 0) & (shape.high > 0), 1.0, 0.0).T)
     unsure = np.ma.masked_where(np.ma.getmaskarray(value), unsure)
     ax.contourf(x, y, unsure, levels=[0.5, 1.5], colors="none", hatches=["..."])
-    ax.set_xlabel(_axis(shape.signals[0]))
-    ax.set_ylabel(_axis(shape.signals[1]))
+    ax.set_xlabel(f"{shape.signals[0]}, {shape.units[0]}")
+    ax.set_ylabel(f"{shape.signals[1]}, {shape.units[1]}")
     ax.figure.colorbar(drawn, ax=ax, format="%.2g")
-
-
-def _axis(name: str) -> str:
-    return f"{name}, {UNITS[split_column(name)[0]]}"

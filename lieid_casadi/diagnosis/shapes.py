@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 CURVE, MAP = 81, 25  # points of a grid
 NEIGHBOURS = 1  # cells around those where the arm has been that a map shows
 COLUMN = {"q": "q", "dq": "dq", "ddq": "ddq", "load": "load", "temp": "temperature", "t": "time"}
+UNITS = {"q": "rad", "dq": "rad/s", "ddq": "rad/s²", "load": "N·m", "temp": "°C", "t": "s"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +37,18 @@ class SmoothShape:
         From 0.
     signals : tuple of str
         One or two columns, such as ``q3``.
+    units : tuple of str
+        Of each signal; temperatures are relative to the mean of the training recordings.
     grid : tuple of (G,)
-        One per signal, in its unit: rad, rad/s, rad/s² (m … for sliding joints), N·m, °C, s.
+        One per signal.
     value, low, high : (G,) or (G, H)
-        N·m; the band holds the function with 95 % at each point. NaN where the arm has not been.
+        N·m (N on a sliding joint); the band holds the function with 95 % at each point. NaN where
+        the arm has not been.
     """
 
     joint: int
     signals: tuple[str, ...]
+    units: tuple[str, ...]
     grid: tuple[Array, ...]
     value: Array
     low: Array
@@ -54,6 +59,7 @@ class SmoothShape:
         return {
             "joint": self.joint + 1,
             "signals": list(self.signals),
+            "units": list(self.units),
             "grid": [grid.tolist() for grid in self.grid],
             "value": _listed(self.value),
             "low": _listed(self.low),
@@ -105,13 +111,20 @@ def shapes_of(part: Unexplained, remainder: Remainder) -> tuple[SmoothShape, ...
         value, low, high = (
             np.where(unseen, np.nan, x.reshape(form)) for x in (value, value - half, value + half)
         )
-        shapes.append(SmoothShape(part.joint, names, grid, value, low, high))
+        units = tuple(_unit(name, remainder.revolute) for name in names)
+        shapes.append(SmoothShape(part.joint, names, units, grid, value, low, high))
     return tuple(shapes)
 
 
 def _centred(names: Sequence[str]) -> bool:
     """Whether a constant is taken out of a function: friction and products are zero by nature."""
     return len(names) == 1 and not names[0].startswith("dq")
+
+
+def _unit(name: str, revolute: Sequence[bool]) -> str:
+    kind, joint = split_column(name)
+    unit = UNITS[kind]
+    return unit if revolute[joint] else unit.replace("N·m", "N").replace("rad", "m")
 
 
 def _grid(name: str, ranges: dict[str, Array], count: int) -> Array:

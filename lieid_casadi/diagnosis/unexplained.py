@@ -92,10 +92,13 @@ class Unexplained:
         }
 
     def as_effect_code(self) -> str:
-        """Return lines of Python that register it as an effect of one's own; see `own_effect`."""
-        from lieid_casadi.diagnosis.own_effect import effect_code
+        """Return lines of Python that register it as an effect of one's own.
 
-        return effect_code(self)
+        Their coefficients are free; `own_effects` tells how they are placed as well.
+        """
+        from lieid_casadi.diagnosis.own_effect import own_effects
+
+        return own_effects([self]).code
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the strongest smooth function: a curve with its band, or a map; not shown."""

@@ -35,7 +35,8 @@ def sentence(d: Diagnosis) -> str:
         )
     parts += [
         f"On joint {u.joint + 1} {100 * u.fraction:.0f} % of the remaining error's variance "
-        f"follows {', '.join(u.depends_on)}, which no effect of the library explains."
+        f"follows {', '.join(u.depends_on)}, which no effect of the library explains"
+        + ("." if u.form is None else f"; it looks like {u.form.text}.")
         for u in d.unexplained
     ]
     return " ".join(parts)

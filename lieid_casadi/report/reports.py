@@ -11,6 +11,7 @@ from lieid_casadi.report.section import Section
 from lieid_casadi.report.sections.diagnosis import (
     evidence_section,
     finding_section,
+    unexplained_section,
     waterfall_section,
 )
 from lieid_casadi.report.sections.errors import errors_section
@@ -64,6 +65,8 @@ def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None)
         evidence_section(diagnosis),
         warnings_section(diagnosis.warnings),
     ]
+    if diagnosis.unexplained:
+        sections.insert(3, unexplained_section(diagnosis))
     if comparison is not None:
         sections += [torques_section(comparison), dependence_section(comparison)]
     return render(

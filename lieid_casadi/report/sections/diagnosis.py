@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lieid_casadi.report.picture import data_uri
 from lieid_casadi.report.section import Section
 from lieid_casadi.report.sections.pictures import picture_section
 
@@ -63,12 +64,17 @@ def evidence_section(diagnosis: Diagnosis) -> Section:
     }  # fmt: skip
     left = {
         "title": "Unexplained",
-        "headings": ["joint", "part of the error's variance", "follows"],
+        "headings": ["joint", "part of the error's variance", "follows", "looks like, N·m"],
         "rows": [
-            [f"{u.joint + 1}", f"{100 * u.fraction:.0f} %", ", ".join(u.depends_on)]
+            [
+                f"{u.joint + 1}",
+                f"{100 * u.fraction:.0f} %",
+                ", ".join(u.depends_on),
+                "–" if u.form is None else u.form.text,
+            ]
             for u in diagnosis.unexplained
         ],
-        "note": "Cross-validated. Write it as an effect of your own and run again.",
+        "note": "Cross-validated.",
     }
     rejected = {
         "title": f"Turned down ({diagnosis.tried} candidates were tried)",
@@ -79,6 +85,20 @@ def evidence_section(diagnosis: Diagnosis) -> Section:
     return Section(
         "Evidence", "diagnosis.html", {"sentence": "", "tables": [found, left, rejected]}
     )
+
+
+def unexplained_section(diagnosis: Diagnosis) -> Section:
+    """Return the shape of what stays unexplained, and the lines that make it an effect."""
+    from lieid_casadi.diagnosis.own_effect import own_effects
+
+    own = own_effects(diagnosis.unexplained)
+    drawn = any(part.shapes for part in diagnosis.unexplained)
+    data = {
+        "uri": data_uri(diagnosis.plot_unexplained()) if drawn else "",
+        "code": own.code,
+        "labels": ",".join([*diagnosis.fit.model.effects, *own.labels]) if own.labels else "",
+    }
+    return Section("What stays unexplained", "unexplained.html", data)
 
 
 def _text(cell: object) -> str:

@@ -1,0 +1,270 @@
+"""What no effect of the library explains: its shape, a formula, and an effect of one's own."""
+
+import json
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.cli.main import main
+from lieid_casadi.diagnosis import own_effects
+from lieid_casadi.diagnosis.dictionary import FUNCTIONS, Term, dictionary
+from lieid_casadi.diagnosis.form import Form, _subsets
+from lieid_casadi.diagnosis.remainder import Remainder
+from lieid_casadi.diagnosis.screening import Baseline
+from lieid_casadi.diagnosis.unexplained import Unexplained
+from lieid_casadi.effects.effect import REGISTER
+from lieid_casadi.report import diagnosis_report
+
+ROBOT = lieid.robots.two_link()
+MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
+SIZE = plant.torque_scale(ROBOT)
+
+
+def run(arm, seed, name=""):
+    trajectory = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=seed)
+    t = np.arange(0.0, 15.0, 0.001)
+    sensors = plant.demo_sensors(ROBOT)
+    return plant.measure_along(arm, t, *trajectory.at(t), sensors=sensors, seed=seed, name=name)
+
+
+def runs(joint, torque):
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    hidden = arm.with_effects(plant.ForeignTorque(joint, torque))
+    return run(hidden, 1, "train"), run(hidden, 2, "test")
+
+
+def viscous_by_angle(s):
+    return 0.15 * SIZE[1] * np.sin(2.0 * s.q[..., 1] + 0.5) * s.dq[..., 1]
+
+
+def bump(s):
+    return 0.3 * SIZE[1] / (1.0 + ((s.q[..., 1] - 0.3) / 0.15) ** 2)
+
+
+def drag_of_other(s):
+    return 0.1 * SIZE[0] * np.abs(s.dq[..., 1])
+
+
+@pytest.fixture(autouse=True)
+def register_as_before():
+    """Effects that a test registers are gone after it."""
+    known = dict(REGISTER)
+    yield
+    REGISTER.clear()
+    REGISTER.update(known)
+
+
+@pytest.fixture(scope="module")
+def by_angle():
+    train, test = runs(1, viscous_by_angle)
+    return lieid.diagnose(MODEL, train, test), train, test
+
+
+@pytest.fixture(scope="module")
+def with_bump():
+    train, test = runs(1, bump)
+    return lieid.diagnose(MODEL, train, test), train, test
+
+
+def with_own_effect(diagnosis, train, test):
+    """Test errors of the model with the effect that the diagnosis writes."""
+    own = own_effects(diagnosis.unexplained)
+    exec(compile(own.code, "own.py", "exec"), {})
+    wanted = lieid.Model(ROBOT, [*diagnosis.fit.model.effects, *own.labels])
+    fit = lieid.identify(wanted, train, processing=diagnosis.fit.processing)
+    return own, fit, lieid.compare(fit, test).rms
+
+
+def noise(seed=2):
+    """Test error of a model that lacks nothing."""
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    return lieid.compare(lieid.identify(MODEL, run(arm, 1)), run(arm, seed)).rms
+
+
+def test_the_formula_is_found(by_angle):
+    (part,) = by_angle[0].unexplained
+    found = {t.text: (v, s) for t, v, s in zip(part.form.terms, part.form.values, part.form.std,
+                                               strict=True)}  # fmt: skip
+    assert set(found) == {"sin(2 q2)·dq2", "cos(2 q2)·dq2"}
+    for term, truth in (("sin(2 q2)·dq2", np.cos(0.5)), ("cos(2 q2)·dq2", np.sin(0.5))):
+        value, std = found[term]
+        assert value == pytest.approx(0.15 * SIZE[1] * truth, abs=4.0 * std)
+        assert std < 0.1 * abs(value)
+    assert part.form.units == ("N·m·s/rad", "N·m·s/rad")
+    assert part.form.part > 0.9
+    assert "sin(2 q2)·dq2" in by_angle[0].sentence
+
+
+def test_with_the_effect_of_ones_own_the_error_falls_to_the_noise(by_angle):
+    diagnosis, train, test = by_angle
+    own, fit, after = with_own_effect(diagnosis, train, test)
+    assert own.labels == ("own_2:2",)
+    assert len(own.code.split("\n\n\n")[1].splitlines()) <= 10
+    assert after[1] < 1.2 * noise()[1] < 0.1 * diagnosis.baseline_test[1]
+    named = [row for row in fit.parameter_table() if row["name"].startswith("own_2.")]
+    assert [row["value"] for row in named] == pytest.approx(
+        diagnosis.unexplained[0].form.values, rel=0.05
+    )
+    again = lieid.diagnose(fit.model, train, test, processing=diagnosis.fit.processing)
+    assert again.verdict == "sufficient"
+
+
+def test_the_map_is_the_hidden_torque(by_angle):
+    (part,) = by_angle[0].unexplained
+    shape = part.shapes[0]
+    assert set(shape.signals) == {"q2", "dq2"}
+    assert set(shape.units) == {"rad", "rad/s"}
+    q, dq = np.meshgrid(*shape.grid, indexing="ij")
+    if shape.signals[0] == "dq2":
+        q, dq = dq, q
+    truth = 0.15 * SIZE[1] * np.sin(2.0 * q + 0.5) * dq
+    seen = np.isfinite(shape.value)
+    assert 0.2 < seen.mean() < 1.0
+    # beside viscous friction, which the model has
+    columns = np.column_stack([dq[seen], np.sign(dq[seen])])
+    left = truth[seen] - shape.value[seen]
+    left = left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
+    assert np.sqrt(np.mean(left**2)) < 0.2 * np.sqrt(np.mean(truth[seen] ** 2))
+    assert (shape.low[seen] <= shape.value[seen]).all()
+    assert (shape.value[seen] <= shape.high[seen]).all()
+
+
+def test_a_curve_without_a_formula(with_bump):
+    diagnosis, train, test = with_bump
+    part = diagnosis.unexplained[0]
+    assert part.depends_on[0] == "q2"
+    assert part.form is None
+    (q,), value = part.shapes[0].grid, part.shapes[0].value
+    assert q[np.argmax(value)] == pytest.approx(0.3, abs=0.1)
+    truth = 0.3 * SIZE[1] / (1.0 + ((q - 0.3) / 0.15) ** 2)
+    assert np.corrcoef(truth, value)[0, 1] > 0.9  # it is narrower than the curve bends
+    own, _, after = with_own_effect(diagnosis, train, test)
+    assert own.labels == ("own_2:2",)
+    assert after[1] < 0.5 * diagnosis.baseline_test[1]
+
+
+def test_another_joint_acts_through_an_effect_on_pairs():
+    train, test = runs(0, drag_of_other)
+    diagnosis = lieid.diagnose(MODEL, train, test)
+    own, _, after = with_own_effect(diagnosis, train, test)
+    assert own.labels == ("own_1_2:1<2",)
+    assert "ca.fabs(s.other.dq)" in own.code
+    assert after[0] < 1.2 * noise()[0] < 0.1 * diagnosis.baseline_test[0]
+
+
+def test_what_has_changed_has_a_formula_too():
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    fit = lieid.identify(MODEL, [run(arm, 1), run(arm, 2)])
+    diagnosis = lieid.diagnose(fit, run(arm.with_effects(
+        plant.ForeignTorque(1, viscous_by_angle)), 3))  # fmt: skip
+    assert diagnosis.verdict == "unexplained"
+    (part,) = diagnosis.unexplained
+    assert {t.text for t in part.form.terms} == {"sin(2 q2)·dq2", "cos(2 q2)·dq2"}
+    assert part.shapes
+
+
+def test_json_keeps_its_keys_and_has_more(by_angle, with_bump):
+    for diagnosis, *_ in (by_angle, with_bump):
+        for part in diagnosis.to_dict()["unexplained"]:
+            json.dumps(part, allow_nan=False)
+            assert {"joint", "fraction", "depends_on", "form", "shape"} == set(part)
+            assert part["joint"] == 2
+            for shape in part["shape"]:
+                assert np.shape(shape["value"]) == tuple(len(g) for g in shape["grid"])
+    form = by_angle[0].to_dict()["unexplained"][0]["form"]
+    assert form["text"] == by_angle[0].unexplained[0].form.text
+    assert len(form["terms"]) == 2
+
+
+def test_the_report_shows_shape_and_code(by_angle, with_bump):
+    for diagnosis, *_ in (by_angle, with_bump):
+        page = diagnosis_report(diagnosis)
+        assert "What stays unexplained" in page
+        assert "@lieid.effect(" in page
+        assert "--effects-file F.py --effects coulomb,viscous,offset,own_2:2" in page
+        figure = diagnosis.plot_unexplained()
+        assert len(figure.axes) >= 1
+
+
+def test_a_report_without_it_has_no_such_section():
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    page = diagnosis_report(lieid.diagnose(MODEL, run(arm, 1), run(arm, 2)))
+    assert "What stays unexplained" not in page
+
+
+def test_the_command_line_goes_round(tmp_path, capsys):
+    """The lines that are printed, kept in a file, make the next run find nothing more."""
+    train, test = runs(1, viscous_by_angle)
+    train.save(tmp_path / "a.csv")
+    test.save(tmp_path / "b.csv")
+    command = ["diagnose", "two_link", "--train", str(tmp_path / "a.csv"),
+               "--test", str(tmp_path / "b.csv")]  # fmt: skip
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    first, last = said.index("    import casadi"), said.index("    return [")
+    lines = said[first : said.index("\n", last)].splitlines()
+    (tmp_path / "own.py").write_text("\n".join(line[4:] for line in lines) + "\n")
+    own = ["--effects-file", str(tmp_path / "own.py")]
+    assert main([*command, *own, "--effects", "coulomb,viscous,offset,own_2:2"]) == 0
+    assert "Nothing in the library improves the model." in capsys.readouterr().out
+
+
+def test_units_of_coefficients():
+    turns = (True, True, False)
+    by_name = {t.text: t.unit(turns, 0) for t in dictionary(["q1", "dq2", "load1"], turns)}
+    assert by_name["sin(2 q1)·dq2"] == "N·m·s/rad"
+    assert by_name["dq2²"] == "N·m·s²/rad²"
+    assert by_name["sgn(dq2)·|load1|"] == "1"
+    assert by_name["q1·dq2³"] == "N·m·s³/rad⁴"
+    sliding = {t.text: t.unit(turns, 2) for t in dictionary(["q3", "dq3"], turns)}
+    assert sliding["dq3"] == "N·s/m"
+    assert not any("sin" in text for text in sliding)
+
+
+def test_products_of_two_other_joints_are_told():
+    line = FUNCTIONS["dq"][1]
+    term = Term((("dq1", line), ("dq3", line)))
+    form = Form((term,), (1.0,), (0.1,), ("N·m·s²/rad²",), 1.0)
+    own = own_effects([Unexplained(1, 0.5, ("dq1", "dq3"), form=form)])
+    assert own.labels == ()
+    assert own.code.startswith("# joint 2, dq1·dq3: two other joints act together")
+
+
+def test_names_of_an_earlier_round_are_left_alone(by_angle):
+    for name in ("own_2", "own_2b", "own_2c"):
+        own = own_effects(by_angle[0].unexplained)
+        assert own.labels == (f"{name}:2",)
+        exec(compile(own.code, "own.py", "exec"), {})
+
+
+@pytest.mark.parametrize("wanted", [(3,), (2, 7), (1, 5, 9)])
+def test_sparse_regression_finds_the_columns(wanted):
+    random = np.random.default_rng(0)
+    columns = random.normal(size=(500, 12)) + 0.7 * random.normal(size=(500, 1))
+    columns /= np.linalg.norm(columns, axis=0)
+    truth = columns[:, list(wanted)] @ np.linspace(1.0, 2.0, len(wanted))
+    found = _subsets(columns, truth, np.ones(12))
+    assert set(found[len(wanted) - 1]) == set(wanted)
+    assert [len(each) for each in found] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9])
+def test_the_band_is_as_wide_as_estimates_scatter(memory):
+    """Also where errors depend on those before them, within blocks."""
+    random, rows = np.random.default_rng(1), 2000
+    model, column = np.ones((rows, 1)), np.sin(np.arange(rows) / 100.0)[:, None]
+    values, stated = [], []
+    for _ in range(60):
+        white = random.normal(size=rows)
+        error = np.zeros(rows)
+        for k in range(rows):
+            error[k] = (memory * error[k - 1] if k else 0.0) + white[k]
+        baseline = Baseline.of([model], [error + 3.0 * column[:, 0] + 5.0])
+        blocks = np.arange(rows) // 40
+        estimate = Remainder((), (), (), baseline, blocks % 5, blocks).fit(column)
+        values.append(estimate.values[0])
+        stated.append(estimate.std[0])
+    assert np.mean(values) == pytest.approx(3.0, abs=0.2)
+    assert np.mean(stated) == pytest.approx(np.std(values), rel=0.35)
