@@ -12,6 +12,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.identification.conditioning import Conditioning
 from lieid_casadi.identification.fit import Fit, Provenance, Source
+from lieid_casadi.identification.noise_model import Noise
 from lieid_casadi.recording import Processing
 
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
@@ -50,6 +51,7 @@ def made_fit(robot, effects, *, seed=0):
         covariance=np.diag(np.full(count, 1e-6)),
         parameters=parameters,
         noise=error,
+        residual_noise=tuple(Noise.white(0.1) for _ in range(n)),
         rms_train=error,
         rms_train_raw=error,
         rms_cv=error,
