@@ -26,7 +26,7 @@ from lieid_casadi.effects import (
     viscous_polynomial,
     warm_up,
 )
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect
+from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow
 from lieid_casadi.effects.effect import (
     Coefficient,
     Effect,
@@ -70,6 +70,7 @@ __all__ = [
     "LIBRARY",
     "ArmAlong",
     "ArmEffect",
+    "ArmNow",
     "Coefficient",
     "Effect",
     "Placement",

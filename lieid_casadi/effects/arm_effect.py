@@ -59,10 +59,39 @@ class ArmAlong(Protocol):
         """Return the rigid torque (K, n, 10) per link parameter of a body in the tool's frame."""
 
 
+class ArmNow(Protocol):
+    """A model at one instant, in symbols, as generated code sees it."""
+
+    @property
+    def load(self) -> ca.SX:
+        """Rigid torque (n,), N·m."""
+
+    @property
+    def torque(self) -> ca.SX:
+        """Torque (n,) of the rigid arm and all effects on single joints, N·m."""
+
+    def rigid_beside(self, offset: Array) -> ca.SX:
+        """Return the rigid torque (n,) at q + offset (n,)."""
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity (3,) in the base frame, m/s²."""
+
+    def gravity_torque(self, gravity: Array) -> ca.SX:
+        """Return the torque (n,) at rest in another gravity (3,)."""
+
+    def jacobian(self) -> ca.SX:
+        """Return the tool's Jacobian (6, n), [ω; v], base axes."""
+
+    def tool_regressor(self) -> ca.SX:
+        """Return the rigid torque (n, 10) per link parameter of a body in the tool's frame."""
+
+
 class ArmEffect(Effect):
     """An effect whose columns are computed along a whole segment.
 
-    ``whole_arm`` effects act on no joint in particular.
+    ``whole_arm`` effects act on no joint in particular. Where one instant is enough, `now` says
+    the same in symbols, for generated code.
     """
 
     whole_arm: ClassVar[bool] = False
@@ -70,6 +99,8 @@ class ArmEffect(Effect):
     #: Coefficients at which the columns are tried before anything is known of them, beside zero:
     #: where the column at a likely value differs from the derivative.
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
+    #: What generated code does about it where that is not what happens along a recording.
+    in_code: ClassVar[str] = ""
     signals: tuple[str, ...] = ()
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
@@ -79,6 +110,10 @@ class ArmEffect(Effect):
     @abstractmethod
     def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
         """Return the columns (K, n, c), given the coefficients (c,) so far."""
+
+    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX | None:
+        """Return the columns (n, c) at one instant, or None where one does not tell them."""
+        return None
 
 
 def on_joint(column: Array, joint: int, n: int) -> Array:

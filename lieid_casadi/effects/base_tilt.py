@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, Array
+from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow, Array
 from lieid_casadi.effects.effect import Coefficient, register
 
 LEAST = 1e-4  # rad
@@ -21,15 +22,21 @@ class BaseTilt(ArmEffect):
 
     def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
         """See the class."""
-        alpha, beta = (float(v) if abs(v) > LEAST else LEAST for v in values)
-        now = abs(float(values[0])) > LEAST
-        about_x = _turned(0, alpha) @ arm.gravity
-        about_y = _turned(1, beta) @ (about_x if now else arm.gravity)
-        changes = [
-            (about_x - arm.gravity) / alpha,
-            (about_y - (about_x if now else arm.gravity)) / beta,
-        ]
-        return arm.gravity_by_axis() @ np.column_stack(changes)
+        return arm.gravity_by_axis() @ _changes(arm.gravity, values)
+
+    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX:
+        """See the class."""
+        return ca.horzcat(*(arm.gravity_torque(g) for g in _changes(arm.gravity, values).T))
+
+
+def _changes(gravity: Array, values: Array) -> Array:
+    """Return how gravity changes with each angle (3, 2)."""
+    alpha, beta = (float(v) if abs(v) > LEAST else LEAST for v in values)
+    now = abs(float(values[0])) > LEAST
+    about_x = _turned(0, alpha) @ gravity
+    before = about_x if now else gravity
+    about_y = _turned(1, beta) @ before
+    return np.column_stack([(about_x - gravity) / alpha, (about_y - before) / beta])
 
 
 def _turned(axis: int, angle: float) -> Array:

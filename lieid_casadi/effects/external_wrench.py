@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, Array
+import casadi as ca
+
+from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow, Array
 from lieid_casadi.effects.effect import Coefficient, register
 
 
@@ -21,3 +23,7 @@ class ExternalWrench(ArmEffect):
     def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
         """See the class."""
         return arm.jacobian().transpose(0, 2, 1)
+
+    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX:
+        """See the class."""
+        return arm.jacobian().T

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, Array
+import casadi as ca
+
+from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow, Array
 from lieid_casadi.effects.effect import Coefficient, register
 
 
@@ -24,3 +26,7 @@ class Payload(ArmEffect):
     def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
         """See the class."""
         return arm.tool_regressor()[:, :, :4]
+
+    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX:
+        """See the class."""
+        return arm.tool_regressor()[:, :4]

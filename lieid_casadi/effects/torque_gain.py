@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, Array, on_joint
+import casadi as ca
+
+from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow, Array, on_joint
 from lieid_casadi.effects.effect import Coefficient, register
 
 
@@ -18,3 +20,9 @@ class TorqueGain(ArmEffect):
     def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
         """See the class."""
         return on_joint(arm.torque[:, joint], joint, arm.torque.shape[1])
+
+    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX:
+        """See the class."""
+        column = ca.SX(arm.torque.shape[0], 1)
+        column[joint] = arm.torque[joint]
+        return column

@@ -9,10 +9,11 @@ from typing import Any
 
 from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.errors import ExportError
+from lieid_casadi.export.c_arm import arm_notes
 from lieid_casadi.export.c_check import Check, check
 from lieid_casadi.export.c_model import Functions, functions
 from lieid_casadi.export.c_statements import number
-from lieid_casadi.export.c_text import comment, numbered, render
+from lieid_casadi.export.c_text import comment, numbered, render, wrapped
 from lieid_casadi.export.folder import check_folder, write_folder
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import Parameter
@@ -55,8 +56,8 @@ def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool =
     Raises
     ------
     ExportError
-        A prefix that is no C name, a folder that cannot be written, an effect of the user's that
-        has no C form, a number that is not finite.
+        A prefix that is no C name, a folder that cannot be written, an effect that has no C form or
+        needs more than one instant, a number that is not finite.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix):
         raise ExportError(f"prefix {prefix!r}: expected letters, digits and _, a letter first")
@@ -72,6 +73,7 @@ def c_files(fit: Fit, prefix: str, notes: list[str]) -> dict[str, bytes]:
     """Return the content of all files by name."""
     made = functions(fit)
     content = _content(fit, prefix, made) | {"notes": [comment(note) for note in notes]}
+    content["note_lines"] = wrapped(content["notes"])
     names = {
         f"{prefix}.h": "arm.h.jinja",
         f"{prefix}.c": "arm.c.jinja",
@@ -199,4 +201,4 @@ def _notes(fit: Fit) -> list[str]:
     stateless = [p.label for p in fit.model.placements if p.effect.states]
     if set(timed) - set(stateless):
         notes.append(f"{', '.join(timed)}: time counts from the start of the motion")
-    return notes
+    return notes + arm_notes(fit)

@@ -13,6 +13,7 @@ from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
 from lieid_casadi.dynamics.motion import Motion
 from lieid_casadi.dynamics.regressor import regressor, slotine_li_regressor
+from lieid_casadi.export.c_arm import OneInstant, with_arm_effects
 from lieid_casadi.export.c_statements import Body, Input, body, each, number
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import EffectSignals
@@ -67,13 +68,22 @@ class Expressions:
     ----------
     links : (10 n,), coefficients : (m,), shapes : (s,)
         Numbers, or symbols to try the numbers against.
+    all_links : (10 n,), optional
+        Link parameters where ``links`` are fewer: a turned gravity shows more of them.
     """
 
     def __init__(
-        self, fit: Fit, symbols: Symbols, links: ca.SX, coefficients: ca.SX, shapes: ca.SX
+        self,
+        fit: Fit,
+        symbols: Symbols,
+        links: ca.SX,
+        coefficients: ca.SX,
+        shapes: ca.SX,
+        all_links: ca.SX | None = None,
     ) -> None:
-        self._model, self._symbols = fit.model, symbols
+        self._fit, self._model, self._symbols = fit, fit.model, symbols
         self._links, self._coefficients, self._shapes = links, coefficients, shapes
+        self._all_links = links if all_links is None else all_links
 
     @cached_property
     def rigid_torque(self) -> ca.SX:
@@ -105,8 +115,18 @@ class Expressions:
 
     @cached_property
     def effect_columns(self) -> ca.SX:
-        """Columns of the effects (n, m)."""
-        return self._model.effect_columns(self._symbols.signals, self._shapes, self._symbols.states)
+        """Columns of the effects (n, m).
+
+        Raises
+        ------
+        ExportError
+            An effect needs more than one instant.
+        """
+        s = self._symbols
+        columns = self._model.effect_columns(s.signals, self._shapes, s.states)
+        torque = s.load + ca.mtimes(columns, self._coefficients)
+        arm = OneInstant(self._model.robot, s.motion, self._links, self._all_links, s.load, torque)
+        return with_arm_effects(columns, self._model, arm, self._fit.effect_coefficients)
 
     @cached_property
     def base_regressor(self) -> ca.SX:
@@ -143,6 +163,7 @@ def folded(fit: Fit, symbols: Symbols) -> Expressions:
         ca.SX(ca.DM(fewer_parameters(fit))),
         ca.SX(ca.DM(fit.effect_coefficients)),
         ca.SX(ca.DM(fit.shapes)),
+        ca.SX(ca.DM(fit.link_parameters)),
     )
 
 
@@ -185,7 +206,7 @@ def functions(fit: Fit) -> Functions:
     Raises
     ------
     ExportError
-        An effect uses an operation without a C form.
+        An effect uses an operation without a C form, or needs more than one instant.
     """
     now, before = Symbols.of(fit), Symbols.of(fit, "before_")
     expressions = folded(fit, now)

@@ -44,6 +44,14 @@ def numbered(names: Iterable[str]) -> list[str]:
     return [line.replace("\0", " ") for line in lines]
 
 
+def wrapped(texts: Iterable[str]) -> list[str]:
+    """Return lines of texts that begin with a dash, to stand in a comment."""
+    lines = []
+    for text in texts:
+        lines += textwrap.wrap(text, WIDTH - 4, initial_indent="- ", subsequent_indent="  ")
+    return lines
+
+
 def render(template: str, content: dict[str, Any]) -> str:
     """Return a template of ``codegen/export`` filled in."""
     return _environment().get_template(template).render(content)
