@@ -90,6 +90,11 @@ class Candidate:
         return self.placement.joint
 
     @property
+    def reaches_all(self) -> bool:
+        """Whether it acts on joints other than those that it names."""
+        return isinstance(self.effect, ArmEffect) and self.effect.reach != "joint"
+
+    @property
     def lower(self) -> tuple[float, ...]:
         """Least values of its coefficients."""
         return tuple(coefficient.lower for coefficient in self.effect.coefficients)

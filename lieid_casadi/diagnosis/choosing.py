@@ -18,6 +18,7 @@ from lieid_casadi.identification.shape_range import ShapeRange
 
 Array = NDArray[np.float64]
 PILOT = Price(each=5.0, part=0.02)
+SMOOTH = Price(each=5.0, part=0.3)  # what no effect is; less may be the noise's own memory
 WORTH = 0.03  # least fall of a joint's held-out error that is worth an effect
 BLOCK = 1.0  # s, of blocks whose residuals count as independent
 FOLD = 2.0  # s, of blocks that go to the folds in turn
@@ -32,6 +33,8 @@ def pilot_noise(scene: Scene) -> tuple[tuple[Noise, ...], tuple[Noise, ...]]:
     """
     bank, baseline = scene.bank.whitened(scene.plain, scene.runs), scene.baseline(scene.plain)
     rich = with_groups(baseline, bank, best_set(bank, baseline, PILOT))
+    smooth = scene.smooth.whitened(scene.plain, scene.runs)
+    rich = with_groups(rich, smooth, best_set(smooth, rich, SMOOTH))
     freedom = 1.0 - rich.basis.shape[1] / max(rich.rows, 1)
     coloured = tuple(
         noise_of(

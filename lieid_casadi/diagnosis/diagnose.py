@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import Comparison, compare
+from lieid_casadi.diagnosis.carrying_over import carried_over
 from lieid_casadi.diagnosis.changed import changed
 from lieid_casadi.diagnosis.choosing import FOLD, block_index
 from lieid_casadi.diagnosis.describing import described
@@ -17,7 +18,7 @@ from lieid_casadi.diagnosis.remainder import Remainder
 from lieid_casadi.diagnosis.rivals import FOLDS
 from lieid_casadi.diagnosis.scene import Scene
 from lieid_casadi.diagnosis.selection import Found, Proposal, Search
-from lieid_casadi.diagnosis.unexplained import Unexplained, smooth_bank, unexplained
+from lieid_casadi.diagnosis.unexplained import Unexplained, unexplained
 from lieid_casadi.errors import IdentificationError, LieidWarning, SameRecordingWarning
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.fit import Source
@@ -102,14 +103,18 @@ def diagnose(
     report("what stays unexplained", 0.9)
     left = left_over(search, scene, seed=seed)
     out = stand_ins(
+        scene,
+        search.plain,
         search.first.baseline(search.plain),
-        scene.baseline(search.plain),
         left,
         [found.candidate.placement for found in search.found],
     )
     if out:
         scene = search.without(out, STOOD_IN, scene)
         left = left_over(search, scene, seed=seed)
+    if left and tests:
+        ahead, _ = center_temperature(process(tests, options), first.temperature_mean)
+        left = carried_over(left, scene, Scene.of(search.fit, ahead, tried=False), search.plain)
     left = described(left, Remainder.of(scene, search.plain, scene.baseline(search.plain)))
     steps = tuple(_step(found, tested(found.fit), scene) for found in search.found)
     floor, source = _noise_floor(given, search, scene)
@@ -141,7 +146,7 @@ def diagnose(
 
 def left_over(search: Search, scene: Scene, *, seed: int) -> tuple[Unexplained, ...]:
     """Return what smooth functions of the signals still explain beside the last model."""
-    bank = smooth_bank(scene.signals, scene.runs)
+    bank = scene.smooth
     plain = bank.whitened(search.plain, scene.runs), scene.baseline(search.plain)
     white = bank.whitened(search.noise, scene.runs), scene.baseline(search.noise)
     folds = block_index(scene, search.plain, FOLD) % FOLDS

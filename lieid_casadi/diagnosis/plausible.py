@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from lieid_casadi.diagnosis.candidates import shape_limits
-from lieid_casadi.effects import Placement
+from lieid_casadi.effects import Placement, Shape
 from lieid_casadi.identification import Fit
 from lieid_casadi.recording import Processed
 
 SPARE = 0.5  # of the least shape that a motion shows
+AT_BOUND = 0.02  # over the bound
 
 
 def out_of_bounds(fit: Fit, placement: Placement) -> str:
@@ -31,9 +32,14 @@ def beyond_motion(fit: Fit, placement: Placement, segments: Sequence[Processed])
         if _of(placement, parameter.name, parameter.joint):
             name = parameter.name.rpartition(".")[2]
             least, _ = shape_limits(shapes[name], segments, placement.joint)
-            if value < SPARE * least:
+            if value < SPARE * least or at_bound([shapes[name]], [value]):
                 return f"{parameter.label} = {value:.2g} {parameter.unit} is less than motion shows"
     return ""
+
+
+def at_bound(shapes: Sequence[Shape], values: Iterable[float]) -> bool:
+    """Whether a shape parameter is at its lower bound: the effect is hardly there."""
+    return any(v <= s.lower * (1.0 + AT_BOUND) for s, v in zip(shapes, values, strict=False))
 
 
 def _of(placement: Placement, name: str, joint: int | None) -> bool:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.scene import Scene
 from lieid_casadi.diagnosis.screening import Baseline
-from lieid_casadi.diagnosis.unexplained import Unexplained
+from lieid_casadi.diagnosis.unexplained import Unexplained, smooth_columns
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification.noise_model import Noise
 
 Array = NDArray[np.float64]
-# Right effects on a UR10e reach 0.06, stand-ins begin at 0.05: most, not all, are told apart.
 STOOD_IN = "explains but a part of what the error follows"
-STAND_IN = 0.1  # unexplained variance over what a joint's steps explain: more, and they stand in
+STAND_IN = 0.03  # unexplained variance over what a joint's steps explain: more is suspicious
+OWN = 0.5  # of what an effect explains alone: with less beside smooth functions it stood in
 
 
 def superfluous(
@@ -40,20 +41,52 @@ def superfluous(
     return [placement for _, placement in sorted(found, key=lambda pair: pair[0])]
 
 
-def stand_ins(
-    first: Baseline, last: Baseline, left: Sequence[Unexplained], placements: Sequence[Placement]
-) -> list[Placement]:
-    """Return effects on joints where much stays explainable beside what the effects explain.
+def unexplained_beside(u: Unexplained, first: Baseline, last: Baseline) -> bool:
+    """Whether much stays explainable on a joint beside what its effects explain."""
+    rows = first.joint(u.joint)
+    total, rest = (float(np.sum(b.residual[rows] ** 2)) for b in (first, last))
+    return u.fraction * rest > STAND_IN * max(total - rest, 0.0)
 
-    The right effect leaves nothing to explain; one that merely resembles it does. Naming the
-    latter would send the user after the wrong cause.
+
+def stands_in(whole: Baseline, without: Baseline, smooth: Array) -> bool:
+    """Whether smooth functions (R, k) of what the error follows take over from an effect.
+
+    The right effect explains as much beside them; one that merely resembles something else does
+    not, and naming it would send the user after the wrong cause.
+
+    Parameters
+    ----------
+    whole, without : Baseline
+        The model with the effect and without it.
     """
+    alone = float(np.sum(without.residual**2) - np.sum(whole.residual**2))
+    small, large = (b.with_columns(smooth) for b in (without, whole))
+    beside = float(np.sum(small.residual**2) - np.sum(large.residual**2))
+    return beside < OWN * alone
+
+
+def stand_ins(
+    scene: Scene,
+    noise: Sequence[Noise],
+    first: Baseline,
+    left: Sequence[Unexplained],
+    placements: Sequence[Placement],
+) -> list[Placement]:
+    """Return accepted effects that only stood in for something that no effect is.
+
+    ``first`` is the baseline before any was accepted.
+    """
+    last = scene.baseline(noise)
+    doubtful = [u for u in left if unexplained_beside(u, first, last)]
+    if not doubtful:
+        return []
+    bank = scene.smooth.whitened(noise, scene.runs)
     out = []
-    for u in left:
-        rows = first.joint(u.joint)
-        total, rest = (float(np.sum(b.residual[rows] ** 2)) for b in (first, last))
-        if u.fraction * rest > STAND_IN * max(total - rest, 0.0):
-            out += [p for p in placements if p.joint == u.joint and not p.whole_arm]
+    for u, placement in product(doubtful, placements):
+        if placement.joint == u.joint and not placement.whole_arm:
+            without = _baseline_without(scene, noise, _columns_of(scene, placement))
+            if stands_in(last, without, smooth_columns(bank, u)):
+                out.append(placement)
     return out
 
 

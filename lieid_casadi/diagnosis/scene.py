@@ -13,6 +13,7 @@ from lieid_casadi.diagnosis.bank import Bank, Known, build_bank
 from lieid_casadi.diagnosis.candidates import Candidate, candidates
 from lieid_casadi.diagnosis.columns import SegmentSignals, scanned_grid
 from lieid_casadi.diagnosis.screening import Baseline
+from lieid_casadi.diagnosis.unexplained import Smooth, smooth_bank
 from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.design import Design, Rows
@@ -67,12 +68,14 @@ class Scene:
         *,
         before: Scene | None = None,
         kept: bool = False,
+        tried: bool = True,
     ) -> Scene:
         """Evaluate the model's and all candidates' columns.
 
         ``before`` is a scene of another fit on the same segments: its rows are kept, so that the
         two can be compared, and its columns where the fit does not change them. ``kept``: the
-        model stays as it is, so that a change of an effect that it has is a candidate too.
+        model stays as it is, so that a change of an effect that it has is a candidate too. Without
+        ``tried`` there are no candidates.
         """
         design = Design(fit.compiled, segments)
         rows = design.rows(fit.shapes, fit.parameters)
@@ -86,16 +89,16 @@ class Scene:
         torque = [_on_time_line(rows, j, rows.joints[j].torque) for j in range(fit.model.n)]
         residual = [_on_time_line(rows, j, r) for j, r in enumerate(rows.residuals(fit.values))]
         signals = [SegmentSignals.of(fit, s) for s in segments]
-        tried = 0
+        scanned = 0
 
         def scan(effect: Effect, joint: int) -> Array:
-            nonlocal tried
+            nonlocal scanned
             at = runs[joint].all
             grid, count = scanned_grid(effect, signals, joint, residual[joint][at], at)
-            tried += count
+            scanned += count
             return grid
 
-        wanted = candidates(fit.model, segments, scan, present=kept)
+        wanted = candidates(fit.model, segments, scan, present=kept) if tried else ()
         return cls(
             fit,
             tuple(segments),
@@ -106,15 +109,26 @@ class Scene:
             tuple(signals),
             build_bank(wanted, signals, runs, known),
             known,
-            tried,
+            scanned,
         )
 
     def zoomed(self, points: Mapping[int, Sequence[int]]) -> Scene:
         """Return the scene with finer grids beside points (candidate → points)."""
+        finer = {k: self.bank.candidates[k].zoomed(at).grid for k, at in points.items()}
+        return self.with_grids(finer)
+
+    def with_grids(self, grids: Mapping[int, Array]) -> Scene:
+        """Return the scene with other grids of some candidates (G, s)."""
         wanted = [
-            c.zoomed(points[k]) if k in points else c for k, c in enumerate(self.bank.candidates)
+            replace(c, grid=grids[k]) if k in grids else c
+            for k, c in enumerate(self.bank.candidates)
         ]
         return replace(self, bank=build_bank(wanted, self.signals, self.runs, self.known))
+
+    @cached_property
+    def smooth(self) -> Bank[Smooth]:
+        """Smooth functions of every signal, which no effect need be."""
+        return smooth_bank(self.signals, self.runs)
 
     @cached_property
     def plain(self) -> tuple[Noise, ...]:

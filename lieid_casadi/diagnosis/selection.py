@@ -43,6 +43,9 @@ logger = logging.getLogger("lieid_casadi")
 LEVEL = 1e-3  # family-wise p-value above which an effect is noise
 ZOOMS = 2  # rounds in which the grids of shape parameters are refined
 MOST_STEPS = 12
+ON_ALL = (
+    0.02  # least fall of the joints' mean square error that is worth an effect on the whole arm
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +216,11 @@ class Search:
             self._refuse(candidate, f"held-out error falls by {100 * np.nanmax(fall):.1f} % only")
             return False
         joint = int(np.nanargmax(fall))
-        tested = self.judge(fit)[joint] < self.judge(self.fit)[joint]
-        confirmed = None if np.isnan(self.judge(fit)[joint]) else bool(tested)
+        on_all = 1.0 - self._all_joints(after) / self._all_joints(before)
+        if candidate.reaches_all and on_all < ON_ALL:
+            self._refuse(candidate, f"error of all joints falls by {100 * on_all:.1f} % only")
+            return False
+        confirmed = self._confirmed(fit, joint)
         if confirmed is False:
             self._refuse(candidate, "the test's error does not fall")
             return False
@@ -242,6 +248,20 @@ class Search:
         )
         self.fit = fit
         return True
+
+    def _all_joints(self, errors: Array) -> float:
+        """Return the mean square of errors (n,) over the joints' noise."""
+        return float(
+            np.nanmean([(e / n.spread) ** 2 for e, n in zip(errors, self.plain, strict=True)])
+        )
+
+    def _confirmed(self, fit: Fit, joint: int) -> bool | None:
+        """Whether the test's error falls on a joint, and no more rises on others."""
+        before, after = self.judge(self.fit), self.judge(fit)
+        if np.isnan(after[joint]):
+            return None
+        falls = after[joint] < before[joint]
+        return bool(falls and self._all_joints(after) < self._all_joints(before))
 
     def _within_a_sample(self, candidate: Candidate, fit: Fit) -> bool:
         """Whether a delay is shorter than the recordings can tell from a shifted velocity."""

@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from lieid_casadi.diagnosis.shapes import SmoothShape
 
 Array = NDArray[np.float64]
+Ranges = dict[str, Array]  # of each signal: lowest and highest values (2, n)
 LEVEL = 1e-4  # family-wise
 LEAST = 0.08  # part of a joint's residual variance below which nothing is told
+LEAST_SLOW = 0.3  # the same for functions of time: coloured noise drifts
 ADDS = 0.25  # of what the signals before it explain: less, and a signal is not named
 MOST_SIGNALS = 3
 SLOW = 12  # half waves over a recording, up to which a function of time is smooth
@@ -107,10 +109,18 @@ class Unexplained:
         return plot_shapes([self], ax)
 
 
-def smooth_bank(signals: Sequence[SegmentSignals], runs: Sequence[Runs]) -> Bank[Smooth]:
-    """Return smooth functions of every signal on every joint, filtered, on its runs."""
+def smooth_bank(
+    signals: Sequence[SegmentSignals],
+    runs: Sequence[Runs],
+    *,
+    ranges: Ranges | None = None,
+) -> Bank[Smooth]:
+    """Return smooth functions of every signal on every joint, filtered, on its runs.
+
+    ``ranges`` are those of other signals, for the same functions.
+    """
     n = len(runs)
-    ranges = ranges_of(signals)
+    ranges = ranges_of(signals) if ranges is None else ranges
     bases = [bases_of(s, ranges) for s in signals]
     tried: list[Smooth] = []
     size: list[int] = []
@@ -127,6 +137,15 @@ def smooth_bank(signals: Sequence[SegmentSignals], runs: Sequence[Runs]) -> Bank
             first += values.shape[1]
     order = range(len(tried))
     return assemble(tried, list(order), [0] * len(tried), size, on_joint, runs)
+
+
+def smooth_columns(bank: Bank[Smooth], u: Unexplained) -> Array:
+    """Return the columns (R, k) of all functions of what an unexplained part depends on."""
+    wanted = set(u.depends_on)
+    groups = [
+        g for g, c in enumerate(bank.candidates) if c.joint == u.joint and wanted >= set(c.signals)
+    ]
+    return np.hstack([column_stack(bank, g) for g in groups])
 
 
 def unexplained(
@@ -163,7 +182,7 @@ def unexplained(
             < np.log10(LEVEL)
         ]
         names, terms, fraction = _strongest(bank, baseline, sure, folds, variance)
-        if names and fraction >= LEAST:
+        if names and fraction >= (LEAST_SLOW if names[0] == "t" else LEAST):
             part = Unexplained(joint, min(fraction, 1.0), names, terms)
             found.append((fraction * variance, part))
     return tuple(u for _, u in sorted(found, key=lambda pair: -pair[0]))
@@ -216,7 +235,7 @@ def _joints_of(names: tuple[str, ...], n: int) -> list[int]:
     return sorted(indices)
 
 
-def ranges_of(signals: Sequence[SegmentSignals]) -> dict[str, Array]:
+def ranges_of(signals: Sequence[SegmentSignals]) -> Ranges:
     """Return lowest and highest values (2, n) of each signal."""
     ranges = {}
     for name in ("q", "dq", "ddq", "load", "temperature", "time"):
@@ -225,7 +244,7 @@ def ranges_of(signals: Sequence[SegmentSignals]) -> dict[str, Array]:
     return ranges
 
 
-def bases_of(signals: SegmentSignals, ranges: dict[str, Array]) -> dict[str, Array]:
+def bases_of(signals: SegmentSignals, ranges: Ranges) -> dict[str, Array]:
     """Return basis functions (K, b) of each column along a segment."""
     bases = {}
     for name, column in (("q", "q"), ("dq", "dq"), ("ddq", "ddq"), ("load", "load")):

@@ -16,7 +16,7 @@ class TorqueRipple(Effect):
     name = "torque_ripple"
     formula = "a·sin(kq) + b·cos(kq)"
     coefficients = (Coefficient("a", "N·m"), Coefficient("b", "N·m"))
-    shapes = (Shape("k", "1/rad", 6.0, 1.6, 400.0, scan=0.25),)
+    shapes = (Shape("k", "1/rad", 6.0, 1.9, 400.0, scan=0.25),)
     signals = ("q",)
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:

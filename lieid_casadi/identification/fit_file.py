@@ -26,10 +26,18 @@ from lieid_casadi.recording.atomic_file import atomic_binary
 from lieid_casadi.recording.processing import Processing
 from lieid_casadi.robot.robot import Robot
 
-SCHEMA = 1
+SCHEMA = 2
 KIND = "lieid-fit"
-MIGRATIONS: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {}  # from version → to next
 Array = NDArray[np.float64]
+
+
+def _with_residual_noise(raw: dict[str, Any]) -> dict[str, Any]:
+    """Schema 1 had the residual's size and not its memory."""
+    noise = [{"filter": [1.0], "sigma": s, "spread": s} for s in raw.get("noise", [])]
+    return raw | {"schema": 2, "residual_noise": noise}
+
+
+MIGRATIONS: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {1: _with_residual_noise}
 
 
 class RobotText(msgspec.Struct, forbid_unknown_fields=True):
@@ -47,6 +55,7 @@ class NoiseFile(msgspec.Struct, forbid_unknown_fields=True):
     filter: list[float]
     sigma: float
     spread: float
+    rises: float = 1.0
 
 
 class Content(msgspec.Struct, forbid_unknown_fields=True):
@@ -92,7 +101,7 @@ def save(fit: Fit, path: str | Path) -> None:
         parameters=fit.parameters.tolist(),
         noise=fit.noise.tolist(),
         residual_noise=[
-            NoiseFile(e.filter.tolist(), e.sigma, e.spread) for e in fit.residual_noise
+            NoiseFile(e.filter.tolist(), e.sigma, e.spread, e.rises) for e in fit.residual_noise
         ],
         rms_train=fit.rms_train.tolist(),
         rms_train_raw=fit.rms_train_raw.tolist(),
@@ -126,7 +135,8 @@ def load(path: str | Path) -> Fit:
             parameters=np.array(content.parameters),
             noise=np.array(content.noise),
             residual_noise=tuple(
-                Noise(np.array(e.filter), e.sigma, e.spread) for e in content.residual_noise
+                Noise(np.array(e.filter), e.sigma, e.spread, e.rises)
+                for e in content.residual_noise
             ),
             rms_train=np.array(content.rms_train),
             rms_train_raw=np.array(content.rms_train_raw),

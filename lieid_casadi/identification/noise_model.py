@@ -9,7 +9,7 @@ alike (Cochrane, Orcutt, JASA 1949). Rows that dry friction leaves in doubt coun
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,12 @@ from scipy.optimize import brentq
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.identification.doubt import doubt_along
 from lieid_casadi.identification.fixed_point import State
+from lieid_casadi.identification.model_error import (
+    BLOCK,
+    explainable,
+    rise_of,
+    simple_columns,
+)
 from lieid_casadi.recording.processing import Processed
 
 Array = NDArray[np.float64]
@@ -27,6 +33,7 @@ LARGEST_ORDER = 8
 ROWS_PER_LAG = 25  # of the autoregression: fewer rows than that make a shorter one
 SMALLEST_NOISE = 1e-12
 LEAST_FREEDOM = 0.1
+LAGS = 50
 LEAST_SPREAD = 0.1  # of the residual: all of it is never in doubt
 
 
@@ -103,11 +110,14 @@ class Noise:
         1, a_1 … a_p.
     sigma, spread : float
         Of the white part, and of e itself, N·m.
+    rises : float
+        How many times the spread errors of the model may reach on other motion.
     """
 
     filter: Array
     sigma: float
     spread: float
+    rises: float = 1.0
 
     @classmethod
     def white(cls, sigma: float) -> Noise:
@@ -122,7 +132,7 @@ class Noise:
 
     def times(self, factor: float) -> Noise:
         """Return noise of the same colour, larger by a factor."""
-        return Noise(self.filter, factor * self.sigma, factor * self.spread)
+        return replace(self, sigma=factor * self.sigma, spread=factor * self.spread)
 
     def whiten(self, values: Array, runs: Runs) -> Array:
         """Return signals (N, …) on a joint's runs, weighted and whitened, of unit noise.
@@ -157,11 +167,34 @@ def _convolved(signal: Array, taps: Array) -> Array:
 def residual_noise(
     compiled: Compiled, segments: Sequence[Processed], state: State
 ) -> tuple[Noise, ...]:
-    """Return the noise of each joint's residual in a fit."""
+    """Return the noise of each joint's residual in a fit, and how it depends on the motion."""
     line = state.rows.on_time_line(state.solution.values)
     doubt = [doubt_along(compiled, s, state.shapes, state.parameters) for s in segments]
     runs = runs_of(np.isfinite(line), segments, np.concatenate(doubt))
-    return tuple(noise_of(own[run.all], run) for own, run in zip(line.T, runs, strict=True))
+    links = state.parameters[: 10 * compiled.n]
+    simple = np.concatenate([simple_columns(compiled, s, links) for s in segments])
+    block = round(BLOCK * RATE_OVER_CUTOFF * segments[0].cutoff) * _step(segments[0])
+    found = []
+    for own, run, columns in zip(line.T, runs, np.moveaxis(simple, 1, 0), strict=True):
+        at = run.all
+        residual = own[at]
+        noise = noise_of(residual, run)
+        weights = run.weights(noise.spread)
+        memory = 1.0 + 2.0 * float(np.sum(_correlations(noise) ** 2))
+        rise = rise_of(weights * residual, at, memory, max(block, 1))
+        part = explainable(weights * residual, weights[:, None] * columns[at])
+        found.append(replace(noise, rises=rise / float(np.sqrt(1.0 - part))))
+    return tuple(found)
+
+
+def _correlations(noise: Noise) -> Array:
+    """Return the autocorrelations of a joint's noise at the first lags."""
+    response = np.zeros(LAGS)
+    for k in range(LAGS):
+        past = noise.filter[1 : k + 1] @ response[k - 1 :: -1][: noise.order] if k else 0.0
+        response[k] = (k == 0) - past
+    covariance = np.correlate(response, response, "full")[LAGS - 1 :]
+    return np.asarray(covariance[1:] / covariance[0])
 
 
 def noise_of(residual: Array, runs: Runs, freedom: float = 1.0) -> Noise:
