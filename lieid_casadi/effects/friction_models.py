@@ -19,7 +19,8 @@ class FrictionModel:
     source : str
         Where it was published.
     note : str
-        In what it differs from the publication; empty if in nothing.
+        In what it differs from the publication, or, where that is not known in full, what is
+        known of it and what is our reading; empty if it is the printed formula.
     """
 
     name: str
@@ -69,30 +70,33 @@ FRICTION_MODELS: dict[str, FrictionModel] = {
             "gao2017",
             ("coulomb", "stribeck", "load_friction", "temperature_friction/exponential"),
             "Gao et al., IROS 2017 (the paper's ref. 7): velocity, temperature and load",
-            "built from the publication's abstract and what the paper says of it: viscous "
-            "friction exponential in temperature, dry friction in proportion to the load; "
-            "recordings need a temperature",
+            "known: one formula of velocity, temperature and load together; its terms are not "
+            "known here. Our reading: a Stribeck curve, viscous friction that falls "
+            "exponentially with temperature, dry friction in proportion to |load|. Recordings "
+            "need a temperature",
         ),
         FrictionModel(
             "gao2017_constant_temperature",
             ("coulomb", "stribeck", "load_friction", "viscous"),
             "Gao et al., IROS 2017 (the paper's ref. 7), at one temperature",
-            "as gao2017; for recordings without a temperature",
+            "our reading of gao2017, its temperature held; for recordings without one",
         ),
         FrictionModel(
             "he2021",
             ("coulomb", "viscous", "stribeck", "load_friction/stribeck"),
             "He et al., ROBIO 2021 (the paper's ref. 14): low speed",
-            "built from the publication's abstract: a Stribeck curve whose depth depends on the "
-            "load; the load's part is that of Bittencourt et al., IROS 2010, with exponent 2",
+            "known: a Stribeck curve at low speed whose depth depends on the load; the terms are "
+            "not known here. Our reading: the load's part is that of Bittencourt et al., IROS "
+            "2010, with exponent 2",
         ),
         FrictionModel(
             "madsen2020",
             ("viscous", "viscous_polynomial", "presliding/square"),
             "Madsen et al., Control Engineering Practice 2020 (the paper's ref. 25), in the form "
-            "of the authors' program AURT: (F_c + F_cl·τ²)·hysteresis + powers of velocity",
-            "one Dahl element in place of the generalized Maxwell-slip model's four; joint "
-            "flexibility left out",
+            "of the authors' program AURT: (F_c + F_cl·τ²)·h + powers of velocity, h a hysteresis",
+            "known: the program's source, where h is the sign (its generalized Maxwell-slip h "
+            "falls back to that), and which powers is a setting. Our reading: one Dahl element "
+            "for h, powers 1 to 3; joint flexibility left out",
         ),
         FrictionModel(
             "panda_sigmoid",
