@@ -90,7 +90,7 @@ class Lab:
     @classmethod
     def quick(cls) -> Lab:
         """Return a lab that does less of everything."""
-        return cls(periods=3, speeds=tuple(SPEEDS[::2]), centres=2, criterion_starts=1)
+        return cls(periods=3, speeds=tuple(SPEEDS[::2]), criterion_starts=1)
 
     @cached_property
     def excitations(self) -> tuple[Excitation, Excitation]:

@@ -115,20 +115,22 @@ def test_errors_leave_out_standstill(scripts):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("recorded", [False, pytest.param(True, marks=pytest.mark.real)])
-def test_page_stands(scripts, tmp_path, request, monkeypatch, recorded):
+@pytest.mark.real
+def test_recordings_give_the_same_columns(scripts, tmp_path, recordings, monkeypatch):
+    real_arm = scripts("real_arm")
+    monkeypatch.setenv("LIEID_RECORDINGS", str(recordings))
+    section = real_arm.section(real_arm.ur10e())
+    section.draw(tmp_path)
+    assert {p.stem for p in tmp_path.glob("*.png")} == {"recorded_5", "recorded_6"}
+    load = [c for c in section.claims if c.text.startswith("Eq. 18")]
+    assert len(load) == 2
+    assert all("sum -" in claim.evidence for claim in load)  # its load friction is real
+
+
+@pytest.mark.slow
+def test_page_stands(scripts, tmp_path, monkeypatch):
     make = scripts("make")
     monkeypatch.delenv("LIEID_RECORDINGS", raising=False)
-    if recorded:
-        folder = request.getfixturevalue("recordings")
-        real_arm = scripts("real_arm")
-        monkeypatch.setenv("LIEID_RECORDINGS", str(folder))
-        section = real_arm.section(real_arm.ur10e())
-        section.draw(tmp_path)
-        assert {p.stem for p in tmp_path.glob("*.png")} == {"recorded_5", "recorded_6"}
-        load = [c for c in section.claims if c.text.startswith("Eq. 18")]
-        assert all("sum -" in claim.evidence for claim in load)  # its load friction is real
-        return
     sections = make.main(["--quick", "-o", str(tmp_path)])
     page = (tmp_path / "README.md").read_text()
     for title in ("Table III", "Table IV", "Tables V and VI", "Fig. 5", "Fig. 7", "Closing note"):
