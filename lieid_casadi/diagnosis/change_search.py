@@ -13,7 +13,7 @@ from lieid_casadi.diagnosis.choosing import BLOCK, FOLD, block_index, by_contrib
 from lieid_casadi.diagnosis.diagnosis import Evidence, Step
 from lieid_casadi.diagnosis.evidence import Family
 from lieid_casadi.diagnosis.forward import Price, best_set, column_stack, with_groups
-from lieid_casadi.diagnosis.plausible import at_bound
+from lieid_casadi.diagnosis.plausible import hardly_there
 from lieid_casadi.diagnosis.pruning import STOOD_IN, stands_in, unexplained_beside
 from lieid_casadi.diagnosis.rivals import FOLDS, cross_validated_gain, rivals_of
 from lieid_casadi.diagnosis.scene import Scene
@@ -123,8 +123,9 @@ class ChangeSearch:
         held = cross_validated_gain(columns, here, self.folds)
         log10_p, rows = self._evidence(winner, others)
         joint = int(np.argmax(np.where(high, fall, -np.inf)))
-        if at_bound(candidate.effect.shapes, candidate.grid[self.bank.point[winner]]):
-            self.rejected.append((label, "a shape parameter ran to its bound: hardly there"))
+        shapes = zip(candidate.effect.shapes, candidate.grid[self.bank.point[winner]], strict=False)
+        if any(hardly_there(s, x, self.scene.segments, candidate.joint) for s, x in shapes):
+            self.rejected.append((label, "its shape is less than motion shows"))
             return None
         if log10_p > np.log10(LEVEL):
             self.rejected.append((label, f"family-wise p = {10.0**log10_p:.2g}"))

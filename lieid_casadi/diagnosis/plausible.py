@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from lieid_casadi.diagnosis.candidates import shape_limits
 from lieid_casadi.effects import Placement, Shape
@@ -31,15 +31,15 @@ def beyond_motion(fit: Fit, placement: Placement, segments: Sequence[Processed])
     for parameter, value in zip(fit.model.shapes, fit.shapes, strict=True):
         if _of(placement, parameter.name, parameter.joint):
             name = parameter.name.rpartition(".")[2]
-            least, _ = shape_limits(shapes[name], segments, placement.joint)
-            if value < SPARE * least or at_bound([shapes[name]], [value]):
+            if hardly_there(shapes[name], value, segments, placement.joint):
                 return f"{parameter.label} = {value:.2g} {parameter.unit} is less than motion shows"
     return ""
 
 
-def at_bound(shapes: Sequence[Shape], values: Iterable[float]) -> bool:
-    """Whether a shape parameter is at its lower bound: the effect is hardly there."""
-    return any(v <= s.lower * (1.0 + AT_BOUND) for s, v in zip(shapes, values, strict=False))
+def hardly_there(shape: Shape, value: float, segments: Sequence[Processed], joint: int) -> bool:
+    """Whether a shape parameter is at its lower bound, or below what a joint's motion shows."""
+    least, _ = shape_limits(shape, segments, joint)
+    return value < SPARE * least or value <= shape.lower * (1.0 + AT_BOUND)
 
 
 def _of(placement: Placement, name: str, joint: int | None) -> bool:

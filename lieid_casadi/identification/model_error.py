@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.recording.processing import Processed
@@ -11,6 +12,7 @@ from lieid_casadi.recording.processing import Processed
 Array = NDArray[np.float64]
 BLOCK = 2.0  # s
 FEWEST = 8  # rows of a block whose size says something
+SURE = 0.95  # level at which blocks differ more than chance has it
 HIGH = 1.28  # standard deviations: one block in ten is above
 SLOW = 0.1  # of the top speed
 MOST = 0.9  # of the residual that is taken to be explainable
@@ -35,7 +37,9 @@ def rise_of(residual: Array, at: NDArray[np.intp], memory: float, rows_per_block
         return 1.0
     relative = squares / squares.mean()
     chance = float(np.mean(2.0 * memory / counts))
-    beyond = max(float(np.var(relative, ddof=1)) - chance, 0.0)
+    most = chance * float(chi2.ppf(SURE, len(relative) - 1)) / (len(relative) - 1)
+    variance = float(np.var(relative, ddof=1))
+    beyond = variance - chance if variance > most else 0.0
     return float(np.sqrt(1.0 + HIGH * np.sqrt(beyond)))
 
 
