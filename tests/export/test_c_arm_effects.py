@@ -136,7 +136,7 @@ def test_it_is_the_plants_payload_wrench_and_tilt(tmp_path):
             fit, parameters=np.concatenate([PANDA.link_parameters, coefficients])
         )
         arm = Arm(fit, tmp_path / f"{number}")
-        exact = lieid.Recording.from_arrays(t, *motion[:2], recording.tau, ddq=motion[2])
+        exact = lieid.Recording.from_arrays(t, recording.q, motion[1], recording.tau, ddq=motion[2])
         error = arm.torque(exact) - recording.tau
         assert np.abs(error).max() < 1e-6, label
 
