@@ -149,7 +149,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     _print_unexplained(diagnosis)
     if diagnosis.rejected:
         output.table("Turned down", ["candidate", "why"], [list(r) for r in diagnosis.rejected])
-    output.say(f"{diagnosis.tried} candidates were tried.")
+    output.say(f"{diagnosis.tried} candidates were tried. {diagnosis.aliases.sentence}".rstrip())
     output.show_warnings(diagnosis.warnings)
 
 

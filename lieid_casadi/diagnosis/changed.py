@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import compare
+from lieid_casadi.diagnosis.aliases import aliases
 from lieid_casadi.diagnosis.change_search import ChangeSearch
 from lieid_casadi.diagnosis.describing import described
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Step
@@ -67,6 +68,7 @@ def changed(
         steps=tuple(steps),
         unexplained=left,
         rejected=tuple(search.rejected),
+        aliases=aliases(search.bank, search.baseline),
         tried=len(scene.bank.candidates),
         fit=fit,
         warnings=unique_warnings(before.warnings),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import Comparison, compare
+from lieid_casadi.diagnosis.aliases import aliases
 from lieid_casadi.diagnosis.carrying_over import carried_over
 from lieid_casadi.diagnosis.changed import changed
 from lieid_casadi.diagnosis.choosing import FOLD, block_index
@@ -136,6 +137,10 @@ def diagnose(
         steps=steps,
         unexplained=left,
         rejected=tuple((r.candidate.placement.label, r.reason) for r in search.rejected),
+        aliases=aliases(
+            search.first.bank.whitened(search.plain, scene.runs),
+            search.first.baseline(search.plain),
+        ),
         tried=len(scene.bank.candidates) + len(steps),
         fit=search.fit,
         warnings=unique_warnings(warnings),

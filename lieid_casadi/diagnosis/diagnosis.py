@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.diagnosis.aliases import Aliases
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.unexplained import Unexplained
 from lieid_casadi.errors import LieidWarning
@@ -128,6 +129,8 @@ class Diagnosis:
         Candidates that looked best and were turned down, and why.
     tried : int
         How many candidates were screened.
+    aliases : Aliases
+        Which of them the first model absorbs.
     fit : Fit
         The last model's.
     warnings : tuple of LieidWarning
@@ -146,6 +149,7 @@ class Diagnosis:
     unexplained: tuple[Unexplained, ...]
     rejected: tuple[tuple[str, str], ...]
     tried: int
+    aliases: Aliases
     fit: Fit
     warnings: tuple[LieidWarning, ...]
     train: tuple[Source, ...]
@@ -167,6 +171,8 @@ class Diagnosis:
             "unexplained": [u.to_dict() for u in self.unexplained],
             "rejected": [{"effect": label, "reason": reason} for label, reason in self.rejected],
             "tried": self.tried,
+            "absorbed": list(self.aliases.absorbed),
+            "weak": [{"effect": label, "remains": part} for label, part in self.aliases.weak],
             "cutoff": self.fit.processing.cutoff,
             "warnings": warning_list(self.warnings),
             "recordings": {

@@ -174,3 +174,12 @@ def test_commands(tmp_path):
     assert main(add) == 0
     assert main(["diagnose", "two_link", paths[0]]) == 2
     assert main(["diagnose", fit]) == 2
+
+
+def test_what_the_model_absorbs_is_never_named_and_told():
+    train, test = two_runs()
+    said = lieid.diagnose(MODEL, train, test)
+    assert "armature:1" in said.aliases.absorbed  # Izz of the first link is the same column
+    assert not {label for label, _ in said.aliases.weak} & set(said.aliases.absorbed)
+    assert "armature:1" in said.aliases.sentence
+    assert said.to_dict()["absorbed"] == list(said.aliases.absorbed)

@@ -80,7 +80,7 @@ def evidence_section(diagnosis: Diagnosis) -> Section:
         "title": f"Turned down ({diagnosis.tried} candidates were tried)",
         "headings": ["effect", "because"],
         "rows": [list(pair) for pair in diagnosis.rejected],
-        "note": "",
+        "note": diagnosis.aliases.sentence,
     }
     return Section(
         "Evidence", "diagnosis.html", {"sentence": "", "tables": [found, left, rejected]}
