@@ -12,7 +12,7 @@ from lieid_casadi.diagnosis.aliases import aliases
 from lieid_casadi.diagnosis.carrying_over import carried_over
 from lieid_casadi.diagnosis.changed import changed
 from lieid_casadi.diagnosis.choosing import FOLD, block_index
-from lieid_casadi.diagnosis.describing import described
+from lieid_casadi.diagnosis.describing import Ahead, described
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
 from lieid_casadi.diagnosis.pruning import STOOD_IN, stand_ins
 from lieid_casadi.diagnosis.remainder import Remainder
@@ -113,10 +113,13 @@ def diagnose(
     if out:
         scene = search.without(out, STOOD_IN, scene)
         left = left_over(search, scene, seed=seed)
+    ahead = None
     if left and tests:
-        ahead, _ = center_temperature(process(tests, options), first.temperature_mean)
-        left = carried_over(left, scene, Scene.of(search.fit, ahead, tried=False), search.plain)
-    left = described(left, Remainder.of(scene, search.plain, scene.baseline(search.plain)))
+        others, _ = center_temperature(process(tests, options), first.temperature_mean)
+        ahead = Ahead(scene, Scene.of(search.fit, others, tried=False), search.plain)
+        left = carried_over(left, scene, ahead.test, search.plain)
+    remainder = Remainder.of(scene, search.plain, scene.baseline(search.plain))
+    left = described(left, remainder, ahead)
     steps = tuple(_step(found, tested(found.fit), scene) for found in search.found)
     floor, source = _noise_floor(given, search, scene)
     before = tested(first)

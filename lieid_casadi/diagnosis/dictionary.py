@@ -54,8 +54,9 @@ CUBE = Function("{x}³", "{x} ** 3", 3, 3, lambda x, s: x**3)
 SIZE = Function("|{x}|", "ca.fabs({x})", 1, 2, lambda x, s: np.abs(x))
 SIGN = Function("sgn({x})", "{s}.sign", 0, 1, lambda x, s: s)
 SIGNED_SQUARE = Function("{x}·|{x}|", "{x} * ca.fabs({x})", 2, 2, lambda x, s: x * np.abs(x))
+POWERS = [LINE, SQUARE, CUBE]
 FUNCTIONS = {
-    "q": [LINE, SQUARE, *(f for k in range(1, HARMONICS + 1) for f in _waves(k))],
+    "q": [f for k in range(1, HARMONICS + 1) for f in _waves(k)],
     "dq": [SIGN, LINE, SIZE, SQUARE, SIGNED_SQUARE, CUBE],
     "ddq": [LINE, SIZE, SQUARE],
     "load": [LINE, SIZE, SQUARE],
@@ -110,19 +111,29 @@ class Term:
         return _written(powers)
 
 
-def dictionary(names: Sequence[str], revolute: Sequence[bool]) -> list[Term]:
+def dictionaries(names: Sequence[str], revolute: Sequence[bool]) -> list[list[Term]]:
+    """Return one dictionary with waves of the angles, and one with their powers.
+
+    A sum of both fits any curve and says nothing: a torque goes round with an angle, or a spring
+    is bent by it.
+    """
+    turning = any(split_column(n)[0] == "q" and revolute[split_column(n)[1]] for n in names)
+    return [dictionary(names, revolute, waves=w) for w in ((True, False) if turning else (False,))]
+
+
+def dictionary(names: Sequence[str], revolute: Sequence[bool], *, waves: bool = True) -> list[Term]:
     """Return the functions of the given columns, and products of two of different columns."""
-    known = {name: _functions(name, revolute) for name in names}
+    known = {name: _functions(name, revolute, waves) for name in names}
     terms = [Term(((name, f),)) for name in names for f in known[name]]
     for a, b in combinations(names, 2):
         terms += [Term(((a, f), (b, g))) for f, g in product(known[a], known[b])]
     return terms
 
 
-def _functions(name: str, revolute: Sequence[bool]) -> list[Function]:
+def _functions(name: str, revolute: Sequence[bool], waves: bool) -> list[Function]:
     kind, joint = split_column(name)
-    if kind == "q" and not revolute[joint]:
-        return [LINE, SQUARE, CUBE]
+    if kind == "q" and not (waves and revolute[joint]):
+        return POWERS
     return FUNCTIONS[kind]
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.dictionary import Term, dictionary
+from lieid_casadi.diagnosis.dictionary import Term, dictionaries
 from lieid_casadi.diagnosis.remainder import Remainder
 from lieid_casadi.diagnosis.rivals import cross_validated_gain
 from lieid_casadi.diagnosis.unexplained import Unexplained
@@ -71,39 +72,48 @@ def form_of(part: Unexplained, remainder: Remainder) -> Form | None:
 
     It must explain, of blocks of time held out, four fifths of what the smooth functions do.
     """
-    joint, baseline = part.joint, remainder.baseline
+    own = remainder.baseline.residual[remainder.baseline.joint(part.joint)]
+    smooth = part.fraction * float(np.sum(own**2))
     names = [name for name in part.depends_on if name != "t"]
-    terms = dictionary(names, remainder.revolute)
-    if not terms:
+    found = [
+        _sparse(part.joint, terms, smooth, remainder)
+        for terms in (dictionaries(names, remainder.revolute) if names else ())
+    ]
+    # of two that explain as much, the one with fewer terms
+    best = max(found, key=lambda f: f[0] - ADDS * smooth * len(f[1]), default=(0.0, [], None))
+    explained, kept, columns = best
+    if columns is None or explained < ENOUGH * smooth:
         return None
+    estimate = remainder.fit(columns)
+    order = np.argsort(-np.abs(estimate.values) * np.linalg.norm(columns, axis=0))
+    return Form(
+        tuple(kept[k] for k in order),
+        tuple(float(v) for v in estimate.values[order]),
+        tuple(float(v) for v in estimate.std[order]),
+        tuple(kept[k].unit(remainder.revolute, part.joint) for k in order),
+        explained / smooth,
+    )
+
+
+def _sparse(
+    joint: int, terms: Sequence[Term], smooth: float, remainder: Remainder
+) -> tuple[float, list[Term], Array | None]:
+    """Return what the best few terms explain of held-out blocks, those terms, their columns."""
+    baseline = remainder.baseline
     along = [np.column_stack([t.along(s) for t in terms]) for s in remainder.signals]
     columns = remainder.columns(joint, along)
     rest, usable = _normalized(columns, remainder)
+    best: tuple[float, list[Term], Array | None] = (0.0, [], None)
     if not len(usable):
-        return None
-    chosen: Indices = np.zeros(0, dtype=np.intp)
-    explained = 0.0
-    variance = float(np.sum(baseline.residual[baseline.joint(joint)] ** 2))
-    smooth = part.fraction * variance
+        return best
     costs = np.array([terms[k].cost for k in usable])
-    for found in _subsets(rest, baseline.residual, costs):
-        wanted = usable[found]
-        gain = cross_validated_gain(columns[:, wanted], baseline, remainder.folds)
-        if gain < explained + ADDS * smooth:
+    for subset in _subsets(rest, baseline.residual, costs):
+        own = columns[:, usable[subset]]
+        gain = cross_validated_gain(own, baseline, remainder.folds)
+        if gain < best[0] + ADDS * smooth:
             break
-        chosen, explained = wanted, gain
-    if not len(chosen) or explained < ENOUGH * smooth:
-        return None
-    estimate = remainder.fit(columns[:, chosen])
-    order = np.argsort(-np.abs(estimate.values) * np.linalg.norm(columns[:, chosen], axis=0))
-    kept = [terms[chosen[k]] for k in order]
-    return Form(
-        tuple(kept),
-        tuple(float(v) for v in estimate.values[order]),
-        tuple(float(v) for v in estimate.std[order]),
-        tuple(term.unit(remainder.revolute, joint) for term in kept),
-        explained / smooth,
-    )
+        best = gain, [terms[k] for k in usable[subset]], own
+    return best
 
 
 def _normalized(columns: Array, remainder: Remainder) -> tuple[Array, Indices]:

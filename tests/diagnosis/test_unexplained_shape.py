@@ -9,12 +9,15 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis import own_effects
-from lieid_casadi.diagnosis.dictionary import FUNCTIONS, Term, dictionary
+from lieid_casadi.diagnosis.describing import Ahead
+from lieid_casadi.diagnosis.dictionary import FUNCTIONS, Term, dictionaries, dictionary
 from lieid_casadi.diagnosis.form import Form, _subsets
 from lieid_casadi.diagnosis.remainder import Remainder
+from lieid_casadi.diagnosis.scene import Scene
 from lieid_casadi.diagnosis.screening import Baseline
 from lieid_casadi.diagnosis.unexplained import Unexplained
 from lieid_casadi.effects.effect import REGISTER
+from lieid_casadi.recording import process
 from lieid_casadi.report import diagnosis_report
 
 ROBOT = lieid.robots.two_link()
@@ -211,16 +214,36 @@ def test_the_command_line_goes_round(tmp_path, capsys):
     assert "Nothing in the library improves the model." in capsys.readouterr().out
 
 
+def test_a_formula_that_the_test_contradicts_is_not_told(by_angle):
+    diagnosis, train, test = by_angle
+    clean = run(plant.demo_arm(ROBOT, hidden=None), 2)
+    (part,), fit = diagnosis.unexplained, diagnosis.fit
+    own, same, other = (Scene.of(fit, process([r], fit.processing), tried=False)
+                        for r in (train, test, clean))  # fmt: skip
+    noise = own.plain
+    assert Ahead(own, same, noise).carries(part.form, part)
+    assert not Ahead(own, other, noise).carries(part.form, part)
+
+
 def test_units_of_coefficients():
     turns = (True, True, False)
     by_name = {t.text: t.unit(turns, 0) for t in dictionary(["q1", "dq2", "load1"], turns)}
     assert by_name["sin(2 q1)·dq2"] == "N·m·s/rad"
     assert by_name["dq2²"] == "N·m·s²/rad²"
     assert by_name["sgn(dq2)·|load1|"] == "1"
-    assert by_name["q1·dq2³"] == "N·m·s³/rad⁴"
+    powers = {t.text: t.unit(turns, 0) for t in dictionary(["q1", "dq2"], turns, waves=False)}
+    assert powers["q1·dq2³"] == "N·m·s³/rad⁴"
     sliding = {t.text: t.unit(turns, 2) for t in dictionary(["q3", "dq3"], turns)}
     assert sliding["dq3"] == "N·s/m"
     assert not any("sin" in text for text in sliding)
+
+
+def test_waves_and_powers_of_an_angle_are_not_mixed():
+    both = dictionaries(["q1", "dq1"], (True,))
+    assert len(both) == 2
+    for texts in ({t.text for t in terms} for terms in both):
+        assert ("q1²" in texts) != ("sin(q1)" in texts)
+    assert len(dictionaries(["dq1"], (True,))) == 1
 
 
 def test_products_of_two_other_joints_are_told():
