@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from arm import HEAVIEST, PRINTED, Array, N, friction_surface, true_friction
-from lab import Lab
+from lab import EQ_18, Lab
 from page import Claim, Section, joints, plain_logarithmic, show, table
 
-from lieid_casadi.friction import FrictionFit
+from lieid_casadi.friction import FrictionFit, fit_friction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 SPEEDS = np.deg2rad(np.geomspace(0.1, 30.0, 30))
 LOADS = 12
+DRAWS = 5  # of the noise, for joint 1, which has most of it and least load
 COEFFICIENTS = {"f_v": "f_v1", "f_v2": "f_v2", "f_v3": "f_v3", "f_c": "f_c", "v_c": "f_c1",
                 "f_s": "f_s", "v_s": "f_s1", "f_tau": "f_tau", "f_tau1": "f_tau1",
                 "f_tau2": "f_tau2"}  # fmt: skip
@@ -26,6 +27,7 @@ COEFFICIENTS = {"f_v": "f_v1", "f_v2": "f_v2", "f_v3": "f_v3", "f_c": "f_c", "v_
 def section(lab: Lab) -> Section:
     """Fit Eq. 8 to every joint's friction, and compare the surface with the plant's own."""
     fits = [lab.friction[j] for j in range(N)]
+    again = np.array([surface_errors(lab, 0, redrawn(lab, draw)) for draw in range(1, DRAWS)])
     surface, rectangle = np.array([surface_errors(lab, j) for j in range(N)]).T
     printed = PRINTED["figure_5"]
     rows = [
@@ -58,16 +60,18 @@ def section(lab: Lab) -> Section:
         Claim(
             "bar",
             "the ten coefficients reproduce the friction surface within 3 % RMS",
-            bool(np.all(surface <= 0.03)),
-            f"at most {100 * surface.max():.2f} % (joint {int(surface.argmax()) + 1})",
+            bool(np.all(surface <= 0.03) and np.all(again[:, 0] <= 0.03)),
+            f"at most {100 * surface.max():.2f} % (joint {int(surface.argmax()) + 1}); joint 1 "
+            "with "
+            f"{DRAWS - 1} other draws of the noise at most {100 * again[:, 0].max():.2f} %",
         ),
         Claim(
             "beyond the bar",
             "and over the whole rectangle of 0.1–30 °/s and the loads of 6.5.2",
-            bool(np.all(rectangle <= 0.03)),
-            f"joint 1 {100 * rectangle[0]:.2f} %, where slow motion under load cannot be measured; "
-            ""
-            f"the others at most {100 * rectangle[1:].max():.2f} %",
+            bool(np.all(rectangle <= 0.03) and np.all(again[:, 1] <= 0.03)),
+            f"joint 1, whose slow motion under load cannot be measured, {100 * rectangle[0]:.2f} "
+            f"%, with other noise up to {100 * again[:, 1].max():.2f} %; the others at most "
+            f"{100 * rectangle[1:].max():.2f} %",
         ),
         Claim(
             "6.4.2",
@@ -81,7 +85,7 @@ def section(lab: Lab) -> Section:
     )
 
 
-def surface_errors(lab: Lab, joint: int) -> tuple[float, float]:
+def surface_errors(lab: Lab, joint: int, fit: FrictionFit | None = None) -> tuple[float, float]:
     """Return RMS error over RMS friction of a joint's fitted surface.
 
     At the speeds and loads of the runs of 6.5.2, and over the whole rectangle of both.
@@ -93,8 +97,13 @@ def surface_errors(lab: Lab, joint: int) -> tuple[float, float]:
         np.tile(SPEEDS, LOADS),
         np.repeat(np.linspace(load.min(), load.max(), LOADS), len(SPEEDS)),
     )
-    fit = lab.friction[joint]
+    fit = fit or lab.friction[joint]
     return _error(fit, speed, load), _error(fit, *rectangle)
+
+
+def redrawn(lab: Lab, draw: int) -> FrictionFit:
+    """Return joint 1 measured and fitted again, with another draw of the noise."""
+    return fit_friction(lab.curve(lab.first_stage, 0, HEAVIEST, draw), EQ_18)
 
 
 def _error(fit: FrictionFit, speed: Array, load: Array) -> float:

@@ -148,14 +148,17 @@ class Lab:
             )
         }
 
-    def curve(self, fit: Fit, joint: int, payload: float) -> FrictionCurve:
-        """Return a joint's friction (from 0) measured with a payload; loads by this fit."""
+    def curve(self, fit: Fit, joint: int, payload: float, draw: int = 0) -> FrictionCurve:
+        """Return a joint's friction (from 0) measured with a payload; loads by this fit.
+
+        ``draw`` is one of the noise.
+        """
         runs = [
             plant.measure_along(
                 true_arm(payload),
                 *motion,
                 sensors=replace(sensors(SWEEP_RATE), rate=None, velocity="none"),
-                seed=1000 * joint + 10 * k + int(payload),
+                seed=10000 * draw + 1000 * joint + 10 * k + int(payload),
                 name=f"joint {joint + 1}, {payload:g} kg",
             )
             for k, motion in enumerate(friction_runs(joint, self.speeds, self.centres))

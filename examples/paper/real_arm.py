@@ -73,7 +73,6 @@ def section(recorded: Recorded | None) -> Section:
             "A real arm",
             "No recordings of a real arm were at hand when this page was made, so this part is "
             "left out: set `LIEID_RECORDINGS` to the folder that has `ur10e/`, or give `--robot`, "
-            ""
             "`--train` and `--test`.",
         )
     robot = lieid.Robot.load(recorded.robot)
