@@ -156,12 +156,12 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 def _print_unexplained(diagnosis: Diagnosis) -> None:
     """Print the lines that make what stays an effect of the user's own."""
     from lieid_casadi.diagnosis.own_effect import own_effects
+    from lieid_casadi.diagnosis.words import again
 
     own = own_effects(diagnosis.unexplained)
     if own.labels:
-        labels = ",".join([*diagnosis.fit.model.effects, *own.labels])
         output.say(
             "What stays as an effect of your own: keep these lines in a file F.py and run again "
-            f"with --effects-file F.py --effects '{labels}'\n"
+            f"with {again(diagnosis, own.labels)}\n"
         )
         output.say("\n".join("    " + line if line else "" for line in own.code.splitlines()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -40,6 +41,13 @@ def sentence(d: Diagnosis) -> str:
         for u in d.unexplained
     ]
     return " ".join(parts)
+
+
+def again(d: Diagnosis, labels: Sequence[str]) -> str:
+    """Return the options that run a diagnosis again with effects of the user's own in F.py."""
+    if d.mode == "changed":  # the model is kept; registered effects are tried
+        return "--effects-file F.py"
+    return f"--effects-file F.py --effects '{','.join([*d.fit.model.effects, *labels])}'"
 
 
 def rows(d: Diagnosis) -> tuple[list[str], list[list[object]]]:

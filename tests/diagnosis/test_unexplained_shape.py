@@ -160,12 +160,17 @@ def test_another_joint_acts_through_an_effect_on_pairs():
 def test_what_has_changed_has_a_formula_too():
     arm = plant.demo_arm(ROBOT, hidden=None)
     fit = lieid.identify(MODEL, [run(arm, 1), run(arm, 2)])
-    diagnosis = lieid.diagnose(fit, run(arm.with_effects(
-        plant.ForeignTorque(1, viscous_by_angle)), 3))  # fmt: skip
+    after = run(arm.with_effects(plant.ForeignTorque(1, viscous_by_angle)), 3)
+    diagnosis = lieid.diagnose(fit, after)
     assert diagnosis.verdict == "unexplained"
     (part,) = diagnosis.unexplained
     assert {t.text for t in part.form.terms} == {"sin(2 q2)·dq2", "cos(2 q2)·dq2"}
     assert part.shapes
+    assert "--effects " not in diagnosis_report(diagnosis)
+    exec(compile(part.as_effect_code(), "own.py", "exec"), {})
+    again = lieid.diagnose(fit, after)
+    assert [step.label for step in again.steps] == ["own_2:2"]
+    assert again.verdict == "effect_found"
 
 
 def test_json_keeps_its_keys_and_has_more(by_angle, with_bump):
@@ -186,7 +191,7 @@ def test_the_report_shows_shape_and_code(by_angle, with_bump):
         page = diagnosis_report(diagnosis)
         assert "What stays unexplained" in page
         assert "@lieid.effect(" in page
-        assert "--effects-file F.py --effects coulomb,viscous,offset,own_2:2" in page
+        assert "--effects-file F.py --effects &#39;coulomb,viscous,offset,own_2:2&#39;" in page
         figure = diagnosis.plot_unexplained()
         assert len(figure.axes) >= 1
 

@@ -90,13 +90,14 @@ def evidence_section(diagnosis: Diagnosis) -> Section:
 def unexplained_section(diagnosis: Diagnosis) -> Section:
     """Return the shape of what stays unexplained, and the lines that make it an effect."""
     from lieid_casadi.diagnosis.own_effect import own_effects
+    from lieid_casadi.diagnosis.words import again
 
     own = own_effects(diagnosis.unexplained)
     drawn = any(part.shapes for part in diagnosis.unexplained)
     data = {
         "uri": data_uri(diagnosis.plot_unexplained()) if drawn else "",
         "code": own.code,
-        "labels": ",".join([*diagnosis.fit.model.effects, *own.labels]) if own.labels else "",
+        "options": again(diagnosis, own.labels) if own.labels else "",
     }
     return Section("What stays unexplained", "unexplained.html", data)
 
