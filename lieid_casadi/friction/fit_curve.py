@@ -28,6 +28,8 @@ from lieid_casadi.model import Model, Parameter
 Array = NDArray[np.float64]
 SAMPLED_STARTS = 40  # shapes drawn over their ranges, of which the best are descended from
 DESCENTS = 4
+FINALISTS = 2  # of them, that are followed on all instants
+SETTLED = 1e-4  # relative change of the misfit on all instants: far below what noise does to it
 STEP = 1e-5  # of a shape's range
 UNSEEN = 1e-9  # of the largest column: nothing of a column is left in half the difference
 FAR = 0.5  # of the largest measured friction: further out, an extrapolation is told
@@ -120,9 +122,10 @@ class _Problem:
         self.lower = np.array([c.lower for c in self.model.columns])
         self.upper = np.array([c.upper for c in self.model.columns])
 
-    def columns(self, shapes: Array) -> Array:
+    def columns(self, shapes: Array, *, thinned: bool = False) -> Array:
         """Return the columns' averages per point (G, m)."""
-        return self.curve.data.columns(self.compiled, self.curve.joint, shapes)
+        data, joint = self.curve.data, self.curve.joint
+        return data.columns(self.compiled, joint, shapes, thinned=thinned)
 
     def coefficients(self, shapes: Array) -> Array:
         """Return the best coefficients (m,) at given shapes."""
@@ -140,28 +143,36 @@ class _Problem:
         bounds = (self.lower * finite, self.upper * finite)
         return np.asarray(lsq_linear(matrix / finite, target, bounds).x / finite)
 
-    def residual(self, shapes: Array) -> Array:
+    def residual(self, shapes: Array, *, thinned: bool = False) -> Array:
         """Return the weighted residual (G,) with the best coefficients."""
-        columns = self.columns(shapes)
+        columns = self.columns(shapes, thinned=thinned)
         return (self.curve.friction - columns @ self._solve(columns)) * self.weight
 
     def search(self, descents: int, random: np.random.Generator) -> Array:
-        """Return the best shapes (s,)."""
+        """Return the best shapes (s,): found on some of the instants, then on all."""
         first = self.model.initial_shapes
         if not len(first):
             return first
-        drawn = self.ranges.shapes(_spread(SAMPLED_STARTS, len(first), random))
-        starts = sorted([first, *drawn], key=lambda shapes: _square(self.residual(shapes)))
-        found = [self._descend(start) for start in starts[:descents]]
-        return min(found, key=lambda shapes: _square(self.residual(shapes)))
 
-    def _descend(self, start: Array) -> Array:
+        def misfit(shapes: Array) -> float:
+            return _square(self.residual(shapes, thinned=True))
+
+        drawn = self.ranges.shapes(_spread(SAMPLED_STARTS, len(first), random))
+        starts = sorted([first, *drawn], key=misfit)
+        found = sorted((self._descend(x, thinned=True) for x in starts[:descents]), key=misfit)
+        final = [self._descend(shapes, thinned=False) for shapes in found[:FINALISTS]]
+        return min(final, key=lambda shapes: _square(self.residual(shapes)))
+
+    def _descend(self, start: Array, *, thinned: bool) -> Array:
         def residual(place: Array) -> Array:
-            return self.residual(self.ranges.shapes(place))
+            return self.residual(self.ranges.shapes(place), thinned=thinned)
 
         inside = np.clip(self.ranges.place(start), 1e-6, 1.0 - 1e-6)
         steps = np.full(len(start), 1e-6)
-        result = least_squares(residual, inside, bounds=(0.0, 1.0), diff_step=steps, max_nfev=50)
+        enough = 1e-8 if thinned else SETTLED
+        result = least_squares(
+            residual, inside, bounds=(0.0, 1.0), diff_step=steps, max_nfev=50, ftol=enough
+        )
         return self.ranges.shapes(np.asarray(result.x))
 
     def slopes(self, shapes: Array, coefficients: Array) -> Array:
