@@ -8,7 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import BoundWarning, ConvergenceWarning, LieidWarning, NoSolution
+from lieid_casadi.errors import (
+    BoundWarning,
+    ConvergenceWarning,
+    LieidWarning,
+    NoSolution,
+    NotDissipativeWarning,
+)
 from lieid_casadi.identification.certificate import (
     Certificate,
     least_dissipation,
@@ -31,6 +37,7 @@ from lieid_casadi.recording import Processed
 Array = NDArray[np.float64]
 WEIGHTS = tuple(10.0**k for k in range(-5, 2))  # λ that cross-validation tries
 ROUNDS = 10  # of the fixed point over the load
+DRIVING = 0.1  # of a joint's noise: friction that drives it by more is told
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +95,7 @@ def make_feasible(
                 f"the load had not settled after {ROUNDS} rounds of method feasible"
             ),
         )
-    found = (*found, *_at_bounds(design, start, state))
+    found = (*found, *_at_bounds(design, start, state), *_driving(design, start, problem))
 
     def estimate(factor: Factor) -> Array:
         return np.asarray(problem.combination @ solver.solve(factor, weight))
@@ -235,6 +242,28 @@ def _at_bounds(design: Design, start: State, state: State) -> list[LieidWarning]
                     f"{parameter.label} = {held:.3g} {parameter.unit} is held by its bound "
                     f"[{parameter.lower:g}, {parameter.upper:g}]; least squares asks for "
                     f"{free:.3g}: the model lacks something, or the effect is not there"
+                )
+            )
+    return found
+
+
+def _driving(design: Design, start: State, problem: FeasibleProblem) -> list[LieidWarning]:
+    """Tell joints whose friction, by least squares, would drive them at some permitted speed."""
+    columns = design.model.columns
+    friction = start.parameters[10 * problem.n :]
+    recorded = np.max([np.abs(s.dq).max(axis=0) for s in design.segments], axis=0)
+    permitted = greatest_speed(design.model, design.segments, problem.options.velocity)
+    found: list[LieidWarning] = []
+    for joint in range(problem.n):
+        own = np.array([c.joint == joint for c in columns], dtype=bool)
+        rows = problem.friction[np.any(problem.friction[:, own] != 0.0, axis=1)]
+        if len(rows) and float((rows @ friction).min()) < -DRIVING * start.weighting.noise[joint]:
+            found.append(
+                NotDissipativeWarning(
+                    f"joint {joint + 1}: friction by least squares would drive the joint at some "
+                    f"speed up to {permitted[joint]:.3g} rad/s (recorded: up to "
+                    f"{recorded[joint]:.3g}); it is held to dissipate, which costs this joint "
+                    "accuracy; add the friction that is missing, or state a lower speed"
                 )
             )
     return found

@@ -5,6 +5,7 @@ import pytest
 from real_arms import PANDA, TX40, UR10E, needs
 
 import lieid_casadi as lieid
+from lieid_casadi.errors import NotDissipativeWarning
 from lieid_casadi.recording import Processing, process
 
 EFFECTS = "coulomb,viscous,offset,armature"
@@ -43,15 +44,17 @@ def rms_on(fit, recordings):
 
 
 @pytest.mark.parametrize(
-    "arm",
+    ("arm", "each"),
     [
-        pytest.param(ur10e, marks=needs(UR10E / "ur10e.urdf")),
-        pytest.param(tx40, marks=needs(TX40 / "tx40.urdf")),
-        pytest.param(panda, marks=needs(PANDA / "panda.urdf")),
+        pytest.param(ur10e, True, marks=needs(UR10E / "ur10e.urdf")),
+        pytest.param(tx40, True, marks=needs(TX40 / "tx40.urdf")),
+        # 16 s at 29 Hz: on joints 4, 6 and 7 least squares asks for friction that drives the arm
+        # and for bodies that cannot be; those joints lose, the others win
+        pytest.param(panda, False, marks=needs(PANDA / "panda.urdf")),
     ],
 )
-def test_feasible_costs_little_on_new_data(arm):
-    """RMS over all joints, each in units of its own noise; joints alone are in the report."""
+def test_feasible_costs_little_on_new_data(arm, each):
+    """RMS over all joints, each in units of its own noise, and joint by joint where that holds."""
     robot, train, test, processing = arm()
     model = lieid.Model(robot, EFFECTS)
     least = lieid.identify(model, train, processing=processing)
@@ -59,3 +62,18 @@ def test_feasible_costs_little_on_new_data(arm):
     assert fit.certificate.holds
     wls, feasible = (rms_on(f, test) / least.noise for f in (least, fit))
     assert np.sqrt(np.mean(feasible**2)) < 1.05 * np.sqrt(np.mean(wls**2))
+    if each:
+        assert np.all(feasible < 1.05 * wls)
+
+
+@needs(PANDA / "panda.urdf")
+def test_friction_that_would_drive_a_joint_is_told():
+    """The Panda's fourth joint slows less the faster it turns; 2.2 rad/s are permitted."""
+    robot, train, _, processing = panda()
+    model = lieid.Model(robot, "coulomb,viscous,offset")
+    fit = lieid.identify(model, train, method="feasible", processing=processing)
+    told = [str(w) for w in fit.warnings if isinstance(w, NotDissipativeWarning)]
+    assert any(text.startswith("joint 4:") for text in told)
+    assert all("it is held to dissipate" in text for text in told)
+    fast = dict(zip([c.label for c in model.columns], fit.effect_coefficients, strict=True))
+    assert fast["coulomb.f_c:4"] + 2.175 * fast["viscous.f_v:4"] >= 0.0
