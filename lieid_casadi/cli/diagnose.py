@@ -164,4 +164,5 @@ def _print_unexplained(diagnosis: Diagnosis) -> None:
             "What stays as an effect of your own: keep these lines in a file F.py and run again "
             f"with {again(diagnosis, own.labels)}\n"
         )
-        output.say("\n".join("    " + line if line else "" for line in own.code.splitlines()))
+        lines = ["    " + line if line else "" for line in own.code.splitlines()]
+        output.say("\n".join([*lines, ""]))
