@@ -3,8 +3,8 @@
 from lieid_casadi.diagnosis.diagnose import diagnose
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
 from lieid_casadi.diagnosis.extend import Extension, extend
+from lieid_casadi.diagnosis.found import Proposal
 from lieid_casadi.diagnosis.own_effect import OwnEffects, own_effects
-from lieid_casadi.diagnosis.selection import Proposal
 from lieid_casadi.diagnosis.unexplained import Unexplained
 
 __all__ = [

@@ -14,11 +14,12 @@ from lieid_casadi.diagnosis.changed import changed
 from lieid_casadi.diagnosis.choosing import FOLD, block_index
 from lieid_casadi.diagnosis.describing import Ahead, described
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
+from lieid_casadi.diagnosis.found import Found, Proposal
 from lieid_casadi.diagnosis.pruning import STOOD_IN, stand_ins
 from lieid_casadi.diagnosis.remainder import Remainder
 from lieid_casadi.diagnosis.rivals import FOLDS
 from lieid_casadi.diagnosis.scene import Scene
-from lieid_casadi.diagnosis.selection import Found, Proposal, Search
+from lieid_casadi.diagnosis.selection import Search
 from lieid_casadi.diagnosis.unexplained import Unexplained, unexplained
 from lieid_casadi.errors import IdentificationError, LieidWarning, SameRecordingWarning
 from lieid_casadi.identification import Fit, identify

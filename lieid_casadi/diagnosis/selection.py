@@ -24,6 +24,7 @@ from lieid_casadi.diagnosis.choosing import (
 )
 from lieid_casadi.diagnosis.evidence import Family
 from lieid_casadi.diagnosis.forward import best_set, column_stack, with_groups
+from lieid_casadi.diagnosis.found import Found, Proposal, Rejected
 from lieid_casadi.diagnosis.plausible import beyond_motion, out_of_bounds
 from lieid_casadi.diagnosis.pruning import superfluous
 from lieid_casadi.diagnosis.rivals import FOLDS, rivals_of
@@ -46,57 +47,6 @@ MOST_STEPS = 12
 ON_ALL = (
     0.02  # least fall of the joints' mean square error that is worth an effect on the whole arm
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """One accepted effect.
-
-    Attributes
-    ----------
-    candidate : Candidate
-    fit : Fit
-        After a joint refit with it.
-    log10_p : float
-        Family-wise, over everything that was tried.
-    gain : float
-        Fall of the whitened residual's sum of squares, in units of the noise's variance.
-    cross_validated : (n,)
-        Held-out error per joint before and after, N·m: (2, n).
-    confirmed : bool or None
-        Whether the test's error fell; None without a test.
-    rivals : tuple of (Candidate, kind)
-    """
-
-    candidate: Candidate
-    fit: Fit
-    log10_p: float
-    gain: float
-    effective_rows: int
-    cross_validated: Array
-    confirmed: bool | None
-    rivals: tuple[tuple[Candidate, str], ...]
-
-
-@dataclass(frozen=True)
-class Rejected:
-    """A candidate that looked best and was not accepted, and why."""
-
-    candidate: Candidate
-    reason: str
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """A step that is about to be accepted; ``joint`` (from 0) is where the error falls most.
-
-    ``before`` and ``after`` are held-out errors there, N·m.
-    """
-
-    label: str
-    joint: int
-    before: float
-    after: float
 
 
 @dataclass
