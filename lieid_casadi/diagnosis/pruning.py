@@ -17,7 +17,7 @@ from lieid_casadi.identification.noise_model import Noise
 Array = NDArray[np.float64]
 STOOD_IN = "explains but a part of what the error follows"
 STAND_IN = 0.03  # unexplained variance over what a joint's steps explain: more is suspicious
-OWN = 0.5  # of what an effect explains alone: with less beside smooth functions it stood in
+OWN = 0.25  # of what an effect explains alone: with less beside smooth functions it stood in
 
 
 def superfluous(
