@@ -1,0 +1,64 @@
+"""What has changed, on a UR10e: nothing between motions; what is put on a recording is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from real_arms import UR10E, needs
+
+import lieid_casadi as lieid
+from lieid_casadi.recording import Processing
+
+pytestmark = needs(UR10E / "ur10e.urdf")
+
+
+def recorded(name):
+    return lieid.Recording.load(UR10E / f"{name}.csv.gz")
+
+
+@pytest.fixture(scope="module")
+def fit():
+    robot = lieid.Robot.from_urdf(UR10E / "ur10e.urdf")
+    model = lieid.Model(robot, "coulomb,viscous,offset")
+    train = [recorded("excitation_30s"), recorded("excitation_50s")]
+    return lieid.identify(model, train, processing=Processing(cutoff=7.0))
+
+
+@pytest.mark.parametrize("name", ["excitation_14_harmonics", "point_to_point"])
+def test_nothing_has_changed_between_motions(fit, name):
+    found = lieid.diagnose(fit, recorded(name))
+    assert found.verdict == "sufficient"
+    assert found.steps == ()
+
+
+def test_a_body_at_the_tool_is_told(fit):
+    bare = pin.buildModelFromUrdf(str(UR10E / "ur10e.urdf"))
+    loaded = pin.buildModelFromUrdf(str(UR10E / "ur10e.urdf"))
+    loaded.inertias[6] += pin.Inertia(3.0, np.array([0.0, 0.0, 0.1]), 0.01 * np.eye(3))
+    recording = recorded("point_to_point")
+    ddq = np.gradient(recording.dq, recording.t, axis=0)
+    data, other = bare.createData(), loaded.createData()
+    added = [
+        pin.rnea(loaded, other, *state) - pin.rnea(bare, data, *state)
+        for state in zip(recording.q, recording.dq, ddq, strict=True)
+    ]
+    found = lieid.diagnose(fit, replace(recording, tau=recording.tau + np.array(added)))
+    assert [step.effect for step in found.steps] == ["payload"]
+    assert found.steps[0].parameters["m"] == pytest.approx(3.0, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("effect", "joint", "torque"),
+    [
+        ("offset", 4, lambda r: np.ones(len(r.t))),
+        ("viscous", 2, lambda r: 15.0 * r.dq[:, 2]),
+        ("torque_gain", 2, lambda r: 0.1 * r.tau[:, 2]),
+    ],
+)
+def test_what_is_put_on_one_joint_is_told(fit, effect, joint, torque):
+    recording = recorded("excitation_14_harmonics")
+    tau = recording.tau.copy()
+    tau[:, joint] += torque(recording)
+    found = lieid.diagnose(fit, replace(recording, tau=tau))
+    assert [(step.effect, step.joints) for step in found.steps] == [(effect, (joint,))]
