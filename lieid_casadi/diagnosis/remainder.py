@@ -17,7 +17,7 @@ from lieid_casadi.diagnosis.screening import Baseline
 from lieid_casadi.identification.noise_model import Noise, Runs
 
 Array = NDArray[np.float64]
-SEEN = 1e-2  # part of a direction that the model's own columns must leave for it to be fitted
+SEEN = 1e-3  # part of a direction that the model's own columns must leave for it to be fitted
 CONFIDENCE = 0.95
 
 

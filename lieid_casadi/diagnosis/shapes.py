@@ -90,10 +90,9 @@ def shapes_of(part: Unexplained, remainder: Remainder) -> tuple[SmoothShape, ...
     if not part.terms:
         return ()
     ranges = ranges_of(remainder.signals)
-    bases = [bases_of(s, ranges) for s in remainder.signals]
     blocks, columns = [], []
     for names in part.terms:
-        along = [product_of(b, names) for b in bases]
+        along = [_functions(s, names, ranges) for s in remainder.signals]
         blocks.append(np.mean(np.concatenate(along), axis=0) if _centred(names) else 0.0)
         columns.append(remainder.columns(part.joint, along))
     estimate = remainder.fit(np.hstack(columns))
@@ -148,7 +147,22 @@ def _at(
         kind, joint = split_column(name)
         values[COLUMN[kind]][:, joint] = at
     values["sign"] = np.sign(values["dq"])
-    return product_of(bases_of(replace(signals, values=values), ranges), tuple(names))
+    return _functions(replace(signals, values=values), tuple(names), ranges)
+
+
+def _functions(signals: SegmentSignals, names: tuple[str, ...], ranges: dict[str, Array]) -> Array:
+    """Return the smooth functions (K, b) of one or two columns.
+
+    Waves that are level at the ends of an angle's range need a parabola beside them: few of them
+    bend otherwise.
+    """
+    functions = product_of(bases_of(signals, ranges), names)
+    if len(names) > 1 or split_column(names[0])[0] != "q":
+        return functions
+    low, high = ranges["q"][:, split_column(names[0])[1]]
+    half = max(0.5 * float(high - low), 1e-9)
+    x = np.clip((series(signals, names[0]) - 0.5 * (low + high)) / half, -1.2, 1.2)
+    return np.column_stack([functions, x, x**2])
 
 
 def _seen(

@@ -155,6 +155,30 @@ def test_another_joint_acts_through_an_effect_on_pairs():
     assert own.labels == ("own_1_2:1<2",)
     assert "ca.fabs(s.other.dq)" in own.code
     assert after[0] < 1.2 * noise()[0] < 0.1 * diagnosis.baseline_test[0]
+    shape = diagnosis.unexplained[0].shapes[0]
+    assert shape.signals == ("dq2",)
+    inside = within(shape, 0.1 * SIZE[0] * np.abs(shape.grid[0]))
+    assert inside.mean() > 0.9
+
+
+def within(shape, truth):
+    return (shape.low <= truth) & (truth <= shape.high)
+
+
+@pytest.mark.parametrize("seed", [3, 7])
+def test_the_band_holds_the_curve(seed):
+    """Of another joint's angle, up to the constant that ``offset`` takes."""
+    arm = plant.demo_arm(ROBOT, hidden=None, seed=seed)
+    size = 0.2 * SIZE[0]
+    wave = plant.ForeignTorque(0, lambda s: size * np.sin(3.0 * s.q[..., 1] + 1.0))
+    (part,) = lieid.diagnose(MODEL, run(arm.with_effects(wave), 10 + seed)).unexplained
+    (shape,) = part.shapes
+    assert shape.signals == ("q2",)
+    truth = size * np.sin(3.0 * shape.grid[0] + 1.0)
+    truth += np.mean(shape.value - truth)
+    assert within(shape, truth).mean() > 0.9
+    assert np.abs(shape.value - truth).max() < 0.05 * size
+    assert np.median(shape.high - shape.low) < 0.5 * size
 
 
 def test_what_has_changed_has_a_formula_too():
