@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -94,14 +96,13 @@ def two_stage(
     """
     rigid = identify(model, excitation, method=method, processing=processing)
     spec = effects if isinstance(effects, str) else list(effects)
-    friction = {
-        joint: fit_friction(
-            friction_curve(rigid, recordings, joint, processing=friction_processing),
-            spec,
-            seed=seed,
-        )
-        for joint, recordings in runs.items()
-    }
+
+    def fitted(joint: int) -> FrictionFit:
+        curve = friction_curve(rigid, runs[joint], joint, processing=friction_processing)
+        return fit_friction(curve, spec, seed=seed)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        friction = dict(zip(runs, pool.map(fitted, runs), strict=True))
     given = [excitation] if isinstance(excitation, Recording) else list(excitation)
     return TwoStage(rigid, friction, together(rigid, friction, given))
 

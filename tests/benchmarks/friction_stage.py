@@ -11,6 +11,7 @@ import argparse
 import os
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -87,10 +88,16 @@ def main():
         clock = time.process_time()
         theirs[joint] = peer(curve, starts)
         spent[2, joint] = time.process_time() - clock
+    began = time.perf_counter()
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # as `two_stage` does
+        list(pool.map(lambda j: fit_friction(friction_curve(robot, recorded[j], j), MODEL,
+                                             starts=starts), range(7)))  # fmt: skip
+    together = time.perf_counter() - began
     curves, fits, peers = spent.sum(axis=1)
     lines = (
         f"points per curve: {len(curve.speed)}; samples: {sum(len(r) for r in recorded)}",
         f"curves {curves:.2f} s, fits {fits:.2f} s: {curves + fits:.2f} s; wall {wall:.2f} s",
+        f"joints side by side on {os.cpu_count()} cores: wall {together:.2f} s",
         f"scipy, {starts} starts: {peers:.2f} s, {peers / fits:.1f} times the fits",
         f"weighted squares, scipy's over ours: {np.round(theirs / ours, 2)}",
     )
