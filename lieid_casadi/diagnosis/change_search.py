@@ -28,7 +28,7 @@ MISFIT = 1.15  # times what the fit's error reaches on other motion: more, and s
 WORTH = 0.1  # least fall of a joint's error that is worth a change
 TINY = 1e-12  # of the largest variance: below it a number counts as that well known
 UNSEEN = 1e-6  # of a column's norm
-CLOSE = 0.02  # of a coefficient: nearer to it a column need not be evaluated again
+CLOSE = 0.01  # of a coefficient: nearer to it a column need not be evaluated again
 
 
 class ChangeSearch:
