@@ -7,7 +7,7 @@ as candidates are. What counts is what they explain of held-out blocks.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -80,8 +80,8 @@ class Unexplained:
     fraction: float
     depends_on: tuple[str, ...]
     terms: tuple[tuple[str, ...], ...] = ()
-    shapes: tuple[SmoothShape, ...] = ()
-    form: Form | None = None
+    shapes: tuple[SmoothShape, ...] = field(default=(), repr=False)
+    form: Form | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for JSON, joints from 1."""

@@ -45,6 +45,9 @@ class ArmAlong(Protocol):
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Return the rigid torque (K, n) of another motion."""
 
+    def smooth(self, x: Array) -> Array:
+        """Return a signal (K, …) low-passed so far that it can be derived twice."""
+
     def gravity_by_axis(self) -> Array:
         """Return the gravity torques (K, n, 3) of 1 m/s² along each axis of the base."""
 

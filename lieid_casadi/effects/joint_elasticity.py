@@ -17,10 +17,11 @@ class JointElasticity(ArmEffect):
     name = "joint_elasticity"
     formula = "q_link = q − c·τ_load, c = 1/K"
     coefficients = (Coefficient("c", "rad/(N·m)", lower=0.0),)
+    starts = ((1e-4,), (3e-4,), (1e-3,), (3e-3,))  # geared drives have 1e-5 to 1e-3
 
     def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
         """See the class."""
-        load = arm.load[:, joint]
+        load = arm.smooth(arm.load[:, joint])
         largest = float(np.abs(load).max(initial=0.0))
         if largest == 0.0:
             return np.zeros((*arm.load.shape, 1))

@@ -13,9 +13,11 @@ from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.effects.arm_effect import ArmEffect
 from lieid_casadi.model import Model
+from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.recording.processing import Processed
 
 Array = NDArray[np.float64]
+SMOOTH = 1.0 / 3.0  # of the cut-off, which is at least six times the band of the motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,13 @@ class Along:
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Return the rigid torque (K, n) of another motion."""
         return self.compiled.inverse_dynamics(q, dq, ddq, self._links)
+
+    def smooth(self, x: Array) -> Array:
+        """Return a signal (K, …) below a third of the filter's cut-off.
+
+        Deriving twice makes noise near the cut-off larger than all motion.
+        """
+        return lowpass(x, self.segment.rate, SMOOTH * self.segment.cutoff)
 
     @property
     def gravity(self) -> Array:
