@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from lieid_casadi.diagnosis.shapes import SmoothShape, split_column
+from lieid_casadi.diagnosis.unexplained import is_own_friction
 
 WAVES, SLOW_WAVES, POWERS = 8, 12, 5
 OF_PAIRS = 4  # functions of each of two signals
@@ -14,8 +15,15 @@ def smooth_lists(shape: SmoothShape, members: dict[str, str]) -> list[tuple[str,
     ``members`` maps a signal to what stands for it, such as ``s.other.dq``.
     """
     pair = len(shape.signals) > 1
+    own = is_own_friction(shape.signals)
     return [
-        _list(name, members[name], float(grid[0]), float(grid[-1]), pair)
+        _list(
+            name,
+            members[name],
+            float(grid[0]),
+            float(grid[-1]),
+            pair and not (own and name == shape.signals[0]),
+        )
         for name, grid in zip(shape.signals, shape.grid, strict=True)
     ]
 

@@ -279,5 +279,11 @@ def product_of(bases: dict[str, Array], names: tuple[str, ...]) -> Array:
     """Return the smooth functions (K, b) of one or two columns."""
     if len(names) == 1:
         return bases[names[0]]
-    first, second = (bases[name][:, :4] for name in names)
+    first, second = (bases[name] for name in names)
+    first, second = first if is_own_friction(names) else first[:, :4], second[:, :4]
     return np.asarray(np.einsum("ka,kb->kab", first, second).reshape(len(first), -1))
+
+
+def is_own_friction(names: tuple[str, ...]) -> bool:
+    """Whether two columns are angle and velocity of one joint, which may rub at a narrow angle."""
+    return len(names) == 2 and names[0][0] == "q" and names[1] == f"d{names[0]}"
