@@ -150,6 +150,7 @@ def diagnose(
         warnings=unique_warnings(warnings),
         train=first.provenance.recordings,
         test=tuple(Source(r.name, r.source_hash) for r in tests),
+        baseline_moving=None if before is None else before.rms_moving,
     )
 
 
@@ -184,6 +185,7 @@ def _step(found: Found, test: Comparison | None, scene: Scene) -> Step:
         parameters=parameters,
         rms_train=fit.rms_train,
         rms_test=None if test is None else test.rms,
+        moving=None if test is None else test.rms_moving,
         evidence=Evidence(
             log10_p=found.log10_p,
             rows=found.effective_rows,

@@ -79,6 +79,8 @@ class Step:
     indistinguishable : tuple of (Candidate, kind)
     fit : Fit or None
         With this effect and those before it.
+    moving : (n,) or None
+        ``rms_test`` of joints in motion alone: rest says nothing of a model.
     """
 
     label: str
@@ -90,6 +92,7 @@ class Step:
     evidence: Evidence
     indistinguishable: tuple[tuple[Candidate, str], ...]
     fit: Fit | None = None
+    moving: Array | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the step for JSON, joints from 1."""
@@ -100,6 +103,7 @@ class Step:
             "parameters": self.parameters,
             "rms_train": _numbers(self.rms_train),
             "rms_test": _numbers(self.rms_test),
+            "rms_test_moving": _numbers(self.moving),
             "evidence": self.evidence.to_dict(),
             "indistinguishable": [
                 {"effect": c.name, "joints": [j + 1 for j in c.joints], "kind": kind}
@@ -123,6 +127,8 @@ class Diagnosis:
     baseline_effects : tuple of str
     baseline_train, baseline_test : (n,) or None
         Error of the first model, N·m.
+    baseline_moving : (n,) or None
+        Of joints in motion alone, on the test.
     steps : tuple of Step
     unexplained : tuple of Unexplained
     rejected : tuple of (str, str)
@@ -154,6 +160,7 @@ class Diagnosis:
     warnings: tuple[LieidWarning, ...]
     train: tuple[Source, ...]
     test: tuple[Source, ...]
+    baseline_moving: Array | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid diagnose --json`` writes."""

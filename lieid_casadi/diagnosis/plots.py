@@ -18,10 +18,16 @@ Array = NDArray[np.float64]
 
 
 def plot_waterfall(d: Diagnosis, ax: Axes | None = None) -> Figure:
-    """Draw each joint's error over its noise floor, from the first model to the last."""
-    tested = d.baseline_test is not None
-    series = [d.baseline_test if tested else d.baseline_train]
-    series += [step.rms_test if tested else step.rms_train for step in d.steps]
+    """Draw each joint's error over its noise floor, from the first model to the last.
+
+    On the test it is that of joints in motion, where it is known.
+    """
+    tested, moving = d.baseline_test is not None, d.baseline_moving
+    if moving is not None and np.isfinite(moving).all():
+        series = [moving, *(step.moving for step in d.steps)]
+    else:
+        series = [d.baseline_test if tested else d.baseline_train]
+        series += [step.rms_test if tested else step.rms_train for step in d.steps]
     known = [values for values in series if values is not None]
     labels = ["first model", *(f"+ {step.label}" for step in d.steps)]
     return draw_waterfall(known, labels, d.noise_floor, tested, ax)
