@@ -9,8 +9,7 @@ import numpy as np
 from lieid_casadi.diagnosis.bank import Bank
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.screening import ABSORBED, Baseline, screen
-
-WEAK = 0.05  # remaining part below which a candidate is hardly told from the model
+from lieid_casadi.identification.findings import WEAK
 
 
 @dataclass(frozen=True)

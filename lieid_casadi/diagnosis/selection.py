@@ -44,9 +44,7 @@ logger = logging.getLogger("lieid_casadi")
 LEVEL = 1e-3  # family-wise p-value above which an effect is noise
 ZOOMS = 2  # rounds in which the grids of shape parameters are refined
 MOST_STEPS = 12
-ON_ALL = (
-    0.02  # least fall of the joints' mean square error that is worth an effect on the whole arm
-)
+ON_ALL = 0.02  # the least fall of all joints' mean square error that is worth an arm's effect
 
 
 @dataclass

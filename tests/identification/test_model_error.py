@@ -1,0 +1,53 @@
+"""How much the misfit depends on the motion, and what older fit files say of it."""
+
+import json
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.identification.model_error import explainable, rise_of
+
+
+def test_steady_noise_does_not_rise():
+    random = np.random.default_rng(0)
+    rises = [rise_of(random.standard_normal(900), np.arange(900), 1.0, 30) for _ in range(200)]
+    assert np.mean(np.array(rises) > 1.0) < 0.12  # the test's level is 5 %
+    assert np.max(rises) < 1.4
+
+
+def test_misfit_that_comes_and_goes_rises():
+    random = np.random.default_rng(1)
+    size = np.where(np.arange(900) // 150 % 2, 0.3, 1.5)
+    assert rise_of(size * random.standard_normal(900), np.arange(900), 1.0, 30) > 1.3
+
+
+def test_the_explainable_part_is_what_columns_make_of_it():
+    random = np.random.default_rng(2)
+    columns = random.standard_normal((4000, 3))
+    residual = columns @ np.array([1.0, 0.0, 0.0]) + random.standard_normal(4000)
+    assert explainable(residual, columns) == pytest.approx(0.5, abs=0.05)
+    assert explainable(random.standard_normal(4000), columns) < 0.01
+
+
+def test_a_fit_file_of_schema_1_is_migrated(tmp_path):
+    robot = lieid.robots.two_link()
+    t = np.arange(0.0, 8.0, 0.005)
+    motion = plant.FourierTrajectory(robot, base_frequency=1 / 8, seed=1).at(t)
+    sensors = plant.demo_sensors(robot)
+    run = plant.measure_along(plant.demo_arm(robot, hidden=None), t, *motion, sensors=sensors)
+    fit = lieid.identify(lieid.Model(robot, "coulomb,viscous,offset"), run)
+    fit.save(tmp_path / "fit.json")
+    again = lieid.Fit.load(tmp_path / "fit.json")
+    for kept, own in zip(again.residual_noise, fit.residual_noise, strict=True):
+        np.testing.assert_array_equal(kept.filter, own.filter)
+        assert (kept.sigma, kept.spread, kept.rises) == (own.sigma, own.spread, own.rises)
+    old = json.loads((tmp_path / "fit.json").read_text("utf-8"))
+    old["schema"] = 1
+    del old["residual_noise"]
+    (tmp_path / "old.json").write_text(json.dumps(old), "utf-8")
+    migrated = lieid.Fit.load(tmp_path / "old.json")
+    np.testing.assert_array_equal(migrated.values, fit.values)
+    assert [n.spread for n in migrated.residual_noise] == list(fit.noise)
+    assert lieid.diagnose(migrated, run).verdict == "sufficient"
