@@ -124,7 +124,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
     output.say(diagnosis.sentence)
     columns, table = rows(diagnosis)
-    measured = "test" if diagnosis.baseline_test is not None else "training"
+    measured, _ = diagnosis.shown
     cutoff = diagnosis.fit.processing.cutoff
     output.table(f"RMS error on the {measured}, N·m (low-pass {cutoff:.3g} Hz)", columns, table)
     if diagnosis.steps:

@@ -143,6 +143,7 @@ class ChangeSearch:
             parameters=self._values(candidate, here, columns, winner),
             rms_train=None,
             rms_test=sizes,
+            moving=sizes,
             evidence=Evidence(
                 log10_p,
                 rows,
@@ -167,6 +168,10 @@ class ChangeSearch:
         return named | {
             s.name: float(v) for s, v in zip(candidate.effect.shapes, shapes, strict=True)
         }
+
+    def errors(self) -> Array:
+        """Return each joint's error (n,) on the rows of tests beside the changes so far, N·m."""
+        return self.null * self._misfit(self.chosen)
 
     def _high(self) -> NDArray[np.bool_]:
         """Mark the joints (n,) whose error is larger than another motion makes it."""

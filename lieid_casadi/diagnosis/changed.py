@@ -41,6 +41,7 @@ def changed(
     report("look for changes", 0.2)
     scene = Scene.of(fit, segments, kept=True)
     search = ChangeSearch(scene, held_out_noise(fit), seed)
+    first = search.errors()
     steps: list[Step] = []
     while len(steps) < MOST_CHANGES:
         step = search.next_step()
@@ -74,6 +75,7 @@ def changed(
         warnings=unique_warnings(before.warnings),
         train=fit.provenance.recordings,
         test=before.recordings,
+        baseline_moving=first,
     )
 
 

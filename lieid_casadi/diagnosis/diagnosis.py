@@ -189,6 +189,21 @@ class Diagnosis:
         }
 
     @property
+    def shown(self) -> tuple[str, list[Array]]:
+        """Where errors are told, and those (n,) of all models from the first to the last, N·m.
+
+        On the test they are those of joints in motion, where all joints move.
+        """
+        moving = [self.baseline_moving, *(step.moving for step in self.steps)]
+        known = [values for values in moving if values is not None]
+        if len(known) == len(moving) and np.isfinite(known).all():
+            return "test, joints in motion", known
+        tested = self.baseline_test is not None
+        errors = [self.baseline_test if tested else self.baseline_train]
+        errors += [step.rms_test if tested else step.rms_train for step in self.steps]
+        return "test" if tested else "training", [values for values in errors if values is not None]
+
+    @property
     def sentence(self) -> str:
         """The verdict in words."""
         from lieid_casadi.diagnosis.words import sentence

@@ -70,8 +70,9 @@ class Extension:
         from lieid_casadi.diagnosis.plots import draw_waterfall
 
         pair = self.rms_train if self.rms_test is None else self.rms_test
+        measured = "training" if self.rms_test is None else "test"
         labels = ["before", f"+ {', '.join(self.added)}"]
-        return draw_waterfall(list(pair), labels, None, self.rms_test is not None, ax)
+        return draw_waterfall(list(pair), labels, None, measured, ax)
 
 
 def extend(

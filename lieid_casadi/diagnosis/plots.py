@@ -18,26 +18,17 @@ Array = NDArray[np.float64]
 
 
 def plot_waterfall(d: Diagnosis, ax: Axes | None = None) -> Figure:
-    """Draw each joint's error over its noise floor, from the first model to the last.
-
-    On the test it is that of joints in motion, where it is known.
-    """
-    tested, moving = d.baseline_test is not None, d.baseline_moving
-    if moving is not None and np.isfinite(moving).all():
-        series = [moving, *(step.moving for step in d.steps)]
-    else:
-        series = [d.baseline_test if tested else d.baseline_train]
-        series += [step.rms_test if tested else step.rms_train for step in d.steps]
-    known = [values for values in series if values is not None]
+    """Draw each joint's error over its noise floor, from the first model to the last."""
+    measured, known = d.shown
     labels = ["first model", *(f"+ {step.label}" for step in d.steps)]
-    return draw_waterfall(known, labels, d.noise_floor, tested, ax)
+    return draw_waterfall(known, labels, d.noise_floor, measured, ax)
 
 
 def draw_waterfall(
     series: Sequence[Array],
     labels: Sequence[str],
     floor: Array | None,
-    tested: bool,
+    measured: str,
     ax: Axes | None,
 ) -> Figure:
     """Draw errors (n,) of successive models, the first one's as 1, joint by joint."""
@@ -62,6 +53,6 @@ def draw_waterfall(
             ax.plot([j - 0.4, j + 0.4], [part, part], "k--", linewidth=1.0)
     ax.set_xticks(range(joints), [f"{j + 1}" for j in range(joints)])
     ax.set_xlabel("joint" if floor is None else "joint (dashed: noise floor)")
-    ax.set_ylabel(f"RMS error on the {'test' if tested else 'training'}\nfirst model = 1")
+    ax.set_ylabel(f"RMS error on the {measured}\nfirst model = 1")
     ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure

@@ -52,16 +52,13 @@ def again(d: Diagnosis, labels: Sequence[str]) -> str:
 
 def rows(d: Diagnosis) -> tuple[list[str], list[list[object]]]:
     """Return headings and one row per model, first to last: errors per joint."""
-    tested = d.baseline_test is not None
-    first = d.baseline_test if tested else d.baseline_train
+    _, errors = d.shown
     heading = [f"{j + 1} {name}" for j, name in enumerate(d.joint_names)]
-    table: list[list[object]] = []
-    if first is not None:
-        table.append(["+".join(d.baseline_effects) or "rigid", *map(float, first), None])
-    for step in d.steps:
-        after = step.rms_test if tested else step.rms_train
-        if after is not None:
-            table.append([f"+ {step.label}", *map(float, after), _sure(step)])
+    names = ["+".join(d.baseline_effects) or "rigid", *(f"+ {step.label}" for step in d.steps)]
+    sure = [None, *(_sure(step) for step in d.steps)]
+    table: list[list[object]] = [
+        [name, *map(float, values), p] for name, values, p in zip(names, errors, sure, strict=True)
+    ]
     table.append(["noise floor", *map(float, d.noise_floor), None])
     return ["model", *heading, "p"], table
 

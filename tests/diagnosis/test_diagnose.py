@@ -183,3 +183,17 @@ def test_what_the_model_absorbs_is_never_named_and_told():
     assert not {label for label, _ in said.aliases.weak} & set(said.aliases.absorbed)
     assert "armature:1" in said.aliases.sentence
     assert said.to_dict()["absorbed"] == list(said.aliases.absorbed)
+
+
+def test_table_and_picture_show_the_same_errors_of_joints_in_motion():
+    train, test = two_runs(("load_friction", 0, 2.0))
+    found = lieid.diagnose(MODEL, train, test)
+    measured, errors = found.shown
+    assert measured == "test, joints in motion"
+    np.testing.assert_array_equal(errors[-1], lieid.compare(found.fit, test).rms_moving)
+    axes = found.plot().axes[0]
+    assert "joints in motion" in axes.get_ylabel()
+    heights = [bar.get_height() for bar in axes.patches]
+    np.testing.assert_allclose(heights, np.concatenate([e / errors[0] for e in errors]))
+    since = lieid.diagnose(lieid.identify(MODEL, train), test)
+    assert since.shown[0] == "test, joints in motion"

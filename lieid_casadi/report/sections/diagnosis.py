@@ -17,9 +17,9 @@ def finding_section(diagnosis: Diagnosis) -> Section:
     from lieid_casadi.diagnosis.words import rows
 
     headings, table = rows(diagnosis)
-    tested = "test" if diagnosis.baseline_test is not None else "training"
+    measured, _ = diagnosis.shown
     errors = {
-        "title": f"RMS error on the {tested}, N·m",
+        "title": f"RMS error on the {measured}, N·m",
         "headings": headings,
         "rows": [[_text(cell) for cell in row] for row in table],
         "note": "Each row adds one effect to the row above and fits everything again. p: "
