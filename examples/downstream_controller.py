@@ -20,8 +20,8 @@ import numpy as np
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.codegen_files import codegen_folder
-from lieid_casadi.export.c_code import export_c
-from lieid_casadi.plant.step import Command, Stepper
+from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.plant.stepper import Command, Stepper
 
 EFFECTS = "coulomb,viscous,offset,load_friction:2"
 PERIOD = 1e-3  # s

@@ -19,12 +19,12 @@ import time
 import numpy as np
 
 import lieid_casadi as lieid
-from lieid_casadi.excitation.basis import make
-from lieid_casadi.excitation.design import Problem
+from lieid_casadi.excitation.basis.families import make
+from lieid_casadi.excitation.basis.trajectory import period_grid
+from lieid_casadi.excitation.criteria.quality import quality
+from lieid_casadi.excitation.design_problem import Problem
 from lieid_casadi.excitation.excite import make_design, verification
-from lieid_casadi.excitation.quality import quality
-from lieid_casadi.excitation.solve import solve
-from lieid_casadi.excitation.trajectory import period_grid
+from lieid_casadi.excitation.solvers.staged_solve import solve
 
 CRITERIA = {"C1": "combined", "C2": "condition", "C3": "hadamard", "C4": "logdet"}
 FRICTION = "coulomb,viscous,offset,viscous_polynomial"

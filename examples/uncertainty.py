@@ -13,7 +13,7 @@ import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.identification.instrumental import instrumental
+from lieid_casadi.identification.uncertainty.instrumental import instrumental
 
 EFFECTS = "coulomb,viscous,offset"
 NOISE = 0.005  # of each joint's torque scale

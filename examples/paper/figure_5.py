@@ -9,7 +9,7 @@ from arm import HEAVIEST, PRINTED, Array, N, friction_surface, true_friction
 from lab import EQ_18, Lab
 from page import Claim, Section, joints, plain_logarithmic, show, table
 
-from lieid_casadi.friction import FrictionFit, fit_friction
+from lieid_casadi.friction_curves import FrictionFit, fit_friction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

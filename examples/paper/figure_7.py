@@ -10,7 +10,7 @@ from lab import Lab
 from page import COLOURS, Claim, Section, joints, show, table
 
 from lieid_casadi.effects.friction_models import FRICTION_MODELS
-from lieid_casadi.friction import FrictionCurve, FrictionFit, fit_friction
+from lieid_casadi.friction_curves import FrictionCurve, FrictionFit, fit_friction
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

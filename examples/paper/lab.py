@@ -27,7 +27,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.excitation.excitation import Excitation
 from lieid_casadi.excitation.friction_sweep import SPEEDS
-from lieid_casadi.friction import (
+from lieid_casadi.friction_curves import (
     FrictionCurve,
     FrictionFit,
     fit_friction,

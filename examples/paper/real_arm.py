@@ -16,13 +16,13 @@ from page import Claim, Section, joints, listed, show, table
 from tables_5_6 import draw
 
 import lieid_casadi as lieid
-from lieid_casadi.friction import FrictionFit, fit_friction, friction_curve
+from lieid_casadi.friction_curves import FrictionFit, fit_friction, friction_curve
 from lieid_casadi.recording import Processing, Recording, process
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lieid_casadi.friction import FrictionCurve
+    from lieid_casadi.friction_curves import FrictionCurve
 
 UR10E_GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)  # N·m/A, with the recordings
 CUTOFF = Processing(cutoff=7.0)

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--robot", default="panda", metavar="ROBOT", help="default: panda")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--force", action="store_true", help="replace a folder with other content")
-    arguments.add_outputs(parser)
+    shared_options.add_outputs(parser)
     parser.set_defaults(run=run)
 
 
@@ -54,7 +54,7 @@ def check_replaceable(folder: Path, *, force: bool) -> None:
 def write(demo: Demo, folder: Path) -> None:
     """Write everything beside the folder first, then put it in place at once."""
     from lieid_casadi.cli.compare import save_figure
-    from lieid_casadi.export.c_code import export_c
+    from lieid_casadi.exporters.c_export import export_c
     from lieid_casadi.report import diagnosis_report
 
     fresh = folder.with_name(f".{folder.name}.new")

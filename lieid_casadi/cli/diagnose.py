@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def add_parser(commands: Any) -> None:
         help="which effects are missing, or what has changed since a fit",
         usage="lieid diagnose ROBOT --train A… [--test B…] [-o fit.json] | FIT REC…",
     )
-    arguments.add_robot(parser)
+    shared_options.add_robot(parser)
     parser.add_argument(
         "recordings", nargs="*", metavar="REC", help="with a FIT in place of ROBOT: measured since"
     )
@@ -33,11 +33,11 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--interactive", action="store_true", help="ask before each step")
     parser.add_argument("-o", "--output", metavar="fit.json", help="the last model")
     parser.add_argument("--plot", metavar="FILE", help="draw the fall of the error")
-    arguments.add_effects(parser)
-    arguments.add_recording_options(parser)
-    arguments.add_processing(parser)
-    arguments.add_outputs(parser, html=True)
-    arguments.add_threads(parser)
+    shared_options.add_effects(parser)
+    shared_options.add_recording_options(parser)
+    shared_options.add_processing(parser)
+    shared_options.add_outputs(parser, html=True)
+    shared_options.add_threads(parser)
     parser.set_defaults(run=run)
 
 
@@ -72,16 +72,16 @@ def _missing(args: argparse.Namespace) -> Diagnosis:
             f"{args.recordings[0]}: expected recordings after --train and --test, "
             "or a FIT (.json) in place of ROBOT"
         )
-    model = arguments.model_of(args)
-    train = arguments.recordings_of(args.train, args, model.robot)
-    test = arguments.recordings_of(args.test, args, model.robot)
+    model = shared_options.model_of(args)
+    train = shared_options.recordings_of(args.train, args, model.robot)
+    test = shared_options.recordings_of(args.test, args, model.robot)
     with output.progress("diagnose") as report:
         return diagnose(
             model,
             train,
             test or None,
             method=args.method,
-            processing=arguments.processing_of(args),
+            processing=shared_options.processing_of(args),
             seed=args.seed,
             ask=_asker() if args.interactive else None,
             progress=None if args.interactive else report,
@@ -96,9 +96,9 @@ def _changed(args: argparse.Namespace) -> Diagnosis:
         raise UsageError(
             "with a FIT, expected the recordings measured since: lieid diagnose FIT REC…"
         )
-    arguments.load_effects_file(args.effects_file)
+    shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.robot)
-    recordings = arguments.recordings_of(args.recordings, args, fit.model.robot)
+    recordings = shared_options.recordings_of(args.recordings, args, fit.model.robot)
     with output.progress("diagnose") as report:
         return diagnose(fit, recordings, seed=args.seed, progress=report)
 
@@ -120,7 +120,7 @@ def _asker() -> Callable[[Proposal], bool]:
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """Print the verdict, the errors model by model, rivals, and what was turned down."""
-    from lieid_casadi.diagnosis.words import rows, where
+    from lieid_casadi.diagnosis.text_summary import rows, where
 
     output.say(diagnosis.sentence)
     columns, table = rows(diagnosis)
@@ -155,8 +155,8 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
 def _print_unexplained(diagnosis: Diagnosis) -> None:
     """Print the lines that make what stays an effect of the user's own."""
-    from lieid_casadi.diagnosis.own_effect import own_effects
-    from lieid_casadi.diagnosis.words import again
+    from lieid_casadi.diagnosis.residual.user_effect_code import own_effects
+    from lieid_casadi.diagnosis.text_summary import again
 
     own = own_effects(diagnosis.unexplained)
     if own.labels:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 from lieid_casadi.cli.excite import INTERRUPTED, check_folder, replace_folder
 from lieid_casadi.errors import UsageError
 
@@ -39,10 +39,10 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the files")
     parser.add_argument("--time-limit", type=float, default=20.0, metavar="S", help="of the search")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
-    arguments.add_effects_file(parser)
-    arguments.add_recording_options(parser)
-    arguments.add_outputs(parser)
-    arguments.add_threads(parser)
+    shared_options.add_effects_file(parser)
+    shared_options.add_recording_options(parser)
+    shared_options.add_outputs(parser)
+    shared_options.add_threads(parser)
     parser.set_defaults(run=run)
 
 
@@ -54,13 +54,13 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.output)
     check_folder(folder, force=args.force)
     output.check_writable(args.json)
-    arguments.load_effects_file(args.effects_file)
+    shared_options.load_effects_file(args.effects_file)
     sizes = sizes_of(args.size)
     fit = Fit.load(args.fit)
     with output.progress("discriminate") as report:
         result = discriminate(
             fit, args.effects, sizes=sizes,
-            recordings=arguments.recordings_of(args.recordings, args, fit.model.robot),
+            recordings=shared_options.recordings_of(args.recordings, args, fit.model.robot),
             level=args.level, duration=args.duration, harmonics=args.harmonics,
             start_pose=args.start_pose, acceleration=args.acceleration, rate=args.rate,
             time_limit=args.time_limit, seed=args.seed, progress=report,

@@ -7,12 +7,12 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.excitation import Excitation
-    from lieid_casadi.excitation.symbolic_limits import Limit
+    from lieid_casadi.excitation.limits.symbolic_limits import Limit
     from lieid_casadi.model import Model
     from lieid_casadi.robot import Robot
 
@@ -25,10 +25,10 @@ INTERRUPTED = 130
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("excite", help="design an optimal excitation trajectory")
-    arguments.add_robot(parser)
+    shared_options.add_robot(parser)
     parser.add_argument("-o", "--output", required=True, metavar="DIR")
     parser.add_argument("--force", action="store_true", help="replace a folder with other content")
-    arguments.add_effects(parser)
+    shared_options.add_effects(parser)
     parser.add_argument("--criterion", choices=CRITERIA, default="combined")
     parser.add_argument(
         "--inertial-only", action="store_true", help="leave effects out of the regressor"
@@ -41,8 +41,8 @@ def add_parser(commands: Any) -> None:
         "--friction-sweep", nargs="+", type=int, metavar="JOINT",
         help="write constant-speed runs of these joints instead",
     )  # fmt: skip
-    arguments.add_outputs(parser)
-    arguments.add_threads(parser)
+    shared_options.add_outputs(parser)
+    shared_options.add_threads(parser)
     parser.set_defaults(run=run)
 
 
@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.output)
     check_folder(folder, force=args.force)
     output.check_writable(args.json)
-    model = arguments.model_of(args)
+    model = shared_options.model_of(args)
     if args.friction_sweep:
         return _sweep(args, model, folder)
     with output.progress("excite") as report:

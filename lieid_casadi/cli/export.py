@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -22,13 +22,13 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="DIR")
     parser.add_argument("--force", action="store_true", help="replace a folder with other content")
     parser.add_argument("--prefix", metavar="NAME", help="of all names in C; default: arm")
-    arguments.add_effects_file(parser)
+    shared_options.add_effects_file(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> None:
     """Write the files and tell what a user should know about them."""
-    from lieid_casadi.export.folder import check_folder
+    from lieid_casadi.exporters.output_folder import check_folder
     from lieid_casadi.identification import Fit
 
     if args.prefix is not None and args.to != "c":
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> None:
             f"--prefix {args.prefix}: only C code has names to prefix; expected --to c"
         )
     check_folder(args.output, force=args.force)
-    arguments.load_effects_file(args.effects_file)
+    shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
     files, notes = _export(fit, args)
     output.say(f"{', '.join(files)} written to {args.output}")
@@ -46,8 +46,8 @@ def run(args: argparse.Namespace) -> None:
 
 def _export(fit: Fit, args: argparse.Namespace) -> tuple[list[str], tuple[str, ...]]:
     """Return the names of the files that were written, and notes on them."""
-    from lieid_casadi.export.c_code import export_c
-    from lieid_casadi.export.urdf import export_urdf
+    from lieid_casadi.exporters.c_export import export_c
+    from lieid_casadi.exporters.urdf_export import export_urdf
 
     if args.to == "c":
         made = export_c(fit, args.output, prefix=args.prefix or "arm", force=args.force)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis.extend import Extension
@@ -20,10 +20,10 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--test", nargs="+", default=[], metavar="B")
     parser.add_argument("-o", "--output", metavar="fit2.json")
     parser.add_argument("--plot", metavar="FILE", help="draw the fall of the error")
-    arguments.add_effects_file(parser)
-    arguments.add_recording_options(parser)
-    arguments.add_outputs(parser)
-    arguments.add_threads(parser)
+    shared_options.add_effects_file(parser)
+    shared_options.add_recording_options(parser)
+    shared_options.add_outputs(parser)
+    shared_options.add_threads(parser)
     parser.set_defaults(run=run)
 
 
@@ -33,10 +33,10 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.identification import Fit
 
     output.check_writable(args.output, args.json, args.plot)
-    arguments.load_effects_file(args.effects_file)
+    shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
-    train = arguments.recordings_of(args.train, args, fit.model.robot)
-    test = arguments.recordings_of(args.test, args, fit.model.robot)
+    train = shared_options.recordings_of(args.train, args, fit.model.robot)
+    test = shared_options.recordings_of(args.test, args, fit.model.robot)
     with output.progress("extend") as report:
         extension = extend(fit, args.add, train, test or None, progress=report)
     if args.output is not None:

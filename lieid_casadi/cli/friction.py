@@ -6,12 +6,12 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
-    from lieid_casadi.friction import FrictionAgreement, FrictionCurve, FrictionFit
-    from lieid_casadi.friction.ranking import Candidate
+    from lieid_casadi.friction_curves import FrictionAgreement, FrictionCurve, FrictionFit
+    from lieid_casadi.friction_curves.ranking import Candidate
     from lieid_casadi.identification import Fit
     from lieid_casadi.robot import Robot
 
@@ -24,7 +24,7 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "friction", help="friction of one joint, from motion to and fro over the same positions"
     )
-    arguments.add_robot(parser)
+    shared_options.add_robot(parser)
     parser.add_argument("recordings", nargs="+", metavar="REC", help="the joint moving both ways")
     parser.add_argument("--joint", type=int, required=True, metavar="J", help="from 1")
     parser.add_argument(
@@ -39,30 +39,30 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--load", choices=("model", "measured"), help="what the load is taken from")
     parser.add_argument("--plot", metavar="FILE", help="draw the curve and the fit")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
-    arguments.add_effects_file(parser)
-    arguments.add_recording_options(parser)
+    shared_options.add_effects_file(parser)
+    shared_options.add_recording_options(parser)
     parser.add_argument("--cutoff", type=float, metavar="HZ", help="of the low-pass")
-    arguments.add_outputs(parser)
-    arguments.add_threads(parser)
+    shared_options.add_outputs(parser)
+    shared_options.add_threads(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> None:
     """Extract, fit, print and write."""
     from lieid_casadi.cli.compare import save_figure
-    from lieid_casadi.friction import compare_friction, fit_friction, friction_curve
-    from lieid_casadi.friction.ranking import rank_friction_models
+    from lieid_casadi.friction_curves import compare_friction, fit_friction, friction_curve
+    from lieid_casadi.friction_curves.ranking import rank_friction_models
     from lieid_casadi.recording import Processing
 
     output.check_writable(args.json, args.plot)
-    arguments.load_effects_file(args.effects_file)
-    robot = arguments.robot_of(args)
+    shared_options.load_effects_file(args.effects_file)
+    robot = shared_options.robot_of(args)
     if not 1 <= args.joint <= robot.n:
         raise UsageError(f"--joint {args.joint}: {robot.name} has joints 1 to {robot.n}")
     whole = _whole(args, robot)
     curve = friction_curve(
         whole or robot,
-        arguments.recordings_of(args.recordings, args, robot),
+        shared_options.recordings_of(args.recordings, args, robot),
         args.joint - 1,
         processing=Processing(cutoff=args.cutoff),
         load=args.load,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "gains", help="drive gains in N·m/A, from currents and a payload of known mass"
     )
-    arguments.add_robot(parser)
+    shared_options.add_robot(parser)
     parser.add_argument(
         "--unloaded", nargs="+", required=True, metavar="REC", help="currents without payload"
     )
@@ -36,10 +36,10 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--yaml", metavar="FILE", help="write the robot with its torque constants")
     parser.add_argument("--plot", metavar="FILE", help="draw the gains")
-    arguments.add_effects(parser)
-    arguments.add_processing(parser)
-    arguments.add_outputs(parser)
-    arguments.add_threads(parser)
+    shared_options.add_effects(parser)
+    shared_options.add_processing(parser)
+    shared_options.add_outputs(parser)
+    shared_options.add_threads(parser)
     parser.set_defaults(run=run)
 
 
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> None:
     output.check_writable(args.json, args.yaml, args.plot)
     if not args.mass > 0.0:
         raise UsageError(f"--mass {args.mass:g}: expected kg above 0")
-    model = arguments.model_of(args)
+    model = shared_options.model_of(args)
     robot = model.robot
     with output.progress("gains") as report:
         gains = drive_gains(
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> None:
             mass=args.mass,
             com=args.com,
             effects=args.effects,
-            processing=arguments.processing_of(args),
+            processing=shared_options.processing_of(args),
             progress=report,
         )
     if args.yaml is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 
 if TYPE_CHECKING:
     from lieid_casadi.comparison import Comparison
@@ -17,16 +17,16 @@ METHODS = ("ols", "wls", "robust", "feasible")
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("identify", help="fit a model to recordings")
-    arguments.add_robot(parser)
+    shared_options.add_robot(parser)
     parser.add_argument("train", nargs="+", metavar="TRAIN", help="recording, REC@T0:T1 for a part")
     parser.add_argument("--test", nargs="+", default=[], metavar="T", help="recordings not fitted")
     parser.add_argument("--method", choices=METHODS, default="wls")
     parser.add_argument("-o", "--output", metavar="fit.json")
-    arguments.add_effects(parser)
-    arguments.add_recording_options(parser)
-    arguments.add_processing(parser)
-    arguments.add_outputs(parser, html=True)
-    arguments.add_threads(parser)
+    shared_options.add_effects(parser)
+    shared_options.add_recording_options(parser)
+    shared_options.add_processing(parser)
+    shared_options.add_outputs(parser, html=True)
+    shared_options.add_threads(parser)
     parser.set_defaults(run=run)
 
 
@@ -36,15 +36,15 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.identification import identify
 
     output.check_writable(args.output, args.json, args.html)
-    model = arguments.model_of(args)
-    train = arguments.training_of(args.train, args, model.robot)
-    test = arguments.recordings_of(args.test, args, model.robot)
+    model = shared_options.model_of(args)
+    train = shared_options.training_of(args.train, args, model.robot)
+    test = shared_options.recordings_of(args.test, args, model.robot)
     with output.progress("identify") as report:
         fit = identify(
             model,
             train,
             method=args.method,
-            processing=arguments.processing_of(args),
+            processing=shared_options.processing_of(args),
             progress=report,
         )
     comparison = compare(fit, test) if test else None

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from lieid_casadi import __version__
-from lieid_casadi.cli import arguments
+from lieid_casadi.cli import shared_options
 
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
 COMMANDS = (
@@ -49,7 +49,7 @@ def main(words: Sequence[str] | None = None) -> int:
     args = build_parser().parse_args(words)
     _log_to_stderr()
     try:
-        arguments.use_threads(args)
+        shared_options.use_threads(args)
         return int(args.run(args) or DONE)
     except KeyboardInterrupt:
         _say(f"lieid {args.command}: interrupted")

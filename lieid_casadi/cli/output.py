@@ -66,7 +66,7 @@ def write_json(path: str | None, content: dict[str, Any]) -> None:
 
 def write_file(path: str | Path, content: bytes) -> None:
     """Write a file whole or not at all, making its folder."""
-    from lieid_casadi.recording.atomic_file import atomic_binary
+    from lieid_casadi.atomic_file import atomic_binary
 
     target = Path(path)
     check_writable(target)

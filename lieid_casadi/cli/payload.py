@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 
 if TYPE_CHECKING:
     from lieid_casadi.payload import PayloadEstimate
@@ -25,10 +25,10 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--cutoff", type=float, metavar="HZ", help="default: the fit's own")
     parser.add_argument("--plot", metavar="FILE", help="draw the fall of the error")
-    arguments.add_effects_file(parser)
-    arguments.add_recording_options(parser)
-    arguments.add_outputs(parser, html=True)
-    arguments.add_threads(parser)
+    shared_options.add_effects_file(parser)
+    shared_options.add_recording_options(parser)
+    shared_options.add_outputs(parser, html=True)
+    shared_options.add_threads(parser)
     parser.set_defaults(run=run)
 
 
@@ -38,9 +38,9 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.payload import identify_payload
 
     output.check_writable(args.json, args.html, args.plot)
-    arguments.load_effects_file(args.effects_file)
+    shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
-    recordings = arguments.recordings_of(args.recordings, args, fit.model.robot)
+    recordings = shared_options.recordings_of(args.recordings, args, fit.model.robot)
     with output.progress("payload") as report:
         payload = identify_payload(
             fit,

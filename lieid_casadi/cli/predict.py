@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 
 
 def add_parser(commands: Any) -> None:
@@ -14,9 +14,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("fit", metavar="FIT")
     parser.add_argument("recording", metavar="REC")
     parser.add_argument("-o", "--output", required=True, metavar="pred.csv")
-    arguments.add_recording_options(parser)
-    arguments.add_effects_file(parser)
-    arguments.add_threads(parser)
+    shared_options.add_recording_options(parser)
+    shared_options.add_effects_file(parser)
+    shared_options.add_threads(parser)
     parser.set_defaults(run=run)
 
 
@@ -29,9 +29,9 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.identification import Fit
 
     output.check_writable(args.output)
-    arguments.load_effects_file(args.effects_file)
+    shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
-    (recording,) = arguments.recordings_of([args.recording], args, fit.model.robot)
+    (recording,) = shared_options.recordings_of([args.recording], args, fit.model.robot)
     torque = fit.predict(recording)
     header = ",".join(["t", *(f"tau{j}" for j in range(1, fit.model.n + 1))])
     text = io.StringIO()

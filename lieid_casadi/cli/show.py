@@ -5,22 +5,22 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from lieid_casadi.cli import arguments, output
+from lieid_casadi.cli import output, shared_options
 
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("show", help="joints, screws, limits, base parameters")
-    arguments.add_robot(parser)
-    arguments.add_effects(parser, default="")
-    arguments.add_outputs(parser)
+    shared_options.add_robot(parser)
+    shared_options.add_effects(parser, default="")
+    shared_options.add_outputs(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> None:
     """Print the tables."""
     output.check_writable(args.json)
-    model = arguments.model_of(args)
+    model = shared_options.model_of(args)
     robot = model.robot
     joints = [
         {

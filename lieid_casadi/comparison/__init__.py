@@ -2,7 +2,7 @@
 
 from lieid_casadi.comparison.compare import compare
 from lieid_casadi.comparison.comparison import Comparison
-from lieid_casadi.comparison.moments import Moment
-from lieid_casadi.comparison.series import Series
+from lieid_casadi.comparison.time_series import Series
+from lieid_casadi.comparison.worst_moments import Moment
 
 __all__ = ["Comparison", "Moment", "Series", "compare"]

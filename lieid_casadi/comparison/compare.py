@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison.comparison import Comparison
-from lieid_casadi.comparison.findings import findings
-from lieid_casadi.comparison.moments import worst_moments
-from lieid_casadi.comparison.noise import noise_floor
-from lieid_casadi.comparison.series import series_along
+from lieid_casadi.comparison.comparison_warnings import findings
+from lieid_casadi.comparison.noise_floor import noise_floor
+from lieid_casadi.comparison.time_series import series_along
+from lieid_casadi.comparison.worst_moments import worst_moments
 from lieid_casadi.identification.fit import Fit, Source
 from lieid_casadi.identification.identify import (
     center_temperature,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.comparison.moments import Moment
-from lieid_casadi.comparison.series import Series
+from lieid_casadi.comparison.time_series import Series
+from lieid_casadi.comparison.worst_moments import Moment
 from lieid_casadi.errors import LieidWarning
 from lieid_casadi.identification.fit import Source, warning_list
 

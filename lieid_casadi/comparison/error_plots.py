@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.comparison import drawing
+from lieid_casadi.comparison import plot_style
 from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.comparison.table import joint_title
 
@@ -21,7 +21,7 @@ PER_STRETCH = 40  # samples, as long as there are more stretches than the fewest
 FEWEST = 5  # samples of a stretch that has a mean
 FEW_POINTS = 600  # are drawn larger
 SHOWN = 99.5  # per cent of the errors lie inside the axes
-DIRECTIONS = ((1.0, drawing.FORWARD), (-1.0, drawing.BACKWARD), (0.0, drawing.REST))
+DIRECTIONS = ((1.0, plot_style.FORWARD), (-1.0, plot_style.BACKWARD), (0.0, plot_style.REST))
 
 
 def plot_errors(comparison: Comparison) -> Figure:
@@ -33,17 +33,17 @@ def plot_errors(comparison: Comparison) -> Figure:
     or gravity bends both alike.
     """
     n = comparison.n
-    figure = drawing.new_figure(15.0, 0.9 + 1.9 * n)
+    figure = plot_style.new_figure(15.0, 0.9 + 1.9 * n)
     axes = figure.subplots(n, 5, sharey="row", squeeze=False, width_ratios=(3, 3, 1.4, 3, 3))
-    times, clock = drawing.axis_times(
+    times, clock = plot_style.axis_times(
         [s.recording for s in comparison.series], [s.time for s in comparison.series]
     )
     time = np.concatenate(times)
     for joint in range(n):
         _draw_row(comparison, joint, axes[joint], time)
     for ax, text in zip(axes[0], _HEADINGS, strict=True):
-        drawing.title(ax, text)
-    drawing.label(axes[-1, 4], x=clock)
+        plot_style.title(ax, text)
+    plot_style.label(axes[-1, 4], x=clock)
     _legend(figure, comparison)
     return figure
 
@@ -69,26 +69,26 @@ def _draw_row(comparison: Comparison, joint: int, axes: Array, time: Array) -> N
         for way, colour in DIRECTIONS[:2]:
             here = sign == way
             _draw_mean(ax, signal[here], error[here], edges, colour)
-    _draw_mean(over_time, time, error, stretches(time), drawing.TEXT)
+    _draw_mean(over_time, time, error, stretches(time), plot_style.TEXT)
     _draw_directions(direction, error, sign)
     floor = comparison.noise_floor[joint]
     limit = max(float(np.percentile(np.abs(error), SHOWN)), 0.0) or 1.0
     for ax in axes:
-        drawing.style(ax)
+        plot_style.style(ax)
         if np.isfinite(floor):
-            ax.axhspan(-floor, floor, color=drawing.NOISE, linewidth=0.0, zorder=0.5)
-        ax.axhline(0.0, color=drawing.TEXT, linewidth=0.6, zorder=0.6)
+            ax.axhspan(-floor, floor, color=plot_style.NOISE, linewidth=0.0, zorder=0.5)
+        ax.axhline(0.0, color=plot_style.TEXT, linewidth=0.6, zorder=0.6)
     position.set_ylim(-1.1 * limit, 1.1 * limit)
-    name = drawing.shortened(joint_title(comparison, joint))
-    drawing.label(position, x="m" if slides else "rad", y=f"joint {name}\nerror [{unit}]")
-    drawing.label(speed, x="m/s" if slides else "rad/s")
-    drawing.label(over_load, x=unit)
+    name = plot_style.shortened(joint_title(comparison, joint))
+    plot_style.label(position, x="m" if slides else "rad", y=f"joint {name}\nerror [{unit}]")
+    plot_style.label(speed, x="m/s" if slides else "rad/s")
+    plot_style.label(over_load, x=unit)
 
 
 def _draw_cloud(ax: Axes, signal: Array, error: Array, sign: Array) -> None:
     size = 3.0 if len(error) > FEW_POINTS else 5.0
     for direction, colour in reversed(DIRECTIONS):
-        use = drawing.thin(sign == direction)
+        use = plot_style.thin(sign == direction)
         ax.plot(
             signal[use], error[use], ".", color=colour, alpha=0.4, markersize=size, mew=0.0,
             rasterized=True, zorder=1.5,
@@ -152,17 +152,17 @@ def _legend(figure: Figure, comparison: Comparison) -> None:
         for key, colour in DIRECTIONS
     ]
     handles[2] = Line2D(
-        [], [], color=drawing.REST, marker="o", markersize=4, linewidth=0, label="at rest"
+        [], [], color=plot_style.REST, marker="o", markersize=4, linewidth=0, label="at rest"
     )
     if np.isfinite(comparison.noise_floor).any():
-        handles.append(Patch(color=drawing.NOISE, label="± noise floor"))
+        handles.append(Patch(color=plot_style.NOISE, label="± noise floor"))
     figure.legend(
         handles=handles,
         title="error = measured − predicted; lines: mean of each stretch",
-        title_fontsize=drawing.NORMAL,
+        title_fontsize=plot_style.NORMAL,
         loc="outside upper left",
         alignment="left",
         ncols=4,
         frameon=False,
-        fontsize=drawing.NORMAL,
+        fontsize=plot_style.NORMAL,
     )

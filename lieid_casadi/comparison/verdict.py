@@ -7,7 +7,7 @@ import numpy as np
 from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.comparison.table import digits, percent
 from lieid_casadi.errors import FrictionAtRestWarning, SameRecordingWarning
-from lieid_casadi.recording.wording import joints_text
+from lieid_casadi.recording.joint_names import joints_text
 
 AS_NOISE = 1.3  # times the noise floor: an error that is nothing but noise
 BEYOND_NOISE = 2.0

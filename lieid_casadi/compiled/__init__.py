@@ -1,6 +1,6 @@
 """A model's functions on batches: C on vector registers, or CasADi's virtual machine."""
 
-from lieid_casadi.compiled.arm import Compiled, compile
-from lieid_casadi.compiled.blocks import BaseBlocks
+from lieid_casadi.compiled.base_regressor_blocks import BaseBlocks
+from lieid_casadi.compiled.compiled_model import Compiled, compile
 
 __all__ = ["BaseBlocks", "Compiled", "compile"]

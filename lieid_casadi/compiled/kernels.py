@@ -18,7 +18,6 @@ import numpy as np
 
 from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.compiled import cache as disk
-from lieid_casadi.compiled.c_source import UnsupportedOperation, kernel_source
 from lieid_casadi.compiled.compiler import (
     FLAGS,
     Compiler,
@@ -27,7 +26,8 @@ from lieid_casadi.compiled.compiler import (
     build,
     find_compiler,
 )
-from lieid_casadi.compiled.functions import KernelFunctions
+from lieid_casadi.compiled.kernel_functions import KernelFunctions
+from lieid_casadi.compiled.kernel_source import UnsupportedOperation, kernel_source
 from lieid_casadi.compiled.library import (
     Kernel,
     Reducer,
@@ -37,7 +37,7 @@ from lieid_casadi.compiled.library import (
     load_runtime,
 )
 from lieid_casadi.errors import CompilerError
-from lieid_casadi.functions import SparseFunction
+from lieid_casadi.expressions.model_functions import SparseFunction
 from lieid_casadi.robot.robot import Robot
 
 logger = logging.getLogger("lieid_casadi")
@@ -227,7 +227,7 @@ def _derivation() -> str:
     """Return a digest of the code between a robot and its C source."""
     package = Path(__file__).parents[1]
     files = [package / "functions.py", package / "robot" / "robot.py"]
-    files += [Path(__file__).with_name("c_source.py"), *(package / "dynamics").glob("*.py")]
+    files += [Path(__file__).with_name("kernel_source.py"), *(package / "dynamics").glob("*.py")]
     digest = hashlib.sha256(ca.CasadiMeta.version().encode())
     for path in sorted(files):
         digest.update(path.read_bytes())

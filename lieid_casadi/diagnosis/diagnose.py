@@ -7,27 +7,27 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.comparison import Comparison, compare
-from lieid_casadi.diagnosis.aliases import aliases
-from lieid_casadi.diagnosis.carrying_over import carried_over
-from lieid_casadi.diagnosis.changed import changed
-from lieid_casadi.diagnosis.choosing import FOLD, block_index
-from lieid_casadi.diagnosis.describing import Ahead, described
 from lieid_casadi.diagnosis.diagnosis import Diagnosis, Evidence, Step
-from lieid_casadi.diagnosis.found import Found, Proposal
-from lieid_casadi.diagnosis.pruning import STOOD_IN, stand_ins
-from lieid_casadi.diagnosis.remainder import Remainder
-from lieid_casadi.diagnosis.rivals import FOLDS
-from lieid_casadi.diagnosis.scene import Scene
-from lieid_casadi.diagnosis.selection import Search
-from lieid_casadi.diagnosis.unexplained import Unexplained, unexplained
+from lieid_casadi.diagnosis.residual.projected_residual import Remainder
+from lieid_casadi.diagnosis.residual.residual_description import Ahead, described
+from lieid_casadi.diagnosis.residual.test_validation import carried_over
+from lieid_casadi.diagnosis.residual.unexplained import Unexplained, unexplained
+from lieid_casadi.diagnosis.screening.aliases import aliases
+from lieid_casadi.diagnosis.screening.context import Scene
+from lieid_casadi.diagnosis.search.candidate_selection import FOLD, block_index
+from lieid_casadi.diagnosis.search.changed import changed
+from lieid_casadi.diagnosis.search.missing_effects import Search
+from lieid_casadi.diagnosis.search.pruning import STOOD_IN, stand_ins
+from lieid_casadi.diagnosis.search.rivals import FOLDS
+from lieid_casadi.diagnosis.search.search_results import Found, Proposal
 from lieid_casadi.errors import IdentificationError, LieidWarning, SameRecordingWarning
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.fit import Source
-from lieid_casadi.identification.fixed_point import ShapeStart
 from lieid_casadi.identification.identify import center_temperature, unique_warnings
+from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.model import Model
-from lieid_casadi.one_thread import blas_on_one_thread
 from lieid_casadi.recording import Processing, Recording, period_noise, process
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.aliases import Aliases
-from lieid_casadi.diagnosis.candidates import Candidate
-from lieid_casadi.diagnosis.unexplained import Unexplained
+from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+from lieid_casadi.diagnosis.screening.aliases import Aliases
+from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.errors import LieidWarning
 from lieid_casadi.identification.fit import Fit, Source, warning_list
 
@@ -206,24 +206,24 @@ class Diagnosis:
     @property
     def sentence(self) -> str:
         """The verdict in words."""
-        from lieid_casadi.diagnosis.words import sentence
+        from lieid_casadi.diagnosis.text_summary import sentence
 
         return sentence(self)
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the fall of the error from the first model to the last; not shown."""
-        from lieid_casadi.diagnosis.plots import plot_waterfall
+        from lieid_casadi.diagnosis.waterfall_plot import plot_waterfall
 
         return plot_waterfall(self, ax)
 
     def plot_unexplained(self, ax: Axes | None = None) -> Figure:
         """Draw the smooth functions that explain what stays: curves and maps; not shown."""
-        from lieid_casadi.diagnosis.shape_plots import plot_shapes
+        from lieid_casadi.diagnosis.residual.shape_plots import plot_shapes
 
         return plot_shapes(self.unexplained, ax)
 
     def _repr_html_(self) -> str:
-        from lieid_casadi.diagnosis.words import html
+        from lieid_casadi.diagnosis.text_summary import html
 
         return html(self)
 

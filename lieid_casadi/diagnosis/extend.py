@@ -67,7 +67,7 @@ class Extension:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw both models' errors per joint; not shown."""
-        from lieid_casadi.diagnosis.plots import draw_waterfall
+        from lieid_casadi.diagnosis.waterfall_plot import draw_waterfall
 
         pair = self.rms_train if self.rms_test is None else self.rms_test
         measured = "training" if self.rms_test is None else "test"

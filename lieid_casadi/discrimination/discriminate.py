@@ -8,16 +8,20 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.discrimination.discrimination import Discrimination, Pair
 from lieid_casadi.discrimination.rivals import Rivals, Stacked
-from lieid_casadi.discrimination.search import Climb, Feasible, best_starts, climb
+from lieid_casadi.discrimination.trajectory_search import Climb, Feasible, best_starts, climb
 from lieid_casadi.errors import ExcitationError, ModelError, NoSolution
-from lieid_casadi.excitation import basis as families
-from lieid_casadi.excitation.joint_limits import check_duration, check_start_pose, motion_range
-from lieid_casadi.excitation.symbolic_limits import Limit, Torque
-from lieid_casadi.excitation.trajectory import Parametrization
+from lieid_casadi.excitation.basis import families
+from lieid_casadi.excitation.basis.trajectory import Parametrization
+from lieid_casadi.excitation.limits.joint_limits import (
+    check_duration,
+    check_start_pose,
+    motion_range,
+)
+from lieid_casadi.excitation.limits.symbolic_limits import Limit, Torque
 from lieid_casadi.identification import Fit
-from lieid_casadi.one_thread import blas_on_one_thread
 from lieid_casadi.recording import Recording, process
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.excitation.basis.trajectory import Motion, Trajectory, period_grid
 from lieid_casadi.excitation.files import csv_text, write_all
-from lieid_casadi.excitation.trajectory import Motion, Trajectory, period_grid
 from lieid_casadi.model import Model
 
 if TYPE_CHECKING:

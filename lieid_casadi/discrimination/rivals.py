@@ -15,10 +15,10 @@ from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import EffectError
-from lieid_casadi.excitation.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import Motion
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.along import effects_along
-from lieid_casadi.identification.shape_range import ShapeRange
+from lieid_casadi.identification.regression.segment_columns import effects_along
+from lieid_casadi.identification.regression.shape_range import ShapeRange
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording
 

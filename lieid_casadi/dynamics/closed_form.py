@@ -17,7 +17,7 @@ from lieid_casadi.dynamics.lie import (
     inverse_adjoint_transpose_times,
     small_adjoint,
 )
-from lieid_casadi.dynamics.motion import Motion, axes, relative_poses, tool_pose
+from lieid_casadi.dynamics.motion_symbols import Motion, axes, relative_poses, tool_pose
 from lieid_casadi.dynamics.recursion import inverse_dynamics, tool_in_base
 from lieid_casadi.robot.robot import Robot
 

@@ -14,7 +14,7 @@ from lieid_casadi.dynamics.lie import (
     hat,
     inverse_adjoint_transpose_times,
 )
-from lieid_casadi.dynamics.motion import Motion, axes, relative_poses, tool_pose
+from lieid_casadi.dynamics.motion_symbols import Motion, axes, relative_poses, tool_pose
 from lieid_casadi.robot.robot import Robot
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from lieid_casadi.dynamics.lie import cross, inverse_adjoint_times
-from lieid_casadi.dynamics.motion import Motion, axes, relative_poses
+from lieid_casadi.dynamics.motion_symbols import Motion, axes, relative_poses
 from lieid_casadi.dynamics.recursion import (
     BodyMotion,
     Reference,

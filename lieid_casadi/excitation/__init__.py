@@ -1,12 +1,12 @@
 """Optimal excitation: trajectories that tell most of the parameters, within every limit."""
 
-from lieid_casadi.excitation.capsules import Capsule, enclosing, skeleton
 from lieid_casadi.excitation.excitation import Excitation
 from lieid_casadi.excitation.excite import excite
 from lieid_casadi.excitation.friction_sweep import FrictionSweep, friction_sweep
-from lieid_casadi.excitation.geometry import capsules_of, load_capsules
-from lieid_casadi.excitation.space import Obstacle, SelfCollision, Wall, floor, room
-from lieid_casadi.excitation.symbolic_limits import CartesianSpeed, Torque
+from lieid_casadi.excitation.limits.capsules import Capsule, enclosing, skeleton
+from lieid_casadi.excitation.limits.link_geometry import capsules_of, load_capsules
+from lieid_casadi.excitation.limits.symbolic_limits import CartesianSpeed, Torque
+from lieid_casadi.excitation.limits.workspace import Obstacle, SelfCollision, Wall, floor, room
 
 __all__ = [
     "Capsule",

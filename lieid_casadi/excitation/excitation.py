@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import LieidWarning
-from lieid_casadi.excitation.quality import Quality
-from lieid_casadi.excitation.run_in import RunIn
-from lieid_casadi.excitation.solve import Step
-from lieid_casadi.excitation.trajectory import Motion, Trajectory
+from lieid_casadi.excitation.basis.approach_motion import RunIn
+from lieid_casadi.excitation.basis.trajectory import Motion, Trajectory
+from lieid_casadi.excitation.criteria.quality import Quality
+from lieid_casadi.excitation.solvers.staged_solve import Step
 from lieid_casadi.model import Model
 
 if TYPE_CHECKING:

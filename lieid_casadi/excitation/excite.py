@@ -9,22 +9,26 @@ from concurrent.futures import Executor
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation import basis as families
-from lieid_casadi.excitation.criteria import NAMES
-from lieid_casadi.excitation.design import FINE, Design, Problem
+from lieid_casadi.excitation.basis import families
+from lieid_casadi.excitation.basis.approach_motion import RunIn, run_in
+from lieid_casadi.excitation.basis.trajectory import period_grid
+from lieid_casadi.excitation.criteria.column_scaling import column_scale
+from lieid_casadi.excitation.criteria.criterion import NAMES
+from lieid_casadi.excitation.criteria.design_model import seen_by_design
+from lieid_casadi.excitation.criteria.quality import quality
+from lieid_casadi.excitation.design_problem import FINE, Design, Problem
 from lieid_casadi.excitation.excitation import Excitation, Fullness, Start, fullest
-from lieid_casadi.excitation.joint_limits import check_duration, check_start_pose, motion_range
-from lieid_casadi.excitation.multi_start import Attempt, solve_all
-from lieid_casadi.excitation.quality import quality
-from lieid_casadi.excitation.run_in import RunIn, run_in
-from lieid_casadi.excitation.scaling import column_scale
-from lieid_casadi.excitation.seen import seen_by_design
-from lieid_casadi.excitation.solve import SOLVERS, Solution
-from lieid_casadi.excitation.symbolic_limits import Limit, Torque
-from lieid_casadi.excitation.trajectory import period_grid
+from lieid_casadi.excitation.limits.joint_limits import (
+    check_duration,
+    check_start_pose,
+    motion_range,
+)
+from lieid_casadi.excitation.limits.symbolic_limits import Limit, Torque
+from lieid_casadi.excitation.solvers.multi_start import Attempt, solve_all
+from lieid_casadi.excitation.solvers.staged_solve import SOLVERS, Solution
 from lieid_casadi.model import Model
-from lieid_casadi.one_thread import blas_on_one_thread
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lieid_casadi.excitation.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import Motion
 
 if TYPE_CHECKING:
     from lieid_casadi.excitation.excitation import Excitation
@@ -37,7 +37,7 @@ def save(excitation: Excitation, folder: Path) -> tuple[Path, ...]:
 
 def write_all(folder: Path, files: dict[str, bytes]) -> tuple[Path, ...]:
     """Write files into a folder."""
-    from lieid_casadi.recording.atomic_file import atomic_binary
+    from lieid_casadi.atomic_file import atomic_binary
 
     folder.mkdir(parents=True, exist_ok=True)
     written = []

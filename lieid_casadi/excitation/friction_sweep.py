@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.constraints import ConstraintSet
-from lieid_casadi.excitation.joint_limits import MotionRange, check_start_pose, motion_range
-from lieid_casadi.excitation.run_in import PEAK_ACCELERATION, PEAK_VELOCITY, RunIn
-from lieid_casadi.excitation.symbolic_limits import Limit
-from lieid_casadi.excitation.trajectory import Motion
+from lieid_casadi.excitation.basis.approach_motion import PEAK_ACCELERATION, PEAK_VELOCITY, RunIn
+from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
+from lieid_casadi.excitation.limits.joint_limits import MotionRange, check_start_pose, motion_range
+from lieid_casadi.excitation.limits.symbolic_limits import Limit
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]

@@ -67,7 +67,7 @@ def tool_path(excitation: Excitation, q: Array) -> Array:
     """Return the tool's positions (N, 3) in the base frame."""
     import casadi as ca
 
-    from lieid_casadi.dynamics.motion import Motion
+    from lieid_casadi.dynamics.motion_symbols import Motion
     from lieid_casadi.dynamics.recursion import tool_in_base
 
     angles = ca.SX.sym("q", excitation.model.n)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.compiled import compile
 from lieid_casadi.effects import Effect
 from lieid_casadi.errors import (
@@ -19,12 +20,11 @@ from lieid_casadi.errors import (
 )
 from lieid_casadi.gains.estimate import DriveGains, GainNotIdentified
 from lieid_casadi.gains.regression import BODY, GainProblem, Solution
-from lieid_casadi.identification.design import Design
 from lieid_casadi.identification.fit import Source
-from lieid_casadi.identification.fixed_point import Progress
 from lieid_casadi.identification.identify import center_temperature, unique_warnings
+from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.model import Model
-from lieid_casadi.one_thread import blas_on_one_thread
 from lieid_casadi.payload.identify import require_one_load
 from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.robot import Robot

@@ -10,10 +10,20 @@ from numpy.typing import NDArray
 from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.errors import IdentificationError
 from lieid_casadi.gains.total_least_squares import NullVector, most_likely, null_vector
-from lieid_casadi.identification.covariance import hac_covariance
-from lieid_casadi.identification.design import Design, JointRows, Rows, varying_columns
-from lieid_casadi.identification.fixed_point import prior
-from lieid_casadi.identification.least_squares import Factor, combine, joint_factors, solve
+from lieid_casadi.identification.regression.design_matrix import (
+    Design,
+    JointRows,
+    Rows,
+    varying_columns,
+)
+from lieid_casadi.identification.regression.fixed_point import prior
+from lieid_casadi.identification.regression.least_squares import (
+    Factor,
+    combine,
+    joint_factors,
+    solve,
+)
+from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 
 Array = NDArray[np.float64]
 BODY = 10

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from lieid_casadi.identification.least_squares import Factor
+from lieid_casadi.identification.regression.least_squares import Factor
 
 Array = NDArray[np.float64]
 RANK = 1e-9  # of scaled columns

@@ -1,7 +1,7 @@
 """From a model and recordings to a fit."""
 
-from lieid_casadi.identification.certificate import Certificate
-from lieid_casadi.identification.feasible_options import FeasibleOptions
+from lieid_casadi.identification.feasible.certificate import Certificate
+from lieid_casadi.identification.feasible.options import FeasibleOptions
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.identify import identify
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import EffectError, LieidWarning, ModelError
-from lieid_casadi.identification.certificate import Certificate
-from lieid_casadi.identification.conditioning import Conditioning
-from lieid_casadi.identification.noise_model import Noise
+from lieid_casadi.identification.feasible.certificate import Certificate
+from lieid_casadi.identification.regression.conditioning import Conditioning
+from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.model import Model, Parameter
-from lieid_casadi.recording.processing import Processed, Processing
+from lieid_casadi.recording.processing.process import Processed, Processing
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.robot.inertia import pseudo_inertia
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from lieid_casadi.identification.prediction_band import PredictionBand
+    from lieid_casadi.identification.uncertainty.prediction_band import PredictionBand
 
 Array = NDArray[np.float64]
 
@@ -160,9 +160,9 @@ class Fit:
     def predict_band(self, recording: Recording, *, level: float = 0.95) -> PredictionBand:
         """Return the torque with the band that holds a measured sample with probability ``level``.
 
-        See `lieid_casadi.identification.prediction_band.predict_band`.
+        See `lieid_casadi.identification.uncertainty.prediction_band.predict_band`.
         """
-        from lieid_casadi.identification.prediction_band import predict_band
+        from lieid_casadi.identification.uncertainty.prediction_band import predict_band
 
         return predict_band(self, recording, level=level)
 

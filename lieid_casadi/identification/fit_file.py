@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lieid_casadi.errors as causes
+from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import FitFileError, LieidWarning, RobotError
-from lieid_casadi.identification.certificate import Certificate
-from lieid_casadi.identification.conditioning import Conditioning
+from lieid_casadi.identification.feasible.certificate import Certificate
 from lieid_casadi.identification.fit import Fit, Provenance, warning_list
-from lieid_casadi.identification.noise_model import Noise
+from lieid_casadi.identification.regression.conditioning import Conditioning
+from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.model import Model
-from lieid_casadi.recording.atomic_file import atomic_binary
-from lieid_casadi.recording.processing import Processing
+from lieid_casadi.recording.processing.process import Processing
 from lieid_casadi.robot.robot import Robot
 
 SCHEMA = 2

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import (
     ConvergenceWarning,
@@ -16,35 +17,40 @@ from lieid_casadi.errors import (
     LieidWarning,
     ModelError,
 )
-from lieid_casadi.identification import findings
-from lieid_casadi.identification.certificate import Certificate
-from lieid_casadi.identification.conditioning import conditioning
-from lieid_casadi.identification.covariance import hac_covariance
-from lieid_casadi.identification.cross_validation import (
-    BLOCK_OVER_CUTOFF,
-    Estimate,
-    Fold,
-    cross_validated_rms,
-    fold_factors,
-)
-from lieid_casadi.identification.design import Design, JointRows, Rows
-from lieid_casadi.identification.feasible import certify, make_feasible
-from lieid_casadi.identification.feasible_options import FeasibleOptions
+from lieid_casadi.identification import fit_warnings
+from lieid_casadi.identification.feasible.certificate import Certificate
+from lieid_casadi.identification.feasible.feasible_fit import certify, make_feasible
+from lieid_casadi.identification.feasible.options import FeasibleOptions
 from lieid_casadi.identification.fit import Fit, Provenance, Source
-from lieid_casadi.identification.fixed_point import ROUNDS, Progress, ShapeStart, State, fixed_point
-from lieid_casadi.identification.least_squares import (
+from lieid_casadi.identification.prediction import predict_recording, training_errors
+from lieid_casadi.identification.regression.conditioning import conditioning
+from lieid_casadi.identification.regression.design_matrix import Design, JointRows, Rows
+from lieid_casadi.identification.regression.fixed_point import (
+    ROUNDS,
+    Progress,
+    ShapeStart,
+    State,
+    fixed_point,
+)
+from lieid_casadi.identification.regression.least_squares import (
     Factor,
     combine,
     joint_factors,
     remaining_fraction,
     solve,
 )
-from lieid_casadi.identification.noise_model import residual_noise
-from lieid_casadi.identification.prediction import predict_recording, training_errors
-from lieid_casadi.identification.shape_fit import shape_columns
-from lieid_casadi.identification.weights import ESTIMATORS
+from lieid_casadi.identification.regression.variable_projection import shape_columns
+from lieid_casadi.identification.regression.weights import ESTIMATORS
+from lieid_casadi.identification.uncertainty.covariance import hac_covariance
+from lieid_casadi.identification.uncertainty.cross_validation import (
+    BLOCK_OVER_CUTOFF,
+    Estimate,
+    Fold,
+    cross_validated_rms,
+    fold_factors,
+)
+from lieid_casadi.identification.uncertainty.noise_model import residual_noise
 from lieid_casadi.model import Model
-from lieid_casadi.one_thread import blas_on_one_thread
 from lieid_casadi.recording import (
     Processed,
     Processing,
@@ -120,8 +126,8 @@ def identify(
     folds = _folds(segments, state)
     unweighted = combine(joint_factors(state.rows), np.ones(model.n))
     found += [w for segment in segments for w in segment.warnings]
-    found += findings.aliases(model, remaining_fraction(unweighted))
-    found += findings.hidden(model, state.solution) + findings.rest(model, segments)
+    found += fit_warnings.aliases(model, remaining_fraction(unweighted))
+    found += fit_warnings.hidden(model, state.solution) + fit_warnings.rest(model, segments)
     if not settled:
         found.append(
             ConvergenceWarning(
@@ -136,7 +142,7 @@ def identify(
         rms_wls, _ = _rms(compiled, segments, state)
         state, estimate = possible.state, possible.estimate
         found += possible.warnings
-    found += findings.bounds(model, state)
+    found += fit_warnings.bounds(model, state)
     report("evaluate", 0.9)
     rms, rms_raw = _rms(compiled, segments, state)
     if method == "feasible":
@@ -189,7 +195,7 @@ def check_with_model(compiled: Compiled, recording: Recording) -> tuple[LieidWar
     robot = compiled.model.robot
     nominal = None
     if robot.has_inertia and recording.tau is not None:
-        from lieid_casadi.recording.processing import Processing
+        from lieid_casadi.recording.processing.process import Processing
 
         nothing = np.concatenate([robot.link_parameters, np.zeros(len(compiled.model.columns))])
         nominal = predict_recording(

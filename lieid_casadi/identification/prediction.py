@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.identification.along import effect_signals, effects_along
-from lieid_casadi.recording.processing import Processed, Processing, process
+from lieid_casadi.identification.regression.segment_columns import effect_signals, effects_along
+from lieid_casadi.recording.processing.process import Processed, Processing, process
 from lieid_casadi.recording.recording import Recording
 
 Array = NDArray[np.float64]

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 
 from lieid_casadi.errors import NoSolution
-from lieid_casadi.identification.convex_solver import ConvexSolver
-from lieid_casadi.identification.feasible_options import FeasibleOptions
-from lieid_casadi.identification.feasible_problem import FeasibleProblem
-from lieid_casadi.identification.least_squares import Factor
+from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
+from lieid_casadi.identification.feasible.options import FeasibleOptions
+from lieid_casadi.identification.feasible.problem import FeasibleProblem
+from lieid_casadi.identification.regression.least_squares import Factor
 from lieid_casadi.robot.inertia import link_parameters, pseudo_inertia
 
 Array = NDArray[np.float64]

@@ -8,19 +8,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import IdentificationError, LieidWarning
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.design import Design
 from lieid_casadi.identification.fit import Source
-from lieid_casadi.identification.fixed_point import Progress
 from lieid_casadi.identification.identify import (
     center_temperature,
     check_recordings,
     unique_warnings,
 )
 from lieid_casadi.identification.prediction import predict_recording
-from lieid_casadi.one_thread import blas_on_one_thread
-from lieid_casadi.payload import findings
+from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.fixed_point import Progress
+from lieid_casadi.payload import payload_warnings
 from lieid_casadi.payload.body import physical, physical_slopes, told
 from lieid_casadi.payload.estimate import FeasibleBody, FrictionChange, PayloadEstimate
 from lieid_casadi.payload.feasible_body import SCALE, possible_body
@@ -80,7 +80,7 @@ def identify_payload(
     report("check", 0.0)
     for recording in given:
         check(recording, fit.model.robot)  # raises; its warnings need the payload's torque
-    found = findings.of_the_fit(fit, given)
+    found = payload_warnings.of_the_fit(fit, given)
     report("process", 0.2)
     options = replace(fit.processing, average_periods=False, cutoff=cutoff or fit.processing.cutoff)
     segments, _ = center_temperature(process(given, options), fit.temperature_mean)
@@ -96,15 +96,15 @@ def identify_payload(
     kept = run.estimate(np.zeros_like(frictional))
     refitted = run.estimate(frictional) if frictional.any() else kept
     estimate = refitted if refit_friction else kept
-    findings.require_same_arm(fit, estimate, run)
+    payload_warnings.require_same_arm(fit, estimate, run)
     nominal = run.loaded_parameters(estimate.parameters)
     found += [w for recording in given for w in _checked(fit, recording, nominal)]
     if not refit_friction:
-        found += findings.changed_friction(run, kept, refitted, frictional)
+        found += payload_warnings.changed_friction(run, kept, refitted, frictional)
     report("possible body", 0.8)
     result = _result(fit, run, estimate, frictional if refit_friction else None)
     found += [w for segment in segments for w in segment.warnings]
-    found += findings.of_the_payload(fit, result, estimate)
+    found += payload_warnings.of_the_payload(fit, result, estimate)
     report("done", 1.0)
     return replace(
         result,
@@ -159,8 +159,8 @@ def _result(
         std = _propagated(slopes, estimate.covariance)
     else:
         seen[:] = False
-    not_identified = findings.not_identified(values, std, seen, hidden)
-    lost = ~seen | findings.without_a_number(values, std)
+    not_identified = payload_warnings.not_identified(values, std, seen, hidden)
+    lost = ~seen | payload_warnings.without_a_number(values, std)
     body = possible_body(estimate.parameters, estimate.covariance, estimate.hidden)
     moved = run.errors(body, refitted, estimate.free)
     return PayloadEstimate(
@@ -170,10 +170,10 @@ def _result(
         std=np.where(lost, np.nan, std),
         parameters=estimate.parameters,
         covariance=estimate.covariance,
-        feasible=FeasibleBody(body, findings.rms(moved)),
+        feasible=FeasibleBody(body, payload_warnings.rms(moved)),
         not_identified=not_identified,
-        rms_before=findings.rms(estimate.before),
-        rms_after=findings.rms(estimate.after),
+        rms_before=payload_warnings.rms(estimate.before),
+        rms_after=payload_warnings.rms(estimate.after),
         rms_fit=np.where(np.isfinite(fit.rms_cv), fit.rms_cv, fit.noise),
         friction=() if refitted is None else _friction(fit, refitted, estimate),
         cutoff=run.design.segments[0].cutoff,

@@ -20,13 +20,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.compiled.reduction import Triangle
+from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.covariance import hac_covariance
-from lieid_casadi.identification.design import Design, JointRows, Rows
-from lieid_casadi.identification.least_squares import Factor, combine, joint_factors, solve
-from lieid_casadi.identification.shape_fit import shape_columns
+from lieid_casadi.identification.regression.design_matrix import Design, JointRows, Rows
+from lieid_casadi.identification.regression.least_squares import (
+    Factor,
+    combine,
+    joint_factors,
+    solve,
+)
+from lieid_casadi.identification.regression.variable_projection import shape_columns
+from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

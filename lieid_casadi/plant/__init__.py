@@ -3,7 +3,6 @@
 Nothing of the package's own dynamics or effects is used here, so that a mistake in them shows.
 """
 
-from lieid_casadi.plant.along import measure_along, move_along
 from lieid_casadi.plant.arm import Arm, JointFriction, Thermal
 from lieid_casadi.plant.arm_effects import (
     BaseTilt,
@@ -14,13 +13,14 @@ from lieid_casadi.plant.arm_effects import (
     TorqueDelay,
     TorqueGain,
 )
-from lieid_casadi.plant.demo import (
+from lieid_casadi.plant.demo_arm import (
     HIDDEN_EFFECT_NAMES,
     demo_arm,
     demo_sensors,
     hidden_effect,
 )
 from lieid_casadi.plant.effect import HiddenEffect, JointEffect, State
+from lieid_casadi.plant.ideal_tracking import measure_along, move_along
 from lieid_casadi.plant.inertias import perturbed_inertias, with_payload
 from lieid_casadi.plant.joint_effects import (
     Armature,
@@ -43,7 +43,7 @@ from lieid_casadi.plant.motion import Motion, Trajectory
 from lieid_casadi.plant.rigid import build_pinocchio
 from lieid_casadi.plant.sensors import Sensors, measure
 from lieid_casadi.plant.simulate import Control, move, simulate
-from lieid_casadi.plant.size import torque_scale
+from lieid_casadi.plant.torque_scale import torque_scale
 from lieid_casadi.plant.trajectories import FourierTrajectory, point_to_point, sweep
 
 __all__ = [

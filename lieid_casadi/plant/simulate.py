@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import EffectError
-from lieid_casadi.plant.along import move_along
 from lieid_casadi.plant.arm import Arm
 from lieid_casadi.plant.arm_effects import EncoderOffset
+from lieid_casadi.plant.ideal_tracking import move_along
 from lieid_casadi.plant.motion import Motion, Trajectory
 from lieid_casadi.plant.rigid import build_pinocchio, rigid_torques
 from lieid_casadi.plant.sensors import Sensors, measure
-from lieid_casadi.plant.size import torque_scale
-from lieid_casadi.plant.step import Command, Stepper, StepResult
+from lieid_casadi.plant.stepper import Command, Stepper, StepResult
+from lieid_casadi.plant.torque_scale import torque_scale
 from lieid_casadi.recording import Recording
 
 Array = NDArray[np.float64]

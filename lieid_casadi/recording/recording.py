@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.errors import LieidWarning, RecordingError
 from lieid_casadi.recording.arrays import Array, hash_of_arrays, read_only
-from lieid_casadi.recording.faults import require_sound
-from lieid_casadi.recording.formats import reader_of, split_part, writer_of
-from lieid_casadi.recording.timing import gap_limit, sample_period
+from lieid_casadi.recording.checks.faults import require_sound
+from lieid_casadi.recording.processing.sample_timing import gap_limit, sample_period
+from lieid_casadi.recording.readers.formats import reader_of, split_part, writer_of
 
 _SIGNALS = ("dq", "tau", "ddq", "temperature", "current")
 
@@ -151,7 +151,7 @@ class Recording:
         cls, frame: Any, *, name: str = "", torque_constants: ArrayLike | None = None
     ) -> Self:
         """Recording from a pandas (or polars) data frame with the columns of a CSV."""
-        from lieid_casadi.recording.tables import recording_from_columns
+        from lieid_casadi.recording.readers.tables import recording_from_columns
 
         title = name or "data frame"
         columns = {str(column): np.asarray(frame[column]) for column in frame.columns}

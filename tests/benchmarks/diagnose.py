@@ -16,7 +16,7 @@ import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.diagnosis.scene import Scene
+from lieid_casadi.diagnosis.screening.context import Scene
 from lieid_casadi.recording import process
 
 ROBOT = lieid.robots.panda()

@@ -15,10 +15,10 @@ from excitation_peer import Peer, first_time, run_slsqp
 import lieid_casadi as lieid
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation import CartesianSpeed, SelfCollision, Torque, capsules_of, floor
-from lieid_casadi.excitation.basis import make
-from lieid_casadi.excitation.design import FINE, Problem
+from lieid_casadi.excitation.basis.families import make
+from lieid_casadi.excitation.design_problem import FINE, Problem
 from lieid_casadi.excitation.excite import make_design, verification
-from lieid_casadi.excitation.solve import random_start, solve
+from lieid_casadi.excitation.solvers.staged_solve import random_start, solve
 
 UR10E = Path(__file__).parents[3] / "shared" / "recordings" / "ur10e" / "ur10e.urdf"
 SPEED = 1.0  # m/s

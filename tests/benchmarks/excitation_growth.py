@@ -14,10 +14,10 @@ import numpy as np
 from arms import panda, six_joints, twelve_joints
 
 import lieid_casadi as lieid
-from lieid_casadi.excitation.basis import make
-from lieid_casadi.excitation.design import Problem
+from lieid_casadi.excitation.basis.families import make
+from lieid_casadi.excitation.design_problem import Problem
 from lieid_casadi.excitation.excite import make_design
-from lieid_casadi.excitation.solve import solve
+from lieid_casadi.excitation.solvers.staged_solve import solve
 from lieid_casadi.robot import Limits
 
 STARTS = 5

@@ -13,7 +13,7 @@ from excitation_bars import limits_problem, panda_problem, say, ur10e_problem
 
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation.excite import verification
-from lieid_casadi.excitation.solve import SOLVERS, solve
+from lieid_casadi.excitation.solvers.staged_solve import SOLVERS, solve
 
 PROBLEMS = {"panda": panda_problem, "limits": limits_problem, "ur10e": ur10e_problem}
 STARTS = 10

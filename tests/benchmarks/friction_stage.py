@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 import lieid_casadi as lieid  # noqa: E402
 from lieid_casadi import plant  # noqa: E402
-from lieid_casadi.friction import fit_friction, friction_curve  # noqa: E402
+from lieid_casadi.friction_curves import fit_friction, friction_curve  # noqa: E402
 
 SPEEDS = tuple(np.deg2rad([2, 3, 5, 8, 12, 20, 35, 55]))
 POSE = (0.0, -0.4, 0.3, -1.8, 0.4, 1.8, 0.3)

@@ -263,7 +263,7 @@ def test_a_killed_run_leaves_no_half_written_fit(tmp_path, good):
     path.write_text("old")
     script = (
         "import os, sys\n"
-        "import lieid_casadi.recording.atomic_file as atomic\n"
+        "import lieid_casadi.atomic_file as atomic\n"
         "replace = os.replace\n"
         "def die(*a): os.kill(os.getpid(), 9)\n"
         "os.replace = die\n"

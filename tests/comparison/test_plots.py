@@ -10,7 +10,7 @@ from comparison import two_link_data as arm
 from matplotlib.figure import Figure
 
 import lieid_casadi as lieid
-from lieid_casadi.comparison import drawing
+from lieid_casadi.comparison import plot_style
 from lieid_casadi.comparison.error_plots import binned_mean, stretches
 
 
@@ -109,7 +109,7 @@ def test_several_recordings_lie_one_after_the_other():
 
 def test_segments_of_one_recording_keep_its_clock():
     times = [np.arange(3.0), np.arange(7.0, 9.0)]
-    shown, text = drawing.axis_times(["a", "a"], times)
+    shown, text = plot_style.axis_times(["a", "a"], times)
     np.testing.assert_array_equal(np.concatenate(shown), np.concatenate(times))
     assert text == "time [s]"
 
@@ -118,8 +118,8 @@ def test_thinned_lines_keep_their_peaks():
     x = np.arange(200_000.0)
     y = np.sin(x / 900.0)
     y[123_456], y[77_777] = 9.0, -7.0
-    thin_x, thin_y = drawing.envelope(x, y)
-    assert len(thin_x) <= 2 * drawing.MOST_COLUMNS
+    thin_x, thin_y = plot_style.envelope(x, y)
+    assert len(thin_x) <= 2 * plot_style.MOST_COLUMNS
     assert thin_y.max() == 9.0
     assert thin_y.min() == -7.0
     assert np.all(np.diff(thin_x) > 0.0)
@@ -129,8 +129,8 @@ def test_thinned_lines_keep_their_peaks():
 def test_clouds_are_thinned_evenly():
     marked = np.ones(100_000, dtype=bool)
     marked[:1000] = False
-    kept = drawing.thin(marked)
-    assert 0.5 * drawing.MOST_POINTS < len(kept) <= drawing.MOST_POINTS
+    kept = plot_style.thin(marked)
+    assert 0.5 * plot_style.MOST_POINTS < len(kept) <= plot_style.MOST_POINTS
     assert kept[0] == 1000
     assert np.unique(np.diff(kept)).size == 1
 

@@ -7,8 +7,8 @@ from robot.random_arms import random_arm, random_states
 
 import lieid_casadi as lieid
 from lieid_casadi.compiled import compile
+from lieid_casadi.compiled.batch_evaluation import CompiledEvaluation, MachineEvaluation
 from lieid_casadi.compiled.compiler import available_targets
-from lieid_casadi.compiled.evaluation import CompiledEvaluation, MachineEvaluation
 from lieid_casadi.effects import Coefficient, Effect
 
 pytestmark = pytest.mark.usefixtures("compiler")

@@ -7,8 +7,8 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.compiled import compile
+from lieid_casadi.compiled.batch_evaluation import _make_arguments
 from lieid_casadi.compiled.compiler import available_targets
-from lieid_casadi.compiled.evaluation import _make_arguments
 from lieid_casadi.errors import CompilerError, ModelError
 
 LANES = [target.lanes for target in available_targets()]
@@ -158,7 +158,7 @@ def test_a_bad_sample_stays_alone(lanes, bad):
 
 
 def test_threads_share_a_batch(monkeypatch):
-    monkeypatch.setattr("lieid_casadi.compiled.evaluation.SAMPLES_PER_THREAD", 10)
+    monkeypatch.setattr("lieid_casadi.compiled.batch_evaluation.SAMPLES_PER_THREAD", 10)
     arm, values = compile(MODEL), motion(1003)
     expected = arm.regressor(*values, threads=1)
     for threads in (2, 3, 7, 50):
@@ -170,7 +170,7 @@ def test_threads_share_a_batch(monkeypatch):
 def test_results_larger_than_the_caches_are_the_same(monkeypatch):
     arm, values = compile(panda()), motion(1003, n=7)
     expected = arm.regressor(*values)
-    monkeypatch.setattr("lieid_casadi.compiled.evaluation.LAST_LEVEL_CACHE", 0)
+    monkeypatch.setattr("lieid_casadi.compiled.batch_evaluation.LAST_LEVEL_CACHE", 0)
     for shift in range(9):  # of the result's address, in doubles
         memory = np.full(expected.size + 18, -7.0)
         out = memory[9 + shift - 4 :][: expected.size].reshape(expected.shape)

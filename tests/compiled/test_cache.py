@@ -10,7 +10,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.compiled import cache, compile, kernels
-from lieid_casadi.compiled.evaluation import CompiledEvaluation
+from lieid_casadi.compiled.batch_evaluation import CompiledEvaluation
 
 pytestmark = pytest.mark.usefixtures("compiler")
 

@@ -6,8 +6,8 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.compiled import compile
+from lieid_casadi.compiled.batch_evaluation import CompiledEvaluation
 from lieid_casadi.compiled.compiler import available_targets
-from lieid_casadi.compiled.evaluation import CompiledEvaluation
 from lieid_casadi.effects import Coefficient, Effect
 
 pytestmark = pytest.mark.usefixtures("compiler")

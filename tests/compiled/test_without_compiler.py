@@ -9,8 +9,8 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.compiled import compile
+from lieid_casadi.compiled.batch_evaluation import MachineEvaluation
 from lieid_casadi.compiled.compiler import available_targets, build, find_compiler
-from lieid_casadi.compiled.evaluation import MachineEvaluation
 from lieid_casadi.errors import CompilerError
 
 Q = np.linspace(-1.0, 1.0, 40).reshape(20, 2)

@@ -5,8 +5,8 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.identification.along import effects_along
 from lieid_casadi.identification.prediction import torque_along
+from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.recording import Processing, process
 
 ROBOT = lieid.robots.panda()

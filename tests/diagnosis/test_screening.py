@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from lieid_casadi.diagnosis.bank import assemble
-from lieid_casadi.diagnosis.evidence import Family
-from lieid_casadi.diagnosis.forward import Price, best_set, column_stack
-from lieid_casadi.diagnosis.rivals import cross_validated_gain, rivals_of
-from lieid_casadi.diagnosis.screening import Baseline, screen
-from lieid_casadi.diagnosis.unexplained import Smooth
-from lieid_casadi.identification.noise_model import Noise, Runs, noise_of
+from lieid_casadi.diagnosis.residual.unexplained import Smooth
+from lieid_casadi.diagnosis.screening.candidate_columns import assemble
+from lieid_casadi.diagnosis.screening.screen import Baseline, screen
+from lieid_casadi.diagnosis.search.evidence import Family
+from lieid_casadi.diagnosis.search.forward_selection import Price, best_set, column_stack
+from lieid_casadi.diagnosis.search.rivals import cross_validated_gain, rivals_of
+from lieid_casadi.identification.uncertainty.noise_model import Noise, Runs, noise_of
 
 ROWS = 300
 

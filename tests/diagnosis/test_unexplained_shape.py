@@ -9,13 +9,18 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis import own_effects
-from lieid_casadi.diagnosis.describing import Ahead
-from lieid_casadi.diagnosis.dictionary import FUNCTIONS, Term, dictionaries, dictionary
-from lieid_casadi.diagnosis.form import Form, _subsets
-from lieid_casadi.diagnosis.remainder import Remainder
-from lieid_casadi.diagnosis.scene import Scene
-from lieid_casadi.diagnosis.screening import Baseline
-from lieid_casadi.diagnosis.unexplained import Unexplained
+from lieid_casadi.diagnosis.residual.function_dictionary import (
+    FUNCTIONS,
+    Term,
+    dictionaries,
+    dictionary,
+)
+from lieid_casadi.diagnosis.residual.projected_residual import Remainder
+from lieid_casadi.diagnosis.residual.residual_description import Ahead
+from lieid_casadi.diagnosis.residual.symbolic_formula import Form, _subsets
+from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+from lieid_casadi.diagnosis.screening.context import Scene
+from lieid_casadi.diagnosis.screening.screen import Baseline
 from lieid_casadi.effects.effect import REGISTER
 from lieid_casadi.recording import process
 from lieid_casadi.report import diagnosis_report

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
-from lieid_casadi.diagnosis.vectorized import Vectorized
+from lieid_casadi.diagnosis.screening.numpy_evaluation import Vectorized
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.effect import REGISTER, make
 
@@ -42,7 +42,7 @@ def test_results_that_do_not_depend_on_inputs():
 )
 def test_every_effect_has_the_columns_of_the_compiled_model(label):
     from lieid_casadi import plant
-    from lieid_casadi.diagnosis.columns import EffectFunction, SegmentSignals
+    from lieid_casadi.diagnosis.screening.effect_columns import EffectFunction, SegmentSignals
     from lieid_casadi.recording import Processing, process
 
     robot = lieid.robots.two_link()

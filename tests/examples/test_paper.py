@@ -53,7 +53,7 @@ def test_library_with_the_arms_numbers_is_eq_8(scripts):
     """What the bars compare with: both definitions agree where ε in the library's is small."""
     arm, lab = scripts("arm"), scripts("lab")
     from lieid_casadi import Model, compile
-    from lieid_casadi.friction.steady import steady_columns
+    from lieid_casadi.friction_curves.constant_speed import steady_columns
 
     model = Model(arm.ROBOT, effects=lab.EQ_18)
     numbers = {f"{k}:{j + 1}": x for k, row in lab.TRUE.items() for j, x in enumerate(row)}

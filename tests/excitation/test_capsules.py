@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 import lieid_casadi as lieid
 from lieid_casadi.errors import ExcitationError, RobotError
 from lieid_casadi.excitation import Capsule, SelfCollision, capsules_of, enclosing, load_capsules
-from lieid_casadi.excitation.capsules import (
+from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.limits.capsules import (
     enclosing_all,
     segment_distance_to_points,
     skeleton,
 )
-from lieid_casadi.excitation.space import covering_balls
-from lieid_casadi.excitation.trajectory import Motion
+from lieid_casadi.excitation.limits.workspace import covering_balls
 
 
 def outside(capsule, points):

@@ -13,8 +13,9 @@ from lieid_casadi.excitation import (
     Wall,
     capsules_of,
 )
-from lieid_casadi.excitation.basis import make
-from lieid_casadi.excitation.criteria import (
+from lieid_casadi.excitation.basis.families import make
+from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.criteria.criterion import (
     NAMES,
     AOptimal,
     Condition,
@@ -23,11 +24,10 @@ from lieid_casadi.excitation.criteria import (
     LogDet,
     stages,
 )
-from lieid_casadi.excitation.design import Problem
+from lieid_casadi.excitation.criteria.information_matrix import Information
+from lieid_casadi.excitation.design_problem import Problem
 from lieid_casadi.excitation.excite import make_design
-from lieid_casadi.excitation.information import Information
-from lieid_casadi.excitation.solve import random_start
-from lieid_casadi.excitation.trajectory import Motion
+from lieid_casadi.excitation.solvers.staged_solve import random_start
 
 STEP = 1e-6
 

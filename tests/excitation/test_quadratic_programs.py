@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lieid_casadi.excitation import quadratic
-from lieid_casadi.excitation.quasi_newton import damped_bfgs
+from lieid_casadi.excitation.solvers import quadratic_program
+from lieid_casadi.excitation.solvers.quasi_newton import damped_bfgs
 
 
 @settings(max_examples=60, deadline=None)
@@ -17,7 +17,7 @@ def test_solutions_meet_the_optimality_conditions(seed, size, rows):
     hessian = half @ half.T + 0.1 * np.eye(size)
     gradient, matrix = rng.normal(size=size), rng.normal(size=(rows, size))
     limit = rng.uniform(0.0, 1.0, rows)
-    solution = quadratic.solve(hessian, gradient, matrix, limit)
+    solution = quadratic_program.solve(hessian, gradient, matrix, limit)
     assert solution is not None
     d, multipliers = solution.step, solution.multipliers
     assert np.all(matrix @ d <= limit + 1e-8)
@@ -27,15 +27,17 @@ def test_solutions_meet_the_optimality_conditions(seed, size, rows):
 
 
 def test_a_known_program():
-    solution = quadratic.solve(np.eye(2), np.array([-3.0, 1.0]), np.eye(2), np.array([1.0, 5.0]))
+    solution = quadratic_program.solve(
+        np.eye(2), np.array([-3.0, 1.0]), np.eye(2), np.array([1.0, 5.0])
+    )
     np.testing.assert_allclose(solution.step, [1.0, -1.0], atol=1e-12)
     np.testing.assert_allclose(solution.multipliers, [2.0, 0.0], atol=1e-12)
 
 
 def test_no_solution():
     matrix = np.array([[1.0], [-1.0]])
-    assert quadratic.solve(np.eye(1), np.zeros(1), matrix, np.array([-1.0, -1.0])) is None
-    assert quadratic.solve(-np.eye(1), np.zeros(1), matrix, np.ones(2)) is None
+    assert quadratic_program.solve(np.eye(1), np.zeros(1), matrix, np.array([-1.0, -1.0])) is None
+    assert quadratic_program.solve(-np.eye(1), np.zeros(1), matrix, np.ones(2)) is None
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -6,9 +6,9 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi.errors import NotCountedWarning
 from lieid_casadi.excitation import excite
-from lieid_casadi.excitation.information import Information
-from lieid_casadi.excitation.seen import seen_by_design
-from lieid_casadi.excitation.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.criteria.design_model import seen_by_design
+from lieid_casadi.excitation.criteria.information_matrix import Information
 
 ROBOT = lieid.robots.two_link()
 

@@ -10,13 +10,13 @@ import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation import Torque, excite
-from lieid_casadi.excitation.basis import make
-from lieid_casadi.excitation.design import Problem
+from lieid_casadi.excitation.basis.families import make
+from lieid_casadi.excitation.design_problem import Problem
 from lieid_casadi.excitation.excite import make_design
-from lieid_casadi.excitation.ipopt import Ipopt
-from lieid_casadi.excitation.nonlinear_program import run_ipopt
-from lieid_casadi.excitation.solve import SOLVERS
-from lieid_casadi.excitation.solver import Outcome
+from lieid_casadi.excitation.solvers.ipopt import Ipopt
+from lieid_casadi.excitation.solvers.nonlinear_program import run_ipopt
+from lieid_casadi.excitation.solvers.solver import Outcome
+from lieid_casadi.excitation.solvers.staged_solve import SOLVERS
 from lieid_casadi.plant.rigid import build_pinocchio
 
 PANDA = lieid.robots.panda()
@@ -207,7 +207,7 @@ def test_what_our_functions_raise_comes_through_ipopt(failure, where, capfd):
 
 
 def test_an_interrupt_while_casadi_prepares(monkeypatch):
-    import lieid_casadi.excitation.nonlinear_program as room
+    import lieid_casadi.excitation.solvers.nonlinear_program as room
 
     def interrupted(self):
         raise KeyboardInterrupt

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from lieid_casadi.errors import ExcitationError
-from lieid_casadi.excitation.basis import Fourier, make
-from lieid_casadi.excitation.trajectory import Parametrization, SampledBasis, Trajectory
+from lieid_casadi.excitation.basis.families import Fourier, make
+from lieid_casadi.excitation.basis.trajectory import Parametrization, SampledBasis, Trajectory
 
 FAMILIES = ["fourier", "modified_fourier", "spline"]
 UNITS = np.array([[2.0, 2.0, 5.0], [1.0, 3.0, 9.0]])

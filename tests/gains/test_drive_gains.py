@@ -9,7 +9,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.errors import EffectError, IdentificationError, ModelError
 from lieid_casadi.gains.total_least_squares import null_vector
-from lieid_casadi.identification.least_squares import Factor
+from lieid_casadi.identification.regression.least_squares import Factor
 
 PANDA = lieid.robots.panda()
 GAINS = np.array([14.9, 13.3, 11.1, 10.6, 11.0, 11.5, 9.0])

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 import lieid_casadi as lieid
-from lieid_casadi.identification.doubt import doubt_along, dry_level
+from lieid_casadi.identification.regression.friction_uncertainty import doubt_along, dry_level
 from lieid_casadi.recording import Processing, process
 
 MODEL = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,load_friction")

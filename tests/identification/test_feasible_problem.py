@@ -8,11 +8,11 @@ import lieid_casadi as lieid
 from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.identification import FeasibleOptions
-from lieid_casadi.identification.convex_solver import ConvexSolver
-from lieid_casadi.identification.dissipation import dissipation_rows
-from lieid_casadi.identification.feasible_problem import FeasibleProblem
-from lieid_casadi.identification.least_squares import Factor, triangular
-from lieid_casadi.identification.log_cholesky import solve_log_cholesky
+from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
+from lieid_casadi.identification.feasible.dissipation import dissipation_rows
+from lieid_casadi.identification.feasible.log_cholesky import solve_log_cholesky
+from lieid_casadi.identification.feasible.problem import FeasibleProblem
+from lieid_casadi.identification.regression.least_squares import Factor, triangular
 from lieid_casadi.robot.inertia import pseudo_inertia
 
 

@@ -6,7 +6,7 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.errors import IdentificationError, ModelError
-from lieid_casadi.identification.instrumental import instrumental
+from lieid_casadi.identification.uncertainty.instrumental import instrumental
 from lieid_casadi.recording import Processing
 
 ROBOT = lieid.robots.two_link()

@@ -7,7 +7,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.identification.model_error import explainable, rise_of
+from lieid_casadi.identification.uncertainty.model_error import explainable, rise_of
 
 
 def test_steady_noise_does_not_rise():

@@ -4,7 +4,8 @@ import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.recording import Processing, velocity
+from lieid_casadi.recording import Processing
+from lieid_casadi.recording.processing.process import velocity
 
 COUNTS, VELOCITY_NOISE = 2**18, 0.028  # per turn; rad/s
 ROBOT = lieid.robots.two_link()

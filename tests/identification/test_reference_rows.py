@@ -11,9 +11,9 @@ import pytest
 from real_arms import PANDA, TX40, needs
 
 import lieid_casadi as lieid
-from lieid_casadi.identification.design import Design
-from lieid_casadi.identification.fixed_point import fixed_point
 from lieid_casadi.identification.prediction import torque_along
+from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.fixed_point import fixed_point
 from lieid_casadi.recording import Processing, process
 
 pytestmark = pytest.mark.real

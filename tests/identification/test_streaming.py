@@ -7,15 +7,16 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.compiled import kernels, reduction
-from lieid_casadi.compiled.reduction import Triangle
+from lieid_casadi.compiled import kernels, triangular_factors
+from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.errors import IdentificationError, ModelError
-from lieid_casadi.identification import design
-from lieid_casadi.identification.design import Design
-from lieid_casadi.identification.least_squares import combine, joint_factors, solve
-from lieid_casadi.identification.streaming import factors
-from lieid_casadi.recording import Processing, overlap, process
-from lieid_casadi.recording.overlap import filter_memory, windows
+from lieid_casadi.identification.regression import design_matrix
+from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
+from lieid_casadi.identification.regression.streaming import factors
+from lieid_casadi.recording import Processing, process
+from lieid_casadi.recording.processing.overlap_windows import filter_memory, windows
+from lieid_casadi.recording.processing.process import overlap_windows
 
 FRICTION = "coulomb,viscous,offset,viscous_polynomial"
 
@@ -146,8 +147,8 @@ def test_no_samples(panda):
 
 
 def test_triangular_is_at_most_square():
-    assert reduction.triangular(np.ones((3, 2))).shape == (2, 2)
-    assert reduction.triangular(np.zeros((0, 2))).shape == (0, 2)
+    assert triangular_factors.triangular(np.ones((3, 2))).shape == (2, 2)
+    assert triangular_factors.triangular(np.zeros((0, 2))).shape == (0, 2)
 
 
 def test_rows_made_in_stretches_are_the_same(monkeypatch):
@@ -164,7 +165,7 @@ def test_rows_made_in_stretches_are_the_same(monkeypatch):
     whole = Design(arm, segments).rows(model.initial_shapes, None)
     parts = Design(arm, segments, held=0).rows(model.initial_shapes, None)
     assert len(list(parts.stretches())) == 1  # of 32 MB
-    monkeypatch.setattr(design, "STRETCH_BYTES", 4000)
+    monkeypatch.setattr(design_matrix, "STRETCH_BYTES", 4000)
     parts = Design(arm, segments, held=0).rows(model.initial_shapes, None)
     assert len(list(parts.stretches())) > 3
     np.testing.assert_array_equal(parts.lengths, whole.lengths)
@@ -195,9 +196,9 @@ def test_long_recordings_give_nearly_the_same_fit(monkeypatch):
     noise = np.random.default_rng(0).normal(size=recording.tau.shape)
     recording = replace(recording, tau=recording.tau + 0.1 * noise)
     whole = lieid.identify(model, recording, processing=options)
-    monkeypatch.setattr(design, "HELD_BYTES", 0)
-    monkeypatch.setattr(design, "STRETCH_BYTES", 200_000)
-    monkeypatch.setattr(overlap, "WINDOW", 1000)
+    monkeypatch.setattr(design_matrix, "HELD_BYTES", 0)
+    monkeypatch.setattr(design_matrix, "STRETCH_BYTES", 200_000)
+    monkeypatch.setattr(overlap_windows, "WINDOW", 1000)
     parts = lieid.identify(model, recording, processing=options)
     np.testing.assert_allclose(parts.values, whole.values, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(parts.rms_train, whole.rms_train, rtol=1e-9)

@@ -21,7 +21,7 @@ from lieid_casadi.plant import (
     point_to_point,
     simulate,
 )
-from lieid_casadi.plant.step import Command, Stepper
+from lieid_casadi.plant.stepper import Command, Stepper
 
 H = 1e-3
 

@@ -9,7 +9,7 @@ from lieid_casadi.recording import (
     noise_dead_zone,
     period_noise,
 )
-from lieid_casadi.recording.spectrum import motion_band
+from lieid_casadi.recording.processing.spectrum import motion_band
 
 
 def sines(frequency, rate=200.0, duration=20.0, noise=0.0):

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def finding_section(diagnosis: Diagnosis) -> Section:
     """Return the verdict in one sentence and the error of each model on the way."""
-    from lieid_casadi.diagnosis.words import rows
+    from lieid_casadi.diagnosis.text_summary import rows
 
     headings, table = rows(diagnosis)
     measured, _ = diagnosis.shown
@@ -36,7 +36,7 @@ def waterfall_section(diagnosis: Diagnosis) -> Section:
 
 def evidence_section(diagnosis: Diagnosis) -> Section:
     """Return how sure each step is, its rivals and its parameters."""
-    from lieid_casadi.diagnosis.words import where
+    from lieid_casadi.diagnosis.text_summary import where
 
     steps = [
         [
@@ -89,8 +89,8 @@ def evidence_section(diagnosis: Diagnosis) -> Section:
 
 def unexplained_section(diagnosis: Diagnosis) -> Section:
     """Return the shape of what stays unexplained, and the lines that make it an effect."""
-    from lieid_casadi.diagnosis.own_effect import own_effects
-    from lieid_casadi.diagnosis.words import again
+    from lieid_casadi.diagnosis.residual.user_effect_code import own_effects
+    from lieid_casadi.diagnosis.text_summary import again
 
     own = own_effects(diagnosis.unexplained)
     drawn = any(part.shapes for part in diagnosis.unexplained)

@@ -1,0 +1,289 @@
+"""Evaluation of a sparse matrix function on batches, compiled or by CasADi's virtual machine."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.compiled.kernel_source import CONSTANT_ARGUMENTS
+from lieid_casadi.compiled.library import Argument, Call, Kernel, Plan, Runtime
+from lieid_casadi.expressions.model_functions import SparseFunction
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+SAMPLES_PER_THREAD = 8192  # fewer are not worth a thread
+LAST_LEVEL_CACHE = 8 << 20  # bytes; larger results are written past the caches
+BLOCK = 4096  # samples that the virtual machine evaluates at once
+_ROLES = {"sin": 2, "cos": 3}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the values of a matrix (rows, columns) are.
+
+    ``rows``, ``columns`` (nnz,) give the place of each value, row after row, columns ascending.
+    """
+
+    shape: tuple[int, int]
+    rows: Indices
+    columns: Indices
+
+    @cached_property
+    def row_starts(self) -> Indices:
+        """Where each row's values begin, and the last one's end (rows + 1,)."""
+        counts = np.bincount(self.rows, minlength=self.shape[0])
+        return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+    @property
+    def count(self) -> int:
+        """Number of values."""
+        return len(self.rows)
+
+
+class Evaluation(ABC):
+    """A matrix function of samples, made of parts side by side."""
+
+    layout: Layout
+
+    @abstractmethod
+    def bind(self, values: Mapping[str, Array]) -> Bound:
+        """Return the function on given samples.
+
+        ``values`` maps the names of arguments to arrays, (N, width) per sample or (width,) the same
+        for all; names left out are zero. The arrays are not copied.
+        """
+
+
+class Bound(ABC):
+    """An evaluation on given samples.
+
+    ``compiled`` is the runtime and the address of the ``lieid_plan``, None for the virtual machine.
+    """
+
+    compiled: tuple[Runtime, int] | None = None
+
+    @abstractmethod
+    def dense(self, out: Array, threads: int) -> None:
+        """Write the matrices of all samples to ``out`` (N, rows, columns), C-contiguous."""
+
+    @abstractmethod
+    def columns(self, first: int, last: int, out: Array) -> None:
+        """Write the values of samples first … last − 1 to ``out`` (nnz, ≥ last − first)."""
+
+
+class CompiledEvaluation(Evaluation):
+    """By compiled kernels; part k begins at column ``first_columns[k]``."""
+
+    def __init__(
+        self,
+        runtime: Runtime,
+        kernels: Sequence[Kernel],
+        first_columns: Sequence[int],
+        shape: tuple[int, int],
+    ) -> None:
+        self.runtime = runtime
+        self.kernels = kernels
+        names = _names(kernels)
+        self.names = {name: k for k, name in enumerate(names)}
+        self.layout, _ = _side_by_side(kernels, first_columns, shape)
+        self.calls = self._make_calls()
+        self.arguments = _make_arguments(names, kernels)
+        self.offsets, self.sources = _chunks(self.layout, runtime.lanes)
+
+    def _make_calls(self) -> ctypes.Array[Call]:
+        calls = (Call * len(self.kernels))()
+        start = self.layout.row_starts[:-1].copy()
+        self._kept: list[Indices] = []  # memory that the calls point to
+        for call, kernel in zip(calls, self.kernels, strict=True):
+            arguments = np.array([self.names[name] for name, _ in kernel.arguments])
+            starts = start.copy()
+            start += np.bincount(kernel.rows, minlength=len(start))
+            self._kept += [arguments, starts]
+            call.kernel, call.argument_count = kernel.address, len(arguments)
+            call.arguments, call.row_count = arguments.ctypes.data, len(starts)
+            call.row_starts = starts.ctypes.data
+        return calls
+
+    def bind(self, values: Mapping[str, Array]) -> Bound:
+        """See `Evaluation`."""
+        return _CompiledBound(self, values)
+
+
+class _CompiledBound(Bound):
+    def __init__(self, evaluation: CompiledEvaluation, values: Mapping[str, Array]) -> None:
+        self._evaluation, self._values = evaluation, values
+        self._arguments = type(evaluation.arguments).from_buffer_copy(evaluation.arguments)
+        for name, array in values.items():
+            index = evaluation.names.get(name)
+            if index is not None:
+                argument = self._arguments[index]
+                argument.data = _address(array)
+                if array.ndim == 2:
+                    argument.sample_bytes, argument.value_bytes = array.strides
+        calls = evaluation.calls
+        self._plan = Plan(
+            len(self._arguments), ctypes.addressof(self._arguments),
+            len(calls), ctypes.addressof(calls),
+        )  # fmt: skip
+        self._address = ctypes.addressof(self._plan)
+        self.compiled = evaluation.runtime, self._address
+
+    def dense(self, out: Array, threads: int) -> None:
+        e = self._evaluation
+        size, start = e.layout.shape[0] * e.layout.shape[1], _address(out)
+        chunks = (len(e.offsets), _address(e.offsets), _address(e.sources))
+        past_caches = int(out.nbytes > LAST_LEVEL_CACHE)
+
+        def run(part: tuple[int, int]) -> int:
+            return e.runtime.dense(
+                self._address, *part, start, size, e.layout.count, *chunks, past_caches
+            )
+
+        parts = _slices(len(out), threads, e.runtime.lanes)
+        if len(parts) == 1:
+            failed = run(parts[0])
+        else:
+            with ThreadPoolExecutor(len(parts)) as pool:
+                failed = min(pool.map(run, parts))
+        if failed:
+            raise MemoryError
+
+    def columns(self, first: int, last: int, out: Array) -> None:
+        e = self._evaluation
+        step = out.strides[0] // 8
+        if e.runtime.columns(self._address, first, last, _address(out), step, e.layout.count):
+            raise MemoryError
+
+
+class MachineEvaluation(Evaluation):
+    """By CasADi's virtual machine, on blocks of samples."""
+
+    def __init__(
+        self,
+        functions: Sequence[SparseFunction],
+        first_columns: Sequence[int],
+        shape: tuple[int, int],
+    ) -> None:
+        self.functions = functions
+        self.layout, self._order = _side_by_side(functions, first_columns, shape)
+
+    def bind(self, values: Mapping[str, Array]) -> Bound:
+        """See `Evaluation`."""
+        return _MachineBound(self, values)
+
+    def values(self, values: Mapping[str, Array], first: int, last: int) -> Array:
+        """Return the values (nnz, last − first) in the layout's order."""
+        parts = []
+        for sparse in self.functions:
+            inputs = [
+                self._input(values, sparse, k, first, last) for k in range(sparse.function.n_in())
+            ]
+            parts.append(np.asarray(sparse.function(*inputs).full()))
+        if not parts:
+            return np.zeros((0, last - first))
+        return np.concatenate(parts)[self._order]
+
+    def _input(
+        self, values: Mapping[str, Array], sparse: SparseFunction, k: int, first: int, last: int
+    ) -> Array:
+        name, width = sparse.function.name_in(k), sparse.function.size1_in(k)
+        if name in _ROLES:
+            return np.asarray((np.sin if name == "sin" else np.cos)(values["q"][first:last])).T
+        array = values.get(name)
+        if array is None:
+            return np.zeros((width, last - first))
+        return array[first:last].T if array.ndim == 2 else array
+
+
+class _MachineBound(Bound):
+    def __init__(self, evaluation: MachineEvaluation, values: Mapping[str, Array]) -> None:
+        self._evaluation, self._values = evaluation, values
+
+    def dense(self, out: Array, threads: int) -> None:
+        layout = self._evaluation.layout
+        out[...] = 0.0
+        for first in range(0, len(out), BLOCK):
+            last = min(first + BLOCK, len(out))
+            values = self._evaluation.values(self._values, first, last)
+            out[first:last, layout.rows, layout.columns] = values.T
+
+    def columns(self, first: int, last: int, out: Array) -> None:
+        out[:, : last - first] = self._evaluation.values(self._values, first, last)
+
+
+def _make_arguments(names: Sequence[str], kernels: Sequence[Kernel]) -> ctypes.Array[Argument]:
+    """Return the arguments without their data."""
+    arguments = (Argument * len(names))()
+    for argument, name in zip(arguments, names, strict=True):
+        argument.width = max(dict(kernel.arguments).get(name, 0) for kernel in kernels)
+        argument.role = 1 if name in CONSTANT_ARGUMENTS else _ROLES.get(name, 0)
+        if name in _ROLES:
+            # the runtime writes sines and cosines of every q, also where no kernel reads one
+            argument.width = arguments[0].width
+    return arguments
+
+
+def _side_by_side(
+    parts: Sequence[Kernel | SparseFunction],
+    first_columns: Sequence[int],
+    shape: tuple[int, int],
+) -> tuple[Layout, NDArray[np.intp]]:
+    """Return the layout of parts together, and which of their values comes where in it."""
+    none = np.zeros(0, dtype=np.int64)
+    rows = np.concatenate([none, *(part.rows for part in parts)])
+    moved = [part.columns + first for part, first in zip(parts, first_columns, strict=True)]
+    columns = np.concatenate([none, *moved])
+    order = np.lexsort((columns, rows))
+    return Layout(shape, rows[order], columns[order]), order
+
+
+def _address(array: NDArray[Any]) -> int:
+    return int(array.__array_interface__["data"][0])  # half the time of array.ctypes.data
+
+
+def default_threads() -> int:
+    """Return $LIEID_THREADS, else two, or one where the program may use only one processor."""
+    stated = os.environ.get("LIEID_THREADS", "")
+    if stated.isdigit() and int(stated) > 0:
+        return int(stated)
+    return min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
+
+
+def _names(kernels: Sequence[Kernel]) -> list[str]:
+    """Return the arguments of all kernels; q first, whose sines the runtime takes."""
+    names = [name for kernel in kernels for name, _ in kernel.arguments]
+    return sorted(dict.fromkeys(names), key=lambda name: name != "q")
+
+
+def _slices(samples: int, threads: int, lanes: int) -> list[tuple[int, int]]:
+    """Return slices of samples, whole groups of lanes but the last."""
+    count = min(threads, samples // SAMPLES_PER_THREAD)
+    if count <= 1:
+        return [(0, samples)]
+    step = -(-samples // (count * lanes)) * lanes
+    return [(first, min(first + step, samples)) for first in range(0, samples, step)]
+
+
+def _chunks(layout: Layout, lanes: int) -> tuple[Indices, NDArray[np.int32]]:
+    """Return the pieces of ``lanes`` entries that hold values: offsets (c,), sources (c·lanes,).
+
+    A piece that reaches over the matrix's end comes first: what it writes there, zeros, is
+    overwritten by the next matrix.
+    """
+    size = layout.shape[0] * layout.shape[1]
+    padded = np.full(-(-size // lanes) * lanes, layout.count, dtype=np.int32)
+    padded[layout.rows * layout.shape[1] + layout.columns] = np.arange(layout.count)
+    pieces = padded.reshape(-1, lanes)
+    used = np.flatnonzero((pieces != layout.count).any(axis=1))
+    used = np.array(sorted(used, key=lambda c: (c + 1) * lanes <= size), dtype=np.int64)
+    return used * lanes, np.ascontiguousarray(pieces[used]).ravel()

@@ -1,0 +1,152 @@
+"""The dictionary of a sparse regression: simple functions of one column, and their products."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.diagnosis.residual.shapes import series, split_column
+from lieid_casadi.diagnosis.screening.effect_columns import SegmentSignals
+
+Array = NDArray[np.float64]
+HARMONICS = 6
+SUPERSCRIPT = {1: "", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶"}
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function of one column.
+
+    Attributes
+    ----------
+    text, code : str
+        In formulas and in CasADi; ``{x}`` stands for the column, ``{s}`` for its joint's signals.
+    power : int
+        In which its unit enters.
+    cost : int
+        How far it is from the simplest; of two that explain the same, the simpler one is taken.
+    of : callable
+        Its values (K,), of the column's and of the sign of the joint's velocity.
+    """
+
+    text: str
+    code: str
+    power: int
+    cost: int
+    of: Callable[[Array, Array], Array]
+
+
+def _waves(k: int) -> list[Function]:
+    times, code = ("", "{x}") if k == 1 else (f"{k} ", f"{k} * {{x}}")
+    return [
+        Function(f"sin({times}{{x}})", f"ca.sin({code})", 0, k, lambda x, s: np.sin(k * x)),
+        Function(f"cos({times}{{x}})", f"ca.cos({code})", 0, k, lambda x, s: np.cos(k * x)),
+    ]
+
+
+LINE = Function("{x}", "{x}", 1, 1, lambda x, s: x)
+SQUARE = Function("{x}²", "{x} ** 2", 2, 2, lambda x, s: x**2)
+CUBE = Function("{x}³", "{x} ** 3", 3, 3, lambda x, s: x**3)
+SIZE = Function("|{x}|", "ca.fabs({x})", 1, 2, lambda x, s: np.abs(x))
+SIGN = Function("sgn({x})", "{s}.sign", 0, 1, lambda x, s: s)
+SIGNED_SQUARE = Function("{x}·|{x}|", "{x} * ca.fabs({x})", 2, 2, lambda x, s: x * np.abs(x))
+POWERS = [LINE, SQUARE, CUBE]
+FUNCTIONS = {
+    "q": [f for k in range(1, HARMONICS + 1) for f in _waves(k)],
+    "dq": [SIGN, LINE, SIZE, SQUARE, SIGNED_SQUARE, CUBE],
+    "ddq": [LINE, SIZE, SQUARE],
+    "load": [LINE, SIZE, SQUARE],
+    "temp": [LINE, SQUARE],
+    "t": [LINE],
+}
+
+
+@dataclass(frozen=True)
+class Term:
+    """A product of functions of one or two columns."""
+
+    factors: tuple[tuple[str, Function], ...]
+
+    @property
+    def text(self) -> str:
+        """Such as ``sin(2 q3)·dq1``."""
+        return "·".join(f.text.format(x=name) for name, f in self.factors)
+
+    @property
+    def cost(self) -> int:
+        """That of all factors."""
+        return sum(f.cost for _, f in self.factors)
+
+    @property
+    def joints(self) -> frozenset[int]:
+        """Joints (from 0) whose signals it needs; time belongs to none."""
+        return frozenset(split_column(name)[1] for name, _ in self.factors if name != "t")
+
+    def along(self, signals: SegmentSignals) -> Array:
+        """Return its values (K,) along a segment, not filtered."""
+        values = np.ones(len(signals.segment))
+        for name, function in self.factors:
+            sign = signals.values["sign"][:, split_column(name)[1]]
+            values = values * function.of(series(signals, name), sign)
+        return values
+
+    def unit(self, revolute: Sequence[bool], joint: int) -> str:
+        """Return the unit of its coefficient in a torque on a joint."""
+        torque = "N·m" if revolute[joint] else "N"
+        powers: dict[str, int] = {torque: 1}
+        for name, function in self.factors:
+            kind, source = split_column(name)
+            length = "rad" if revolute[source] else "m"
+            load = "N·m" if revolute[source] else "N"
+            each = {
+                "q": {length: 1}, "dq": {length: 1, "s": -1}, "ddq": {length: 1, "s": -2},
+                "load": {load: 1}, "temp": {"°C": 1}, "t": {"s": 1},
+            }[kind]  # fmt: skip
+            for unit, power in each.items():
+                powers[unit] = powers.get(unit, 0) - power * function.power
+        return _written(powers)
+
+
+def dictionaries(names: Sequence[str], revolute: Sequence[bool]) -> list[list[Term]]:
+    """Return one dictionary with waves of the angles, and one with their powers.
+
+    A sum of both fits any curve and says nothing: a torque goes round with an angle, or a spring
+    is bent by it.
+    """
+    turning = any(split_column(n)[0] == "q" and revolute[split_column(n)[1]] for n in names)
+    return [dictionary(names, revolute, waves=w) for w in ((True, False) if turning else (False,))]
+
+
+def dictionary(names: Sequence[str], revolute: Sequence[bool], *, waves: bool = True) -> list[Term]:
+    """Return the functions of the given columns, and products of two of different columns."""
+    known = {name: _functions(name, revolute, waves) for name in names}
+    terms = [Term(((name, f),)) for name in names for f in known[name]]
+    for a, b in combinations(names, 2):
+        terms += [Term(((a, f), (b, g))) for f, g in product(known[a], known[b])]
+    return terms
+
+
+def _functions(name: str, revolute: Sequence[bool], waves: bool) -> list[Function]:
+    kind, joint = split_column(name)
+    if kind == "q" and not (waves and revolute[joint]):
+        return POWERS
+    return FUNCTIONS[kind]
+
+
+def _written(powers: dict[str, int]) -> str:
+    """Return ``N·m·s²/rad²`` of {N·m: 1, s: 2, rad: −2}."""
+
+    def joined(parts: list[tuple[str, int]]) -> str:
+        return "·".join((f"({u})" if "·" in u and p > 1 else u) + SUPERSCRIPT[p] for u, p in parts)
+
+    above = [(unit, power) for unit, power in powers.items() if power > 0]
+    below = [(unit, -power) for unit, power in powers.items() if power < 0]
+    over = joined(above) or "1"
+    if not below:
+        return over
+    under = joined(below)
+    return f"{over}/({under})" if len(below) > 1 else f"{over}/{under}"

@@ -1,0 +1,1 @@
+"""What each candidate effect would explain of the residual of a fitted model."""

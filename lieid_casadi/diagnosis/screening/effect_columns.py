@@ -1,0 +1,194 @@
+"""Columns of any effect along processed segments, without compiling a model for each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.diagnosis.screening.candidates import PEAKS
+from lieid_casadi.diagnosis.screening.numpy_evaluation import Vectorized
+from lieid_casadi.effects import Effect, Placement, Signals
+from lieid_casadi.expressions.model_functions import ramp
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.regression.segment_columns import Along, effects_along
+from lieid_casadi.recording import Processed
+
+Array = NDArray[np.float64]
+SLOW = 25.0  # percentile of the speeds at which a harmonic must pass the filter
+RESOLUTION = 0.35  # of a full turn of phase over the range: step of a scan
+CHUNK = 128
+OWN = ("q", "dq", "ddq", "sign", "load", "temperature", "time")
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentSignals:
+    """What effects see along one segment, each signal (K, n)."""
+
+    segment: Processed
+    values: dict[str, Array]
+    arm: Along
+
+    @classmethod
+    def of(cls, fit: Fit, segment: Processed) -> SegmentSignals:
+        """Return the signals of a segment as a fit has them."""
+        effects = effects_along(fit.compiled, segment, fit.shapes, fit.parameters)
+        arm = Along(fit.compiled, segment, fit.parameters, effects, True)
+        load = arm.load
+        shape = segment.q.shape
+        warmth = segment.temperature
+        time = np.broadcast_to((segment.t - segment.t[0])[:, None], shape)
+        return cls(
+            segment,
+            {
+                "q": segment.q,
+                "dq": segment.dq,
+                "ddq": segment.ddq,
+                "sign": _sign()(segment.dq, segment.dead_zone)[0],
+                "load": load,
+                "temperature": np.zeros(shape) if warmth is None else warmth,
+                "time": np.array(time),
+            },
+            arm,
+        )
+
+
+@cache
+def _sign() -> Vectorized:
+    dq, width = ca.SX.sym("dq"), ca.SX.sym("width")
+    return Vectorized([dq, width], [ramp(dq, width)])
+
+
+class EffectFunction:
+    """One effect as a function of the signals of one joint (two, for couplings)."""
+
+    def __init__(self, effect: Effect) -> None:
+        self.effect = effect
+        self._own = {name: ca.SX.sym(name) for name in OWN}
+        self._other = {name: ca.SX.sym(f"other_{name}") for name in OWN}
+        self._shapes = [ca.SX.sym(shape.name) for shape in effect.shapes]
+        self._states = [ca.SX.sym(state.name) for state in effect.states]
+
+    @cached_property
+    def _columns(self) -> Vectorized:
+        inputs = [*self._own.values(), *self._other.values(), *self._shapes, *self._states]
+        return Vectorized(inputs, self.effect.columns(self._signals(), self._shape))
+
+    @cached_property
+    def _advance(self) -> Vectorized:
+        now = _signals({name: ca.SX.sym(f"now_{name}") for name in OWN})
+        inputs = [*self._states, *self._own.values(), *(getattr(now, name) for name in OWN)]
+        after = self.effect.advance(self._signals(), now, self._shape)
+        return Vectorized([*inputs, *self._shapes], after)
+
+    @property
+    def _shape(self) -> dict[str, ca.SX]:
+        return {s.name: x for s, x in zip(self.effect.shapes, self._shapes, strict=True)}
+
+    def _signals(self) -> Signals:
+        state = {s.name: x for s, x in zip(self.effect.states, self._states, strict=True)}
+        other = _signals(self._other) if self.effect.couples else None
+        return replace(_signals(self._own), other=other, state=state)
+
+    def at(self, values: Mapping[str, Array], grid: Array) -> Array:
+        """Return the columns (c, N, G) of signals (N,) for values (G,) of one shape parameter."""
+        own = [values[name][:, None] for name in OWN]
+        results = self._columns(*own, *own, grid)
+        shape = (len(own[0]), len(grid))
+        return np.array([np.broadcast_to(x, shape) for x in results])
+
+    def columns(
+        self, signals: SegmentSignals, places: Sequence[tuple[int, int | None]], grid: Array
+    ) -> Array:
+        """Return the columns (K, places, G, c), not filtered.
+
+        Parameters
+        ----------
+        places : sequence of (joint, source)
+        grid : (G, s)
+            Shape parameters.
+        """
+        own = [signals.values[name][:, [j for j, _ in places], None] for name in OWN]
+        other = own
+        if self.effect.couples:
+            other = [signals.values[name][:, [s or 0 for _, s in places], None] for name in OWN]
+        states = self._along(own, grid.T) if self.effect.states else []
+        results = self._columns(*own, *other, *grid.T, *states)
+        shape = (len(signals.segment), len(places), len(grid))
+        return np.stack([np.broadcast_to(x, shape) for x in results], axis=-1)
+
+    def _along(self, own: Sequence[Array], shapes: Array) -> list[Array]:
+        """Return the states along a segment, (K, places, G) each."""
+        samples, places = own[0].shape[:2]
+        states = np.empty((len(self.effect.states), samples, places, shapes.shape[1]))
+        for state, series in zip(self.effect.states, states, strict=True):
+            series[0] = state.initial
+        for k in range(1, samples):
+            before, now = (x[k - 1] for x in own), (x[k] for x in own)
+            states[:, k] = self._advance(*states[:, k - 1], *before, *now, *shapes)
+        return list(states)
+
+
+def _signals(own: Mapping[str, ca.SX]) -> Signals:
+    q, dq, ddq, sign, load, temperature, time = (own[name] for name in OWN)
+    return Signals(q, dq, ddq, sign, load, temperature, time)
+
+
+def columns_along(
+    function: EffectFunction, signals: SegmentSignals, placements: Sequence[Placement], grid: Array
+) -> Array:
+    """Return filtered columns (M, places, G, c) of one effect in several places."""
+    places = [(p.joint, p.source) for p in placements]
+    raw = function.columns(signals, places, grid)
+    return signals.segment.filter(raw.reshape(len(raw), -1)).reshape(-1, *raw.shape[1:])
+
+
+def scanned_grid(
+    effect: Effect,
+    signals: Sequence[SegmentSignals],
+    joint: int,
+    residual: Array,
+    rows: NDArray[np.intp],
+) -> tuple[Array, int]:
+    """Return the peaks of a scan of one shape parameter (P, 1), and how many values were tried.
+
+    Columns are correlated with the residual at the filtered instants, not filtered: good enough
+    to find where to look.
+
+    Parameters
+    ----------
+    residual : (N,)
+        Of the joint, on its runs.
+    rows : (N,) int
+        Instants of the runs in the common time line of all segments.
+    """
+    (shape,) = effect.shapes
+    assert shape.scan is not None
+    values = {
+        name: np.concatenate([s.values[name][s.segment.kept, joint] for s in signals])[rows]
+        for name in OWN
+    }
+    reach = max(float(np.ptp(values["q"])), 1e-3)
+    speed = max(float(np.percentile(np.abs(values["dq"]), SLOW)), 1e-3)
+    highest = min(shape.upper, 2.0 * np.pi * signals[0].segment.cutoff / speed)
+    step = max(shape.scan, RESOLUTION * 2.0 * np.pi / reach)
+    grid = np.arange(shape.lower, max(highest, shape.lower + 1e-9), step)
+    function = EffectFunction(effect)
+    gains = np.zeros(len(grid))
+    for k in range(0, len(grid), CHUNK):
+        part = grid[k : k + CHUNK]
+        columns = function.at(values, part)  # (c, N, G)
+        products = np.einsum("cng,n->cg", columns, residual)
+        grams = np.einsum("ang,bng->gab", columns, columns)
+        grams += 1e-9 * np.trace(grams, axis1=1, axis2=2)[:, None, None] * np.eye(len(columns))
+        solved = np.linalg.solve(grams, products.T[:, :, None])[:, :, 0]
+        gains[k : k + CHUNK] = np.sum(solved * products.T, axis=1)
+    padded = np.concatenate([[-np.inf], gains, [-np.inf]])
+    peaks = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]))
+    best = peaks[np.argsort(-gains[peaks])[:PEAKS]]
+    around = np.unique(np.clip(best[:, None] + np.arange(-1, 2), 0, len(grid) - 1))
+    return grid[around][:, None], len(grid)

@@ -1,0 +1,1 @@
+"""Stepwise selection of effects, with evidence and rivals."""

@@ -1,0 +1,1 @@
+"""Families of trajectories and their coefficients."""

@@ -1,0 +1,165 @@
+"""Trajectories: coefficients over a basis, with the end conditions eliminated (Eqs. 19-20)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.excitation.basis.families import Basis
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Samples of a motion: time (N,) in s; q, dq, ddq (N, n) in rad and s (m where sliding)."""
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One period of a joint motion, q(t) = functions(t) @ coefficientsᵀ.
+
+    Attributes
+    ----------
+    coefficients : (n, m)
+        Of the basis' functions; for `Fourier`: q₀, a_1 … a_H, b_1 … b_H.
+    """
+
+    basis: Basis
+    coefficients: Array
+
+    @property
+    def duration(self) -> float:
+        """Length of the period, s."""
+        return self.basis.duration
+
+    def at(self, t: Array) -> Motion:
+        """Return the motion at times within the period."""
+        time = np.asarray(t, dtype=float)
+        functions = self.basis.evaluate(time)
+        q, dq, ddq = (functions[k] @ self.coefficients.T for k in range(3))
+        return Motion(time, q, dq, ddq)
+
+
+def period_grid(duration: float, samples: int) -> Array:
+    """Return equidistant times over one period, the end left out."""
+    return duration * np.arange(samples) / samples
+
+
+@dataclass(frozen=True, eq=False)
+class Parametrization:
+    """Free variables z (n d,) of the trajectories that meet the end conditions.
+
+    At both ends velocity and acceleration vanish (Eq. 20); with ``fixed`` the position there is
+    ``pose``, without it the trajectory may start anywhere. The conditions are linear: the
+    coefficients are those of the resting pose plus null-space directions times z.
+
+    Attributes
+    ----------
+    pose : (n,)
+        Start pose, or the pose that z = 0 stands for.
+    size_of_unit : (n, 3), optional
+        Position, velocity and acceleration that count as 1 when the directions are scaled.
+    """
+
+    basis: Basis
+    pose: Array
+    fixed: bool
+    size_of_unit: Array
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.pose)
+
+    @property
+    def directions_per_joint(self) -> int:
+        """Free variables of one joint d."""
+        return int(self._directions.shape[1])
+
+    @property
+    def size(self) -> int:
+        """Number of free variables."""
+        return self.n * self.directions_per_joint
+
+    @cached_property
+    def _directions(self) -> Array:
+        """Orthonormal null space (m, d) of the end conditions."""
+        from scipy.linalg import null_space
+
+        ends = self.basis.evaluate(np.array([0.0, self.basis.duration]))
+        kinds = (0, 1, 2) if self.fixed else (1, 2)
+        # a duration of one in place of seconds makes the conditions comparable
+        conditions = np.vstack([ends[k] * self.basis.duration**k for k in kinds])
+        return np.asarray(null_space(conditions, rcond=1e-10))
+
+    @cached_property
+    def scales(self) -> Array:
+        """Length (n, d) of each direction so that a unit of z fills about one limit."""
+        grid = period_grid(self.basis.duration, 200)
+        peaks = np.abs(self.basis.evaluate(grid) @ self._directions).max(axis=1)  # (3, d)
+        return np.asarray(1.0 / (peaks[None] / self.size_of_unit[:, :, None]).max(axis=1))
+
+    def functions(self, t: Array) -> Array:
+        """Return ∂(q, dq, ddq)_j/∂z_j (n, 3, N, d) at times t; joints do not mix."""
+        plain = self.basis.evaluate(t) @ self._directions
+        return np.asarray(plain[None] * self.scales[:, None, None, :])
+
+    def coefficients(self, z: Array) -> Array:
+        """Return the coefficients (n, m) of free variables (n d,)."""
+        free = np.reshape(z, (self.n, -1)) * self.scales
+        coefficients = free @ self._directions.T
+        coefficients[:, 0] += self.pose
+        return coefficients
+
+    def trajectory(self, z: Array) -> Trajectory:
+        """Return the trajectory of free variables (n d,)."""
+        return Trajectory(self.basis, self.coefficients(z))
+
+    def variables(self, trajectory: Trajectory) -> Array:
+        """Return the free variables (n d,) of a trajectory of this basis (its projection)."""
+        coefficients = trajectory.coefficients.copy()
+        coefficients[:, 0] -= self.pose
+        return np.ravel((coefficients @ self._directions) / self.scales)
+
+
+@dataclass(frozen=True, eq=False)
+class SampledBasis:
+    """A parametrization at fixed times: motions of z and gradients back, by products alone."""
+
+    parametrization: Parametrization
+    t: Array
+
+    @cached_property
+    def functions(self) -> Array:
+        """∂(q, dq, ddq)_j/∂z_j (n, 3, N, d)."""
+        return self.parametrization.functions(self.t)
+
+    @cached_property
+    def _flat(self) -> Array:
+        n, kinds, samples, d = self.functions.shape
+        return np.ascontiguousarray(self.functions.reshape(n, kinds * samples, d))
+
+    def motion(self, z: Array) -> Motion:
+        """Return the motion of free variables (n d,) at the times."""
+        p = self.parametrization
+        free = np.reshape(z, (p.n, -1, 1))
+        values = (self._flat @ free).reshape(p.n, 3, len(self.t))
+        values[:, 0] += p.pose[:, None]
+        return Motion(self.t, *(np.ascontiguousarray(values[:, k].T) for k in range(3)))
+
+    def gradient(self, gradients: Array) -> Array:
+        """Return ∂f/∂z (n d,) of gradients (n, 3, N) with respect to the motion."""
+        n = self.parametrization.n
+        return np.ravel(gradients.reshape(n, 1, -1) @ self._flat)

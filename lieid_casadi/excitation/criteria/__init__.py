@@ -1,0 +1,1 @@
+"""Excitation criteria, and the information matrix that they are functions of."""

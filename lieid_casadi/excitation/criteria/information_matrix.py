@@ -1,0 +1,116 @@
+"""How much a motion tells of the parameters: the Gram matrix of the base regressor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.dynamics import recursion
+from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
+from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.errors import ExcitationError
+from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.criteria.design_model import counts
+from lieid_casadi.excitation.sample_functions import SampleKernel, pulled_back
+from lieid_casadi.model import EffectSignals, Model
+
+Array = NDArray[np.float64]
+SIGN_WIDTH = 0.03  # tanh(q̇/width) in place of sgn(q̇), in parts of the speed limit
+
+
+@dataclass(frozen=True, eq=False)
+class StackedRegressor:
+    """Y_b over N samples, as columns (p, n·N), one row per base parameter."""
+
+    motion: Motion
+    rows: Array
+
+    def gram(self) -> Array:
+        """Return YᵀY (p, p)."""
+        return np.asarray(self.rows @ self.rows.T)
+
+
+class Information:
+    """The base regressor of [Y, effect columns] along a motion, and gradients through it.
+
+    Signs of velocities are smooth here, sgn(q̇) ≈ tanh(q̇/width): gradients exist. The result of a
+    design is judged with the model's own, sharp columns.
+
+    Parameters
+    ----------
+    sign_width : (n,)
+        Width of the smooth sign, rad/s.
+
+    Raises
+    ------
+    ExcitationError
+        An effect whose columns do not follow from motion and time at one instant; see
+        `seen_by_design`.
+    """
+
+    def __init__(self, model: Model, *, sign_width: Array) -> None:
+        self.model = model
+        symbols = Symbols.symbols(model.n)
+        time = ca.SX.sym("time")
+        self._timed = any("time" in p.effect.signals for p in model.placements)
+        further = {"time": time} if self._timed else {}
+        matrix = base_regressor(model, symbols, sign_width, time)
+        kept = model.base.count
+        self._values = SampleKernel("base_columns", symbols, matrix, further)
+        seed = ca.SX.sym("seed", len(self._values.rows))
+        # nonzeros in the kernel's order: row after row
+        flat = ca.vertcat(
+            *(
+                matrix[int(i), int(j)]
+                for i, j in zip(self._values.rows, self._values.columns, strict=True)
+            )
+        )
+        pulled = pulled_back(flat, seed, symbols)
+        self._pulled = SampleKernel(
+            "base_columns_reverse", symbols, pulled, {"seed": seed, **further}
+        )
+        self._columns, self._rows = self._values.columns, self._values.rows
+        self.size = kept
+
+    def at(self, motion: Motion) -> StackedRegressor:
+        """Return the stacked base regressor of a motion."""
+        n, samples = self.model.n, len(motion)
+        stacked = np.zeros((self.size, n, samples))
+        stacked[self._columns, self._rows] = self._values.values(motion, **self._time(motion))
+        return StackedRegressor(motion, stacked.reshape(self.size, n * samples))
+
+    def gradient(self, stacked: StackedRegressor, slope: Array) -> Array:
+        """Return ∂f/∂(q, dq, ddq) (n, 3, N) of a function f(G), given ∂f/∂G (p, p), symmetric."""
+        n, samples = self.model.n, len(stacked.motion)
+        seeds = (2.0 * slope @ stacked.rows).reshape(self.size, n, samples)
+        seed = np.ascontiguousarray(seeds[self._columns, self._rows].T)
+        pulled = self._pulled.dense(stacked.motion, seed=seed, **self._time(stacked.motion))[
+            :, 0, :
+        ]
+        return np.ascontiguousarray(pulled.reshape(3, n, samples).transpose(1, 0, 2))
+
+    def _time(self, motion: Motion) -> dict[str, Array]:
+        return {"time": motion.t[:, None]} if self._timed else {}
+
+
+def base_regressor(model: Model, symbols: Symbols, sign_width: Array, time: ca.SX) -> ca.SX:
+    """Return the kept columns (n, p) of [Y, effect columns] with a smooth sign."""
+    unreachable = [p.label for p in model.placements if not counts(p.effect)]
+    if unreachable:
+        raise ExcitationError(
+            f"{', '.join(unreachable)}: depends on temperature, the past or the whole arm, "
+            "which a design does not see; leave it out"
+        )
+    n = model.n
+    sign = ca.tanh(symbols.dq / ca.DM(sign_width))
+    load = ca.SX(n, 1)
+    if any("load" in p.effect.signals for p in model.placements):
+        parameters = ca.SX(ca.DM(model.robot.link_parameters))
+        load = recursion.inverse_dynamics(model.robot, symbols, parameters)
+    signals = EffectSignals(symbols.q, symbols.dq, symbols.ddq, sign, load, ca.SX(n, 1), time)
+    shapes = ca.SX(ca.DM(model.initial_shapes))
+    every = ca.horzcat(regressor(model.robot, symbols), model.effect_columns(signals, shapes))
+    return every[:, [int(k) for k in model.base.kept]]

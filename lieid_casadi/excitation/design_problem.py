@@ -1,0 +1,139 @@
+"""A design problem: what is asked for, and the machinery that evaluates it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.excitation.basis.families import Basis
+from lieid_casadi.excitation.basis.trajectory import Parametrization, SampledBasis, period_grid
+from lieid_casadi.excitation.criteria.criterion import Criterion, LogDet
+from lieid_casadi.excitation.criteria.information_matrix import Information
+from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet, SampledConstraints
+from lieid_casadi.excitation.limits.joint_limits import MotionRange
+from lieid_casadi.excitation.limits.symbolic_limits import Limit
+from lieid_casadi.excitation.solvers.solver import Outcome
+from lieid_casadi.model import Model
+
+Array = NDArray[np.float64]
+SIGN_WIDTH = 0.02  # of the velocity limit: how sharp the smooth sign is
+MARGIN = 1e-3  # of each limit's scale: kept free while optimizing
+COARSE = 4  # grid of the optimization, in samples of the criterion
+FAR = 0.3  # of −log det per parameter, from Δ₂
+FINE = 20  # grid of the verification
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """What is asked for; picklable, so that it can be solved in another process.
+
+    Attributes
+    ----------
+    samples : int
+        Of the criterion, over one period.
+    limits : tuple of Limit
+        Beside the joint limits.
+    pose : (n,)
+        Start pose; where the trajectory may start anywhere (``fixed`` False), the middle of it.
+    column_scale : (P,)
+        Factors of the full regressor's columns; ones for plain SI.
+    solver : str
+        ``ipopt`` or ``sqp``.
+    """
+
+    model: Model
+    basis: Basis
+    samples: int
+    range: MotionRange
+    limits: tuple[Limit, ...]
+    pose: Array
+    fixed: bool
+    criterion: str
+    column_scale: Array
+    solver: str = "ipopt"
+
+
+class Problem:
+    """A design with everything compiled that its solution needs."""
+
+    def __init__(self, design: Design) -> None:
+        self.design = design
+        self.parametrization = Parametrization(
+            design.basis, design.pose, design.fixed, design.range.units
+        )
+        self.information = Information(design.model, sign_width=SIGN_WIDTH * design.range.velocity)
+        self.sets = self._make_sets()
+
+    def _make_sets(self) -> tuple[ConstraintSet, ...]:
+        robot = self.design.model.robot
+        made = [limit.on(robot) for limit in self.design.limits]
+        return (self.design.range.constraint_set(), *(s for s in made if s is not None))
+
+    @cached_property
+    def metric(self) -> Array:
+        """L (p, p): LᵀGL has the eigenvalues of the full scaled regressor's Gram matrix."""
+        scaled = self.design.model.base.combination * self.design.column_scale
+        return np.asarray(np.linalg.cholesky(scaled @ scaled.T))
+
+    @cached_property
+    def samples(self) -> SampledBasis:
+        """The criterion's samples."""
+        return self._grid(self.design.samples)
+
+    def constraints(self, factor: int, *, margin: float = MARGIN) -> SampledConstraints:
+        """Return the constraint sets on a grid ``factor`` times finer than the samples."""
+        return SampledConstraints(
+            self.sets, self._grid(factor * self.design.samples), margin=margin
+        )
+
+    def _grid(self, samples: int) -> SampledBasis:
+        times = period_grid(self.design.basis.duration, samples)
+        return SampledBasis(self.parametrization, times)
+
+    def gram(self, z: Array) -> Array:
+        """Return G (p, p) of the base regressor at z."""
+        return self.information.at(self.samples.motion(z)).gram()
+
+    def condition_number(self, gram: Array) -> float:
+        """Return σ₁/σ_r of the full scaled regressor."""
+        return condition_number(gram, self.metric)
+
+    def objective(self, criterion: Criterion, ceiling: float | None = None) -> Objective:
+        """Return f(z) of a criterion, with −log det G / p ≤ ceiling where one is given."""
+        return Objective(self, criterion, ceiling)
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """A criterion as a function of z."""
+
+    problem: Problem
+    criterion: Criterion
+    ceiling: float | None
+
+    def __call__(self, z: Array) -> Outcome:
+        """Return the outcome at free variables (m,)."""
+        p = self.problem
+        stacked = p.information.at(p.samples.motion(z))
+        gram = stacked.gram()
+
+        def pulled(slope: Array) -> Array:
+            return p.samples.gradient(p.information.gradient(stacked, slope))
+
+        value, slope = self.criterion.evaluate(gram)
+        excess, slopes = np.zeros(0), np.zeros((0, len(z)))
+        if self.ceiling is not None:
+            volume, volume_slope = LogDet().evaluate(gram)
+            excess, slopes = np.array([volume - self.ceiling]), np.zeros((1, len(z)))
+            if excess[0] > -FAR:  # else no step would come near it
+                slopes[0] = pulled(volume_slope)
+        return Outcome(value, pulled(slope), gram, excess, slopes)
+
+
+def condition_number(gram: Array, metric: Array) -> float:
+    """Return σ₁/σ_r from G; for condition numbers below 1e6."""
+    sizes = np.linalg.eigvalsh(metric.T @ gram @ metric)
+    return float(np.sqrt(sizes[-1] / max(sizes[0], 1e-300)))

@@ -1,0 +1,1 @@
+"""Constraint sets: joint, torque, Cartesian and workspace limits."""

@@ -1,0 +1,143 @@
+"""Limits that are expressions of the motion: torque, speed in space, workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.dynamics import recursion
+from lieid_casadi.dynamics.lie import Pose, constant, cross, inverse_adjoint_times
+from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
+from lieid_casadi.dynamics.motion_symbols import axes, relative_poses
+from lieid_casadi.errors import ExcitationError
+from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
+from lieid_casadi.excitation.sample_functions import SampleKernel, motion_jacobian
+from lieid_casadi.robot.robot import Robot
+
+Array = NDArray[np.float64]
+STILL = 1e-4  # m/s; √(v² + STILL²) has a gradient at rest
+
+
+class Limit(Protocol):
+    """A limit that a caller asks for; it becomes a constraint set once the robot is known."""
+
+    def on(self, robot: Robot) -> ConstraintSet | None:
+        """Return the set for a robot; None if nothing of the robot can meet the limit.
+
+        Raises
+        ------
+        ExcitationError
+            The robot lacks what the limit needs.
+        """
+
+
+class SymbolicSet(ConstraintSet):
+    """Quantities given as CasADi expressions, with exact Jacobians."""
+
+    def __init__(
+        self,
+        name: str,
+        symbols: Symbols,
+        quantities: ca.SX,
+        jacobian: ca.SX | None = None,
+        *,
+        labels: Sequence[str],
+        units: Sequence[str],
+        lower: Array,
+        upper: Array,
+        scale: Array,
+        remedy: str,
+    ) -> None:
+        slopes = motion_jacobian(quantities, symbols) if jacobian is None else jacobian
+        self._values = SampleKernel(name, symbols, ca.densify(quantities))
+        self._slopes = SampleKernel(f"{name}_jacobian", symbols, slopes)
+        self.labels, self.units = tuple(labels), tuple(units)
+        self.lower, self.upper, self.scale = lower, upper, scale
+        self.remedy = remedy
+
+    def values(self, motion: Motion) -> Array:
+        """See `ConstraintSet`."""
+        return self._values.values(motion)
+
+    def jacobian(self, motion: Motion) -> Array:
+        """See `ConstraintSet`."""
+        return self._slopes.dense(motion)
+
+
+@dataclass(frozen=True)
+class Torque:
+    """Rigid torque of the robot's stated inertias within ``fraction`` of its torque limits."""
+
+    fraction: float = 1.0
+
+    def on(self, robot: Robot) -> ConstraintSet | None:
+        """See `Limit`."""
+        limit = self.fraction * robot.limit("torque")
+        stated = [j for j in range(robot.n) if np.isfinite(limit[j])]
+        if not stated:
+            raise ExcitationError(f"robot {robot.name!r} states no torque limits")
+        symbols = Symbols.symbols(robot.n)
+        parameters = ca.SX(ca.DM(robot.link_parameters))
+        torque = recursion.inverse_dynamics(robot, symbols, parameters)[stated]
+        units = ["N·m" if robot.joints[j].revolute else "N" for j in stated]
+        return SymbolicSet(
+            "torque", symbols, torque,
+            labels=[f"torque of joint {j + 1}" for j in stated], units=units,
+            lower=-limit[stated], upper=limit[stated], scale=limit[stated],
+            remedy="a longer duration, lower acceleration limits or another start pose",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class CartesianSpeed:
+    """Speed of the tool and of every joint's centre (the elbow among them), m/s."""
+
+    limit: float
+
+    def on(self, robot: Robot) -> ConstraintSet | None:
+        """See `Limit`."""
+        _positive("Cartesian speed", self.limit)
+        symbols = Symbols.symbols(robot.n)
+        twists = link_twists(robot, symbols)
+        points = [(f"centre of joint {i + 1}", v, np.zeros(3)) for i, v in enumerate(twists)]
+        points.append(("tool", twists[-1], robot.tool[:3, 3]))
+        labels, speeds = [], []
+        for label, twist, point in points:
+            squared = ca.sumsqr(twist[3:] + cross(twist[:3], constant(point)))
+            if ca.depends_on(squared, symbols.dq):
+                labels.append(f"speed of the {label}")
+                speeds.append(ca.sqrt(squared + STILL**2))
+        return SymbolicSet(
+            "speed", symbols, ca.vertcat(*speeds), labels=labels, units=["m/s"] * len(labels),
+            lower=np.full(len(labels), -np.inf), upper=np.full(len(labels), self.limit),
+            scale=np.full(len(labels), self.limit),
+            remedy="a longer duration or a higher Cartesian speed",
+        )  # fmt: skip
+
+
+def link_twists(robot: Robot, symbols: Symbols) -> list[ca.SX]:
+    """Return the twist [ω; v] (6,) of every link, in its own frame (Eq. 2)."""
+    twist, twists = ca.SX(6, 1), []
+    for i, (g, xi) in enumerate(zip(relative_poses(robot, symbols), axes(robot), strict=True)):
+        twist = inverse_adjoint_times(g, twist) + xi * symbols.dq[i]
+        twists.append(twist)
+    return twists
+
+
+def link_poses(robot: Robot, symbols: Symbols) -> list[Pose]:
+    """Return the frames of the base and of every link, in the base frame."""
+    poses = [Pose(ca.SX(ca.DM.eye(3)), ca.SX(3, 1))]
+    for g in relative_poses(robot, symbols):
+        poses.append(poses[-1] @ g)
+    return poses
+
+
+def _positive(name: str, value: float) -> None:
+    if not value > 0.0:
+        raise ExcitationError(f"{name}: {value:g}; expected a positive number")

@@ -1,0 +1,195 @@
+"""Sequential quadratic programming over a semi-infinite constraint set.
+
+Each iteration takes the limits' peaks on a fine time grid as its rows (exchange inside the
+iteration), solves a small dense quadratic program with a damped BFGS Hessian, adds rows where the
+step would break another limit, and searches along the step on the exact penalty f + ρ·max excess
+(Fletcher's Sl∞QP).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.excitation.limits.constraint_sets import Rows, SampledConstraints
+from lieid_casadi.excitation.solvers import quadratic_program
+from lieid_casadi.excitation.solvers.quadratic_program import Step
+from lieid_casadi.excitation.solvers.quasi_newton import damped_bfgs, first_hessian
+from lieid_casadi.excitation.solvers.solver import Iteration, Objective, State, state_at
+
+Array = NDArray[np.float64]
+NEAR = -0.3  # scaled excess from which a peak is a row
+ROUNDS = 5  # of rows added to one quadratic program
+OVERLOOKED = 2e-3  # scaled excess after a step from which a peak becomes a row
+LONGEST = 1.0  # of a step, per variable
+SHORTEST = 1e-3  # share of a step that is still tried
+
+
+@dataclass(eq=False)
+class Sqp:
+    """The solver; its Hessian and penalty carry over from stage to stage.
+
+    Parameters
+    ----------
+    constraints : SampledConstraints
+    report : callable
+        Called with each `Iteration` and its z; may raise to stop.
+    deadline : float
+        `time.monotonic` at which to stop.
+    """
+
+    constraints: SampledConstraints
+    size: int
+    report: Callable[[Iteration], None] = lambda iteration: None
+    deadline: float = np.inf
+    penalty: float = 1.0
+    hessian: Array | None = None
+    stage: int = 0
+
+    def minimize(
+        self, objective: Objective, z: Array, *, iterations: int, tolerance: float
+    ) -> Array:
+        """Return the last iterate of one stage."""
+        state = self._state(objective, z)
+        still = 0
+        for k in range(iterations):
+            rows, step, slack = self._direction(state)
+            self._raise_penalty(step, state.violation, slack)
+            promise = -float(state.outcome.gradient @ step.step) + self.penalty * (
+                max(state.violation, 0.0) - slack
+            )
+            after = self._search(objective, state, step, rows, promise)
+            self._update_hessian(state, after, rows, step.multipliers)
+            gain = self._merit(state) - self._merit(after)
+            state = after
+            self.report(Iteration(self.stage, k, state))
+            still = still + 1 if gain < tolerance else 0
+            if still >= 2 or time.monotonic() > self.deadline:
+                break
+        self.stage += 1
+        return state.z
+
+    def _state(self, objective: Objective, z: Array) -> State:
+        return state_at(self.constraints, objective, z)
+
+    def _merit(self, state: State) -> float:
+        return state.outcome.value + self.penalty * max(state.violation, 0.0)
+
+    def _direction(self, state: State) -> tuple[Rows, Step, float]:
+        """Return the rows, the step and the excess that the quadratic program leaves."""
+        c = self.constraints
+        rows = c.peaks(state.excess, NEAR)
+        matrix, values = c.jacobian(state.motion, rows), c.at(state.excess, rows)
+        for last in [False] * (ROUNDS - 1) + [True]:
+            step, slack = self._solve(state, matrix, values, state.outcome.excess)
+            ahead = c.excess(c.sampled.motion(state.z + step.step))
+            new = c.peaks(ahead, max(slack, 0.0) + OVERLOOKED).without(rows)
+            if last or not len(new):
+                break
+            rows = rows.joined(new)
+            matrix = np.vstack([matrix, c.jacobian(state.motion, new)])
+            values = np.concatenate([values, c.at(state.excess, new)])
+        return rows, step, slack
+
+    def _solve(
+        self, state: State, matrix: Array, values: Array, further: Array
+    ) -> tuple[Step, float]:
+        """Return the step, multipliers of the given rows first, and the excess it leaves."""
+        gradient = state.outcome.gradient
+        if self.hessian is None:
+            self.hessian = first_hessian(gradient)
+        matrix = np.vstack([matrix, state.outcome.slopes])
+        values = np.concatenate([values, further])
+        worst = max(float(values.max(initial=0.0)), 0.0)
+        if worst <= 1e-9:
+            step = quadratic_program.solve(self.hessian, gradient, matrix, np.maximum(-values, 0.0))
+            if step is not None:
+                return _shortened(step), 0.0
+        return self._elastic(gradient, matrix, values, worst)
+
+    def _elastic(
+        self, gradient: Array, matrix: Array, values: Array, worst: float
+    ) -> tuple[Step, float]:
+        """Return the step of the program whose rows may be exceeded at the penalty's price."""
+        hessian = np.zeros((self.size + 1, self.size + 1))
+        hessian[:-1, :-1] = self.hessian
+        hessian[-1, -1] = self.penalty  # a little convexity of the slack, in its own scale
+        elastic = np.zeros((len(matrix) + 1, self.size + 1))
+        elastic[:-1, :-1], elastic[:, -1] = matrix, -1.0
+        step = quadratic_program.solve(
+            hessian, np.append(gradient, self.penalty), elastic, np.append(-values, 0.0)
+        )
+        if step is None:
+            self.hessian = None
+            return Step(np.zeros(self.size), np.zeros(len(values))), worst
+        slack = max(float(step.step[-1]), 0.0)
+        return _shortened(Step(step.step[:-1], step.multipliers[:-1])), slack
+
+    def _raise_penalty(self, step: Step, violation: float, slack: float) -> None:
+        needed = 1.5 * float(step.multipliers.sum())
+        if slack > 0.5 * violation > 1e-9:
+            needed = max(needed, 4.0 * self.penalty)
+        if needed > self.penalty:
+            self.penalty = min(needed, 1e5)
+
+    def _search(
+        self, objective: Objective, state: State, step: Step, rows: Rows, promise: float
+    ) -> State:
+        """Return the state after the step, shortened until the penalty function falls."""
+        start, length = self._merit(state), 1.0
+        direction = step.step
+        while True:
+            after = self._state(objective, state.z + length * direction)
+            gained = start - self._merit(after)
+            if gained >= 1e-4 * length * promise:
+                return after
+            if length < SHORTEST:  # the model misled: forget its curvature
+                self.hessian = None
+                return state
+            if length == 1.0 and after.violation > max(state.violation, 0.0):
+                corrected = self._corrected(state, after, step, rows)
+                if corrected is not None:
+                    second = self._state(objective, state.z + corrected)
+                    if start - self._merit(second) >= 1e-4 * promise:
+                        return second
+            curvature = length * promise - gained
+            length *= min(0.5, max(0.1, 0.5 * length * promise / max(curvature, 1e-300)))
+
+    def _corrected(self, state: State, after: State, step: Step, rows: Rows) -> Array | None:
+        """Return the step with the excess that linear rows overlooked (second-order correction)."""
+        c = self.constraints
+        every = rows.joined(c.peaks(after.excess, 0.0))
+        matrix = c.jacobian(state.motion, every)
+        values = c.at(after.excess, every) - matrix @ step.step
+        further = after.outcome.excess - state.outcome.slopes @ step.step
+        again, slack = self._solve(state, matrix, values, further)
+        return again.step if slack < after.violation else None
+
+    def _update_hessian(self, before: State, after: State, rows: Rows, multipliers: Array) -> None:
+        """Damped BFGS (Powell) on the Lagrangian."""
+        if self.hessian is None:
+            return
+        move = after.z - before.z
+        change = after.outcome.gradient - before.outcome.gradient
+        nonlinear = np.array([not limits.linear for limits in self.constraints.sets])
+        held = (multipliers[: len(rows)] > 1e-8) & nonlinear[rows.sets]
+        further = multipliers[len(rows) :]
+        change = change + further @ (after.outcome.slopes - before.outcome.slopes)
+        if held.any():
+            chosen = rows.chosen(held)
+            jacobian = self.constraints.jacobian
+            slopes = jacobian(after.motion, chosen) - jacobian(before.motion, chosen)
+            change = change + multipliers[: len(rows)][held] @ slopes
+        self.hessian = damped_bfgs(self.hessian, move, change)
+
+
+def _shortened(step: Step) -> Step:
+    """Return the step within the longest allowed; what it promises holds for a part of it too."""
+    longest = float(np.abs(step.step).max(initial=0.0))
+    if longest <= LONGEST:
+        return step
+    return Step(step.step * (LONGEST / longest), step.multipliers)

@@ -1,0 +1,204 @@
+"""``lieid export FIT --to c``: a fitted model as C99 for a controller."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lieid_casadi.codegen_files import codegen_folder
+from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.c_arm_effects import arm_notes
+from lieid_casadi.exporters.c_functions import Functions, functions
+from lieid_casadi.exporters.c_self_test import Check, check
+from lieid_casadi.exporters.c_statements import number
+from lieid_casadi.exporters.c_text import comment, numbered, render, wrapped
+from lieid_casadi.exporters.output_folder import check_folder, write_folder
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.model import Parameter
+
+RIGID_CALLS = (
+    ("rigid_torque", "q + j, dq + j, ddq + j"),
+    ("gravity", "q + j"),
+    ("mass_matrix", "q + j"),
+    ("regressor", "q + j, dq + j, ddq + j"),
+    ("slotine_li_regressor", "q + j, dq + j, dq_r + j, ddq_r + j"),
+)
+EFFECT_CALLS = ("friction", "torque", "effect_columns", "base_regressor")
+
+
+@dataclass(frozen=True)
+class CExport:
+    """What was written, and what a user should know about it."""
+
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]
+
+
+def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool = False) -> CExport:
+    """Write the identified model as C99: library, self-test, CMake project and README.
+
+    The functions need no memory but their arguments and no mathematics but sin, cos, exp, tanh,
+    fabs and sqrt; the header tells order, shape and unit of each argument. The self-test compares
+    them with CasADi.
+
+    Parameters
+    ----------
+    fit : Fit
+    folder : str or Path
+        Made if it is not there; written whole or not at all.
+    prefix : str
+        Of all names, so that several arms fit into one program.
+    force : bool
+        Replace a folder that has content already, as a whole.
+
+    Raises
+    ------
+    ExportError
+        A prefix that is no C name, a folder that cannot be written, an effect that has no C form or
+        needs more than one instant, a number that is not finite.
+    """
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix):
+        raise ExportError(f"prefix {prefix!r}: expected letters, digits and _, a letter first")
+    check_folder(folder, force=force)
+    for value in (*fit.parameters, *fit.values, *fit.shapes):
+        number(value)
+    notes = _notes(fit)
+    written = write_folder(folder, c_files(fit, prefix, notes), force=force)
+    return CExport(written, tuple(notes))
+
+
+def c_files(fit: Fit, prefix: str, notes: list[str]) -> dict[str, bytes]:
+    """Return the content of all files by name."""
+    made = functions(fit)
+    content = _content(fit, prefix, made) | {"notes": [comment(note) for note in notes]}
+    content["note_lines"] = wrapped(content["notes"])
+    names = {
+        f"{prefix}.h": "arm.h.jinja",
+        f"{prefix}.c": "arm.c.jinja",
+        f"{prefix}_parameters.c": "arm_parameters.c.jinja",
+        f"{prefix}_test.c": "arm_test.c.jinja",
+        "CMakeLists.txt": "CMakeLists.txt.jinja",
+        "README.md": "README.md.jinja",
+    }
+    content |= _test_content(check(fit), content["P"])
+    files = {name: render(template, content).encode() for name, template in names.items()}
+    runtime = codegen_folder() / "export" / "lieid_runtime.h"
+    return files | {runtime.name: runtime.read_bytes()}
+
+
+def _content(fit: Fit, prefix: str, made: Functions) -> dict[str, Any]:
+    """Return what the templates fill in."""
+    from lieid_casadi import __version__
+
+    model, robot = fit.model, fit.model.robot
+    used = [made.bodies["friction"].used, made.bodies["base_regressor"].used]
+    used += [made.advance.used] if made.advance else []
+    kinds = {joint.revolute for joint in robot.joints}
+    formulas = {p.effect.label: p.effect.formula for p in model.placements}
+    base = [model.base.expression(k) for k in range(model.base.count)]
+    return {
+        "p": prefix,
+        "P": prefix.upper(),
+        "version": __version__,
+        "robot": comment(robot.name),
+        "method": fit.method,
+        "recordings": [
+            {"name": comment(s.name).replace("|", "/"), "sha256": comment(s.sha256)}
+            for s in fit.provenance.recordings
+        ],
+        "n": model.n,
+        "joints": [{"name": comment(j.name), "revolute": j.revolute} for j in robot.joints],
+        "turns": True in kinds,
+        "slides": False in kinds,
+        "units": _units(kinds),
+        "effects": comment(", ".join(model.effects)),
+        "formulas": [{"label": comment(k), "formula": comment(v)} for k, v in formulas.items()],
+        "links": [
+            {"label": parameter.label, "number": _initializer(value)}
+            for parameter, value in zip(model.link_parameters, fit.link_parameters, strict=True)
+        ],
+        "base": _rows(model.base_columns, fit.values, base, fit.std),
+        "coefficients": _rows(model.columns, fit.effect_coefficients),
+        "shapes": _rows(model.shapes, fit.shapes, stds=fit.std[len(fit.values) :]),
+        "states": [
+            {
+                "label": comment(state.label),
+                "unit": comment(state.unit),
+                "initial": f"{state.initial:g}",
+                "number": number(state.initial),
+            }
+            for state in model.states
+        ],
+        "coefficient_lines": numbered(f"{c.label} [{c.unit}]" for c in model.columns),
+        "base_lines": numbered(f"{c.label} [{c.unit}]" for c in model.base_columns),
+        "bodies": made.bodies,
+        "advance": made.advance,
+        "remembers_load": made.remembers_load,
+        "advance_reads_load": made.advance_reads_load,
+        "reads": {name.removeprefix("before_") for names in used for name in names},
+        "sizes": [(name, f.operations) for name, f in made.bodies.items()],
+    }
+
+
+def _rows(
+    parameters: tuple[Parameter, ...], values: Any, labels: Any = None, stds: Any = None
+) -> list[dict[str, str]]:
+    """Return number, name and unit of parameters, ready for a comment."""
+    return [
+        {
+            "label": comment(parameter.label if labels is None else labels[k]),
+            "unit": comment(parameter.unit),
+            "number": _initializer(values[k]),
+            "std": "" if stds is None else f"{stds[k]:.3g}",
+        }
+        for k, parameter in enumerate(parameters)
+    ]
+
+
+def _initializer(value: float) -> str:
+    return number(value).strip("()")
+
+
+def _units(kinds: set[bool]) -> dict[str, str]:
+    turning = {"q": "rad", "dq": "rad/s", "ddq": "rad/s²", "tau": "N·m"}
+    sliding = {"q": "m", "dq": "m/s", "ddq": "m/s²", "tau": "N"}
+    pairs = [units for kind, units in ((True, turning), (False, sliding)) if kind in kinds]
+    return {key: " or ".join(units[key] for units in pairs) for key in turning}
+
+
+def _test_content(stored: Check, upper: str) -> dict[str, Any]:
+    """Return what the self-test fills in beside the rest."""
+    inputs, results = stored.inputs, stored.results
+    names = ("q", "dq", "ddq", "dq_r", "ddq_r", "temperature")
+    arrays = [(name, inputs[name].ravel()) for name in names]
+    arrays += [("time_", inputs["time"].ravel()), ("v0", stored.v0)]
+    arrays += [(name, values.ravel()) for name, values in results.items()]
+    sizes = {name: values.shape[1] for name, values in results.items()}
+    calls = [name for name in EFFECT_CALLS if name in results]
+    states = ["states"] if "states" in results else []
+    return {
+        "samples": len(inputs["q"]),
+        "largest": max(sizes.values()),
+        "arrays": arrays,
+        "rigid_calls": [(name, call, sizes[name]) for name, call in RIGID_CALLS],
+        "effect_calls": [(name, sizes[name]) for name in calls],
+        "signs": [("", "NULL"), ("_smooth", "v0")],
+        "worsts": ", ".join(f"of_{name} = 0.0" for name in (*states, *calls)),
+    }
+
+
+def _notes(fit: Fit) -> list[str]:
+    """Return what a user of the code should know."""
+    notes = []
+    if not fit.physically_consistent:
+        notes.append(
+            "the link parameters are those of no body that can exist (torques are right, but the "
+            "mass matrix need not be positive definite); --method feasible gives some that are"
+        )
+    timed = [p.label for p in fit.model.placements if "time" in p.effect.signals]
+    stateless = [p.label for p in fit.model.placements if p.effect.states]
+    if set(timed) - set(stateless):
+        notes.append(f"{', '.join(timed)}: time counts from the start of the motion")
+    return notes + arm_notes(fit)

@@ -1,0 +1,41 @@
+"""Armature, damping and dry friction for MuJoCo, which reads no armature from URDF."""
+
+from __future__ import annotations
+
+from xml.sax.saxutils import quoteattr
+
+from lieid_casadi.exporters.joint_friction import JointFriction, joint_frictions
+from lieid_casadi.exporters.urdf_bodies import number
+from lieid_casadi.identification.fit import Fit
+
+ATTRIBUTES = (("armature", "armature"), ("damping", "damping"), ("friction", "frictionloss"))
+HEAD = """\
+<!-- Identified armature (kg·m²), damping (N·m·s/rad) and frictionloss (N·m) of {robot}.
+     In an MJCF model: <include file="{file}"/> at the top, and class="identified_JOINT" on each
+     <joint>; or copy the attributes onto the joints. -->
+"""
+
+
+def mjcf_snippet(fit: Fit, *, file: str) -> str:
+    """Return an MJCF file with one default class per joint, ``identified_JOINT``, to include.
+
+    Parameters
+    ----------
+    file : str
+        The name it will have, told in its comment.
+    """
+    robot = fit.model.robot
+    lines = [
+        HEAD.format(robot=robot.name.replace("--", "- -"), file=file),
+        "<mujocoinclude>\n  <default>\n",
+    ]
+    for joint, numbers in zip(robot.joints, joint_frictions(fit), strict=True):
+        lines.append(f"    <default class={quoteattr('identified_' + joint.name)}>\n")
+        lines.append(f"      <joint{_attributes(numbers)}/>\n    </default>\n")
+    lines.append("  </default>\n</mujocoinclude>\n")
+    return "".join(lines)
+
+
+def _attributes(numbers: JointFriction) -> str:
+    values = ((name, getattr(numbers, place)) for place, name in ATTRIBUTES)
+    return "".join(f' {name}="{number(value)}"' for name, value in values if value is not None)

@@ -1,0 +1,128 @@
+"""How the identified inertia of a joint is shared by the URDF links that move with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.dynamics.base_parameters import parameter_transport
+from lieid_casadi.exporters.xml_edit import Element
+from lieid_casadi.robot.inertia import body_inertia, link_parameters, pseudo_inertia, symmetric
+from lieid_casadi.robot.pose import pose
+
+Array = NDArray[np.float64]
+SHARE = 0.5  # of the most that the links carried along may keep, where they cannot keep all
+ROOM = 0.95  # of the most: below it they keep all
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """A link that moves with a joint without being its own child link.
+
+    ``placement`` (4, 4) is its frame in the frame of the joint's child link; ``nominal`` (10,)
+    its link parameters in its own frame.
+    """
+
+    name: str
+    placement: Array
+    nominal: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Link parameters of a joint's child link (10,), and what part of its own each member keeps."""
+
+    own: Array
+    share: float
+    members: tuple[Member, ...]
+
+
+def split(identified: Array, members: Sequence[Member]) -> Split:
+    """Return how an identified inertia (10,) is shared; every share is a body that can exist.
+
+    Members keep their nominal inertia and the child link gets the rest. Where that would not be
+    a body, the members' masses and inertias are scaled down alike.
+
+    Parameters
+    ----------
+    identified : (10,)
+        Link parameters in the frame of the joint's child link, positive definite.
+    """
+    heavy = tuple(m for m in members if np.any(m.nominal != 0.0))
+    carried = np.zeros(10)
+    for member in heavy:
+        carried += parameter_transport(member.placement) @ member.nominal
+    root = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(identified)))
+    largest = float(np.linalg.eigvalsh(root @ pseudo_inertia(carried) @ root.T)[-1])
+    share = 1.0 if largest < ROOM else SHARE / largest
+    return Split(identified - share * carried, share, heavy)
+
+
+def members_of(links: dict[str, Element], joints: Sequence[Element], child: str) -> list[Member]:
+    """Return the links that move with a link: over the given joints, at zero, and on from there."""
+    found: list[Member] = []
+    places = {child: np.eye(4)}
+    waiting = [child]
+    while waiting:
+        parent = waiting.pop()
+        for joint in joints:
+            if _link_of(joint, "parent") != parent:
+                continue
+            name = _link_of(joint, "child")
+            places[name] = places[parent] @ origin_of(joint)
+            found.append(Member(name, places[name], stated_parameters(links[name])))
+            waiting.append(name)
+    return found
+
+
+def stated_parameters(link: Element) -> Array:
+    """Return the link parameters (10,) that a <link> states, zeros if none."""
+    inertial = link.find("inertial")
+    mass = None if inertial is None else inertial.find("mass")
+    if inertial is None or mass is None:
+        return np.zeros(10)
+    place = origin_of(inertial)
+    stated = inertial.find("inertia")
+    keys = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+    six = [0.0 if stated is None else float(stated.attributes.get(key, "0")) for key in keys]
+    turned = place[:3, :3] @ symmetric(six) @ place[:3, :3].T
+    return link_parameters(float(mass.attributes.get("value", "0")), place[:3, 3], turned)
+
+
+def origin_of(element: Element) -> Array:
+    """Return the pose (4, 4) of an element's <origin>."""
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(4)
+    return pose(
+        [float(x) for x in origin.attributes.get("xyz", "0 0 0").split()],
+        [float(x) for x in origin.attributes.get("rpy", "0 0 0").split()],
+    )
+
+
+def inertial_text(parameters: Array) -> str:
+    """Return an <inertial> element of link parameters (10,), with all their digits."""
+    body = body_inertia(parameters)
+    i = body.inertia
+    com = " ".join(number(x) for x in body.com)
+    return (
+        "<inertial>\n"
+        f'  <origin xyz="{com}" rpy="0 0 0"/>\n'
+        f'  <mass value="{number(body.mass)}"/>\n'
+        f'  <inertia ixx="{number(i[0, 0])}" ixy="{number(i[0, 1])}" ixz="{number(i[0, 2])}"'
+        f' iyy="{number(i[1, 1])}" iyz="{number(i[1, 2])}" izz="{number(i[2, 2])}"/>\n'
+        "</inertial>"
+    )
+
+
+def number(value: float) -> str:
+    """Return a number that reads back the same."""
+    return repr(float(value) + 0.0)
+
+
+def _link_of(joint: Element, tag: str) -> str:
+    end = joint.find(tag)
+    return "" if end is None else end.attributes.get("link", "")

@@ -1,0 +1,99 @@
+"""``lieid export FIT --to urdf``: the robot with the inertias that were identified."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lieid_casadi.atomic_file import atomic_binary
+from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.joint_friction import joint_frictions, left_out, negative
+from lieid_casadi.exporters.mjcf import mjcf_snippet
+from lieid_casadi.exporters.urdf_edit import edited_urdf
+from lieid_casadi.exporters.urdf_write import written_urdf
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.robot.robot import STANDARD_GRAVITY
+
+
+@dataclass(frozen=True)
+class UrdfExport:
+    """What was written, and what a user should know about it."""
+
+    urdf: Path
+    mjcf: Path
+    notes: tuple[str, ...]
+
+
+def export_urdf(fit: Fit, folder: str | Path) -> UrdfExport:
+    """Write ``ROBOT.urdf`` and ``ROBOT_joints.xml`` (for MuJoCo) into a folder.
+
+    The URDF is the one that the robot was read from, with the identified inertias and, where
+    the model has them, viscous and Coulomb friction; everything else stays as it was. A robot
+    from YAML gets a URDF written from its screws.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of method ``feasible``.
+    folder : str or Path
+        Made if it is not there; files in it of the same names are replaced.
+
+    Raises
+    ------
+    ExportError
+        The fit's masses and inertias need not be possible: the message has the command that
+        makes one whose are.
+    """
+    text, notes = urdf_text(fit)
+    target = Path(folder)
+    name = _file_name(fit.model.robot.name)
+    urdf, mjcf = target / f"{name}.urdf", target / f"{name}_joints.xml"
+    snippet = mjcf_snippet(fit, file=mjcf.name)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        for path, content in ((urdf, text), (mjcf, snippet)):
+            with atomic_binary(path) as file:
+                file.write(content.encode("utf-8"))
+    except OSError as error:
+        raise ExportError(f"{folder}: cannot be written: {error.strerror}") from None
+    return UrdfExport(urdf, mjcf, tuple(notes))
+
+
+def urdf_text(fit: Fit) -> tuple[str, list[str]]:
+    """Return the URDF and notes on it; raises as `export_urdf`."""
+    _check_possible(fit)
+    robot = fit.model.robot
+    if robot.source is not None and robot.source.kind == "urdf":
+        text, notes = edited_urdf(fit, robot.source.text)
+    else:
+        bodies = fit.link_parameters.reshape(-1, 10)
+        text, notes = written_urdf(robot, bodies, joint_frictions(fit))
+    homeless = left_out(fit, {"armature", "damping", "friction"})
+    if any(numbers.armature is not None for numbers in joint_frictions(fit)):
+        notes.append("URDF has no place for armature; it is in the MuJoCo file")
+    if homeless:
+        notes.append(f"neither URDF nor MuJoCo has a place for {', '.join(homeless)}")
+    if negative(fit):
+        notes.append(f"written as 0 because it is negative: {', '.join(negative(fit))}")
+    if not np.allclose(robot.gravity, STANDARD_GRAVITY, atol=1e-9):
+        x, y, z = robot.gravity
+        notes.append(f"URDF has no place for gravity; set it to ({x:g}, {y:g}, {z:g}) m/s²")
+    return text, notes
+
+
+def _check_possible(fit: Fit) -> None:
+    if fit.certificate is not None and fit.certificate.holds and fit.physically_consistent:
+        return
+    effects = ",".join(fit.model.effects)
+    runs = " ".join(source.name or "TRAIN" for source in fit.provenance.recordings) or "TRAIN…"
+    option = f" --effects {effects}" if effects else ""
+    raise ExportError(
+        f"a fit of method {fit.method} need not have masses and inertias that can exist; expected "
+        f"one of method feasible: lieid identify ROBOT {runs}{option} --method feasible -o fit.json"
+    )
+
+
+def _file_name(name: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name) or "robot"

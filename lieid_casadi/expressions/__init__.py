@@ -1,0 +1,1 @@
+"""CasADi functions of a model."""

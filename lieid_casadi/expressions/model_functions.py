@@ -1,0 +1,200 @@
+"""The CasADi functions of a model: one place where expressions become callable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.dynamics import closed_form, recursion
+from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.model import EffectSignals, Model
+
+SIGNAL_NAMES = ("q", "dq", "ddq", "load", "temperature", "time")
+STEPS = 256  # samples per call of the unrolled step of states
+
+
+@dataclass(frozen=True)
+class SparseFunction:
+    """A function whose matrix result is returned as its structural nonzeros (nnz,).
+
+    ``function`` maps its inputs to the vector of nonzeros; entry k belongs to
+    ``rows[k], columns[k]`` of a matrix of ``shape``.
+    """
+
+    function: ca.Function
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    shape: tuple[int, int]
+
+
+def sparse_function(
+    name: str, inputs: list[ca.SX], names: list[str], matrix: ca.SX
+) -> SparseFunction:
+    """Return a `SparseFunction` of an SX matrix."""
+    matrix = ca.sparsify(matrix)
+    rows, columns = matrix.sparsity().get_triplet()
+    nonzeros = ca.vec(matrix.nz[:])  # a column of a matrix with one row, too
+    function = ca.Function(name, inputs, [ca.densify(nonzeros)], names, ["nonzeros"], {"cse": True})
+    return SparseFunction(
+        function, np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp), matrix.shape
+    )
+
+
+def ramp(dq: ca.SX, width: ca.SX) -> ca.SX:
+    """Return sgn(q̇), inside |q̇| ≤ width its expected value beside noise on q̇.
+
+    With Gaussian noise of a third of the width the sign is erf(3 q̇ / (√2 width)) on average;
+    this is the polynomial step of degree seven, within 0.04 of it and cheap in C.
+    """
+    x = dq / ca.fmax(width, 1e-200)
+    square = x * x
+    step = x * (35.0 - square * (35.0 - square * (21.0 - 5.0 * square))) / 16.0
+    return ca.if_else(ca.fabs(dq) < width, step, ca.sign(dq))
+
+
+class ModelFunctions:
+    """Lazily built functions of one model; inputs are (n,) columns unless stated.
+
+    Rigid functions take ``sin`` and ``cos`` of q beside q itself, so that generated code can
+    compute them apart.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        n = model.n
+        self.motion = Motion.symbols(n)
+        self.parameters = ca.SX.sym("parameters", 10 * n)
+        self.shapes = ca.SX.sym("shapes", len(model.shapes))
+        self.dead_zone = ca.SX.sym("dead_zone", n)
+        self.load = ca.SX.sym("load", n)
+        self.temperature = ca.SX.sym("temperature", n)
+        self.time = ca.SX.sym("time")
+        self.states = ca.SX.sym("states", len(model.states))
+
+    @property
+    def _state(self) -> tuple[list[ca.SX], list[str]]:
+        m = self.motion
+        return [m.q, m.sin, m.cos, m.dq, m.ddq], ["q", "sin", "cos", "dq", "ddq"]
+
+    @property
+    def _pose(self) -> tuple[list[ca.SX], list[str]]:
+        m = self.motion
+        return [m.q, m.sin, m.cos], ["q", "sin", "cos"]
+
+    @cached_property
+    def signals(self) -> EffectSignals:
+        """Symbols of the effects, the sign being that of q̇ with a ramp over the dead zone."""
+        m = self.motion
+        sign = ramp(m.dq, self.dead_zone)
+        return EffectSignals(m.q, m.dq, m.ddq, sign, self.load, self.temperature, self.time)
+
+    @cached_property
+    def rigid_matrix(self) -> ca.SX:
+        """The full regressor Y (n, 10 n) in the symbols of this object."""
+        return regressor(self.model.robot, self.motion)
+
+    @cached_property
+    def regressor(self) -> SparseFunction:
+        """Y (n, 10 n)."""
+        inputs, names = self._state
+        return sparse_function("regressor", inputs, names, self.rigid_matrix)
+
+    @cached_property
+    def base_regressor(self) -> SparseFunction:
+        """Y_b (n, p): the rigid part of the kept columns; effect columns are zero here."""
+        kept = self.model.base.kept
+        rigid = [int(k) for k in kept[kept < 10 * self.model.n]]
+        inputs, names = self._state
+        matrix = ca.horzcat(
+            self.rigid_matrix[:, rigid], ca.SX(self.model.n, len(kept) - len(rigid))
+        )
+        return sparse_function("base_regressor", inputs, names, matrix)
+
+    @cached_property
+    def effect_columns(self) -> SparseFunction:
+        """Effect columns (n, m), all of them, of motion, load, temperature, time and shapes.
+
+        With effects that have memory, ``states`` (S,) is a further input.
+        """
+        s = self.signals
+        inputs = [s.q, s.dq, s.ddq, s.load, s.temperature, s.time, self.shapes, self.dead_zone]
+        names = [*SIGNAL_NAMES, "shapes", "dead_zone"]
+        if self.model.states:
+            inputs, names = [*inputs, self.states], [*names, "states"]
+        matrix = self.model.effect_columns(s, self.shapes, self.states)
+        return sparse_function("effect_columns", inputs, names, matrix)
+
+    @cached_property
+    def advance(self) -> ca.Function:
+        """States (S,) at a sample, of the states and signals at the one before and its own."""
+        now = self.signals
+        symbols = [now.q, now.dq, now.ddq, now.load, now.temperature, now.time]
+        past = [
+            ca.SX.sym(f"before_{name}", symbol.size1())
+            for name, symbol in zip(SIGNAL_NAMES, symbols, strict=True)
+        ]
+        q, dq, ddq, load, temperature, time = past
+        before = EffectSignals(q, dq, ddq, ramp(dq, self.dead_zone), load, temperature, time)
+        after = self.model.advance(before, now, self.shapes, self.states)
+        inputs = [self.states, *past, *symbols, self.shapes, self.dead_zone]
+        names = ["states", *(f"before_{name}" for name in SIGNAL_NAMES), *SIGNAL_NAMES]
+        return ca.Function("advance", inputs, [after], [*names, "shapes", "dead_zone"], ["after"])
+
+    @cached_property
+    def steps(self) -> ca.Function:
+        """`advance` over STEPS samples in a row: inputs (·, STEPS), states (S, STEPS)."""
+        return self.advance.mapaccum("steps", STEPS).expand()
+
+    @cached_property
+    def inverse_dynamics(self) -> SparseFunction:
+        """Rigid torque (n, 1) of motion and link parameters."""
+        inputs, names = self._state
+        torque = recursion.inverse_dynamics(self.model.robot, self.motion, self.parameters)
+        return sparse_function(
+            "inverse_dynamics",
+            [*inputs, self.parameters],
+            [*names, "parameters"],
+            ca.densify(torque),
+        )
+
+    @cached_property
+    def mass_matrix(self) -> SparseFunction:
+        """M (n, n)."""
+        inputs, names = self._pose
+        matrix = closed_form.mass_matrix(self.model.robot, self.motion, self.parameters)
+        return sparse_function(
+            "mass_matrix", [*inputs, self.parameters], [*names, "parameters"], matrix
+        )
+
+    @cached_property
+    def gravity(self) -> SparseFunction:
+        """G (n, 1)."""
+        inputs, names = self._pose
+        torque = closed_form.gravity(self.model.robot, self.motion, self.parameters)
+        return sparse_function(
+            "gravity", [*inputs, self.parameters], [*names, "parameters"], ca.densify(torque)
+        )
+
+    @cached_property
+    def coriolis_matrix(self) -> SparseFunction:
+        """C (n, n) with Ṁ − 2C skew-symmetric."""
+        inputs, names = self._pose
+        matrix = closed_form.coriolis_matrix(self.model.robot, self.motion, self.parameters)
+        return sparse_function(
+            "coriolis_matrix",
+            [*inputs, self.motion.dq, self.parameters],
+            [*names, "dq", "parameters"],
+            matrix,
+        )
+
+    @cached_property
+    def jacobian(self) -> SparseFunction:
+        """J (6, n) of the tool, [ω; v], base axes."""
+        inputs, names = self._pose
+        matrix = closed_form.jacobian(self.model.robot, self.motion)
+        return sparse_function("jacobian", inputs, names, matrix)

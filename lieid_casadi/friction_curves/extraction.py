@@ -1,0 +1,240 @@
+"""From recordings of one joint moving to and fro to its friction curve (Eq. 15)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.compiled import Compiled, compile
+from lieid_casadi.errors import (
+    JointStillWarning,
+    LieidWarning,
+    LoadMismatchWarning,
+    ModelError,
+    RecordingError,
+    RobotError,
+)
+from lieid_casadi.friction_curves.binning import group, standard_errors
+from lieid_casadi.friction_curves.curve import FrictionCurve
+from lieid_casadi.friction_curves.curve_data import CurveData
+from lieid_casadi.friction_curves.position_matching import Matching, match
+from lieid_casadi.identification.fit import Fit, Source
+from lieid_casadi.identification.identify import center_temperature
+from lieid_casadi.model import Model
+from lieid_casadi.recording import Processed, Processing, Recording, check, process
+from lieid_casadi.robot.robot import Robot
+
+Array = NDArray[np.float64]
+Load = Literal["model", "measured"]
+LOAD_MISMATCH = 0.1  # of the load's RMS
+
+
+def friction_curve(
+    arm: Robot | Fit,
+    recordings: Recording | Sequence[Recording],
+    joint: int,
+    *,
+    processing: Processing | None = None,
+    load: Load | None = None,
+) -> FrictionCurve:
+    """Return the friction of one joint from its forward and backward motion.
+
+    At equal positions the torques of both ways differ by twice the friction; what the rigid
+    torque differs by (unequal accelerations and velocities) is taken off with the model, where
+    the link parameters are known. Runs at constant speed and any other motion that passes the
+    same positions both ways will do, while the other joints stand still. Reversals within the
+    filter's reach are left out.
+
+    Parameters
+    ----------
+    arm : Robot or Fit
+        A fit gives identified link parameters and armatures, a robot its nominal ones.
+    recordings : Recording or sequence of Recording
+        With torques.
+    joint : int
+        From 0.
+    processing : Processing, optional
+        The cut-off is chosen from the spectrum if not stated.
+    load : {"model", "measured"}, optional
+        The load that friction may depend on: the rigid torque by the model, or by the mean of
+        both ways. A fit's model is trusted, nominal inertias are not.
+
+    Raises
+    ------
+    RecordingError
+        The joint never moves, or in one direction only; no position is passed both ways.
+    ModelError
+        A joint that the arm does not have, recordings without torque or of another arm.
+    RobotError
+        The model's load is asked for and the robot has no inertias.
+    """
+    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    robot = arm.model.robot if isinstance(arm, Fit) else arm
+    _check(robot, given, joint)
+    links = _link_parameters(arm)
+    if links is None and load == "model":
+        raise RobotError(f"{robot.name}: its links have no inertia; expected load 'measured'")
+    compiled = compile(Model(robot))
+    found = [w for r in given for w in check(r, robot)]
+    mean = arm.temperature_mean if isinstance(arm, Fit) else None
+    segments, mean = center_temperature(process(given, processing), mean)
+    found += [w for s in segments for w in s.warnings]
+    motion = _Motion(segments, match(segments, joint, name=_name(given)), joint)
+    source: Load = load or ("model" if isinstance(arm, Fit) else "measured")
+    rigid = [_rigid(compiled, s, links)[:, joint] for s in segments]
+    series = rigid if source == "model" else motion.measured_load()
+    remaining = [
+        _torque(s)[:, joint] - x - _armature(arm, joint) * s.ddq[:, joint]
+        for s, x in zip(segments, rigid, strict=True)
+    ]
+    mismatch = float("nan") if links is None else _rms(motion.half_sum(remaining))
+    found += _told(mismatch, _rms(motion.half_sum(rigid)), joint, source)
+    data = CurveData(
+        robot=robot,
+        segments=segments,
+        load=tuple(_of_joint(x, joint, robot.n) for x in series),
+        matching=motion.matching,
+        groups=group(motion.matching.speed, motion.half_sum(series), motion.matching.stretch),
+        friction=motion.half_difference(remaining),
+        temperature_mean=mean,
+    )
+    return FrictionCurve(
+        joint=joint,
+        joint_name=robot.joints[joint].name,
+        unit="N·m" if robot.joints[joint].revolute else "N",
+        speed=data.groups.mean(motion.matching.speed),
+        load=data.groups.mean(np.abs(motion.half_sum(series))),
+        friction=data.groups.mean(data.friction),
+        std=standard_errors(
+            data.groups,
+            data.friction,
+            motion.matching.stretch,
+            np.column_stack([motion.matching.speed, np.abs(motion.half_sum(series))]),
+        ),
+        count=data.groups.count,
+        load_source=source,
+        load_error=mismatch,
+        cutoff=segments[0].cutoff,
+        recordings=tuple(Source(r.name, r.source_hash) for r in given),
+        warnings=_unique(found),
+        data=data,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Segments with the pairs of instants that one joint's motion has in them."""
+
+    segments: tuple[Processed, ...]
+    matching: Matching
+    joint: int
+
+    def half_sum(self, series: Sequence[Array]) -> Array:
+        return self.matching.half_sum(self._filtered(series))
+
+    def half_difference(self, series: Sequence[Array]) -> Array:
+        return self.matching.half_difference(self._filtered(series))
+
+    def _filtered(self, series: Sequence[Array]) -> Array:
+        return np.concatenate([s.filter(x) for s, x in zip(self.segments, series, strict=True)])
+
+    def measured_load(self) -> list[Array]:
+        """Return the mean torque of both ways, interpolated by position (K,) per segment.
+
+        Each segment takes it from its own pairs, or from all where it has none.
+        """
+        mean = self.half_sum([_torque(s)[:, self.joint] for s in self.segments])
+        ends = np.cumsum([0, *(len(s.filtered_time) for s in self.segments)])
+        first = self.matching.forward.indices
+        loads = []
+        for segment, a, b in zip(self.segments, ends[:-1], ends[1:], strict=True):
+            own = (first >= a) & (first < b)
+            own = own if own.any() else np.ones(len(first), dtype=bool)
+            order = np.argsort(self.matching.position[own])
+            position, value = self.matching.position[own][order], mean[own][order]
+            loads.append(np.interp(segment.q[:, self.joint], position, value))
+        return loads
+
+
+def _check(robot: Robot, recordings: Sequence[Recording], joint: int) -> None:
+    if not 0 <= joint < robot.n:
+        raise ModelError(f"no joint {joint + 1}; {robot.name} has joints 1 to {robot.n}")
+    if not recordings:
+        raise RecordingError("no recordings given; expected at least one")
+    for recording in recordings:
+        name = recording.name or "recording"
+        if recording.n != robot.n:
+            raise ModelError(f"{name}: {recording.n} joints; robot {robot.name!r} has {robot.n}")
+        if recording.tau is None:
+            raise ModelError(
+                f"{name}: no torque; expected columns tau1…tau{robot.n}, or currents and torque "
+                "constants"
+            )
+
+
+def _link_parameters(arm: Robot | Fit) -> Array | None:
+    if isinstance(arm, Fit):
+        return arm.link_parameters
+    return arm.link_parameters if arm.has_inertia else None
+
+
+def _armature(arm: Robot | Fit, joint: int) -> float:
+    """Return the identified armature of a joint, kg·m²; what links absorbed is in them."""
+    if not isinstance(arm, Fit):
+        return 0.0
+    return sum(
+        float(value)
+        for column, value in zip(arm.model.columns, arm.effect_coefficients, strict=True)
+        if column.joint == joint and column.name == "armature.I_a"
+    )
+
+
+def _rigid(compiled: Compiled, segment: Processed, links: Array | None) -> Array:
+    if links is None:
+        return np.zeros_like(segment.q)
+    return compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, links)
+
+
+def _told(mismatch: float, size: float, joint: int, source: Load) -> list[LieidWarning]:
+    if not mismatch > LOAD_MISMATCH * size:
+        return []
+    consequence = (
+        "its load dependence is" if source == "model" else "and its load is the measured one"
+    )
+    return [
+        LoadMismatchWarning(
+            f"joint {joint + 1}: the mean of both ways differs from the model's rigid torque by "
+            f"{mismatch:.3g} N·m RMS, {mismatch / max(size, 1e-300):.0%} of it: inertias, tool or "
+            "torque constants are off, or the torque has an offset; friction itself is not "
+            f"affected, {consequence}"
+        )
+    ]
+
+
+def _of_joint(series: Array, joint: int, n: int) -> Array:
+    whole = np.zeros((len(series), n))
+    whole[:, joint] = series
+    return whole
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _torque(segment: Processed) -> Array:
+    assert segment.tau is not None  # checked where recordings come in
+    return segment.tau
+
+
+def _name(recordings: Sequence[Recording]) -> str:
+    return ", ".join(r.name for r in recordings if r.name) or "recording"
+
+
+def _unique(found: Sequence[LieidWarning]) -> tuple[LieidWarning, ...]:
+    """Drop repeats, and joints that stand still: here they should."""
+    kept = {(type(w), str(w)): w for w in found if not isinstance(w, JointStillWarning)}
+    return tuple(kept.values())

@@ -1,0 +1,164 @@
+"""Result of a friction model's fit to a friction curve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieid_casadi.compiled import Compiled, compile
+from lieid_casadi.errors import LieidWarning
+from lieid_casadi.friction_curves.constant_speed import steady_columns
+from lieid_casadi.friction_curves.curve import FrictionCurve
+from lieid_casadi.identification.fit import warning_list
+from lieid_casadi.model import Model, Parameter
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionFit:
+    """A friction model with numbers, fitted to one joint's curve.
+
+    Attributes
+    ----------
+    curve : FrictionCurve
+    model : Model
+        The robot with the effects on that joint.
+    coefficients : (m,)
+    shapes : (s,)
+    covariance : (m + s, m + s)
+        Infinite where the curve says nothing.
+    predicted : (G,)
+        Friction of the curve's points by the model, N·m.
+    warnings : tuple of LieidWarning
+    """
+
+    curve: FrictionCurve
+    model: Model
+    coefficients: Array
+    shapes: Array
+    covariance: Array
+    predicted: Array
+    warnings: tuple[LieidWarning, ...]
+
+    @cached_property
+    def compiled(self) -> Compiled:
+        """The model's functions."""
+        return compile(self.model)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Labels of the effects without the joint."""
+        return tuple(p.effect.label for p in self.model.placements)
+
+    @property
+    def rms(self) -> float:
+        """RMS of measured − predicted friction over the points, N·m (6.4.2)."""
+        return float(np.sqrt(np.mean((self.curve.friction - self.predicted) ** 2)))
+
+    @property
+    def correlation(self) -> float:
+        """Correlation coefficient of measured and predicted friction (6.4.2)."""
+        if np.ptp(self.curve.friction) == 0.0 or np.ptp(self.predicted) == 0.0:
+            return float("nan")
+        return float(np.corrcoef(self.curve.friction, self.predicted)[0, 1])
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion up to a constant of the curve; smaller is better."""
+        count = len(self.curve)
+        weighted = (self.curve.friction - self.predicted) / self.curve.std
+        square = float(np.mean(weighted**2))
+        free = len(self.coefficients) + len(self.shapes)
+        return float(count * np.log(max(square, 1e-300)) + free * np.log(count))
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of coefficients and shapes (m + s,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Coefficients, then shapes."""
+        return (*self.model.columns, *self.model.shapes)
+
+    def friction(
+        self,
+        speed: ArrayLike,
+        *,
+        load: ArrayLike = 0.0,
+        temperature: ArrayLike = 0.0,
+        position: ArrayLike = 0.0,
+    ) -> Array:
+        """Return friction (P,) at constant speeds (P,), rad/s, positive.
+
+        ``temperature`` is relative to the mean of the recordings, °C.
+        """
+        columns = steady_columns(
+            self.compiled,
+            self.curve.joint,
+            speed,
+            self.shapes,
+            load=load,
+            temperature=temperature,
+            position=position,
+        )
+        return np.asarray(columns @ self.coefficients)
+
+    def with_warnings(self, warnings: Sequence[LieidWarning]) -> FrictionFit:
+        """Return the fit with warnings."""
+        return replace(self, warnings=tuple(warnings))
+
+    def parameter_table(self) -> list[dict[str, Any]]:
+        """Return one row per number: name, joint (from 1), value, std, unit."""
+        values = np.concatenate([self.coefficients, self.shapes])
+        return [
+            {
+                "name": p.name,
+                "joint": p.joint + 1,
+                "value": float(value),
+                "std": float(std) if np.isfinite(std) else None,
+                "unit": p.unit,
+            }
+            for p, value, std in zip(self.parameters, values, self.std, strict=True)
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the model, its numbers and how well it fits."""
+        return {
+            "joint": self.curve.joint + 1,
+            "effects": list(self.effects),
+            "parameters": self.parameter_table(),
+            "rms": self.rms,
+            "correlation": None if np.isnan(self.correlation) else self.correlation,
+            "bic": self.bic,
+            "predicted": self.predicted.tolist(),
+            "warnings": warning_list(self.warnings),
+        }
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the curve and the model's friction at low and high load; return the figure."""
+        from lieid_casadi.friction_curves.plots import plot_fit
+
+        return plot_fit(self, ax)
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{row['name']}</td><td>{row['value']:.4g}</td>"
+            f"<td>{'–' if row['std'] is None else format(row['std'], '.2g')}</td>"
+            f"<td>{row['unit']}</td></tr>"
+            for row in self.parameter_table()
+        )
+        return (
+            f"<p>joint {self.curve.joint + 1}: RMS {self.rms:.3g} {self.curve.unit}, "
+            f"correlation {self.correlation:.4f}</p><table>{rows}</table>"
+        )

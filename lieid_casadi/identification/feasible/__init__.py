@@ -1,0 +1,1 @@
+"""Physically consistent parameters by semidefinite programming."""

@@ -1,0 +1,287 @@
+"""Physically possible parameters: the step from weighted least squares to ``feasible``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import (
+    BoundWarning,
+    ConvergenceWarning,
+    LieidWarning,
+    NoSolution,
+    NotDissipativeWarning,
+)
+from lieid_casadi.identification.feasible.certificate import (
+    Certificate,
+    least_dissipation,
+    least_mass_matrix_eigenvalue,
+    position_range,
+    pseudo_inertia_eigenvalues,
+)
+from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
+from lieid_casadi.identification.feasible.dissipation import dissipation_rows, greatest_speed
+from lieid_casadi.identification.feasible.options import FeasibleOptions
+from lieid_casadi.identification.feasible.problem import FeasibleProblem
+from lieid_casadi.identification.feasible.reference_bodies import reference_bodies
+from lieid_casadi.identification.regression.design_matrix import Design, varying_columns
+from lieid_casadi.identification.regression.fixed_point import State, has_settled
+from lieid_casadi.identification.regression.least_squares import Factor, combine, joint_factors
+from lieid_casadi.identification.regression.rows import Rows
+from lieid_casadi.identification.uncertainty.cross_validation import Fold, cross_validated_rms
+from lieid_casadi.recording import Processed
+
+Array = NDArray[np.float64]
+WEIGHTS = tuple(10.0**k for k in range(-5, 2))  # λ that cross-validation tries
+ROUNDS = 10  # of the fixed point over the load
+DRIVING = 0.1  # of a joint's noise: friction that drives it by more is told
+
+
+@dataclass(frozen=True, eq=False)
+class Feasible:
+    """Result: the state at physically possible parameters and how it was reached.
+
+    ``estimate`` maps the weighted factor of other rows to base values, at the same λ.
+    """
+
+    state: State
+    problem: FeasibleProblem
+    regularization: float
+    estimate: Callable[[Factor], Array]
+    warnings: tuple[LieidWarning, ...]
+
+
+def make_feasible(
+    design: Design,
+    start: State,
+    folds: Sequence[Fold],
+    options: FeasibleOptions,
+    report: Callable[[str, float], None],
+) -> Feasible:
+    """Return the physically possible parameters nearest to what the data says.
+
+    Weights and shape parameters are those of ``start``, found by weighted least squares.
+
+    Parameters
+    ----------
+    start : State
+    folds : sequence of Fold
+        To choose λ with, where the options do not give it.
+
+    Raises
+    ------
+    NoSolution
+        The solver did not finish.
+    IdentificationError
+        A nominal mass that is negative, an option for a link that is not there.
+    """
+    options.check_links(design.model.n)
+    problem, found = feasible_problem(
+        design, start.weighting.factor, start.shapes, start.parameters, options
+    )
+    solver = ConvexSolver(problem)
+    noise = start.weighting.noise
+    weight = options.regularization
+    if weight is None:
+        weight = choose_regularization(solver, folds, noise, report)
+    state, settled = _follow_load(design, start, solver, weight)
+    if not settled:
+        found = (
+            *found,
+            ConvergenceWarning(
+                f"the load had not settled after {ROUNDS} rounds of method feasible"
+            ),
+        )
+    found = (*found, *_at_bounds(design, start, state), *_driving(design, start, problem))
+
+    def estimate(factor: Factor) -> Array:
+        return np.asarray(problem.combination @ solver.solve(factor, weight))
+
+    return Feasible(state, problem, weight, estimate, found)
+
+
+def certify(design: Design, feasible: Feasible, rms: Array, rms_wls: Array) -> Certificate:
+    """Check the result by means other than the solver's.
+
+    Parameters
+    ----------
+    rms, rms_wls : (n,)
+        Training error of the result and of weighted least squares, N·m.
+    """
+    problem, parameters = feasible.problem, feasible.state.parameters
+    links, options = parameters[: 10 * problem.n], problem.options
+    return Certificate(
+        regularization=feasible.regularization,
+        regularization_source="given" if options.regularization else "cross-validation",
+        pseudo_inertia_eigenvalue=pseudo_inertia_eigenvalues(links),
+        mass_matrix_eigenvalue=least_mass_matrix_eigenvalue(
+            design.compiled, links, poses=options.poses, seed=options.seed
+        ),
+        poses=options.poses,
+        least_dissipation=least_dissipation(problem.friction, parameters[10 * problem.n :]),
+        divergence=problem.divergences(parameters),
+        rms=rms,
+        rms_wls=rms_wls,
+    )
+
+
+def feasible_problem(
+    design: Design, factor: Factor, shapes: Array, parameters: Array, options: FeasibleOptions
+) -> tuple[FeasibleProblem, tuple[LieidWarning, ...]]:
+    """Return the problem of a model and what there is to say about its nominal bodies.
+
+    Parameters
+    ----------
+    factor : Factor
+        Of the weighted rows, or of rows like them.
+    shapes : (s,)
+    parameters : (10 n + m,)
+        That give the greatest load.
+    """
+    model = design.model
+    references, found = reference_bodies(model, factor)
+    lower, upper = position_range(model.robot)
+    friction = dissipation_rows(
+        design.compiled,
+        shapes,
+        velocity=greatest_speed(model, design.segments, options.velocity),
+        load=_greatest_load(design, parameters),
+        temperature=_greatest_temperature(design.segments),
+        lower=lower,
+        upper=upper,
+    )
+    problem = FeasibleProblem(
+        combination=model.base.combination,
+        references=references,
+        lower=np.array([c.lower for c in model.columns]),
+        upper=np.array([c.upper for c in model.columns]),
+        friction=friction,
+        typical=factor,
+        options=options,
+    )
+    return problem, found
+
+
+def choose_regularization(
+    solver: ConvexSolver,
+    folds: Sequence[Fold],
+    noise: Array,
+    report: Callable[[str, float], None] | None = None,
+) -> float:
+    """Return the λ whose held-out error, in units of the joints' noise, is least.
+
+    Raises
+    ------
+    NoSolution
+        The solver finished at no λ at all.
+    """
+    best, least, failure = None, np.inf, None
+    for k, weight in enumerate(WEIGHTS):
+        if report is not None:
+            report("regularization", k / len(WEIGHTS))
+        try:
+            score = _score(solver, folds, noise, weight)
+        except NoSolution as error:  # small λ on little data: a larger one may do
+            failure = error
+            continue
+        if score < least:
+            best, least = weight, score
+    if best is None:
+        assert failure is not None
+        raise failure
+    return best
+
+
+def _score(solver: ConvexSolver, folds: Sequence[Fold], noise: Array, weight: float) -> float:
+    combination = solver.problem.combination
+    rms = cross_validated_rms(folds, lambda f: np.asarray(combination @ solver.solve(f, weight)))
+    return float(np.nansum((rms / noise) ** 2))
+
+
+def _follow_load(
+    design: Design, start: State, solver: ConvexSolver, weight: float
+) -> tuple[State, bool]:
+    """Solve, and again with the load of the solution until the predicted torque settles."""
+    model = design.model
+    moving = bool(varying_columns(model).any())
+    rows, weighting = start.rows, start.weighting
+    before: Array | None = None
+    for _ in range(ROUNDS):
+        parameters = solver.solve(weighting.factor, weight)
+        values = model.base.combination @ parameters
+        state = State(
+            shapes=start.shapes,
+            rows=rows,
+            weighting=weighting,
+            solution=replace(start.solution, values=values),
+            parameters=parameters,
+        )
+        if not moving:
+            return state, True
+        predicted = rows.predicted(values)
+        if before is not None and has_settled(predicted, before):
+            return state, True
+        before = predicted
+        rows = design.rows(start.shapes, parameters)
+        factor = _weighted(rows, start.weighting.rows)
+        weighting = replace(start.weighting, factor=factor)
+    return state, False
+
+
+def _at_bounds(design: Design, start: State, state: State) -> list[LieidWarning]:
+    """Tell coefficients that a bound holds back from what least squares asks for."""
+    found: list[LieidWarning] = []
+    before, after = start.solution.values, state.solution.values
+    for parameter, free, held in zip(design.model.base_columns, before, after, strict=True):
+        if not parameter.lower <= free <= parameter.upper:
+            found.append(
+                BoundWarning(
+                    f"{parameter.label} = {held:.3g} {parameter.unit} is held by its bound "
+                    f"[{parameter.lower:g}, {parameter.upper:g}]; least squares asks for "
+                    f"{free:.3g}: the model lacks something, or the effect is not there"
+                )
+            )
+    return found
+
+
+def _driving(design: Design, start: State, problem: FeasibleProblem) -> list[LieidWarning]:
+    """Tell joints whose friction, by least squares, would drive them at some permitted speed."""
+    columns = design.model.columns
+    friction = start.parameters[10 * problem.n :]
+    recorded = np.max([np.abs(s.dq).max(axis=0) for s in design.segments], axis=0)
+    permitted = greatest_speed(design.model, design.segments, problem.options.velocity)
+    found: list[LieidWarning] = []
+    for joint in range(problem.n):
+        own = np.array([c.joint == joint for c in columns], dtype=bool)
+        rows = problem.friction[np.any(problem.friction[:, own] != 0.0, axis=1)]
+        if len(rows) and float((rows @ friction).min()) < -DRIVING * start.weighting.noise[joint]:
+            found.append(
+                NotDissipativeWarning(
+                    f"joint {joint + 1}: friction by least squares would drive the joint at some "
+                    f"speed up to {permitted[joint]:.3g} rad/s (recorded: up to "
+                    f"{recorded[joint]:.3g}); it is held to dissipate, which costs this joint "
+                    "accuracy; add the friction that is missing, or state a lower speed"
+                )
+            )
+    return found
+
+
+def _weighted(rows: Rows, weights: Sequence[Array]) -> Factor:
+    return combine(joint_factors(rows, weights), np.ones(len(rows.columns)))
+
+
+def _greatest_load(design: Design, parameters: Array) -> Array:
+    links = parameters[: 10 * design.model.n]
+    loads = [
+        np.abs(design.compiled.inverse_dynamics(s.q, s.dq, s.ddq, links)).max(axis=0)
+        for s in design.segments
+    ]
+    return np.asarray(np.max(loads, axis=0))
+
+
+def _greatest_temperature(segments: Sequence[Processed]) -> Array:
+    seen = [np.abs(s.temperature).max(axis=0) for s in segments if s.temperature is not None]
+    return np.asarray(np.max(seen, axis=0)) if seen else np.zeros(segments[0].n)

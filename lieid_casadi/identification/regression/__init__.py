@@ -1,0 +1,1 @@
+"""The regression of a fit: columns, rows, weights, least squares and shape parameters."""

@@ -1,0 +1,122 @@
+"""Linear least squares on triangular factors: scaled columns, SVD, never a normal matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from lieid_casadi.compiled.triangular_factors import Triangle, triangular
+from lieid_casadi.identification.regression.rows import Rows
+
+Array = NDArray[np.float64]
+RANK_TOLERANCE = 1e-9  # of scaled columns; below it the data does not excite a direction
+STRONG = 0.3  # share in a direction's unit vector that earns a parameter its name there
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Triangular factor of [matrix | torque]: all that a fit needs of its rows.
+
+    Attributes
+    ----------
+    r : (p + 1, p + 1)
+        Upper triangular; ‖matrix·β − torque‖ = ‖r·[β; −1]‖ for every β.
+    rows : int
+        How many rows went in.
+    """
+
+    r: Array
+    rows: int
+
+    def misfit(self, values: Array) -> float:
+        """Return the sum of squared residuals at values (p,)."""
+        return float(np.sum((self.r[:, :-1] @ values - self.r[:, -1]) ** 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Least-squares values (p,), their unit covariance (p, p), and what was not excited.
+
+    ``hidden`` lists the directions (p,) in which values could be changed freely; along them
+    the smallest values were taken.
+    """
+
+    values: Array
+    unit_covariance: Array
+    hidden: tuple[Array, ...]
+
+
+def joint_factors(rows: Rows, weights: Sequence[Array] | None = None) -> list[Factor]:
+    """Return one factor per joint, in all p columns; ``weights`` multiply the rows."""
+    if weights is None and rows.unweighted is not None:
+        return rows.unweighted
+    triangles = [Triangle(len(columns) + 1) for columns in rows.columns]
+    for part, where in rows.stretches():
+        for j, (joint, triangle) in enumerate(zip(part.joints, triangles, strict=True)):
+            weight = None if weights is None else weights[j][where[j]]
+            triangle.add(joint.matrix, joint.torque, weights=weight)
+    factors = [
+        widened(triangle.r, columns, rows.count, int(length))
+        for triangle, columns, length in zip(triangles, rows.columns, rows.lengths, strict=True)
+    ]
+    if weights is None:
+        rows.unweighted = factors
+    return factors
+
+
+def widened(small: Array, columns: NDArray[np.integer], p: int, rows: int) -> Factor:
+    """Return the factor (k, c + 1) of some columns and the torque as one of all p columns."""
+    wide = np.zeros((len(small), p + 1))
+    wide[:, [*columns, p]] = small
+    return Factor(wide, rows)
+
+
+def combine(factors: Sequence[Factor], weights: Sequence[float] | Array) -> Factor:
+    """Return the factor of all rows, each joint's multiplied by its weight."""
+    triangle = Triangle(factors[0].r.shape[1])
+    for factor, weight in zip(factors, weights, strict=True):
+        triangle.add(factor.r * weight)
+    return Factor(triangle.r, sum(f.rows for f in factors))
+
+
+def solve(factor: Factor) -> Solution:
+    """Return the least-squares solution; directions that the rows do not show are set to 0."""
+    r, z = factor.r[:, :-1], factor.r[:, -1]
+    scale = np.linalg.norm(r, axis=0)
+    scale[scale == 0.0] = 1.0
+    u, sizes, vt = np.linalg.svd(r / scale, full_matrices=False)
+    seen = sizes > RANK_TOLERANCE * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), bool)
+    inverse = (vt[seen].T / sizes[seen]) / scale[:, None]
+    values = inverse @ (u[:, seen].T @ z)
+    hidden = tuple(direction / scale for direction in vt[~seen])
+    return Solution(values, inverse @ inverse.T, hidden)
+
+
+def remaining_fraction(factor: Factor) -> Array:
+    """Return for each column (p,) the share of its norm that the other columns do not span.
+
+    Frisch-Waugh-Lovell: 1 / (‖column‖ · ‖row of the inverse factor‖).
+    """
+    r = factor.r[:, :-1]
+    norms = np.linalg.norm(r, axis=0)
+    safe = np.where(norms > 0, norms, 1.0)
+    square = triangular(r / safe)
+    diagonal = np.abs(np.diag(square))
+    if len(square) < r.shape[1] or diagonal.min(initial=1.0) < 1e-14:
+        square = square + 0.0
+        np.fill_diagonal(square, np.where(diagonal < 1e-14, 1e-14, np.diag(square)))
+    inverse = solve_triangular(square[: r.shape[1]], np.eye(r.shape[1]))
+    return np.where(norms > 0, 1.0 / np.linalg.norm(inverse, axis=1), 0.0)
+
+
+def name_direction(direction: Array, labels: Sequence[str]) -> str:
+    """Return the parameters that dominate a direction: ``Ixx5 − Iyy5``."""
+    unit = direction / np.linalg.norm(direction)
+    order = np.argsort(-np.abs(unit))
+    strong = [k for k in order if abs(unit[k]) >= STRONG * abs(unit[order[0]])][:4]
+    terms = [f"{unit[k]:+.2g} {labels[k]}" for k in strong]
+    return " ".join(terms)

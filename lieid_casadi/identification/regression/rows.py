@@ -1,0 +1,158 @@
+"""The equations of a regression, per joint: in memory, or in stretches that are made anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from lieid_casadi.identification.regression.least_squares import Factor
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class JointRows:
+    """One joint's equations ``torque = matrix @ β[columns]``.
+
+    Attributes
+    ----------
+    columns : (c,) int
+        Base columns that act on this joint: links from it on, and its own effects.
+    matrix : (R, c)
+    torque : (R,)
+        N·m.
+    instant : (R,) int
+        Row's position in the common time line of all segments.
+    """
+
+    columns: Indices
+    matrix: Array
+    torque: Array
+    instant: Indices
+
+
+class Rows:
+    """All joints' equations.
+
+    ``segments`` holds the first instant of each segment and, last, the number of instants.
+    """
+
+    def __init__(self, joints: Sequence[JointRows], count: int, segments: Indices) -> None:
+        self._joints: tuple[JointRows, ...] | None = tuple(joints)
+        self.count = count
+        self.segments = segments
+        self.unweighted: list[Factor] | None = None  # kept by `least_squares.joint_factors`
+
+    @property
+    def joints(self) -> tuple[JointRows, ...]:
+        """Each joint's equations."""
+        assert self._joints is not None
+        return self._joints
+
+    @property
+    def lengths(self) -> Indices:
+        """Number of rows of each joint (n,)."""
+        return np.array([len(joint.torque) for joint in self.joints], dtype=np.intp)
+
+    @property
+    def columns(self) -> tuple[Indices, ...]:
+        """Base columns of each joint."""
+        return tuple(joint.columns for joint in self.joints)
+
+    def stretches(self) -> Iterator[tuple[Rows, list[slice]]]:
+        """Yield parts that follow each other in time, and where their rows are, per joint.
+
+        A part is complete in itself: its instants begin at 0. Ordinary recordings are one.
+        """
+        yield self, [slice(0, length) for length in self.lengths]
+
+    def residuals(self, values: Array) -> list[Array]:
+        """Return measured − predicted torque per joint (R,)."""
+        return self._collected(lambda joint: joint.torque - joint.matrix @ values[joint.columns])
+
+    def on_time_line(self, values: Array) -> Array:
+        """Return the residuals on the common time line (instants, n); NaN where there is no row."""
+        line = np.full((int(self.segments[-1]), len(self.columns)), np.nan)
+        first = 0
+        for part, _ in self.stretches():
+            for j, joint in enumerate(part.joints):
+                residual = joint.torque - joint.matrix @ values[joint.columns]
+                line[first + joint.instant, j] = residual
+            first += int(part.segments[-1])
+        return line
+
+    def predicted(self, values: Array) -> Array:
+        """Return the predicted torque of all rows, joint after joint."""
+        return np.concatenate(self._collected(lambda joint: joint.matrix @ values[joint.columns]))
+
+    def _collected(self, of: Callable[[JointRows], Array]) -> list[Array]:
+        parts = [[of(joint) for joint in part.joints] for part, _ in self.stretches()]
+        return [np.concatenate(joint) for joint in zip(*parts, strict=True)]
+
+
+class LongRows(Rows):
+    """Equations too many to keep: each stretch is made when it is asked for.
+
+    Parameters
+    ----------
+    make : callable
+        Number of a stretch to its rows.
+    lengths : (stretches, n) int
+        Rows of each joint.
+    instants : (stretches,) int
+    """
+
+    def __init__(
+        self,
+        make: Callable[[int], Rows],
+        lengths: Indices,
+        instants: Indices,
+        columns: Sequence[Indices],
+        count: int,
+        segments: Indices,
+    ) -> None:
+        super().__init__((), count, segments)
+        self._joints = None
+        self._make, self._lengths, self._instants = make, lengths, instants
+        self._columns = tuple(columns)
+
+    @property
+    def joints(self) -> tuple[JointRows, ...]:
+        """Each joint's equations, all of them in memory."""
+        if self._joints is None:
+            firsts = np.cumsum(self._instants) - self._instants
+            parts = [part.joints for part, _ in self.stretches()]
+            self._joints = tuple(_joined(one, firsts) for one in zip(*parts, strict=True))
+        return self._joints
+
+    @property
+    def lengths(self) -> Indices:
+        """Number of rows of each joint (n,)."""
+        return np.asarray(self._lengths.sum(axis=0))
+
+    @property
+    def columns(self) -> tuple[Indices, ...]:
+        """Base columns of each joint."""
+        return self._columns
+
+    def stretches(self) -> Iterator[tuple[Rows, list[slice]]]:
+        """See `Rows`."""
+        ends = np.cumsum(self._lengths, axis=0)
+        for k, (lengths, end) in enumerate(zip(self._lengths, ends, strict=True)):
+            where = [slice(int(b - m), int(b)) for m, b in zip(lengths, end, strict=True)]
+            yield self._make(k), where
+
+
+def _joined(parts: Sequence[JointRows], firsts: Indices) -> JointRows:
+    return JointRows(
+        parts[0].columns,
+        np.concatenate([part.matrix for part in parts]),
+        np.concatenate([part.torque for part in parts]),
+        np.concatenate([part.instant + a for part, a in zip(parts, firsts, strict=True)]),
+    )

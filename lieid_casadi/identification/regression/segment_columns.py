@@ -1,0 +1,161 @@
+"""Effect columns along a segment, with those that need the model along the whole of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.compiled import Compiled, compile
+from lieid_casadi.dynamics.base_parameters import parameter_transport
+from lieid_casadi.effects.arm_effect import ArmEffect
+from lieid_casadi.model import Model
+from lieid_casadi.recording.processing.filtering import lowpass
+from lieid_casadi.recording.processing.process import Processed
+
+Array = NDArray[np.float64]
+SMOOTH = 1.0 / 3.0  # of the cut-off, which is at least six times the band of the motion
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """A model with numbers along a segment.
+
+    Attributes
+    ----------
+    parameters : (10 n + m,)
+        Link parameters and effect coefficients.
+    joint_columns : (K, n, m)
+        Effect columns that follow from the signals of one instant; others are zero.
+    fitted : bool
+        Whether the model is fitted to this segment.
+    """
+
+    compiled: Compiled
+    segment: Processed
+    parameters: Array
+    joint_columns: Array
+    fitted: bool
+
+    @property
+    def t(self) -> Array:
+        """Time (K,), s."""
+        return self.segment.t
+
+    @property
+    def motion(self) -> tuple[Array, Array, Array]:
+        """q, dq, ddq (K, n)."""
+        return self.segment.q, self.segment.dq, self.segment.ddq
+
+    @property
+    def _links(self) -> Array:
+        return self.parameters[: 10 * self.compiled.n]
+
+    @property
+    def coefficients(self) -> Array:
+        """Effect coefficients (m,)."""
+        return self.parameters[10 * self.compiled.n :]
+
+    @cached_property
+    def load(self) -> Array:
+        """Rigid torque (K, n), N·m."""
+        return self.rigid(*self.motion)
+
+    @cached_property
+    def torque(self) -> Array:
+        """Torque (K, n) of the rigid arm and all effects on single joints, N·m."""
+        return np.asarray(self.load + self.joint_columns @ self.coefficients)
+
+    def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """Return the rigid torque (K, n) of another motion."""
+        return self.compiled.inverse_dynamics(q, dq, ddq, self._links)
+
+    def smooth(self, x: Array) -> Array:
+        """Return a signal (K, …) below a third of the filter's cut-off.
+
+        Deriving twice makes noise near the cut-off larger than all motion.
+        """
+        return lowpass(x, self.segment.rate, SMOOTH * self.segment.cutoff)
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity (3,) in the base frame, m/s²."""
+        return np.asarray(self.compiled.model.robot.gravity)
+
+    def gravity_by_axis(self) -> Array:
+        """Return the gravity torques (K, n, 3) of 1 m/s² along each axis of the base."""
+        return np.stack(
+            [arm.gravity(self.segment.q, self._links) for arm in _in_gravity(self.compiled)],
+            axis=-1,
+        )
+
+    def jacobian(self) -> Array:
+        """Return the tool's Jacobian (K, 6, n), [ω; v], base axes."""
+        return self.compiled.jacobian(self.segment.q)
+
+    def tool_regressor(self) -> Array:
+        """Return the rigid torque (K, n, 10) per link parameter of a body in the tool's frame."""
+        last = self.compiled.regressor(*self.motion)[:, :, -10:]
+        return np.asarray(last @ parameter_transport(self.compiled.model.robot.tool))
+
+
+@lru_cache(maxsize=8)
+def _in_gravity(compiled: Compiled) -> list[Compiled]:
+    """Return the bare arm in a gravity of 1 m/s² along each axis of the base."""
+    robot = compiled.model.robot
+    return [compile(Model(replace(robot, gravity=axis))) for axis in np.eye(3)]
+
+
+def effect_signals(segment: Processed, shapes: Array, load: Array | None) -> dict[str, Array]:
+    """Return the signals that effects see along a segment, as keywords of `Compiled`."""
+    signals = {
+        "shapes": shapes,
+        "dead_zone": segment.dead_zone,
+        "time": segment.t - segment.t[0],
+    }
+    if load is not None:
+        signals["load"] = load
+    if segment.temperature is not None:
+        signals["temperature"] = segment.temperature
+    return signals
+
+
+def effects_along(
+    compiled: Compiled,
+    segment: Processed,
+    shapes: Array,
+    parameters: Array | None,
+    *,
+    fitted: bool = True,
+) -> Array:
+    """Return the columns of all effects (K, n, m) along a segment.
+
+    Parameters
+    ----------
+    shapes : (s,)
+    parameters : (10 n + m,) or (10 n,) or None
+        Link parameters and coefficients so far; None means no load yet.
+    fitted : bool
+        Whether the model is fitted to this segment: drift does not carry over to others.
+    """
+    n, width = compiled.n, len(compiled.model.columns)
+    load = None
+    if parameters is not None:
+        parameters = np.concatenate([parameters, np.zeros(10 * n + width - len(parameters))])
+        load = compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, parameters[: 10 * n])
+    signals: dict[str, Any] = effect_signals(segment, shapes, load)
+    columns = compiled.effect_columns(segment.q, segment.dq, segment.ddq, **signals)
+    if parameters is None:
+        return columns
+    arm = Along(compiled, segment, parameters, columns, fitted)
+    first, filled = 0, None
+    for p in compiled.model.placements:
+        last = first + len(p.effect.coefficients)
+        if isinstance(p.effect, ArmEffect):
+            filled = columns.copy() if filled is None else filled
+            filled[:, :, first:last] = p.effect.along(arm, p.joint, arm.coefficients[first:last])
+        first = last
+    return columns if filled is None else filled

@@ -1,0 +1,1 @@
+"""Standard deviations, prediction bands, bootstrap and cross-validation."""

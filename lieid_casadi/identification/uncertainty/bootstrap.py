@@ -1,0 +1,186 @@
+"""Block bootstrap: the fit repeated on blocks of the recordings drawn with replacement.
+
+Each block of consecutive instants, many times longer than the residuals' memory, is reduced to
+one triangular factor; a resample stacks factors, so that its cost does not depend on the number
+of samples. It asks nothing of the residuals but that blocks are alike, and also serves methods
+whose standard errors no formula gives (``feasible``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import IdentificationError, NoSolution
+from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
+from lieid_casadi.identification.feasible.feasible_fit import feasible_problem
+from lieid_casadi.identification.feasible.options import FeasibleOptions
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.identification.prediction import relative_temperature
+from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.fixed_point import Progress
+from lieid_casadi.identification.regression.least_squares import (
+    Factor,
+    combine,
+    joint_factors,
+    solve,
+)
+from lieid_casadi.identification.regression.rows import JointRows, Rows
+from lieid_casadi.identification.uncertainty.covariance import residual_memory
+from lieid_casadi.model import Model, Parameter
+from lieid_casadi.recording import Recording, process
+
+Array = NDArray[np.float64]
+LENGTH = 4  # of a block, in memories of the residuals
+FEWEST = 10  # blocks: with fewer their spread says little
+MOST = 60  # blocks: with more a resample only takes longer
+
+
+@dataclass(frozen=True, eq=False)
+class Bootstrap:
+    """Repeated fits.
+
+    Attributes
+    ----------
+    model : Model
+    values : (B, p)
+        Base values of each resample.
+    block_count : int
+        Blocks that were drawn from.
+    block_seconds : float
+        Length of a block, s.
+    failed : int
+        Resamples that the solver of method ``feasible`` did not finish; they are left out.
+    """
+
+    model: Model
+    values: Array
+    block_count: int
+    block_seconds: float
+    failed: int = 0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What the columns of ``values`` are."""
+        return self.model.base_columns
+
+    @property
+    def covariance(self) -> Array:
+        """Of the base values (p, p)."""
+        return np.atleast_2d(np.cov(self.values, rowvar=False))
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the base values (p,)."""
+        return np.asarray(self.values.std(axis=0, ddof=1))
+
+    def interval(self, level: float = 0.95) -> tuple[Array, Array]:
+        """Return the bounds (p,) that hold ``level`` of the resamples."""
+        tail = 0.5 * (1.0 - level)
+        low, high = np.quantile(self.values, [tail, 1.0 - tail], axis=0)
+        return low, high
+
+
+def bootstrap(
+    fit: Fit,
+    recordings: Recording | Sequence[Recording],
+    *,
+    resamples: int = 200,
+    seed: int = 0,
+    feasible: FeasibleOptions | None = None,
+    progress: Progress | None = None,
+) -> Bootstrap:
+    """Fit resamples of a fit's recordings, weights and shape parameters being the fit's.
+
+    Parameters
+    ----------
+    recordings : Recording or sequence of Recording
+        Those that the fit was made from.
+    feasible : FeasibleOptions, optional
+        As given to `identify`; λ is that of the fit.
+
+    Raises
+    ------
+    IdentificationError
+        Too few blocks in the recordings, or fewer than two resamples.
+    """
+    if resamples < 2:
+        raise IdentificationError(f"{resamples} resamples, expected at least 2")
+    segments = [
+        relative_temperature(segment, fit.temperature_mean)
+        for segment in process(recordings, fit.processing)
+    ]
+    design = Design(fit.compiled, segments)
+    rows = design.rows(fit.shapes, fit.parameters)
+    weights = np.ones(fit.model.n) if fit.method == "ols" else 1.0 / fit.noise
+    memory = residual_memory(rows, rows.residuals(fit.values))
+    length = max(LENGTH * memory, int(rows.segments[-1]) // MOST)
+    blocks = block_factors(rows, weights, block=length)
+    step = float(np.median(np.diff(segments[0].filtered_time)))
+    if len(blocks) < FEWEST:
+        raise IdentificationError(
+            f"{len(blocks)} blocks of {length * step:.3g} s, in which residuals are correlated; "
+            f"expected at least {FEWEST}: give longer recordings"
+        )
+    estimate = _estimator(fit, design, blocks, feasible)
+    random, found, failed = np.random.default_rng(seed), [], 0
+    for k in range(resamples):
+        drawn = random.integers(len(blocks), size=len(blocks))
+        try:
+            found.append(estimate(combine([blocks[i] for i in drawn], np.ones(len(drawn)))))
+        except NoSolution:
+            failed += 1
+        if progress is not None:
+            progress("bootstrap", (k + 1) / resamples)
+    if len(found) < 2:
+        raise NoSolution("no resample has physically possible parameters; fit again with wls")
+    return Bootstrap(fit.model, np.array(found), len(blocks), length * step, failed)
+
+
+def block_factors(rows: Rows, weights: Array, *, block: int) -> list[Factor]:
+    """Return one weighted factor of all joints per block of consecutive instants."""
+    factors = []
+    for part, _ in rows.stretches():
+        numbers = _block_numbers(part, block)
+        for k in range(int(numbers.max(initial=-1)) + 1):
+            own = combine(joint_factors(_select(part, numbers == k)), weights)
+            if own.rows:
+                factors.append(own)
+    return factors
+
+
+def _block_numbers(rows: Rows, block: int) -> NDArray[np.intp]:
+    """Return each instant's block of ``block`` instants; blocks start anew with each segment."""
+    numbers = np.empty(int(rows.segments[-1]), dtype=np.intp)
+    first = 0
+    for start, end in zip(rows.segments[:-1], rows.segments[1:], strict=True):
+        numbers[start:end] = first + np.arange(end - start) // block
+        first = int(numbers[end - 1]) + 1 if end > start else first
+    return numbers
+
+
+def _select(rows: Rows, instants: NDArray[np.bool_]) -> Rows:
+    joints = []
+    for joint in rows.joints:
+        use = instants[joint.instant]
+        joints.append(
+            JointRows(joint.columns, joint.matrix[use], joint.torque[use], joint.instant[use])
+        )
+    return Rows(joints, rows.count, rows.segments)
+
+
+def _estimator(
+    fit: Fit, design: Design, blocks: Sequence[Factor], options: FeasibleOptions | None
+) -> Callable[[Factor], Array]:
+    if fit.certificate is None:
+        return lambda factor: solve(factor).values
+    weight = fit.certificate.regularization
+    whole = combine(blocks, np.ones(len(blocks)))
+    problem, _ = feasible_problem(
+        design, whole, fit.shapes, fit.parameters, options or FeasibleOptions()
+    )
+    solver = ConvexSolver(problem)
+    return lambda factor: np.asarray(problem.combination @ solver.solve(factor, weight))

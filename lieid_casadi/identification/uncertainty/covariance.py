@@ -1,0 +1,200 @@
+"""Standard deviations that allow for residuals correlated in time and between joints.
+
+After a low-pass, neighbouring residuals are nearly the same number, so the white-noise formula
+is several times too small. Two estimates of the scores' covariance are made:
+
+- from the spectrum of the residuals, taken to be stationary; precise, since it needs one
+  spectrum per pair of joints only;
+- from the scores x·e themselves (Newey & West, Econometrica 1987, with Parzen's kernel), which
+  allows for residuals that are larger in some motions than in others, and varies more.
+
+Each parameter gets the larger standard deviation of the two; correlations are those of the
+first. Both are raised by what the fit has taken out of the residuals.
+
+Recordings too long to keep are taken in stretches, uncorrelated with each other: each is many
+times longer than the residual's memory.
+
+Limits: they need many times more instants than the residual's memory, say nothing about errors
+in q, and treat model error as if it were noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft
+
+from lieid_casadi.identification.regression.rows import JointRows, Rows
+from lieid_casadi.identification.uncertainty.residual_spectrum import (
+    ResidualSpectrum,
+    TimeLine,
+    residual_spectrum,
+)
+
+Array = NDArray[np.float64]
+COLUMNS = 8  # transformed at once; bounds the memory of long recordings
+LEAST_LEFT = 0.1  # of a residual's spectrum, however many parameters there are
+SEEN = 1e-4  # of the kernel's height; frequencies below it are left out
+
+
+def hac_covariance(
+    rows: Rows, weights: Sequence[Array], residuals: Sequence[Array], unit_covariance: Array
+) -> Array:
+    """Return the covariance of least-squares values (p, p).
+
+    Parameters
+    ----------
+    weights : sequence of (R,)
+        Of each joint's rows (multiplying them).
+    residuals : sequence of (R,)
+        Unweighted, N·m.
+    unit_covariance : (p, p)
+        (XᵀX)⁻¹ of the weighted rows.
+    """
+    stationary, general = np.zeros((2, *unit_covariance.shape))
+    for part, where in rows.stretches():
+        weight, residual = (
+            [values[own] for values, own in zip(of, where, strict=True)]
+            for of in (weights, residuals)
+        )
+        one, other = _score_covariances(part, weight, residual, unit_covariance)
+        stationary += one
+        general += other
+    stationary = unit_covariance @ stationary @ unit_covariance
+    general = unit_covariance @ general @ unit_covariance
+    first, second = np.diag(stationary), np.diag(general)
+    ratio = np.divide(second, first, out=np.ones_like(first), where=first > 0.0)
+    growth = np.sqrt(np.maximum(ratio, 1.0))
+    return np.asarray(stationary * np.outer(growth, growth))
+
+
+def _score_covariances(
+    rows: Rows, weights: Sequence[Array], residuals: Sequence[Array], unit_covariance: Array
+) -> tuple[Array, Array]:
+    """Return the scores' covariance (p, p) by the residuals' spectrum, and by the scores."""
+    line = TimeLine.of(rows)
+    noise = [w**2 * e for w, e in zip(weights, residuals, strict=True)]
+    spectrum = residual_spectrum(line, rows, noise)
+    taken = _taken_by_the_fit(line, rows, spectrum, weights, unit_covariance)
+    size = np.sqrt(taken)
+    raised = spectrum.density * (size[:, :, None] * size[:, None, :])
+    scores = [
+        line.back(joint.instant, taken[:, j] * line.transform(joint.instant, noise[j]))
+        for j, joint in enumerate(rows.joints)
+    ]
+    products = _filtered_products(line, rows, raised)
+    return products, _score_products(line, rows, scores, spectrum.memory)
+
+
+def residual_memory(rows: Rows, residuals: Sequence[Array]) -> int:
+    """Return in how many instants residuals (R,) per joint are correlated."""
+    return residual_spectrum(TimeLine.of(rows), rows, residuals).memory
+
+
+def _filtered_products(line: TimeLine, rows: Rows, density: NDArray[np.complex128]) -> Array:
+    """Return Σ_jk X_jᵀ·Ω_jk·X_k (p, p), Ω having the covariances of a spectrum (F, n, n)."""
+    total = np.zeros((rows.count, rows.count))
+    for first in range(0, rows.count, COLUMNS):
+        block = np.arange(first, min(first + COLUMNS, rows.count))
+        given = np.stack([_transform_columns(line, joint, block) for joint in rows.joints], axis=1)
+        filtered = np.einsum("fjk,fkc->fjc", density, given)
+        for k, joint in enumerate(rows.joints):
+            values = line.back(joint.instant, filtered[:, k])
+            total[np.ix_(joint.columns, block)] += joint.matrix.T @ values
+    return 0.5 * (total + total.T)
+
+
+def _transform_columns(
+    line: TimeLine, joint: JointRows, block: NDArray[np.intp]
+) -> NDArray[np.complex128]:
+    """Return the transforms (F, c) of some base columns along one joint's rows."""
+    values = np.zeros((len(joint.instant), len(block)))
+    own, position = np.nonzero(joint.columns[:, None] == block[None, :])
+    values[:, position] = joint.matrix[:, own]
+    return line.transform(joint.instant, values)
+
+
+def _taken_by_the_fit(
+    line: TimeLine,
+    rows: Rows,
+    spectrum: ResidualSpectrum,
+    weights: Sequence[Array],
+    unit_covariance: Array,
+) -> Array:
+    """Return the noise's spectrum over the residual's (F, n), at each frequency and joint.
+
+    A fit takes out noise where its columns are, mostly at low frequencies. The residual's
+    spectrum is that of (1 − H)Ω(1 − H)ᵀ, evaluated with the estimated Ω; joints are taken to
+    be uncorrelated for it.
+    """
+    own = [spectrum.density[:, j, j].real for j in range(len(rows.joints))]
+    squares = [float(np.mean(w**2)) if len(w) else 1.0 for w in weights]
+    middle = np.zeros_like(unit_covariance)
+    for joint, density in zip(rows.joints, own, strict=True):
+        small = joint.matrix.T @ _filtered(line, joint, density)
+        middle[np.ix_(joint.columns, joint.columns)] += small
+    covariance = unit_covariance @ middle @ unit_covariance
+    taken = np.ones((line.size // 2 + 1, len(rows.joints)))
+    for j, (joint, density, square) in enumerate(zip(rows.joints, own, squares, strict=True)):
+        if spectrum.variance[j] <= 0.0:
+            continue
+        here = np.ix_(joint.columns, joint.columns)
+        # in units of w²·e, whose columns are w²·X
+        fitted = square * joint.matrix @ unit_covariance[here]
+        power = -2.0 * _cross_power(line, joint, fitted, _filtered(line, joint, density))
+        both = joint.matrix @ covariance[here] * square**2
+        power += _cross_power(line, joint, both, joint.matrix)
+        left = density + spectrum.smoothed(line, joint, power)
+        taken[:, j] = density / np.maximum(left, LEAST_LEFT * density + np.finfo(float).tiny)
+    return np.asarray(np.maximum(taken, 1.0))
+
+
+def _filtered(line: TimeLine, joint: JointRows, density: Array) -> Array:
+    """Return Ω·X of one joint (R, c)."""
+    filtered = np.empty_like(joint.matrix)
+    for first in range(0, filtered.shape[1], COLUMNS):
+        part = slice(first, first + COLUMNS)
+        given = line.transform(joint.instant, joint.matrix[:, part])
+        filtered[:, part] = line.back(joint.instant, density[:, None] * given)
+    return filtered
+
+
+def _cross_power(line: TimeLine, joint: JointRows, a: Array, b: Array) -> Array:
+    """Return Σ over columns of the product of two transforms (F,), its real part."""
+    total = np.zeros(line.size // 2 + 1)
+    for first in range(0, a.shape[1], COLUMNS):
+        part = slice(first, first + COLUMNS)
+        one, other = (line.transform(joint.instant, x[:, part]) for x in (a, b))
+        total += np.real(np.conj(one) * other).sum(axis=1)
+    return total
+
+
+def _score_products(line: TimeLine, rows: Rows, noise: Sequence[Array], memory: int) -> Array:
+    """Return the scores' covariance summed over lags (p, p), Parzen's kernel over 2·memory."""
+    scores = np.zeros((int(rows.segments[-1]), rows.count))
+    for joint, e in zip(rows.joints, noise, strict=True):
+        # each instant occurs at most once per joint
+        scores[np.ix_(joint.instant, joint.columns)] += joint.matrix * e[:, None]
+    kernel = _parzen(line.size, 2 * memory)
+    used = np.flatnonzero(kernel > SEEN * kernel.max())
+    total = np.zeros((rows.count, rows.count))
+    everywhere = np.arange(len(scores), dtype=np.intp)
+    spectra = [
+        line.transform(everywhere, scores[:, first : first + COLUMNS])[used]
+        for first in range(0, rows.count, COLUMNS)
+    ]
+    spectrum = np.hstack(spectra)
+    # every frequency but 0 and the highest stands for itself and its negative
+    both = np.where((used == 0) | (2 * used == line.size), 1.0, 2.0)
+    total = np.real((np.conj(spectrum) * (both * kernel[used])[:, None]).T @ spectrum)
+    return np.asarray(total / line.size)
+
+
+def _parzen(size: int, lags: int) -> Array:
+    """Return the spectrum (F,) of Parzen's window, which is never negative."""
+    lag = np.arange(size)
+    x = np.minimum(lag, size - lag) / max(lags, 1)
+    near, far = 1.0 - 6.0 * x**2 + 6.0 * x**3, 2.0 * np.clip(1.0 - x, 0.0, None) ** 3
+    return np.asarray(rfft(np.where(x < 0.5, near, far)).real)

@@ -1,0 +1,96 @@
+"""Error on data that a fit has not seen, without a test recording: blocked cross-validation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.compiled.triangular_factors import Triangle
+from lieid_casadi.identification.regression.least_squares import Factor, combine, widened
+from lieid_casadi.identification.regression.rows import Rows
+
+Array = NDArray[np.float64]
+Estimate = Callable[[Factor], Array]
+FOLDS = 3
+BLOCK_OVER_CUTOFF = 12.0  # block length in periods of the cut-off: many times the filter's memory
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """One held-out part of the rows: what the rest says, and its own rows per joint.
+
+    ``rest`` is the factor of all other rows, weighted; ``held`` holds one unweighted factor
+    per joint.
+    """
+
+    rest: Factor
+    held: tuple[Factor, ...]
+
+    def squares(self, values: Array) -> Array:
+        """Return the sum of squared held-out residuals per joint (n,)."""
+        return np.array([factor.misfit(values) for factor in self.held])
+
+
+def fold_factors(rows: Rows, noise: Array, *, block: int) -> tuple[Fold, ...]:
+    """Return the folds: blocks of consecutive instants go to them in turn.
+
+    Parameters
+    ----------
+    noise : (n,)
+        Weights are 1/noise per joint.
+    block : int
+        Instants per block.
+    """
+    triangles = [[Triangle(len(own) + 1) for own in rows.columns] for _ in range(FOLDS)]
+    counts = np.zeros((FOLDS, len(rows.columns)), dtype=np.intp)
+    for part, _ in rows.stretches():
+        fold = _folds(part, block)
+        for j, joint in enumerate(part.joints):
+            for held in range(FOLDS):
+                use = fold[joint.instant] == held
+                triangles[held][j].add(joint.matrix[use], joint.torque[use])
+                counts[held, j] += int(use.sum())
+    parts = [
+        tuple(
+            widened(triangle.r, own, rows.count, int(count))
+            for triangle, own, count in zip(of_fold, rows.columns, number, strict=True)
+        )
+        for of_fold, number in zip(triangles, counts, strict=True)
+    ]
+    folds = []
+    for held, own in enumerate(parts):
+        others = [factor for k, part in enumerate(parts) if k != held for factor in part]
+        weights = np.tile(1.0 / noise, FOLDS - 1)
+        folds.append(Fold(combine(others, weights), own))
+    return tuple(folds)
+
+
+def cross_validated_rms(folds: Sequence[Fold], estimate: Estimate) -> Array:
+    """Return the RMS (n,) of each joint's held-out rows, N·m; NaN for a joint without rows.
+
+    Each fold is predicted from the linear parameters of the others (weights, load and shape
+    parameters are those of the whole fit).
+
+    Parameters
+    ----------
+    estimate : callable
+        Weighted factor to base values (p,).
+    """
+    squares = sum(fold.squares(estimate(fold.rest)) for fold in folds)
+    counts = sum(np.array([factor.rows for factor in fold.held], dtype=float) for fold in folds)
+    mean = np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0)
+    return np.asarray(np.sqrt(mean))
+
+
+def _folds(rows: Rows, block: int) -> NDArray[np.intp]:
+    """Return each instant's fold; blocks start anew with each segment."""
+    fold = np.empty(int(rows.segments[-1]), dtype=np.intp)
+    first = 0
+    for start, end in zip(rows.segments[:-1], rows.segments[1:], strict=True):
+        blocks = first + np.arange(end - start) // block
+        fold[start:end] = blocks % FOLDS
+        first = int(blocks[-1]) + 1 if len(blocks) else first
+    return fold

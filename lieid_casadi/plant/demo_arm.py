@@ -1,0 +1,204 @@
+"""Arms worth measuring: friction and hidden effects of realistic size for any robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import EffectError
+from lieid_casadi.plant import joint_effects as on_joint
+from lieid_casadi.plant.arm import Arm, JointFriction, Thermal
+from lieid_casadi.plant.arm_effects import (
+    BaseTilt,
+    BiasDrift,
+    EncoderOffset,
+    ExternalWrench,
+    Payload,
+    TorqueDelay,
+    TorqueGain,
+)
+from lieid_casadi.plant.effect import HiddenEffect
+from lieid_casadi.plant.inertias import perturbed_inertias
+from lieid_casadi.plant.rigid import build_pinocchio
+from lieid_casadi.plant.sensors import Sensors
+from lieid_casadi.plant.torque_scale import torque_scale
+from lieid_casadi.plant.trajectories import Envelope
+from lieid_casadi.robot import Robot
+
+Array = NDArray[np.float64]
+
+WARMTH = 12.0  # °C that demo arms with a temperature effect warm up by
+
+
+def demo_arm(
+    robot: Robot,
+    *,
+    seed: int = 0,
+    hidden: str | HiddenEffect | None = "load_friction",
+    joint: int = 1,
+    strength: float = 1.0,
+) -> Arm:
+    """Return the arm that ``lieid demo`` measures.
+
+    Inertias are off the nominal ones by up to 20 %; every joint has Coulomb and viscous friction
+    and an offset, sized by the joint's torque limit; one effect is hidden.
+
+    Parameters
+    ----------
+    hidden
+        An effect, the name of one (see :func:`hidden_effect`), or None.
+    joint
+        From 0; where a named effect acts.
+    strength
+        Factor on the size of a named effect.
+    """
+    random = np.random.default_rng([seed, 10])
+    scale, speed = torque_scale(robot), Envelope.of(robot).velocity
+    friction = JointFriction(
+        coulomb=scale * random.uniform(0.025, 0.05, robot.n),
+        viscous=scale / speed * random.uniform(0.02, 0.05, robot.n),
+        offset=scale * random.uniform(-0.01, 0.01, robot.n),
+    )
+    arm = Arm(robot, perturbed_inertias(robot, seed=seed), friction)
+    if hidden is None:
+        return arm
+    if isinstance(hidden, HiddenEffect):
+        return arm.with_effects(hidden)
+    effect = hidden_effect(arm, hidden, joint, strength=strength, seed=seed)
+    if hidden == "temperature_friction":
+        thermal = Thermal(rise=WARMTH, time_constant=20.0)
+        arm = Arm(robot, arm.parameters, friction, (), thermal)
+    return arm.with_effects(effect)
+
+
+def demo_sensors(robot: Robot, *, rate: float = 200.0) -> Sensors:
+    """Return sensors of a usual arm: 19-bit encoders, torque noise of 0.3 % of the limits."""
+    scale = torque_scale(robot)
+    return Sensors(
+        rate=rate,
+        counts_per_turn=2**19,
+        counts_per_metre=1e6,
+        velocity="difference",
+        torque_noise=tuple(0.002 * scale),
+        coloured_noise=tuple(0.002 * scale),
+        torque_step=tuple(2e-4 * scale),
+    )
+
+
+def hidden_effect(
+    arm: Arm, name: str, joint: int, *, strength: float = 1.0, seed: int = 0
+) -> HiddenEffect:
+    """Return an effect of realistic size for a joint (from 0) of this arm.
+
+    Random details (phase, harmonic, source) come from the seed; ``strength`` scales the size.
+
+    Raises
+    ------
+    EffectError
+        A name that the plant does not know.
+    """
+    if name not in _MAKERS:
+        raise EffectError(f"hidden effect {name!r}; the plant knows {', '.join(sorted(_MAKERS))}")
+    return _MAKERS[name](_Size(arm, joint, strength, np.random.default_rng([seed, 11])))
+
+
+class _Size:
+    """Sizes to make effects from: torque, speed, load of one joint."""
+
+    def __init__(self, arm: Arm, joint: int, strength: float, random: np.random.Generator) -> None:
+        self.arm, self.joint, self.strength, self.random = arm, joint, strength, random
+        self.torque = strength * float(torque_scale(arm.robot)[joint])
+        self.speed = float(Envelope.of(arm.robot).velocity[joint])
+        self.coulomb = float(arm.friction.coulomb[joint])
+
+    def angle(self) -> float:
+        return float(self.random.uniform(-np.pi, np.pi))
+
+    def sign(self) -> float:
+        return float(self.random.choice([-1.0, 1.0]))
+
+    def neighbour(self) -> int:
+        """A joint to couple to: the next, or the one before the last."""
+        n = self.arm.n
+        if n < 2:
+            raise EffectError("transmission coupling needs a robot of at least two joints")
+        return self.joint + 1 if self.joint + 1 < n else self.joint - 1
+
+    def inertia(self) -> float:
+        """Mean nominal inertia at the joint, kg·m²."""
+        import pinocchio as pin
+
+        robot = self.arm.robot
+        model = build_pinocchio(robot)
+        middle = Envelope.of(robot).middle
+        return float(pin.crba(model, model.createData(), middle)[self.joint, self.joint])
+
+    def weight(self) -> float:
+        """Weight of all links, N."""
+        return float(self.arm.parameters[::10].sum() * max(np.linalg.norm(self.arm.gravity), 1.0))
+
+    def three(self, size: float) -> tuple[float, float, float]:
+        """A random vector of this size."""
+        x, y, z = self.random.standard_normal(3)
+        f = size / float(np.sqrt(x * x + y * y + z * z))
+        return float(f * x), float(f * y), float(f * z)
+
+
+_MAKERS: dict[str, Callable[[_Size], HiddenEffect]] = {
+    "viscous_polynomial": lambda s: on_joint.ViscousPolynomial(
+        s.joint, quadratic=-0.04 * s.torque / s.speed**2, cubic=0.06 * s.torque / s.speed**3
+    ),
+    "viscous_asymmetric": lambda s: on_joint.ViscousAsymmetric(
+        s.joint, coefficient=s.sign() * 0.02 * s.torque / s.speed
+    ),
+    "stribeck": lambda s: on_joint.Stribeck(s.joint, extra=0.04 * s.torque, velocity=0.1 * s.speed),
+    "load_friction": lambda s: on_joint.LoadFriction(s.joint, gain=0.1 * s.strength),
+    "temperature_friction": lambda s: on_joint.TemperatureFriction(
+        s.joint, viscous_decay=0.04 * s.strength, dry_slope=0.01 * s.strength
+    ),
+    "warm_up": lambda s: on_joint.WarmUp(
+        s.joint, change=-min(0.5 * s.strength, 0.9), time_constant=20.0
+    ),
+    "position_friction": lambda s: on_joint.PositionFriction(
+        s.joint,
+        amplitude=min(0.5 * s.strength, 0.95) * s.coulomb,
+        harmonic=float(s.random.integers(1, 4)),
+        phase=s.angle(),
+    ),
+    "presliding": lambda s: on_joint.Presliding(s.joint, width=0.03 * s.strength),
+    "armature": lambda s: on_joint.Armature(s.joint, inertia=0.3 * s.strength * s.inertia()),
+    "joint_elasticity": lambda s: on_joint.JointElasticity(
+        s.joint, stiffness=float(torque_scale(s.arm.robot)[s.joint]) / (0.02 * s.strength)
+    ),
+    "torque_ripple": lambda s: on_joint.TorqueRipple(
+        s.joint,
+        amplitude=0.02 * s.torque,
+        harmonic=float(s.random.integers(2, 13)),
+        phase=s.angle(),
+    ),
+    "position_spring": lambda s: on_joint.PositionSpring(
+        s.joint, stiffness=0.05 * s.torque, rest=0.3 * s.angle()
+    ),
+    "transmission_coupling": lambda s: on_joint.TransmissionCoupling(
+        s.joint,
+        source=s.neighbour(),
+        viscous_coefficient=0.03 * s.torque / s.speed,
+        coulomb=0.02 * s.torque,
+    ),
+    "torque_gain": lambda s: TorqueGain(s.joint, gain=s.sign() * 0.08 * s.strength),
+    "torque_delay": lambda s: TorqueDelay(s.joint, delay=0.02 * s.strength),
+    "bias_drift": lambda s: BiasDrift(s.joint, rate=s.sign() * 0.002 * s.torque),
+    "encoder_offset": lambda s: EncoderOffset(s.joint, offset=s.sign() * 0.05 * s.strength),
+    "base_tilt": lambda s: BaseTilt(
+        about_x=s.sign() * 0.06 * s.strength, about_y=s.sign() * 0.04 * s.strength
+    ),
+    "payload": lambda s: Payload(mass=0.05 * s.strength * s.weight() / 9.81, com=s.three(0.05)),
+    "external_wrench": lambda s: ExternalWrench(
+        moment=s.three(0.005 * s.strength * s.weight()),
+        force=s.three(0.05 * s.strength * s.weight()),
+    ),
+}
+
+HIDDEN_EFFECT_NAMES: tuple[str, ...] = tuple(sorted(_MAKERS))

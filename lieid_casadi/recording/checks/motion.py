@@ -1,0 +1,145 @@
+"""Time stamps, velocity against position, joints at rest, rate against motion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lieid_casadi.errors import (
+    DropoutWarning,
+    JointStillWarning,
+    LieidWarning,
+    LowRateWarning,
+    RecordingError,
+    VelocityMismatchWarning,
+)
+from lieid_casadi.recording.arrays import Array, Mask
+from lieid_casadi.recording.checks.block_means import Blocks
+from lieid_casadi.recording.joint_names import joints_text
+from lieid_casadi.recording.processing.sample_timing import dropout_limit, gap_limit, sample_period
+from lieid_casadi.recording.processing.spectrum import motion_band
+from lieid_casadi.recording.recording import Recording
+
+if TYPE_CHECKING:
+    from lieid_casadi.robot.robot import Robot
+
+DEGREES = 180.0 / np.pi
+#: A joint that stays within this never moves, rad (a tenth of it in m).
+STILL = 1e-3
+
+
+def check_time(recording: Recording) -> list[LieidWarning]:
+    """Lost samples, and gaps that split the recording into segments."""
+    steps = np.diff(recording.t)
+    lost = steps > dropout_limit(recording.t)
+    if not lost.any():
+        return []
+    first = recording.t[int(np.argmax(lost))]
+    gaps = int(np.sum(steps > gap_limit(recording.t)))
+    split = f"; split into {gaps + 1} segments at the gaps" if gaps else "; interpolated"
+    return [
+        DropoutWarning(
+            f"{recording.name or 'recording'}: {int(lost.sum())} dropouts, the longest "
+            f"{steps.max():.3g} s at a sample period of {sample_period(recording.t):.3g} s, "
+            f"the first at t = {first:.6g} s{split}"
+        )
+    ]
+
+
+def check_velocity(recording: Recording, blocks: Blocks) -> list[LieidWarning]:
+    """Whether dq integrates to q.
+
+    Raises
+    ------
+    RecordingError
+        One of them is in degrees and the other in radians, on most of the moving joints.
+    """
+    if recording.dq is None or blocks.integrated is None or len(blocks.travelled) < 8:
+        return []
+    title = recording.name or "recording"
+    way, integral = blocks.travelled, blocks.integrated
+    moving = _moving_enough(way, recording)
+    if not moving.any():
+        return []
+    gain, correlation = _gain_and_correlation(way, integral)
+    for factor, message in (
+        (DEGREES, "dq in degrees per second and q in radians"),
+        (1.0 / DEGREES, "q in degrees and dq in radians per second"),
+    ):
+        in_degrees = moving & (np.abs(gain / factor - 1.0) < 0.15) & (correlation > 0.9)
+        if in_degrees.sum() > 0.5 * moving.sum():
+            joint = int(np.argmax(in_degrees))
+            raise RecordingError(
+                f"{title}: column dq{joint + 1}: found {gain[joint]:.3g} times the derivative of "
+                f"q{joint + 1}, expected 1: {message}? Convert with numpy.deg2rad"
+            )
+    wrong = moving & ((correlation < 0.9) | (np.abs(np.log(np.maximum(gain, 1e-12))) > 0.22))
+    if not wrong.any():
+        return []
+    details = ", ".join(
+        f"joint {j + 1} (gain {gain[j]:.2g}, correlation {correlation[j]:.2g}"
+        f"{_runs_like(way, integral, moving, j)})"
+        for j in np.nonzero(wrong)[0].tolist()
+    )
+    return [VelocityMismatchWarning(f"{title}: dq is not the derivative of q: {details}")]
+
+
+def check_still(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
+    """Joints that never move."""
+    limits = np.full(recording.n, STILL)
+    if robot is not None:
+        limits = np.array([STILL if joint.revolute else 0.1 * STILL for joint in robot.joints])
+    still = np.ptp(recording.q, axis=0) < limits
+    if not still.any():
+        return []
+    return [
+        JointStillWarning(
+            f"{recording.name or 'recording'}: {joints_text(still)} never moved: friction and "
+            "inertia there stay unseen"
+        )
+    ]
+
+
+def check_rate(recording: Recording) -> list[LieidWarning]:
+    """Motion that comes near the Nyquist frequency."""
+    band = motion_band(recording)
+    if band is None or band < 0.1 * recording.rate:
+        return []
+    return [
+        LowRateWarning(
+            f"{recording.name or 'recording'}: {recording.rate:.3g} Hz is a low rate for motion "
+            f"up to {band:.3g} Hz, expected {10.0 * band:.3g} Hz or more: accelerations are "
+            "underestimated"
+        )
+    ]
+
+
+def _moving_enough(way: Array, recording: Recording) -> Mask:
+    """Joints whose way per block stands above the resolution of q."""
+    per_block = np.sqrt(np.mean(way**2, axis=0))
+    distinct = [np.unique(column) for column in recording.q.T]
+    quantum = np.array([np.min(np.diff(d)) if d.size > 1 else np.inf for d in distinct])
+    return np.asarray((np.ptp(recording.q, axis=0) > 10.0 * STILL) & (per_block > 3.0 * quantum))
+
+
+def _gain_and_correlation(way: Array, integral: Array) -> tuple[Array, Array]:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        squares, products = np.sum(way**2, axis=0), np.sum(way * integral, axis=0)
+        others = np.sum(integral**2, axis=0)
+        gain = np.sqrt(others / squares)
+        correlation = products / np.sqrt(squares * others)
+    # a joint that stands exactly still has no gain; it is not among those that move
+    return np.nan_to_num(gain, posinf=0.0), np.nan_to_num(correlation)
+
+
+def _runs_like(way: Array, integral: Array, moving: Mask, joint: int) -> str:
+    """Hint: the joint whose motion this column of dq shows instead."""
+    column = np.repeat(integral[:, [joint]], way.shape[1], axis=1)
+    _, correlation = _gain_and_correlation(way, column)
+    best = int(np.argmax(np.where(moving, np.abs(correlation), 0.0)))
+    if correlation[joint] < -0.9:
+        return ", sign swapped"
+    if best != joint and correlation[best] > 0.95:
+        return f", runs like joint {best + 1}"
+    return ""

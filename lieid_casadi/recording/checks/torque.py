@@ -1,0 +1,213 @@
+"""Torque: order of the joints, sign, clipping."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from lieid_casadi.errors import (
+    LieidWarning,
+    TorqueClippedWarning,
+    TorqueOrderWarning,
+    TorqueSignWarning,
+)
+from lieid_casadi.recording.arrays import Array, Mask
+from lieid_casadi.recording.checks.block_means import Blocks
+from lieid_casadi.recording.joint_names import joints_text
+from lieid_casadi.recording.recording import Recording
+
+if TYPE_CHECKING:
+    from lieid_casadi.robot.robot import Robot
+
+#: Correlation with the nominal torque that tells its sign.
+TELLING = 0.5
+#: What another order of the joints must gain, in log of unexplained variance, altogether.
+#: On recordings of real arms every exchange of two joints loses 2 or more against a
+#: nominal model; without one, exchanges that nothing tells apart gain 0.02.
+ORDER_GAIN = 1.0
+#: Part of the torque without friction that the nominal torque must be to tell the sign.
+EXPECTED_PART = 0.3
+#: Joints that move less have no friction to look at, rad or m.
+ENOUGH_MOTION = 0.05
+
+
+def check_torque(recording: Recording, blocks: Blocks, robot: Robot | None) -> list[LieidWarning]:
+    """Exchanged, swapped or clipped torques."""
+    if recording.tau is None:
+        return []
+    title = recording.name or "recording"
+    found = _clipped(recording, title, robot)
+    moving = np.ptp(blocks.q, axis=0) > ENOUGH_MOTION if len(blocks.q) else np.zeros(0, bool)
+    columns = 7 * int(moving.sum())
+    if blocks.tau is None or len(blocks.q) < 4 * columns or not moving.any():
+        return found
+    exchanged = _exchanged(blocks, moving)
+    if exchanged:
+        pairs = ", ".join(f"tau{j + 1} runs like joint {k + 1}" for j, k in exchanged.items())
+        return [*found, TorqueOrderWarning(f"{title}: torques of joints exchanged? {pairs}")]
+    return found + _swapped(blocks, moving, title)
+
+
+def _exchanged(blocks: Blocks, moving: Mask) -> dict[int, int]:
+    """Column of tau -> joint that explains it better, if another order is clearly better."""
+    joints = np.nonzero(moving)[0]
+    misfit = np.zeros((joints.size, joints.size))
+    assert blocks.tau is not None
+    for b, k in enumerate(joints):
+        columns = np.column_stack([_gravity_like(blocks, int(k), moving), _own(blocks, int(k))])
+        tau = blocks.tau[:, joints]
+        rest = tau - columns @ np.linalg.lstsq(columns, tau, rcond=None)[0]
+        unexplained = np.sum(rest**2, axis=0) / np.maximum(
+            np.sum((tau - tau.mean(axis=0)) ** 2, axis=0), 1e-300
+        )
+        misfit[:, b] = np.log(np.clip(unexplained, 1e-12, 1.0))
+    rows, best = linear_sum_assignment(misfit)
+    gain = float(np.trace(misfit) - misfit[rows, best].sum())
+    if gain < ORDER_GAIN:
+        return {}
+    return {int(joints[a]): int(joints[b]) for a, b in zip(rows, best, strict=True) if a != b}
+
+
+def _gravity_like(blocks: Blocks, joint: int, moving: Mask) -> Array:
+    """Columns of the rigid body: the nominal torque, or sines and cosines of all joints."""
+    if blocks.nominal is not None:
+        return np.column_stack([np.ones(len(blocks.q)), blocks.nominal[:, joint]])
+    return _angles(blocks.q[:, moving])
+
+
+def _angles(q: Array) -> Array:
+    """1, sines and cosines of all joints, and of sums and differences of neighbours."""
+    angles = np.column_stack([q, q[:, 1:] + q[:, :-1], q[:, 1:] - q[:, :-1]])
+    return np.column_stack([np.ones(len(q)), np.sin(angles), np.cos(angles)])
+
+
+def _own(blocks: Blocks, joint: int) -> Array:
+    """Columns of the joint's own motion: inertia and friction."""
+    dq = blocks.dq[:, joint]
+    return np.column_stack([blocks.ddq[:, joint], np.sign(dq), dq])
+
+
+def _swapped(blocks: Blocks, moving: Mask, title: str) -> list[LieidWarning]:
+    friction = _driving_friction(blocks, moving)
+    if blocks.nominal is None:
+        against = np.zeros_like(moving)
+    else:
+        correlation = _model_correlation(blocks)
+        against = correlation < -TELLING
+        friction &= correlation < TELLING
+    found: list[LieidWarning] = []
+    if against.any():
+        found.append(
+            TorqueSignWarning(
+                f"{title}: torque of {joints_text(against)} runs against the nominal model "
+                f"(correlation {correlation[against].min():.2f}): sign swapped?"
+            )
+        )
+    friction &= ~against
+    if friction.any():
+        found.append(
+            TorqueSignWarning(
+                f"{title}: friction of {joints_text(friction)} would drive the joint: sign of "
+                "the torque or of the velocity swapped?"
+            )
+        )
+    return found
+
+
+def _model_correlation(blocks: Blocks) -> Array:
+    """Correlation (n,) of measured and nominal torque, friction taken out of both."""
+    assert blocks.tau is not None
+    assert blocks.nominal is not None
+    correlation = np.zeros(blocks.tau.shape[1])
+    for j in range(correlation.size):
+        dq = blocks.dq[:, j]
+        friction = np.column_stack([np.ones_like(dq), np.sign(dq), dq])
+        both = np.column_stack([blocks.tau[:, j], blocks.nominal[:, j]])
+        rest = both - friction @ np.linalg.lstsq(friction, both, rcond=None)[0]
+        norms = np.linalg.norm(rest, axis=0)
+        # a nominal torque that is rounding noise, or small beside what is left, tells nothing
+        rounding = 1e-6 * np.linalg.norm(blocks.nominal)
+        if norms[1] > max(rounding, EXPECTED_PART * norms[0]):
+            correlation[j] = rest[:, 0] @ rest[:, 1] / max(norms[0] * norms[1], 1e-300)
+    return correlation
+
+
+def _driving_friction(blocks: Blocks, moving: Mask) -> Mask:
+    """Joints whose friction gives power to the drive, clearly: it can only take it.
+
+    Each torque is fitted by gravity-like and inertia-like columns of all joints and by the
+    joint's own friction.
+    """
+    assert blocks.tau is not None
+    q, ddq = blocks.q[:, moving], blocks.ddq[:, moving]
+    common = np.column_stack([_angles(q), ddq])
+    driving = np.zeros(moving.size, dtype=bool)
+    for j in np.nonzero(moving)[0]:
+        dq, tau = blocks.dq[:, j], blocks.tau[:, j]
+        columns = np.column_stack([common, np.sign(dq), dq])
+        solution = np.linalg.lstsq(columns, tau, rcond=None)[0]
+        friction = columns[:, -2:] @ solution[-2:]
+        residual = tau - columns @ solution
+        strong = np.mean(friction**2) > np.mean(residual**2)
+        strong &= np.mean(friction**2) > 1e-4 * np.mean(tau**2)
+        power = friction @ dq / (np.linalg.norm(friction) * np.linalg.norm(dq) + 1e-300)
+        driving[j] = bool(strong and power < -0.7)
+    return driving
+
+
+def _clipped(recording: Recording, title: str, robot: Robot | None) -> list[LieidWarning]:
+    assert recording.tau is not None
+    magnitude = np.abs(recording.tau)
+    clipped = np.array([_stuck_at_top(column) for column in magnitude.T])
+    clipped &= _in_motion(recording, magnitude)
+    at_limit = np.zeros(recording.n, dtype=bool)
+    if robot is not None:
+        limits = np.array([joint.limits.torque for joint in robot.joints])
+        with np.errstate(invalid="ignore"):
+            at_limit = np.sum(magnitude >= 0.999 * limits, axis=0) >= 3
+    found: list[LieidWarning] = []
+    if (clipped & ~at_limit).any():
+        mask = clipped & ~at_limit
+        level = float(magnitude[:, mask].max(axis=0)[0])
+        found.append(
+            TorqueClippedWarning(
+                f"{title}: torque of {joints_text(mask)} is stuck at its largest value "
+                f"({level:.4g}): clipped?"
+            )
+        )
+    if at_limit.any():
+        found.append(
+            TorqueClippedWarning(
+                f"{title}: torque of {joints_text(at_limit)} reaches the robot's torque limit"
+            )
+        )
+    return found
+
+
+def _stuck_at_top(magnitude: Array) -> bool:
+    """Many values at the top and few just below it.
+
+    A smooth peak has 2.4 times as many samples in its top slice as in the next one of the
+    same width; a clipped one has far more.
+    """
+    top = float(magnitude.max())
+    if top == 0.0:
+        return False
+    distinct = np.unique(magnitude)
+    quantum = float(np.min(np.diff(distinct))) if distinct.size > 1 else top
+    width = max(1e-3 * top, 0.75 * quantum)
+    at_top = int(np.sum(magnitude > top - width))
+    below = int(np.sum((magnitude > top - 2.0 * width) & (magnitude <= top - width)))
+    return at_top >= max(10, 0.003 * magnitude.size) and at_top > 6 * below
+
+
+def _in_motion(recording: Recording, magnitude: Array) -> Mask:
+    """Whether the joints move where their torque is largest: a steady hold is no clipping."""
+    dq = recording.dq
+    if dq is None:
+        dq = np.gradient(recording.q, recording.t, axis=0)
+    top = magnitude >= 0.999 * magnitude.max(axis=0)
+    speed = np.array([np.median(np.abs(v[at])) for v, at in zip(dq.T, top.T, strict=True)])
+    return np.asarray(speed > 0.01 * np.abs(dq).max(axis=0))

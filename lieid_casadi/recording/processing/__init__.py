@@ -1,0 +1,1 @@
+"""From recordings to filtered signals on a uniform grid."""

@@ -1,0 +1,264 @@
+"""From recordings to uniform signals, and the one filter for torque and regressor columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lieid_casadi.errors import LieidWarning, RecordingError, ShortSegmentWarning
+from lieid_casadi.recording.arrays import Array, Mask, read_only
+from lieid_casadi.recording.checks.repeated_rows import without_repeats
+from lieid_casadi.recording.processing.filtering import HIGHEST_CUTOFF, lowpass
+from lieid_casadi.recording.processing.overlap_windows import Window, filter_memory, windows
+from lieid_casadi.recording.processing.periods import mean_period
+from lieid_casadi.recording.processing.resampling import signals_on_grid
+from lieid_casadi.recording.processing.sample_timing import sample_period
+from lieid_casadi.recording.processing.spectrum import choose_cutoff
+from lieid_casadi.recording.readers.streams import RecordingStream, scratch
+from lieid_casadi.recording.recording import Recording
+
+#: Weight of rest in a filtered sample that counts as moving.
+REST_LEFT = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Processing:
+    """Options of :func:`process`.
+
+    Attributes
+    ----------
+    cutoff
+        Of the low-pass on torque and columns, Hz; None chooses it from the spectrum.
+    trim
+        Left out at both ends of every segment, s: the filter's edges.
+    order
+        Of the Butterworth filter (one way).
+    average_periods
+        Replace periodic motion by its mean period. Erases drift and warm-up.
+    smoother
+        ``rloess`` smooths ddq and tau by robust local regression first (paper, 6.2).
+    """
+
+    cutoff: float | None = None
+    trim: float = 0.5
+    order: int = 4
+    average_periods: bool = False
+    smoother: Literal["butterworth", "rloess"] = "butterworth"
+
+    def __post_init__(self) -> None:
+        if self.cutoff is not None and not (np.isfinite(self.cutoff) and self.cutoff > 0.0):
+            raise RecordingError(f"cutoff is {self.cutoff}, expected Hz above 0")
+        if not (np.isfinite(self.trim) and self.trim >= 0.0):
+            raise RecordingError(f"trim is {self.trim}, expected seconds from 0")
+        if self.order < 1:
+            raise RecordingError(f"order is {self.order}, expected 1 or more")
+        if self.smoother not in ("butterworth", "rloess"):
+            raise RecordingError(
+                f"smoother is {self.smoother!r}, expected 'butterworth' or 'rloess'"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Processed:
+    """One segment on a uniform grid of K instants.
+
+    Attributes
+    ----------
+    t
+        (K,) s, on the recording's own clock.
+    q, dq, ddq
+        (K, n), low-passed well above the cut-off, zero-phase; dq is 0 where a joint rests.
+        dq and ddq are derived from q where it is clearly quieter than the measured dq.
+    tau
+        (K, n) or None; resampled, not low-passed: :meth:`filter` does that, as it does on
+        every regressor column.
+    temperature
+        (K, n) °C or None.
+    payload_label
+        Of the whole segment, or None.
+    recording
+        The rows that this segment comes from.
+    rate, cutoff
+        Hz.
+    dead_zone
+        (n,) speed below which a joint counts as at rest, rad/s.
+    moving
+        (K, n) False where a joint stays in its dead zone long enough for stiction to hold it.
+    options
+        With the cut-off filled in.
+    warnings
+        What was left out.
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array | None
+    temperature: Array | None
+    payload_label: str | None
+    recording: Recording
+    rate: float
+    cutoff: float
+    dead_zone: Array
+    moving: Mask
+    options: Processing
+    warnings: tuple[LieidWarning, ...] = ()
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.q.shape[1])
+
+    def __len__(self) -> int:
+        return int(self.t.size)
+
+    @cached_property
+    def kept(self) -> slice:
+        """Instants of the grid that remain after filtering: trimmed, then every step-th."""
+        edge = round(self.options.trim * self.rate)
+        step = max(1, int(self.rate / (4.0 * self.cutoff)))
+        return slice(edge, self.t.size - edge, step)
+
+    def filter(self, x: ArrayLike) -> Array:
+        """Low-pass along axis 0, trim and decimate: (K, ...) -> (M, ...).
+
+        Linear and zero-phase; the same for torque and for every regressor column, so that
+        tau = Y β keeps holding. M samples at no less than four times the cut-off.
+        """
+        values = np.asarray(x)
+        if values.shape[:1] != self.t.shape:
+            raise RecordingError(f"filter: found shape {values.shape}, expected ({self.t.size}, …)")
+        return np.concatenate([self.filter_window(values[w.instants], w) for w in self.windows])
+
+    @cached_property
+    def windows(self) -> tuple[Window, ...]:
+        """Stretches that filter one by one as the whole segment does."""
+        margin = filter_memory(self.rate, self.cutoff, self.options.order)
+        return tuple(windows(self.t.size, self.kept, margin))
+
+    def filter_window(self, x: Array, window: Window, axis: int = 0) -> Array:
+        """The rows of one window of :meth:`filter`, from the window's instants of a signal."""
+        values = np.moveaxis(np.asarray(x, dtype=np.float64), axis, 0)
+        low = lowpass(values, self.rate, self.cutoff, self.options.order)
+        return np.moveaxis(low[window.inside], 0, axis)
+
+    @cached_property
+    def filtered_time(self) -> Array:
+        """(M,) s, instants of what :meth:`filter` returns."""
+        return self.t[self.kept]
+
+    @cached_property
+    def filtered_moving(self) -> Mask:
+        """(M, n) True where no rest reaches into the filter's neighbourhood.
+
+        At rest dry friction can be anything up to its level, and the filter spreads it.
+        """
+        return np.asarray(np.abs(self.filter(self.moving) - 1.0) < REST_LEFT)
+
+
+def process(
+    recordings: Recording | RecordingStream | Sequence[Recording | RecordingStream],
+    options: Processing | None = None,
+) -> tuple[Processed, ...]:
+    """Uniform, differentiated signals of every segment of the recordings.
+
+    Without a cut-off in the options one is chosen for all recordings together (the median of
+    what each of them asks for). Pass ``Processing(cutoff=...)`` with the cut-off of the
+    training data when processing a test.
+
+    Raises
+    ------
+    RecordingError
+        Nothing long enough is left after trimming, a cut-off that the rate cannot show, or
+        periods to be averaged where there are none.
+    MissingDependency
+        RLOESS without the extra ``[loess]``.
+    """
+    if isinstance(recordings, Recording | RecordingStream):
+        recordings = [recordings]
+    given = list(recordings)
+    if not given:
+        raise RecordingError("no recordings, expected at least one")
+    options = options or Processing()
+    cutoff = options.cutoff or float(np.median([_cutoff_of(r) for r in given]))
+    options = replace(options, cutoff=cutoff)
+    done: list[Processed] = []
+    short: list[LieidWarning] = []
+    for recording in given:
+        for raw in recording.segments():
+            segment = _averaged(raw, options) if options.average_periods else raw
+            reason = _too_short(segment, cutoff, options.trim)
+            if reason:
+                short.append(ShortSegmentWarning(reason))
+            else:
+                done.append(_process_segment(segment, options, cutoff))
+    if not done:
+        raise RecordingError(str(short[0]))
+    if short:
+        done[0] = replace(done[0], warnings=(*done[0].warnings, *short))
+    return tuple(done)
+
+
+def _cutoff_of(recording: Recording | RecordingStream) -> float:
+    if isinstance(recording, Recording):
+        return choose_cutoff(recording)
+    return float(np.median([choose_cutoff(part) for part in recording.samples()]))
+
+
+def _averaged(segment: Recording | RecordingStream, options: Processing) -> Recording:
+    if not isinstance(segment, Recording):
+        raise RecordingError(f"{segment.name}: averaging periods needs the recording in memory")
+    return mean_period(segment, options.trim)
+
+
+def _too_short(segment: Recording | RecordingStream, cutoff: float, trim: float) -> str | None:
+    left = segment.duration - 2.0 * trim
+    if len(segment) >= 5 and left >= 1.0 / cutoff:
+        return None
+    where = f"{segment.name or 'recording'}: {segment.t[0]:g} to {segment.t[-1]:g} s"
+    return (
+        f"{where} is too short: {max(left, 0.0):.3g} s are left after trimming {trim:g} s at "
+        f"both ends, expected {1.0 / cutoff:.3g} s or more (one period of the cut-off)"
+    )
+
+
+def _process_segment(
+    segment: Recording | RecordingStream, options: Processing, cutoff: float
+) -> Processed:
+    t, rows, told = without_repeats(segment)
+    rate = 1.0 / sample_period(t)
+    if cutoff >= HIGHEST_CUTOFF * rate:
+        raise RecordingError(
+            f"{segment.name or 'recording'}: cutoff {cutoff:g} Hz, expected less than "
+            f"{HIGHEST_CUTOFF * rate:.3g} Hz at a rate of {rate:.4g} Hz"
+        )
+    signals = signals_on_grid(
+        t,
+        rows,
+        rate,
+        cutoff,
+        loess=options.smoother == "rloess",
+        allocate=np.empty if isinstance(segment, Recording) else scratch,
+    )
+    return Processed(
+        t=signals.t,
+        q=signals.q,
+        dq=signals.dq,
+        ddq=signals.ddq,
+        tau=signals.tau,
+        temperature=signals.temperature,
+        payload_label=None if segment.payload_label is None else segment.payload_label[0],
+        recording=segment if isinstance(segment, Recording) else segment.rows(0, 2),
+        rate=signals.rate,
+        cutoff=cutoff,
+        dead_zone=read_only(signals.dead_zone),
+        moving=signals.moving,
+        options=options,
+        warnings=() if told is None else (told,),
+    )

@@ -1,0 +1,173 @@
+"""What the signals themselves say: band of the motion, cut-off, noise of the velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import welch
+
+from lieid_casadi.recording.arrays import Array, Mask
+from lieid_casadi.recording.checks.repeated_rows import without_repeats
+from lieid_casadi.recording.processing.filtering import (
+    central_difference,
+    decimate,
+    lowpass,
+    smooth_at,
+    straight_at,
+    uniform_time,
+)
+from lieid_casadi.recording.recording import Recording
+
+#: Least and most cut-off over the band of the motion.
+LEAST_BANDS, MOST_BANDS = 6.0, 25.0
+#: Torque is looked at up to this rate, Hz: arms do not follow motion beyond it.
+TORQUE_RATE = 400.0
+#: Rows that are looked at: a spectrum needs no more.
+ENOUGH_ROWS = 1 << 19
+#: Joints that move less say nothing about the band of their torque, rad or m.
+ENOUGH_MOTION = 0.05
+#: Part of the top speed that is in the dead zone even without noise. On test recordings a
+#: tenth of it is worse for a TX40, three times as much is worse for a UR10e.
+TOP_SPEED_PART = 3e-3
+
+
+def choose_cutoff(recording: Recording) -> float:
+    """Cut-off, Hz, up to which the motion explains the torque.
+
+    Each torque is fitted by gravity-like (sines and cosines of all joints), inertia-like and
+    friction-like columns; the band ends where the spectrum of what they explain falls below
+    that of what they leave (median over the joints). At least six and at most 25 times the
+    band of the motion (:func:`motion_band`), at most a quarter of the rate. Without torque
+    six times the band of the motion. Two digits; 5 Hz where nothing moves.
+    """
+    longest = max(recording.segments(), key=lambda segment: segment.duration)
+    stamps, rows, _ = without_repeats(longest)
+    longest = rows(0, min(len(stamps), ENOUGH_ROWS))
+    highest = 0.25 * longest.rate
+    band = motion_band(longest) if len(longest) > 8 else None
+    if band is None:
+        return _two_digits(min(5.0, highest), highest)
+    explained = _explained_band(longest)
+    cutoff = LEAST_BANDS * band
+    if explained is not None:
+        cutoff = float(np.clip(explained, cutoff, MOST_BANDS * band))
+    return _two_digits(float(np.clip(cutoff, min(0.5, highest), highest)), highest)
+
+
+def _two_digits(value: float, highest: float) -> float:
+    return min(float(f"{value:.2g}"), highest)
+
+
+def _explained_band(recording: Recording) -> float | None:
+    """Median over the joints of the frequency where noise takes over in the torque."""
+    torque = recording.tau if recording.tau is not None else recording.current
+    moving = np.ptp(recording.q, axis=0) > ENOUGH_MOTION
+    if torque is None or not moving.any():
+        return None
+    rate = recording.rate
+    grid = uniform_time(recording.t, rate)
+    step = max(1, int(rate / TORQUE_RATE))
+    q = decimate(smooth_at(recording.t, recording.q, grid), rate, step)
+    tau = decimate(straight_at(recording.t, torque, grid), rate, step)
+    if recording.dq is None:
+        dq = central_difference(q, rate / step)
+    else:
+        dq = decimate(smooth_at(recording.t, recording.dq, grid), rate, step)
+    bands = _noise_takes_over(q, dq, tau, rate / step, moving)
+    return float(np.median(bands)) if bands else None
+
+
+def _noise_takes_over(q: Array, dq: Array, tau: Array, rate: float, moving: Mask) -> list[float]:
+    ddq = central_difference(lowpass(dq, rate, min(30.0, 0.4 * rate)), rate)
+    ones = np.ones((q.shape[0], 1))
+    common = np.hstack([ones, np.sin(q[:, moving]), np.cos(q[:, moving]), ddq[:, moving]])
+    length = min(q.shape[0], max(16, round(4.0 * rate)))
+    dead_zone = noise_dead_zone(dq)
+    bands = []
+    for joint in np.nonzero(moving)[0]:
+        sign = np.tanh(dq[:, joint] / dead_zone[joint])
+        columns = np.column_stack([common, sign, dq[:, joint]])
+        fitted = columns @ np.linalg.lstsq(columns, tau[:, joint], rcond=None)[0]
+        both = np.column_stack([fitted, tau[:, joint] - fitted])
+        frequency, density = welch(both, rate, nperseg=length, axis=0)
+        ratio = np.log(np.maximum(density[:, 0], 1e-300) / np.maximum(density[:, 1], 1e-300))
+        ratio = np.convolve(ratio, np.full(5, 0.2), "same")
+        # the lowest bins are smeared by the window and by the mean
+        below = np.nonzero(ratio[3:-3] < 0.0)[0]
+        bands.append(float(frequency[below[0] + 3] if below.size else frequency[-1]))
+    return bands
+
+
+def motion_band(recording: Recording) -> float | None:
+    """Frequency, Hz, below which 99 % of the velocity's power lies; None at rest.
+
+    Median over the joints that move; the lower one of measured velocity and differenced
+    position, since either may be noisy.
+    """
+    rate = recording.rate
+    grid = uniform_time(recording.t, rate)
+    derived = central_difference(smooth_at(recording.t, recording.q, grid), rate)
+    bands = [_band(derived, rate)]
+    if recording.dq is not None:
+        bands.append(_band(smooth_at(recording.t, recording.dq, grid), rate))
+    return min((band for band in bands if band is not None), default=None)
+
+
+def _band(dq: Array, rate: float) -> float | None:
+    power = np.mean(dq**2, axis=0)
+    moves = power > 1e-3 * power.max()
+    if not moves.any():
+        return None
+    length = min(dq.shape[0], round(8.0 * rate))
+    frequency, density = welch(dq[:, moves], rate, nperseg=length, axis=0)
+    below = np.cumsum(density, axis=0) / density.sum(axis=0)
+    return float(np.median(frequency[np.argmax(below >= 0.99, axis=0)]))
+
+
+def noise_dead_zone(dq: Array, *, kept: float = 1.0, quantum: Array | None = None) -> Array:
+    """Speed below which a joint counts as at rest, per joint.
+
+    Three standard deviations of the velocity's noise, which is the robust spread of the
+    fourth difference of dq (motion leaves nothing there, white noise √70 σ), but at least
+    1.5 steps of dq's resolution and 0.3 % of the joint's top speed: a reversal
+    passes through that within a sample or so, and the sign there is anyone's guess.
+
+    Parameters
+    ----------
+    dq
+        (N, n) rad/s, uniform samples.
+    kept
+        Part of the band below Nyquist that a later low-pass keeps: the noise falls with
+        its square root.
+    quantum
+        (n,) resolution, rad/s, where it is not the smallest step between the samples.
+
+    Returns
+    -------
+    (n,) rad/s, never 0.
+    """
+    noise = 3.0 * noise_spread([dq]) * np.sqrt(min(kept, 1.0))
+    top = np.percentile(np.abs(dq), 99.0, axis=0)
+    step = resolution(dq) if quantum is None else quantum
+    return np.asarray(np.maximum.reduce([noise, 1.5 * step, TOP_SPEED_PART * top, 0 * top + 1e-6]))
+
+
+def noise_spread(places: Sequence[Array]) -> Array:
+    """Standard deviation (n,) of white noise on signals (N, n), seen at some places of them."""
+    fourth = [np.diff(x, n=4, axis=0) for x in places if x.shape[0] > 8]
+    if not fourth:
+        return np.zeros(places[0].shape[1])
+    left = np.concatenate(fourth)
+    spread = 1.4826 * np.median(np.abs(left - np.median(left, axis=0)), axis=0)
+    return np.asarray(spread / np.sqrt(70.0))
+
+
+def resolution(values: Array) -> Array:
+    """Smallest step (n,) between distinct values: the quantum, or next to nothing."""
+    return np.array([_resolution(column) for column in values.T])
+
+
+def _resolution(values: Array) -> float:
+    distinct = np.unique(values)
+    return float(np.min(np.diff(distinct))) if distinct.size > 1 else 0.0

@@ -1,0 +1,196 @@
+"""Effects on the whole arm and on what is measured, in exported C, against Fit.predict."""
+
+import ctypes
+import dataclasses
+
+import numpy as np
+import pytest
+from export.c_arms import BUILDS, WARNINGS, library, made_fit, pointer, run, sample_type
+from robot.random_arms import random_arm
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.robot.pose import pose
+
+PANDA = lieid.robots.panda()
+FRICTION = "coulomb,viscous,offset,load_friction:2"
+EFFECTS = {
+    "base_tilt": "base_tilt",
+    "payload": "payload",
+    "external_wrench": "external_wrench",
+    "encoder_offset": "encoder_offset:2+4",
+    "torque_gain": "torque_gain:3+5",
+    "bias_drift": "bias_drift:1",
+    "all": "base_tilt,payload,external_wrench,encoder_offset:4,torque_gain:3,bias_drift:5",
+}
+SHORT = 4  # samples of a recording that is predicted as it was measured, not filtered
+RUNS = 8
+
+
+def tooled(robot):
+    """A robot whose tool is neither at the last link's origin nor along its axes."""
+    return dataclasses.replace(robot, tool=pose((0.05, 0.02, 0.12), (0.1, -0.2, 0.3)))
+
+
+def arms(effects):
+    yield made_fit(tooled(PANDA), f"{FRICTION},{effects}")
+    yield made_fit(tooled(random_arm(np.random.default_rng(4), 5)), effects, seed=1)
+
+
+def short_recordings(n):
+    random = np.random.default_rng(3)
+    for _ in range(RUNS):
+        q, dq, ddq, tau = random.uniform(-1.5, 1.5, (4, SHORT, n))
+        yield lieid.Recording.from_arrays(0.01 * np.arange(SHORT), q, dq, tau, ddq=ddq)
+
+
+class Arm:
+    """Exported functions on one sample."""
+
+    def __init__(self, fit, folder):
+        export_c(fit, folder)
+        self.n, self.c = fit.model.n, library(folder)
+        self.state = ctypes.create_string_buffer(4096)
+
+    def torque(self, recording):
+        """The whole torque (K, n)."""
+        return np.array([self.at(recording, k, "torque") for k in range(len(recording.t))])
+
+    def at(self, recording, k, name, *given, width=1):
+        s = sample_type(self.n)()
+        for signal in ("q", "dq", "ddq"):
+            getattr(s, signal)[:] = getattr(recording, signal)[k].tolist()
+        out = np.full(self.n * width, np.nan)
+        getattr(self.c, f"arm_{name}")(ctypes.byref(s), *given, self.state, None, pointer(out))
+        return out
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_torque_is_that_of_predict(name, tmp_path):
+    for number, fit in enumerate(arms(EFFECTS[name])):
+        arm = Arm(fit, tmp_path / f"{number}")
+        for recording in short_recordings(fit.model.n):
+            expected = fit.predict(recording)
+            got = arm.torque(recording)
+            np.testing.assert_allclose(got, expected, rtol=0.0, atol=1e-10 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", sorted(set(EFFECTS) - {"bias_drift"}))
+def test_the_effect_is_in_the_torque(name):
+    """What is compared above is not two times nothing."""
+    fit = made_fit(tooled(PANDA), f"{FRICTION},{EFFECTS[name]}")
+    bare = dataclasses.replace(fit, parameters=np.where(_of_arm(fit), 0.0, fit.parameters))
+    recording = next(short_recordings(7))
+    assert np.abs(fit.predict(recording) - bare.predict(recording)).max() > 0.05
+
+
+def _of_arm(fit):
+    """Which parameters (10 n + m,) belong to effects that the plain friction does not have."""
+    plain = {label.partition(":")[0] for label in FRICTION.split(",")}
+    others = [c.name.partition(".")[0] not in plain for c in fit.model.columns]
+    return np.array([False] * 10 * fit.model.n + others)
+
+
+def test_columns_times_coefficients_are_the_friction(tmp_path):
+    (fit, _) = arms(EFFECTS["all"])
+    arm, recording = Arm(fit, tmp_path / "arm"), next(short_recordings(7))
+    m, p = len(fit.model.columns), fit.model.base.count
+    compiled = lieid.compile(fit.model)
+    load = compiled.inverse_dynamics(
+        recording.q, recording.dq, recording.ddq, fit.link_parameters
+    )  # fmt: skip
+    for k in range(SHORT):
+        given = pointer(load[k])
+        friction = arm.at(recording, k, "friction", given)
+        columns = arm.at(recording, k, "effect_columns", given, width=m).reshape(7, m)
+        base = arm.at(recording, k, "base_regressor", given, width=p).reshape(7, p)
+        whole = arm.torque(recording)[k]
+        np.testing.assert_allclose(columns @ fit.effect_coefficients, friction, atol=1e-10)
+        np.testing.assert_allclose(load[k] + friction, whole, atol=1e-10)
+        np.testing.assert_allclose(base @ fit.values, whole, atol=1e-9)
+
+
+def test_it_is_the_plants_payload_wrench_and_tilt(tmp_path):
+    """Against arms that have them, not against this package's own columns."""
+    cases = {
+        # a point at the tool: of another body the effect neglects the inertia about it
+        "payload": (plant.Payload(1.5, (0.0, 0.0, 0.0), 1e-9), [1.5, 0.0, 0.0, 0.0]),
+        "external_wrench": (
+            plant.ExternalWrench((1.0, -2.0, 0.5), (10.0, 5.0, -8.0)),
+            [1.0, -2.0, 0.5, 10.0, 5.0, -8.0],
+        ),
+        "base_tilt": (plant.BaseTilt(0.06, -0.04), [0.06, -0.04]),
+        "encoder_offset:4": (plant.EncoderOffset(3, 0.05), [0.05]),
+        "torque_gain:3": (plant.TorqueGain(2, 0.1), [0.1]),
+    }
+    t = np.arange(0.0, 2.0, 0.05)
+    motion = plant.FourierTrajectory(PANDA, base_frequency=0.1, seed=4).at(t)
+    for number, (label, (effect, coefficients)) in enumerate(cases.items()):
+        hidden = plant.Arm(PANDA, PANDA.link_parameters, plant.JointFriction.none(7), (effect,))
+        recording = plant.measure_along(hidden, t, *motion)
+        fit = made_fit(PANDA, label)
+        fit = dataclasses.replace(
+            fit, parameters=np.concatenate([PANDA.link_parameters, coefficients])
+        )
+        arm = Arm(fit, tmp_path / f"{number}")
+        exact = lieid.Recording.from_arrays(t, recording.q, motion[1], recording.tau, ddq=motion[2])
+        error = arm.torque(exact) - recording.tau
+        assert np.abs(error).max() < 1e-6, label
+
+
+@pytest.mark.parametrize("build", ["gcc", "clang++", "sanitizers"])
+def test_strict_build_agrees_with_python(build, tmp_path):
+    fit = made_fit(tooled(PANDA), f"{FRICTION},presliding:1,{EFFECTS['all']},torque_delay:2")
+    export_c(fit, tmp_path / "arm")
+    sources = [f"arm{ending}.c" for ending in ("", "_parameters", "_test")]
+    run([*BUILDS[build], *WARNINGS, *sources, "-lm", "-o", "t"], tmp_path / "arm")
+    shown = run([str(tmp_path / "arm" / "t")], tmp_path / "arm")
+    assert shown.endswith("0 of the above differ by more than 1e-12\n")
+
+
+def test_what_is_left_out_is_told(tmp_path):
+    fit = made_fit(PANDA, "coulomb,torque_delay:2,bias_drift:1,payload")
+    notes = export_c(fit, tmp_path / "arm").notes
+    text = (tmp_path / "arm" / "README.md").read_text() + (tmp_path / "arm" / "arm.h").read_text()
+    for label, words in (
+        ("torque_delay:2", "without the delay"),
+        ("bias_drift:1", "does not carry over"),
+        ("payload", "rigid_torque, gravity and mass_matrix are those of the arm without"),
+    ):
+        assert any(note.startswith(label) and words in note for note in notes)
+        assert text.count(f"{label}: ") >= 2
+    undelayed = made_fit(PANDA, "coulomb")
+    undelayed = dataclasses.replace(undelayed, parameters=fit.parameters[: 10 * 7 + 7])
+    delayed = made_fit(PANDA, "coulomb,torque_delay:2")
+    delayed = dataclasses.replace(delayed, parameters=fit.parameters[: 10 * 7 + 8])
+    recording = next(short_recordings(7))
+    a, b = (Arm(f, tmp_path / n).torque(recording) for f, n in ((undelayed, "u"), (delayed, "d")))
+    np.testing.assert_array_equal(a, b)
+
+
+def test_elasticity_needs_more_than_an_instant(tmp_path, capsys):
+    fit = made_fit(PANDA, "coulomb,joint_elasticity:2")
+    with pytest.raises(ExportError, match="joint_elasticity:2 needs the motion along time"):
+        export_c(fit, tmp_path / "arm")
+    assert not (tmp_path / "arm").exists()
+    fit.save(tmp_path / "fit.json")
+    folder = str(tmp_path / "out")
+    assert main(["export", str(tmp_path / "fit.json"), "--to", "c", "-o", folder]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_whole_segment_effect_of_ones_own_is_refused_unless_it_says_so(tmp_path):
+    from lieid_casadi.effects import ArmEffect, Coefficient
+
+    class Late(ArmEffect):
+        name, formula = "late", "a·τ(t − 1)"
+        coefficients = (Coefficient("a", "1"),)
+
+        def along(self, arm, joint, values):
+            return np.zeros((*arm.load.shape, 1))
+
+    with pytest.raises(ExportError, match="late:1"):
+        export_c(made_fit(lieid.robots.two_link(), [Late()]), tmp_path / "arm")

@@ -1,0 +1,155 @@
+"""Exported C builds without a warning, runs clean, and its self-test means something."""
+
+import re
+import shutil
+import subprocess
+
+import pytest
+from export.c_arms import ARMS, BUILDS, WARNINGS, library, made_fit, run
+from real_arms import TX40, UR10E, needs
+
+import lieid_casadi as lieid
+from lieid_casadi.exporters.c_export import export_c
+
+LIBM = {"sin", "cos", "exp", "tanh", "fabs", "sqrt"}
+COPIES = {"memcpy", "memset"}  # of structs and small arrays; no part of libm
+
+
+@pytest.fixture(scope="module", params=list(ARMS))
+def exported(request, tmp_path_factory):
+    fit, folder = ARMS[request.param](), tmp_path_factory.mktemp("c") / request.param
+    export_c(fit, folder)
+    return folder
+
+
+def files(folder, prefix="arm"):
+    return [f"{prefix}{ending}.c" for ending in ("", "_parameters", "_test")]
+
+
+@pytest.mark.parametrize("build", list(BUILDS))
+def test_strict_build_agrees_with_python(exported, build):
+    command = [*BUILDS[build], *WARNINGS, *files(exported), "-lm", "-o", "selftest"]
+    run(command, exported)
+    shown = run([str(exported / "selftest")], exported)
+    assert shown.endswith("0 of the above differ by more than 1e-12\n")
+    assert shown.count("ok\n") == len(shown.splitlines()) - 1 >= 11
+
+
+def test_nothing_of_libm_but_what_is_promised(exported):
+    run(["gcc", "-std=c99", "-O0", "-fno-builtin", "-c", "arm.c", "-o", "arm.o"], exported)
+    needed = set(re.findall(r"U (\w+)", run(["nm", "-u", "arm.o"], exported)))
+    assert needed - COPIES <= LIBM
+    assert {"sin", "cos"} <= needed
+
+
+def test_no_data_that_could_change(exported):
+    for name in ("arm", "arm_parameters"):
+        run(["gcc", "-std=c99", "-O2", "-c", f"{name}.c", "-o", f"{name}.o"], exported)
+        kinds = set(re.findall(r"^[0-9a-f]+ (\w) ", run(["nm", f"{name}.o"], exported), re.M))
+        assert kinds <= set("TtRr")
+
+
+def test_cmake_builds_and_tests(exported):
+    run(["cmake", "-S", ".", "-B", "build"], exported)
+    run(["cmake", "--build", "build"], exported)
+    shown = run(["ctest", "--test-dir", "build", "--output-on-failure"], exported)
+    assert "100% tests passed" in shown
+
+
+@pytest.mark.parametrize("where", ["rigid_torque", "mass_matrix", "base_regressor", "advance"])
+def test_self_test_sees_a_wrong_number(tmp_path, where):
+    export_c(ARMS["presliding"](), tmp_path / "arm")
+    source = tmp_path / "arm" / "arm.c"
+    text = source.read_text()
+    start = text.index({"advance": "static void advanced("}.get(where, f"void arm_{where}("))
+    end = text.index("\n}\n", start)
+    body = text[start:end]
+    numbers = [n for n in re.finditer(r"\d\.\d{3,}", body) if float(n[0]) > 0.0]
+    assert numbers
+    one = numbers[len(numbers) // 2]
+    wrong = body[: one.start()] + repr(float(one[0]) * (1 + 1e-8)) + body[one.end() :]
+    source.write_text(text[:start] + wrong + text[end:])
+    run(["gcc", "-std=c99", *files(tmp_path), "-lm", "-o", "selftest"], tmp_path / "arm")
+    done = subprocess.run([tmp_path / "arm" / "selftest"], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "DIFFERS" in done.stdout
+
+
+def test_numbers_folded_in_leave_fewer_instructions(tmp_path):
+    from lieid_casadi.exporters.c_functions import functions
+    from lieid_casadi.expressions.model_functions import ModelFunctions
+
+    fit = ARMS["panda"]()
+    folded = functions(fit).bodies["rigid_torque"].operations
+    general = ModelFunctions(fit.model).inverse_dynamics.function
+    arithmetic = general.n_instructions() - general.nnz_in() - general.nnz_out()
+    assert folded < 0.9 * arithmetic
+
+
+def test_two_arms_in_one_program(tmp_path):
+    for name, arm in (("left", "presliding"), ("right", "sliding")):
+        export_c(ARMS[arm](), tmp_path / name, prefix=name)
+        for file in (f"{name}.c", f"{name}_parameters.c", f"{name}.h", "lieid_runtime.h"):
+            shutil.copy(tmp_path / name / file, tmp_path)
+    (tmp_path / "main.c").write_text(
+        '#include "left.h"\n#include "right.h"\n'
+        "int main(void) { return LEFT_JOINTS == 2 && RIGHT_JOINTS == 4 ? 0 : 1; }\n"
+    )
+    sources = ["main.c", "left.c", "left_parameters.c", "right.c", "right_parameters.c"]
+    run(["gcc", "-std=c99", *WARNINGS, *sources, "-lm", "-o", "both"], tmp_path)
+    run([str(tmp_path / "both")], tmp_path)
+
+
+def test_names_cannot_leave_their_comment(tmp_path):
+    import dataclasses
+
+    evil = "*/ #error \\"
+    robot = lieid.robots.two_link()
+    joints = [dataclasses.replace(j, name=f"{evil}\n/* ??/ \u202e{j.name}") for j in robot.joints]
+    robot = dataclasses.replace(robot, name=f"{evil}\r\nint x;", joints=tuple(joints))
+    export_c(made_fit(robot, "coulomb"), tmp_path / "arm")
+    assert "\u202e" not in (tmp_path / "arm" / "arm.h").read_text()
+    for build in ("gcc", "g++"):
+        run([*BUILDS[build], *WARNINGS, *files(tmp_path), "-lm", "-o", "t"], tmp_path / "arm")
+
+
+def test_header_names_every_parameter(exported):
+    text = (exported / "arm.h").read_text(encoding="utf-8")
+    fit = ARMS[exported.name]()
+    for parameter in (*fit.model.base_columns, *fit.model.columns, *fit.model.states):
+        assert f"{parameter.label} [" in text or f"{parameter.label}, " in text
+    for joint in fit.model.robot.joints:
+        assert joint.name in text
+
+
+def test_constants_are_the_fit(exported):
+    fit, loaded = ARMS[exported.name](), library(exported)
+    from export.c_arms import constants
+
+    for name, numbers in (
+        ("link_parameters", fit.link_parameters),
+        ("base_parameters", fit.values),
+        ("effect_coefficients", fit.effect_coefficients),
+        ("shapes", fit.shapes),
+    ):
+        if len(numbers):
+            assert (constants(loaded, f"arm_{name}", len(numbers)) == numbers).all()
+        else:
+            assert not hasattr(loaded, f"arm_{name}")
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    "urdf",
+    [
+        pytest.param(UR10E / "ur10e.urdf", marks=needs(UR10E / "ur10e.urdf")),
+        pytest.param(TX40 / "tx40.urdf", marks=needs(TX40 / "tx40.urdf")),
+    ],
+    ids=["ur10e", "tx40"],
+)
+def test_real_arms_geometry_with_its_rounding(urdf, tmp_path):
+    """Where axes are parallel but for rounding, fewer parameters would give another torque."""
+    robot = lieid.Robot.from_urdf(urdf)
+    export_c(made_fit(robot, "coulomb,viscous,offset"), tmp_path / "arm")
+    run(["gcc", "-std=c99", "-O1", *files(tmp_path), "-lm", "-o", "t"], tmp_path / "arm")
+    run([str(tmp_path / "arm" / "t")], tmp_path / "arm")

@@ -1,0 +1,191 @@
+"""What an export refuses, what it leaves behind, and the command line."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from export.c_arms import ARMS, made_fit
+
+import lieid_casadi as lieid
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.output_folder import write_folder
+
+FILES = {
+    "arm.h", "arm.c", "arm_parameters.c", "arm_test.c", "lieid_runtime.h", "CMakeLists.txt",
+    "README.md",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return ARMS["presliding"]()
+
+
+@pytest.fixture(scope="module")
+def fit_file(fit, tmp_path_factory):
+    path = tmp_path_factory.mktemp("fits") / "fit.json"
+    fit.save(path)
+    return path
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def test_all_files_and_nothing_else(fit, tmp_path):
+    made = export_c(fit, tmp_path / "new" / "arm")
+    assert {path.name for path in made.files} == names(tmp_path / "new" / "arm") == FILES
+    assert names(tmp_path / "new") == {"arm"}
+    export_c(fit, tmp_path / "empty", prefix="left2")
+    assert "left2_test.c" in names(tmp_path / "empty")
+
+
+def test_exports_of_one_fit_are_equal(fit, tmp_path):
+    for name in ("a", "b"):
+        export_c(fit, tmp_path / name)
+    for name in FILES:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_folder_with_content_only_by_force(fit, tmp_path):
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "arm" / "mine.txt").write_text("keep me")
+    with pytest.raises(ExportError, match="arm: not empty; expected a new folder, or --force"):
+        export_c(fit, tmp_path / "arm")
+    assert names(tmp_path / "arm") == {"mine.txt"}
+    export_c(fit, tmp_path / "arm", force=True)
+    assert names(tmp_path / "arm") == FILES
+    assert names(tmp_path) == {"arm"}
+
+
+def test_file_in_the_way(fit, tmp_path):
+    (tmp_path / "arm").write_text("")
+    for folder, message in (("arm", "is a file"), ("arm/below", "is not a folder")):
+        with pytest.raises(ExportError, match=message):
+            export_c(fit, tmp_path / folder, force=True)
+    assert (tmp_path / "arm").read_text() == ""
+
+
+@pytest.mark.parametrize("prefix", ["", "2arm", "my-arm", "a b", "é", "arm;"])
+def test_prefix_must_be_a_name(fit, tmp_path, prefix):
+    with pytest.raises(ExportError, match=r"expected letters, digits and _"):
+        export_c(fit, tmp_path / "arm", prefix=prefix)
+    assert not names(tmp_path)
+
+
+def test_failure_leaves_the_folder_as_it_was(tmp_path):
+    class Erf(lieid.Effect):
+        name = "erf_friction"
+        formula = "f·erf(q̇)"
+        coefficients = (lieid.Coefficient("f", "N·m"),)
+
+        def columns(self, s, shape):
+            return [ca.erf(s.dq)]
+
+    fit = made_fit(lieid.robots.two_link(), [Erf()])
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "arm" / "mine.txt").write_text("keep me")
+    with pytest.raises(ExportError, match="operation ERF, which exported C does not have"):
+        export_c(fit, tmp_path / "arm", force=True)
+    assert names(tmp_path) == {"arm"}
+    assert names(tmp_path / "arm") == {"mine.txt"}
+
+
+def test_interrupted_writing_leaves_nothing(tmp_path, monkeypatch):
+    from pathlib import Path
+
+    def full(self, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(ExportError, match="cannot be written: No space left"):
+        write_folder(tmp_path / "a", {"x": b"1"})
+    assert not names(tmp_path)
+
+
+def test_numbers_that_are_not_finite_are_refused(tmp_path):
+    import dataclasses
+
+    fit = ARMS["rigid"]()
+    broken = dataclasses.replace(fit, parameters=np.where(fit.parameters > 0.1, np.nan, 0.0))
+    with pytest.raises(ExportError, match="nan; expected finite"):
+        export_c(broken, tmp_path / "arm")
+    assert not names(tmp_path)
+
+
+def test_user_effect_is_exported(tmp_path):
+    class Waves(lieid.Effect):
+        name = "atan_friction"
+        formula = "f·atan(q̇/0.1) + g·|sin 3q|^1.5"
+        coefficients = (lieid.Coefficient("f", "N·m"), lieid.Coefficient("g", "N·m"))
+        signals = ("q", "dq")
+
+        def columns(self, s, shape):
+            return [ca.atan(s.dq / 0.1), ca.fabs(ca.sin(3 * s.q)) ** 1.5]
+
+    from export.c_arms import run
+
+    export_c(made_fit(lieid.robots.two_link(), [Waves()]), tmp_path / "arm")
+    sources = ["arm.c", "arm_parameters.c", "arm_test.c"]
+    run(["gcc", "-std=c99", *sources, "-lm", "-o", "t"], tmp_path / "arm")
+    run([str(tmp_path / "arm" / "t")], tmp_path / "arm")
+
+
+def test_command_writes_c(fit_file, tmp_path, capsys):
+    out = tmp_path / "arm"
+    assert main(["export", str(fit_file), "--to", "c", "-o", str(out)]) == 0
+    assert names(out) == FILES
+    captured = capsys.readouterr()
+    assert "arm_test.c" in captured.out
+    assert captured.err == ""
+    assert main(["export", str(fit_file), "--to", "c", "-o", str(out)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    force = ["--force", "--prefix", "scara"]
+    assert main(["export", str(fit_file), "--to", "c", "-o", str(out), *force]) == 0
+    assert "scara.h" in names(out)
+
+
+def test_saved_fit_is_exported_bit_by_bit(fit, fit_file, tmp_path):
+    export_c(fit, tmp_path / "a")
+    assert main(["export", str(fit_file), "--to", "c", "-o", str(tmp_path / "b")]) == 0
+    for name in ("arm.c", "arm_parameters.c", "arm_test.c"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--to", "c", "--prefix", "9"], "prefix '9': expected letters"),
+        (["--to", "urdf", "--prefix", "x"], "only C code has names to prefix"),
+        (["--to", "urdf"], "--method feasible"),
+        (["--to", "matlab"], "invalid choice: 'matlab'"),
+    ],
+)
+def test_bad_requests_are_one_line_and_write_nothing(fit_file, tmp_path, capsys, words, message):
+    command = ["export", str(fit_file), *words, "-o", str(tmp_path / "out")]
+    try:
+        status = main(command)
+    except SystemExit as stop:
+        status = stop.code
+    assert status == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not names(tmp_path)
+
+
+def test_fit_that_is_not_there(tmp_path, capsys):
+    assert main(["export", str(tmp_path / "no.json"), "--to", "c", "-o", str(tmp_path / "o")]) == 2
+    assert "no.json" in capsys.readouterr().err
+    assert not names(tmp_path)
+
+
+def test_command_writes_a_urdf(tmp_path, capsys):
+    from export.test_urdf_export import fitted
+
+    fitted(lieid.robots.two_link()).save(tmp_path / "fit.json")
+    words = ["export", str(tmp_path / "fit.json"), "--to", "urdf", "-o", str(tmp_path / "out")]
+    assert main(words) == 0
+    assert {path.suffix for path in (tmp_path / "out").iterdir()} == {".urdf", ".xml"}
+    assert "written to" in capsys.readouterr().out

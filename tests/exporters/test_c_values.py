@@ -1,0 +1,230 @@
+"""Exported C against Pinocchio, the compiled batches and NumPy: nothing of its own making."""
+
+import ctypes
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from export.c_arms import ARMS, constants, library, pointer, run, sample_type
+from robot.random_arms import to_pinocchio
+
+import lieid_casadi as lieid
+from lieid_casadi.codegen_files import codegen_folder
+from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.plant import build_pinocchio
+
+ROWS = 30
+
+
+class Exported:
+    """Functions of an exported arm, on arrays."""
+
+    def __init__(self, fit, folder):
+        export_c(fit, folder)
+        self.fit, self.n, self.c = fit, fit.model.n, library(folder)
+        self.sample = sample_type(self.n)
+        self.state = ctypes.create_string_buffer(4096)
+
+    def rigid(self, name, columns, *arrays):
+        result = np.full((len(arrays[0]), self.n, columns), np.nan)
+        for k, out in enumerate(result):
+            getattr(self.c, f"arm_{name}")(*(pointer(a[k]) for a in arrays), pointer(out))
+        return result
+
+    def along(self, motion, columns, *, v0=None, load=None):
+        """Results (N, n, columns[name]) along a motion, one cycle after the other."""
+        v0 = None if v0 is None else pointer(v0)
+        self.c.arm_begin(self.state)
+        results = {name: [] for name in columns}
+        for k in range(len(motion["q"])):
+            row = {name: values[k] for name, values in motion.items()}
+            s = self.sample()
+            for name in ("q", "dq", "ddq", "temperature"):
+                getattr(s, name)[:] = row[name].tolist()
+            s.time = float(row["time"])
+            self.c.arm_advance(self.state, ctypes.byref(s), v0)
+            for name, width in columns.items():
+                out = np.full((self.n, width), np.nan)
+                given = [] if name == "torque" else [pointer(load[k])]
+                function = getattr(self.c, f"arm_{name}")
+                function(ctypes.byref(s), *given, self.state, v0, pointer(out))
+                results[name].append(out)
+        return {name: np.array(values) for name, values in results.items()}
+
+
+@pytest.fixture(scope="module", params=["panda", "sliding", "presliding"])
+def arm(request, tmp_path_factory):
+    return Exported(ARMS[request.param](), tmp_path_factory.mktemp("values") / "arm")
+
+
+@pytest.fixture
+def motion(arm):
+    random, n = np.random.default_rng(5), arm.n
+    time = np.cumsum(random.uniform(1e-3, 5e-2, ROWS))
+    angle = 6.0 * time[:, None] + random.uniform(-3, 3, n)
+    return {
+        "q": 0.3 * np.sin(angle),
+        "dq": 1.8 * np.cos(angle),
+        "ddq": -10.8 * np.sin(angle),
+        "temperature": random.uniform(20.0, 50.0, (ROWS, n)),
+        "time": time - time[0],
+    }
+
+
+def close(a, b, tolerance=1e-12):
+    np.testing.assert_allclose(a, b, rtol=0.0, atol=tolerance * max(1.0, np.abs(b).max()))
+
+
+def with_parameters(fit):
+    return build_pinocchio(fit.model.robot, fit.link_parameters)
+
+
+def test_rigid_body_is_pinocchios(arm, motion):
+    model = with_parameters(arm.fit)
+    data, (q, dq, ddq) = model.createData(), (motion[k] for k in ("q", "dq", "ddq"))
+    torque = arm.rigid("rigid_torque", 1, q, dq, ddq)[:, :, 0]
+    gravity, mass = arm.rigid("gravity", 1, q)[:, :, 0], arm.rigid("mass_matrix", arm.n, q)
+    for k in range(ROWS):
+        close(torque[k], pin.rnea(model, data, q[k], dq[k], ddq[k]), 1e-11)
+        close(gravity[k], pin.computeGeneralizedGravity(model, data, q[k]), 1e-11)
+        upper = np.triu(pin.crba(model, data, q[k]))
+        close(mass[k], upper + np.triu(upper, 1).T, 1e-11)
+
+
+def test_regressors_times_parameters_are_torques(arm, motion):
+    model, links = with_parameters(arm.fit), constants(arm.c, "arm_link_parameters", 10 * arm.n)
+    data, (q, dq, ddq) = model.createData(), (motion[k] for k in ("q", "dq", "ddq"))
+    dq_r, ddq_r = np.random.default_rng(2).normal(size=(2, ROWS, arm.n))
+    full = arm.rigid("regressor", 10 * arm.n, q, dq, ddq) @ links
+    adaptive = arm.rigid("slotine_li_regressor", 10 * arm.n, q, dq, dq_r, ddq_r) @ links
+    for k in range(ROWS):
+        close(full[k], pin.rnea(model, data, q[k], dq[k], ddq[k]), 1e-11)
+        upper = np.triu(pin.crba(model, data, q[k]))
+        m = upper + np.triu(upper, 1).T
+        c = pin.computeCoriolisMatrix(model, data, q[k], dq[k])
+        g = pin.computeGeneralizedGravity(model, data, q[k])
+        close(adaptive[k], m @ ddq_r[k] + c @ dq_r[k] + g, 1e-11)
+
+
+def test_effects_are_those_of_the_batches(arm, motion):
+    fit, compiled = arm.fit, lieid.compile(arm.fit.model)
+    m, p = len(fit.model.columns), fit.model.base.count
+    q, dq, ddq = (motion[k] for k in ("q", "dq", "ddq"))
+    load = compiled.inverse_dynamics(q, dq, ddq, fit.link_parameters)
+    mean = 0.0 if fit.temperature_mean is None else fit.temperature_mean
+    signals = {
+        "load": load,
+        "temperature": motion["temperature"] - mean,
+        "time": motion["time"],
+        "shapes": fit.shapes,
+    }
+    widths = {"friction": 1, "torque": 1, "effect_columns": m, "base_regressor": p}
+    got = arm.along(motion, widths, load=load)
+    columns = compiled.effect_columns(q, dq, ddq, **signals)
+    close(got["effect_columns"], columns)
+    close(got["base_regressor"], compiled.base_regressor(q, dq, ddq, **signals))
+    close(got["friction"][:, :, 0], columns @ fit.effect_coefficients)
+    whole = load + columns @ fit.effect_coefficients
+    close(got["torque"][:, :, 0], whole)
+    # and the constants belong to the columns
+    close(got["base_regressor"] @ constants(arm.c, "arm_base_parameters", p), whole, 1e-11)
+
+
+def test_smooth_sign_is_a_tanh_and_sharpens(arm, motion):
+    load = np.zeros((ROWS, arm.n))
+    sharp = arm.along(motion, {"friction": 1}, load=load)["friction"]
+    tiny = arm.along(motion, {"friction": 1}, load=load, v0=np.full(arm.n, 1e-9))["friction"]
+    zero = arm.along(motion, {"friction": 1}, load=load, v0=np.zeros(arm.n))["friction"]
+    wide = arm.along(motion, {"friction": 1}, load=load, v0=np.full(arm.n, 0.5))["friction"]
+    close(tiny, sharp)
+    assert (zero == sharp).all()
+    signed = any("sign" in p.effect.signals for p in arm.fit.model.placements)
+    assert (np.abs(wide - sharp).max() > 1e-3) == signed
+
+
+def test_smooth_coulomb_friction_by_hand(tmp_path):
+    from export.c_arms import made_fit
+
+    exported = Exported(made_fit(lieid.robots.two_link(), "coulomb"), tmp_path / "arm")
+    dq, v0 = np.array([[0.02, -0.3]]), np.array([0.1, 0.05])
+    zero = np.zeros((1, 2))
+    motion = {"q": zero, "dq": dq, "ddq": zero, "temperature": zero, "time": np.zeros(1)}
+    got = exported.along(motion, {"friction": 1}, load=zero, v0=v0)["friction"][0, :, 0]
+    close(got, exported.fit.effect_coefficients * np.tanh(dq[0] / v0))
+
+
+def test_result_may_lie_on_an_argument(arm, motion):
+    apart = arm.rigid("rigid_torque", 1, motion["q"], motion["dq"], motion["ddq"])[0, :, 0]
+    q, dq, ddq = (motion[k][0].copy() for k in ("q", "dq", "ddq"))
+    arm.c.arm_rigid_torque(pointer(q), pointer(dq), pointer(ddq), pointer(q))
+    assert (q == apart).all()
+
+
+def test_a_motion_can_begin_again(tmp_path):
+    arm = Exported(ARMS["presliding"](), tmp_path / "arm")
+    q = np.array([[0.0, 0.0], [0.01, -0.02], [0.03, 0.01]])
+    motion = {"q": q, "dq": np.ones_like(q), "ddq": 0 * q, "temperature": 0 * q,
+              "time": np.arange(3.0)}  # fmt: skip
+    first, again = (arm.along(motion, {"friction": 1}, load=q)["friction"] for _ in range(2))
+    assert (first == again).all()
+    assert np.abs(first[0, :, 0] - first[2, :, 0]).max() > 1e-3  # z = 0 at first
+
+
+def test_gravity_of_a_sliding_arm_by_mujocos_neighbour():
+    """`build_pinocchio` of the plant and of the tests agree, so one mistake cannot hide."""
+    fit = ARMS["sliding"]()
+    ours, theirs = build_pinocchio(fit.model.robot), to_pinocchio(fit.model.robot)
+    q = np.array([0.3, -0.2, 0.1, 0.5])
+    close(
+        pin.computeGeneralizedGravity(ours, ours.createData(), q),
+        pin.computeGeneralizedGravity(theirs, theirs.createData(), q),
+    )
+
+
+RUNTIME = {
+    "lieid_expm1": (np.expm1, [-700.0, -3.0, -1.0, -0.5, -1e-9, 0.0, 1e-300, 1e-5, 0.7, 1.0, 30.0]),
+    "lieid_log": (np.log, [5e-324, 1e-310, 1e-20, 0.3, 0.7071, 1.0, 1.0000001, 1.5, 4e9, 1e308]),
+    "lieid_log1p": (np.log1p, [-0.999, -0.3, -1e-12, 0.0, 1e-17, 1e-8, 0.4, 1e5]),
+    "lieid_tan": (np.tan, [-1.5, -0.1, 0.0, 1e-9, 0.8, 3.0]),
+    "lieid_sinh": (np.sinh, [-5.0, -0.3, 0.0, 1e-12, 0.9, 20.0]),
+    "lieid_cosh": (np.cosh, [-5.0, 0.0, 0.9, 20.0]),
+    "lieid_atan": (np.arctan, [-1e300, -3.0, -1.3, -0.9, -0.5, -0.1, 0.0, 1e-9, 0.44, 0.69, 2.5]),
+    "lieid_asin": (np.arcsin, [-1.0, -0.999999, -0.4, 0.0, 1e-9, 0.7, 1.0]),
+    "lieid_acos": (np.arccos, [-1.0, -0.999999, -0.4, 0.0, 0.7, 0.99999]),
+    "lieid_floor": (np.floor, [-2.5, -2.0, -0.1, 0.0, 0.9, 3.0, 1e300, -1e17]),
+    "lieid_ceil": (np.ceil, [-2.5, -2.0, 0.0, 0.1, 0.9, 3.0, 1e300]),
+    "lieid_sign": (np.sign, [-1e-300, -2.0, 0.0, 3.0]),
+}
+RUNTIME_PAIRS = {
+    "lieid_pow": (np.power, [(0.3, 0.7), (2.0, -3.0), (-1.5, 3.0), (1e-6, 1.1), (7.0, 0.5),
+                             (0.0, 0.4), (0.0, 0.0), (3.0, 100.0)]),
+    "lieid_atan2": (np.arctan2, [(1.0, 2.0), (-1.0, -2.0), (1.0, 0.0), (-1.0, 0.0), (0.0, -1.0),
+                                 (0.0, 0.0), (1e-9, -1.0), (3.0, 1e-300)]),
+    "lieid_hypot": (np.hypot, [(3.0, 4.0), (1e200, 1e200), (0.0, 0.0), (1e-200, -2e-200)]),
+    "lieid_fmin": (np.fmin, [(1.0, 2.0), (2.0, 1.0), (np.nan, 1.0), (1.0, np.nan)]),
+    "lieid_fmax": (np.fmax, [(1.0, 2.0), (2.0, 1.0), (np.nan, 1.0), (1.0, np.nan)]),
+    "lieid_copysign": (np.copysign, [(1.0, -0.0), (-2.0, 3.0), (2.0, -3.0)]),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def runtime(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runtime")
+    lines = ['#include "lieid_runtime.h"']
+    lines += [f"double of_{f}(double x) {{ return {f}(x); }}" for f in RUNTIME]
+    lines += [f"double of_{f}(double x, double y) {{ return {f}(x, y); }}" for f in RUNTIME_PAIRS]
+    (folder / "r.c").write_text("\n".join(lines) + "\n")
+    include = f"-I{codegen_folder() / 'export'}"
+    run(["gcc", "-std=c99", "-O1", include, "-shared", "-fPIC", "r.c", "-lm", "-o", "r.so"], folder)
+    return ctypes.CDLL(str(folder / "r.so"))
+
+
+@pytest.mark.parametrize("name", [*RUNTIME, *RUNTIME_PAIRS])
+def test_runtime_functions_are_numpys(runtime, name):
+    function = getattr(runtime, f"of_{name}")
+    function.restype = ctypes.c_double
+    expected, points = (RUNTIME | RUNTIME_PAIRS)[name]
+    function.argtypes = [ctypes.c_double] * (2 if name in RUNTIME_PAIRS else 1)
+    for point in points:
+        given = point if isinstance(point, tuple) else (point,)
+        np.testing.assert_allclose(function(*given), expected(*given), rtol=1e-14, atol=0.0)

@@ -1,0 +1,306 @@
+"""Exported URDFs: read by Pinocchio and MuJoCo, they move as the fit says."""
+
+import re
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from real_arms import PANDA, TX40, UR10E, needs
+from robot.random_arms import random_arm
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.urdf_export import export_urdf
+from lieid_casadi.recording import Processing
+
+ARM = """<?xml version="1.0" encoding="utf-8"?>
+<!-- a comment before -->
+<robot name="bench arm">
+  <material name="grey"><color rgba="0.5 0.5 0.5 1"/></material>
+  <link name="base"><inertial><mass value="9"/><inertia ixx="1" iyy="1" izz="1"
+      ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="upper">
+    <!-- weighed on 3 May > 4 May -->
+    <visual><geometry><box size="1 1 1"/></geometry></visual>
+    <inertial>
+      <origin xyz="0.1 0.02 0.01" rpy="0.3 -0.2 1.57079632679"/>
+      <mass value="3.0"/>
+      <inertia ixx="0.03" ixy="0.001" ixz="-0.002" iyy="0.02" iyz="0.003" izz="0.035"/>
+    </inertial>
+  </link>
+  <link name="fore"/>
+  <link name="flange"/>
+  <link name="hand">
+    <inertial><origin xyz="0 0 0.05" rpy="0 0 0.4"/><mass value="0.6"/>
+      <inertia ixx="0.002" ixy="0" ixz="0" iyy="0.001" iyz="0.0002" izz="0.0015"/></inertial>
+  </link>
+  <link name="finger"><inertial><mass value="0.1"/>
+      <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
+  <joint name="shoulder" type="revolute">
+    <origin xyz="0 0 0.4" rpy="1.2 0.1 0"/><parent link="base"/><child link="upper"/>
+    <axis xyz="0 0.6 0.8"/>
+    <limit lower="-2" upper="2" effort="90" velocity="2.5"/>
+    <dynamics damping="0.0" friction="0.0" spring="7"/>
+  </joint>
+  <joint name="elbow" type="continuous">
+    <origin xyz="0.4 0 0" rpy="0 0.5 -1.1"/><parent link="upper"/><child link="fore"/>
+    <axis xyz="1 0 0"/>
+  </joint>
+  <joint name="mount" type="fixed">
+    <origin xyz="0.1 0.3 0" rpy="0.2 0 0"/><parent link="fore"/><child link="flange"/></joint>
+  <joint name="grip" type="fixed">
+    <origin xyz="0 0 0.02"/><parent link="flange"/><child link="hand"/></joint>
+  <joint name="slide" type="prismatic">
+    <origin xyz="0 0.02 0.1" rpy="0 1 0"/><parent link="hand"/><child link="finger"/>
+    <axis xyz="0 1 0"/><limit lower="0" upper="0.04" effort="20" velocity="0.1"/></joint>
+</robot>
+"""
+EFFECTS = "coulomb,viscous,offset,armature"
+
+
+def fitted(robot, *, truth=None, effects=EFFECTS, seed=0):
+    """A feasible fit of an arm that wanders about; ``truth`` (10 n,) are its bodies."""
+    rng, n = np.random.default_rng(seed), robot.n
+    if truth is None:
+        truth = plant.perturbed_inertias(robot, spread=0.3, seed=seed)
+    friction = plant.JointFriction(np.full(n, 0.4), np.full(n, 0.3), np.zeros(n))
+    t = np.arange(800) * 0.01
+    q = dq = ddq = np.zeros((len(t), n))
+    for k in range(1, 6):
+        w, a, phase = 2 * np.pi * 0.125 * k, rng.uniform(-0.3, 0.3, n), rng.uniform(0, 6, n)
+        angle = w * t[:, None] + phase
+        q, dq, ddq = (
+            q + a * np.sin(angle),
+            dq + a * w * np.cos(angle),
+            ddq - a * w**2 * np.sin(angle),
+        )
+    arm = plant.Arm(robot, truth, friction)
+    recording = plant.measure_along(arm, t, q, dq, ddq, name="run.csv")
+    model = lieid.Model(robot, effects)
+    return lieid.identify(model, recording, method="feasible", processing=Processing(cutoff=8.0))
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    path = tmp_path_factory.mktemp("urdf") / "arm.urdf"
+    path.write_text(ARM)
+    robot = lieid.Robot.from_urdf(path, lock=("slide",))
+    return fitted(robot)
+
+
+def heavier(fit, factor):
+    """The fit with another body of the fore arm, nominally hand and finger alone."""
+    parameters = fit.parameters.copy()
+    parameters[10:20] = factor * fit.model.robot.link_parameters[10:20]
+    return replace(fit, parameters=parameters)
+
+
+def pinocchio_torques(path, fit, states):
+    """Pinocchio's RNEA on the file: joints that the fit knows move, others stay at zero."""
+    import pinocchio as pin
+
+    model = pin.buildModelFromUrdf(str(path))
+    model.gravity.linear = fit.model.robot.gravity
+    data, torques = model.createData(), []
+    ids = [model.getJointId(joint.name) for joint in fit.model.robot.joints]
+    for q, dq, ddq in zip(*states, strict=True):
+        place, rate, change = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
+        for j, k in enumerate(ids):
+            if model.joints[k].nq == 2:  # continuous: cos q, sin q
+                place[model.idx_qs[k] : model.idx_qs[k] + 2] = np.cos(q[j]), np.sin(q[j])
+            else:
+                place[model.idx_qs[k]] = q[j]
+            rate[model.idx_vs[k]], change[model.idx_vs[k]] = dq[j], ddq[j]
+        tau = pin.rnea(model, data, place, rate, change)
+        torques.append([tau[model.idx_vs[k]] for k in ids])
+    return np.array(torques)
+
+
+def mujoco_torques(path, fit, states):
+    """MuJoCo's RNE on the file, without its meshes."""
+    import mujoco
+
+    root = ElementTree.fromstring(path.read_text())
+    for link in root.findall("link"):
+        for element in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(element)
+    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+    model.opt.gravity[:] = fit.model.robot.gravity
+    data, torques = mujoco.MjData(model), []
+    names = [joint.name for joint in fit.model.robot.joints]
+    at = [model.joint(name).qposadr[0] for name in names]
+    of = [model.joint(name).dofadr[0] for name in names]
+    result = np.zeros(model.nv)
+    for q, dq, ddq in zip(*states, strict=True):
+        data.qpos[:], data.qvel[:], data.qacc[:] = 0.0, 0.0, 0.0
+        data.qpos[at], data.qvel[of], data.qacc[of] = q, dq, ddq
+        mujoco.mj_forward(model, data)
+        data.qacc[:] = 0.0
+        data.qacc[of] = ddq
+        mujoco.mj_rne(model, data, 1, result)
+        torques.append(result[of])
+    return model, np.array(torques)
+
+
+def states_of(robot, count=40):
+    rng = np.random.default_rng(7)
+    return tuple(rng.normal(0.0, size, (count, robot.n)) for size in (0.8, 1.0, 3.0))
+
+
+def check_torques(path, fit):
+    states = states_of(fit.model.robot)
+    expected = fit.compiled.inverse_dynamics(*states, fit.link_parameters)
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(pinocchio_torques(path, fit, states), expected, atol=1e-8 * size)
+    model, torques = mujoco_torques(path, fit, states)
+    np.testing.assert_allclose(torques, expected, rtol=0.0, atol=1e-8 * size)
+    return model
+
+
+def test_rigid_torques_of_pinocchio_and_mujoco(bench, tmp_path):
+    done = export_urdf(bench, tmp_path)
+    assert done.urdf.name == "bench_arm.urdf"
+    model = check_torques(done.urdf, bench)
+    viscous = dict(
+        zip([c.label for c in bench.model.columns], bench.effect_coefficients, strict=True)
+    )
+    assert model.dof_damping[model.joint("elbow").dofadr[0]] == viscous["viscous.f_v:2"]
+    assert model.dof_frictionloss[model.joint("shoulder").dofadr[0]] == viscous["coulomb.f_c:1"]
+
+
+def test_everything_else_of_the_file_stays(bench, tmp_path):
+    """Without <inertial> of the moving links and <dynamics>, the two texts are the same."""
+    text = export_urdf(bench, tmp_path).urdf.read_text()
+
+    def rest(xml):
+        for link in ("upper", "fore", "hand", "finger"):
+            xml = re.sub(
+                rf'(<link name="{link}")(/>|>)(.*?)<inertial>.*?</inertial>',
+                r"\1>\3",
+                xml,
+                flags=re.S,
+            )
+        xml = re.sub(r"<dynamics[^>]*/>", "", xml)
+        return re.sub(r"\s+|</link>|/>", "", xml)
+
+    assert rest(text) == rest(ARM)
+    assert "<!-- weighed on 3 May > 4 May -->" in text
+    assert 'spring="7"' in text
+    assert text.startswith(ARM[: ARM.index("<robot")])
+    base = text[text.index('<link name="base"') : text.index('<link name="upper"')]
+    assert base in ARM
+
+
+def test_the_robot_reads_back(bench, tmp_path):
+    done = export_urdf(bench, tmp_path)
+    again = lieid.Robot.from_urdf(done.urdf, lock=("slide",))
+    np.testing.assert_allclose(again.link_parameters, bench.link_parameters, rtol=1e-12, atol=1e-14)
+
+
+def test_members_keep_their_inertia_where_there_is_room(bench, tmp_path):
+    fit = heavier(bench, 3.0)
+    done = export_urdf(fit, tmp_path)
+    (note,) = [note for note in done.notes if note.startswith("hand, finger")]
+    assert note == "hand, finger: moved by elbow with fore, own inertia kept; fore has the rest"
+    root = ElementTree.parse(done.urdf).getroot()
+    assert root.find("link[@name='hand']/inertial/mass").get("value") == "0.6"
+    mass = float(root.find("link[@name='fore']/inertial/mass").get("value"))
+    assert mass == pytest.approx(3 * 0.7 - 0.7, rel=1e-12)
+    check_torques(done.urdf, fit)
+
+
+def test_members_are_scaled_where_the_whole_is_lighter_than_they_are(bench, tmp_path):
+    fit = heavier(bench, 0.4)
+    done = export_urdf(fit, tmp_path)
+    (note,) = [note for note in done.notes if note.startswith("hand, finger")]
+    assert "heavier than all that was identified there; scaled by 0.2;" in note  # half of 0.4
+    root = ElementTree.parse(done.urdf).getroot()
+    for name, nominal in (("hand", 0.6), ("finger", 0.1)):
+        mass = root.find(f"link[@name='{name}']/inertial/mass").get("value")
+        assert float(mass) == pytest.approx(0.2 * nominal, rel=1e-9)
+    check_torques(done.urdf, fit)
+
+
+def test_effects_without_a_place_are_named(bench, tmp_path):
+    notes = export_urdf(bench, tmp_path).notes
+    assert any("no place for armature" in note for note in notes)
+    assert any("neither URDF nor MuJoCo has a place for offset" in note for note in notes)
+
+
+def test_the_mujoco_file_gives_joints_armature_damping_and_friction(bench, tmp_path):
+    import mujoco
+
+    done = export_urdf(bench, tmp_path)
+    body = '<body><joint class="identified_{}" axis="0 0 1"/><geom size="1"/></body>'
+    xml = (
+        f'<mujoco><include file="{done.mjcf.name}"/><worldbody>'
+        + body.format("shoulder")
+        + body.format("elbow")
+        + "</worldbody></mujoco>"
+    )
+    (tmp_path / "model.xml").write_text(xml)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
+    numbers = dict(
+        zip([c.label for c in bench.model.columns], bench.effect_coefficients, strict=True)
+    )
+    for j in (1, 2):
+        assert model.dof_armature[j - 1] == numbers[f"armature.I_a:{j}"]
+        assert model.dof_damping[j - 1] == numbers[f"viscous.f_v:{j}"]
+        assert model.dof_frictionloss[j - 1] == numbers[f"coulomb.f_c:{j}"]
+
+
+def test_a_fit_that_need_not_be_possible_is_refused_with_the_command(bench, tmp_path):
+    for fit in (
+        replace(bench, method="wls", certificate=None),
+        replace(bench, parameters=-bench.parameters),
+    ):
+        with pytest.raises(
+            ExportError, match=r"method feasible: lieid identify ROBOT run\.csv"
+        ) as told:
+            export_urdf(fit, tmp_path / "out")
+        assert "--effects coulomb,viscous,offset,armature --method feasible" in str(told.value)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("robot", [lieid.robots.panda(), lieid.robots.two_link()], ids=["7", "2"])
+def test_bundled_robots_get_a_urdf_from_their_screws(robot, tmp_path):
+    fit = fitted(robot)
+    done = export_urdf(fit, tmp_path)
+    check_torques(done.urdf, fit)
+    again = lieid.Robot.from_urdf(done.urdf)
+    for mine, theirs in zip(robot.joints, again.joints, strict=True):
+        np.testing.assert_allclose(theirs.screw, mine.screw, atol=1e-12)
+        for limit in ("position_lower", "position_upper", "velocity", "torque"):
+            np.testing.assert_equal(getattr(theirs.limits, limit), getattr(mine.limits, limit))
+    last = again.joints[-1].home @ again.tool
+    np.testing.assert_allclose(last, robot.joints[-1].home @ robot.tool, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_axes_beside_their_frames_sliding_joints_and_odd_gravity(seed, tmp_path):
+    robot = random_arm(np.random.default_rng(seed), 4)
+    fit = fitted(robot, effects="viscous")
+    done = export_urdf(fit, tmp_path)
+    check_torques(done.urdf, fit)
+    assert any("set it to" in note for note in done.notes)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("path", "lock"),
+    [
+        pytest.param(UR10E / "ur10e.urdf", (), marks=needs(UR10E / "ur10e.urdf")),
+        pytest.param(TX40 / "tx40.urdf", (), marks=needs(TX40 / "tx40.urdf")),
+        pytest.param(
+            PANDA / "panda.urdf",
+            ("panda_finger_joint1", "panda_finger_joint2"),
+            marks=needs(PANDA / "panda.urdf"),
+        ),
+    ],
+    ids=["ur10e", "tx40", "panda"],
+)
+def test_urdfs_of_real_arms(path, lock, tmp_path):
+    fit = fitted(lieid.Robot.from_urdf(path, lock=lock))
+    check_torques(export_urdf(fit, tmp_path).urdf, fit)

@@ -1,0 +1,196 @@
+"""Friction curves on the plant, whose friction is written out apart from the effects."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from friction.friction_plant import CUTOFF, ROBOT, SPEEDS, arm, friction, measured
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.errors import LoadMismatchWarning, ModelError, RecordingError, RobotError
+from lieid_casadi.friction_curves import friction_curve
+
+
+@pytest.fixture(scope="module")
+def sweep():
+    motion = plant.sweep(ROBOT, 0, speeds=SPEEDS, pose=[0.0, 0.4])
+    t = np.arange(0.0, motion.duration, 0.004)
+    return measured(t, motion.at(t))
+
+
+@pytest.fixture(scope="module")
+def curve(sweep):
+    return friction_curve(ROBOT, sweep, 0, processing=CUTOFF)
+
+
+def test_constant_speeds_give_the_friction_of_the_plant(curve):
+    error = curve.friction - friction(curve.speed, curve.load)
+    assert np.median(np.abs(error)) < 1e-3
+    assert np.abs(error / curve.std).max() < 4.0
+    assert np.mean(np.abs(error) < 2 * curve.std) > 0.9
+
+
+def test_every_speed_and_several_loads_are_there(curve):
+    for speed in SPEEDS:
+        assert np.abs(curve.speed / speed - 1.0).min() < 0.03
+    assert np.ptp(curve.load) > 5.0
+    assert curve.count.min() >= 1
+
+
+def test_the_measured_load_is_the_rigid_torque(curve):
+    assert curve.load_source == "measured"
+    true = arm()
+    links = lieid.Model(ROBOT, "viscous")
+    rigid = lieid.compile(links).inverse_dynamics(
+        curve.data.segments[0].q, curve.data.segments[0].dq, curve.data.segments[0].ddq,
+        true.parameters,
+    )  # fmt: skip
+    moving = np.abs(curve.data.segments[0].dq[:, 0]) > 0.02
+    difference = curve.data.load[0][:, 0] - rigid[:, 0]
+    assert np.abs(np.median(difference[moving])) < 0.02
+    assert np.quantile(np.abs(difference[moving]), 0.8) < 0.05  # but for accelerations
+
+
+def test_offsets_and_unequal_directions_are_not_in_it(sweep):
+    even = arm(plant.ViscousAsymmetric(0, 0.5), offset=-2.0)
+    motion = plant.sweep(ROBOT, 0, speeds=SPEEDS, pose=[0.0, 0.4])
+    t = np.arange(0.0, motion.duration, 0.004)
+    other = friction_curve(
+        ROBOT, measured(t, motion.at(t), hidden=even), 0, processing=CUTOFF, load="model"
+    )
+    same = friction_curve(ROBOT, sweep, 0, processing=CUTOFF, load="model")
+    np.testing.assert_allclose(other.friction, same.friction, atol=0.02)
+
+
+def lopsided(t):
+    """To and fro with quick starts one way: accelerations differ at equal positions."""
+    phase = 2 * np.pi * 0.15 * t
+    q, dq, ddq = (np.zeros((len(t), 2)) for _ in range(3))
+    w = 2 * np.pi * 0.15
+    q[:, 0] = 0.8 * np.sin(phase) + 0.15 * np.sin(2 * phase)
+    dq[:, 0] = w * (0.8 * np.cos(phase) + 0.3 * np.cos(2 * phase))
+    ddq[:, 0] = w**2 * (-0.8 * np.sin(phase) - 0.6 * np.sin(2 * phase))
+    return q, dq, ddq
+
+
+def test_any_motion_both_ways_with_unequal_accelerations():
+    """The rigid torque's difference is taken off with the model, where there is one."""
+    t = np.arange(0.0, 60.0, 0.004)
+    recording = measured(t, lopsided(t), hidden=arm(nominal=True))
+    known = friction_curve(ROBOT, recording, 0, processing=CUTOFF)
+    bare = replace(ROBOT, joints=tuple(replace(j, link=None) for j in ROBOT.joints))
+    unknown = friction_curve(bare, recording, 0, processing=CUTOFF)
+    # the mean speed of a pair stands for both: up to 30 % apart
+    error = np.abs(known.friction - friction(known.speed, known.load))
+    without = np.abs(unknown.friction - friction(unknown.speed, unknown.load))
+    assert np.median(error) < 0.03
+    assert np.median(without) > 3 * np.median(error)
+    assert np.isnan(unknown.load_error)
+    assert unknown.to_dict()["load_error"] is None
+
+
+def test_forward_and_backward_may_be_two_recordings(sweep):
+    parts = [sweep.cut(0.0, 60.0), sweep.cut(60.0, 200.0), sweep.cut(200.0, None)]
+    together = friction_curve(ROBOT, parts, 0, processing=CUTOFF)
+    error = together.friction - friction(together.speed, together.load)
+    assert np.abs(error).max() < 0.03
+
+
+def test_standard_errors_cover():
+    """Over twenty runs the points scatter as their standard errors say."""
+    motion = plant.sweep(ROBOT, 0, speeds=(0.2, 0.2, 0.2, 0.2), pose=[0.0, 0.4])
+    t = np.arange(0.0, motion.duration, 0.004)
+    runs = [
+        friction_curve(
+            ROBOT, measured(t, motion.at(t), torque_noise=0.3, seed=k), 0, processing=CUTOFF
+        )
+        for k in range(20)
+    ]
+    errors = np.concatenate([(r.friction - friction(r.speed, r.load)) / r.std for r in runs])
+    assert 0.7 < np.std(errors) < 1.3
+    assert 0.9 < np.mean(np.abs(errors) < 2.0) < 0.99
+
+
+def test_inertias_that_are_off_are_told(sweep):
+    heavy = plant.Arm(ROBOT, 1.5 * ROBOT.link_parameters, arm().friction)
+    motion = plant.sweep(ROBOT, 0, speeds=SPEEDS[3:], pose=[0.0, 0.4])
+    t = np.arange(0.0, motion.duration, 0.004)
+    found = friction_curve(ROBOT, measured(t, motion.at(t), hidden=heavy), 0, processing=CUTOFF)
+    assert any(isinstance(w, LoadMismatchWarning) for w in found.warnings)
+    right = friction_curve(
+        ROBOT, measured(t, motion.at(t), hidden=arm(nominal=True)), 0, processing=CUTOFF
+    )
+    assert not any(isinstance(w, LoadMismatchWarning) for w in right.warnings)
+
+
+def ramp(t, way, joint=0):
+    q, dq, ddq = (np.zeros((len(t), 2)) for _ in range(3))
+    q[:, joint], dq[:, joint] = way * 0.2 * t, way * 0.2
+    return q, dq, ddq
+
+
+def test_one_direction_only():
+    t = np.arange(0.0, 8.0, 0.004)
+    for way, text in ((1.0, "moves forward only"), (-1.0, "moves backward only")):
+        with pytest.raises(RecordingError, match=f"run: joint 1 {text}.*record it"):
+            friction_curve(ROBOT, measured(t, ramp(t, way)), 0, processing=CUTOFF)
+
+
+def test_no_position_both_ways():
+    t = np.arange(0.0, 6.0, 0.004)
+    q, dq, ddq = ramp(t, -1.0)
+    away = measured(t, (q - 0.5, dq, ddq))
+    with pytest.raises(RecordingError, match=r"passes no position both ways.*to and fro"):
+        friction_curve(ROBOT, [measured(t, ramp(t, 1.0)), away], 0, processing=CUTOFF)
+
+
+def test_unlike_speeds():
+    t = np.arange(0.0, 6.0, 0.004)
+    q, dq, ddq = ramp(t, -1.0)
+    slow = measured(t, (q / 4 + 0.8, dq / 4, ddq))
+    with pytest.raises(RecordingError, match="at unlike speeds only"):
+        friction_curve(ROBOT, [measured(t, ramp(t, 1.0)), slow], 0, processing=CUTOFF)
+
+
+def test_a_joint_that_never_moves():
+    t = np.arange(0.0, 6.0, 0.004)
+    with pytest.raises(RecordingError, match="joint 2 never moves"):
+        friction_curve(ROBOT, measured(t, ramp(t, 1.0)), 1, processing=CUTOFF)
+
+
+def test_other_joints_elsewhere():
+    """The second joint is up on the way out and down on the way back."""
+    t = np.arange(0.0, 30.0, 0.004)
+    q, dq, ddq = lopsided(t)
+    q[:, 1] = 0.4 * np.tanh(3 * dq[:, 0])
+    dq[:, 1] = np.gradient(q[:, 1], t)
+    ddq[:, 1] = np.gradient(dq[:, 1], t)
+    with pytest.raises(RecordingError, match="the other joints are elsewhere"):
+        friction_curve(ROBOT, measured(t, (q, dq, ddq)), 0, processing=CUTOFF)
+
+
+def test_bad_requests(sweep):
+    with pytest.raises(ModelError, match=r"no joint 3; .* has joints 1 to 2"):
+        friction_curve(ROBOT, sweep, 2)
+    with pytest.raises(RecordingError, match="no recordings"):
+        friction_curve(ROBOT, [], 0)
+    mute = lieid.Recording.from_arrays(sweep.t, sweep.q, sweep.dq)
+    with pytest.raises(ModelError, match="no torque"):
+        friction_curve(ROBOT, mute, 0)
+    with pytest.raises(ModelError, match=r"2 joints; robot .* has 7"):
+        friction_curve(lieid.robots.panda(), sweep, 0)
+    bare = replace(ROBOT, joints=tuple(replace(j, link=None) for j in ROBOT.joints))
+    with pytest.raises(RobotError, match="no inertia"):
+        friction_curve(bare, sweep, 0, load="model")
+
+
+def test_results_are_written_and_drawn(curve):
+    import json
+
+    content = json.loads(json.dumps(curve.to_dict(), allow_nan=False))
+    assert content["joint"] == 1
+    assert len(content["points"]) == len(curve)
+    figure = curve.plot()
+    assert len(figure.axes) == 2  # the curve and the scale of loads
+    assert "<td>" in curve._repr_html_()

@@ -1,0 +1,255 @@
+"""Friction models fitted to curves, and two determinations compared."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from friction.friction_plant import (
+    COULOMB,
+    CUTOFF,
+    EXTRA,
+    LOAD,
+    ROBOT,
+    SPEEDS,
+    VISCOUS,
+    WIDTH,
+    excitation,
+    friction,
+    measured,
+)
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.errors import (
+    BoundWarning,
+    EffectError,
+    ExtrapolationWarning,
+    ModelError,
+    NotDissipativeWarning,
+    UnidentifiableWarning,
+)
+from lieid_casadi.friction_curves import compare_friction, fit_friction, friction_curve, two_stage
+from lieid_casadi.friction_curves.ranking import rank_friction_models
+
+TRUTH = "coulomb,viscous,stribeck,load_friction"
+
+
+@pytest.fixture(scope="module")
+def curve():
+    motion = plant.sweep(ROBOT, 0, speeds=SPEEDS, pose=[0.0, 0.4])
+    t = np.arange(0.0, motion.duration, 0.004)
+    return friction_curve(ROBOT, measured(t, motion.at(t)), 0, processing=CUTOFF)
+
+
+@pytest.fixture(scope="module")
+def fit(curve):
+    return fit_friction(curve, TRUTH)
+
+
+def test_the_plants_numbers_are_found(fit):
+    values = {row["name"]: row["value"] for row in fit.parameter_table()}
+    assert values["coulomb.f_c"] == pytest.approx(COULOMB, abs=0.05)
+    assert values["viscous.f_v"] == pytest.approx(VISCOUS, rel=0.03)
+    assert values["stribeck.f_s-f_c"] == pytest.approx(EXTRA, rel=0.05)
+    assert values["stribeck.v_s"] == pytest.approx(WIDTH, rel=0.05)
+    assert values["load_friction.f_tau"] == pytest.approx(LOAD, rel=0.05)
+    assert fit.rms < 0.01
+    assert fit.correlation > 0.999
+
+
+def test_standard_deviations_hold_the_truth(fit):
+    truth = np.array([COULOMB, VISCOUS, EXTRA, LOAD, WIDTH])
+    values = np.concatenate([fit.coefficients, fit.shapes])
+    assert np.abs((values - truth) / fit.std).max() < 4.0
+    assert np.all(fit.std < 0.1 * truth)
+
+
+def test_the_fit_tells_friction_at_any_speed_and_load(fit):
+    speed, load = np.array([0.04, 0.2, 0.9]), np.array([0.0, 8.0, -15.0])
+    np.testing.assert_allclose(fit.friction(speed, load=load), friction(speed, load), rtol=0.02)
+
+
+def test_linear_models_are_weighted_least_squares(curve):
+    """Against columns written by hand at the points; the filter changes little here."""
+    fit = fit_friction(curve, "coulomb,viscous,load_friction")
+    columns = np.column_stack([np.ones(len(curve)), curve.speed, curve.load])
+    weight = 1.0 / curve.std
+    by_hand = np.linalg.lstsq(columns * weight[:, None], curve.friction * weight, rcond=None)[0]
+    np.testing.assert_allclose(fit.coefficients, by_hand, rtol=0.01)
+    residual = curve.friction - columns @ by_hand
+    assert fit.rms == pytest.approx(np.sqrt(np.mean(residual**2)), rel=0.02)
+    expected = np.corrcoef(curve.friction, columns @ by_hand)[0, 1]
+    assert fit.correlation == pytest.approx(expected, abs=1e-3)
+
+
+def test_the_same_seed_gives_the_same_numbers(curve):
+    one, two = (fit_friction(curve, "paper", seed=3) for _ in range(2))
+    np.testing.assert_array_equal(one.coefficients, two.coefficients)
+
+
+def test_starts_do_not_matter(curve, fit):
+    for seed in (1, 2):
+        other = fit_friction(curve, TRUTH, seed=seed)
+        np.testing.assert_allclose(other.shapes, fit.shapes, rtol=1e-3)
+
+
+def test_the_papers_model_fits_as_well_with_more_parameters(curve, fit):
+    paper = fit_friction(curve, "paper")
+    assert len(paper.parameters) == 10
+    assert paper.rms < 1.05 * fit.rms
+    assert paper.bic > fit.bic
+
+
+def test_the_literature_is_ranked(curve):
+    ranked = rank_friction_models(
+        curve, ["load_constant", "gao2017", "gao2017_constant_temperature", "load_absolute"]
+    )
+    assert ranked[0].model.name == "gao2017_constant_temperature"
+    assert {c.model.name for c in ranked} == {
+        "load_constant", "gao2017_constant_temperature", "load_absolute",
+    }  # fmt: skip
+
+
+def test_what_a_curve_does_not_show_is_told(curve):
+    fit = fit_friction(curve, "coulomb,viscous,offset,viscous_asymmetric")
+    told = " ".join(str(w) for w in fit.warnings if isinstance(w, UnidentifiableWarning))
+    assert "offset.f_b:1" in told
+    assert "viscous_asymmetric.f:1" in told
+    rows = {row["name"]: row for row in fit.parameter_table()}
+    assert rows["offset.f_b"]["std"] is None
+    assert rows["offset.f_b"]["value"] == 0.0
+    assert rows["coulomb.f_c"]["std"] is not None
+
+
+def test_bounds_hold_and_are_told(curve):
+    from lieid_casadi.effects import Coefficient
+    from lieid_casadi.effects.viscous import Viscous
+
+    class Thick(Viscous):
+        name = "thick"
+        coefficients = (Coefficient("f", "N·m·s/rad", lower=2.0),)
+
+    fit = fit_friction(curve, ["coulomb", Thick()])
+    assert fit.coefficients[1] == pytest.approx(2.0, abs=1e-9)
+    assert any(isinstance(w, BoundWarning) and "thick.f:1" in str(w) for w in fit.warnings)
+
+
+def test_friction_that_drives_is_told(curve, fit):
+    lower = dataclasses.replace(curve, friction=curve.friction - 2.5)
+    told = fit_friction(lower, "coulomb,viscous").warnings
+    assert any(isinstance(w, NotDissipativeWarning) for w in told)
+    assert not any(
+        isinstance(w, NotDissipativeWarning | ExtrapolationWarning) for w in fit.warnings
+    )
+
+
+def test_friction_that_runs_off_below_the_slowest_run_is_told(curve):
+    steep = dataclasses.replace(curve, friction=1.0 + 3.0 * np.exp(-((curve.speed / 0.04) ** 2)))
+    fit = fit_friction(steep, "coulomb,stribeck")
+    assert fit.friction(1e-3)[0] == pytest.approx(4.0, rel=0.02)
+    (told,) = [w for w in fit.warnings if isinstance(w, ExtrapolationWarning)]
+    assert "below 0.0349 rad/s" in str(told)
+
+
+def test_effects_must_be_of_the_joint(curve):
+    with pytest.raises(EffectError, match="coulomb:2 is not of joint 1"):
+        fit_friction(curve, "coulomb:2")
+    with pytest.raises(EffectError, match="unknown effect"):
+        fit_friction(curve, "coulom")
+    with pytest.raises(EffectError, match="needs temperature"):
+        fit_friction(curve, "gao2017")
+    with pytest.raises(EffectError, match="couples two joints"):
+        fit_friction(curve, "transmission_coupling")
+    with pytest.raises(EffectError, match="no effects given"):
+        fit_friction(curve, "")
+
+
+def test_fits_are_written_and_drawn(fit):
+    content = json.loads(json.dumps(fit.to_dict(), allow_nan=False))
+    assert content["effects"] == TRUTH.split(",")
+    assert len(fit.plot().axes[0].get_lines()) >= 3
+    assert "RMS" in fit._repr_html_()
+
+
+@pytest.fixture(scope="module")
+def whole():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1,load_friction:1")
+    return lieid.identify(model, [excitation(0), excitation(1)], processing=CUTOFF)
+
+
+def test_a_curve_and_a_fit_of_the_whole_arm_agree(curve, fit, whole):
+    for first in (curve, fit):
+        agreement = compare_friction(first, whole)
+        assert agreement.agree
+        assert agreement.relative < 0.03
+    assert compare_friction(fit, fit).relative == 0.0
+
+
+def test_a_wrong_model_disagrees_and_says_where(curve, whole):
+    agreement = compare_friction(fit_friction(curve, "load_constant"), whole)
+    assert not agreement.agree
+    assert agreement.p_value < 1e-3
+    text = str(agreement)
+    assert "joint 1: the two disagree" in text
+    assert f"{agreement.speed[agreement.worst]:.3g} rad/s" in text
+    json.dumps(agreement.to_dict(), allow_nan=False)
+    assert agreement.plot().axes
+
+
+def test_differences_by_chance_agree():
+    """p-values of two runs that differ by noise only are not small more often than they should."""
+    motion = plant.sweep(ROBOT, 0, speeds=(0.1, 0.2, 0.4), pose=[0.0, 0.4])
+    t = np.arange(0.0, motion.duration, 0.004)
+    fits = [
+        fit_friction(
+            friction_curve(
+                ROBOT, measured(t, motion.at(t), torque_noise=0.2, seed=k), 0, processing=CUTOFF
+            ),
+            "coulomb,viscous,load_friction",
+        )
+        for k in range(12)
+    ]
+    p = [
+        compare_friction(a, b, joint=0, speed=[0.1, 0.2, 0.4], load=5.0).p_value
+        for a, b in zip(fits[::2], fits[1::2], strict=True)
+    ]
+    assert min(p) > 1e-4
+    assert np.median(p) > 0.02
+
+
+def test_compare_needs_a_joint_and_speeds(whole, fit):
+    with pytest.raises(ModelError, match="state joint="):
+        compare_friction(whole, whole)
+    with pytest.raises(ModelError, match="state speed="):
+        compare_friction(whole, whole, joint=0)
+    with pytest.raises(ModelError, match="joints 1, 2; expected one"):
+        compare_friction(fit, whole, joint=1)
+    with pytest.raises(ModelError, match="at its own points only"):
+        compare_friction(fit.curve, whole, speed=[0.1])
+
+
+def test_two_stages_and_one_fit_agree(whole, tmp_path):
+    motion = plant.sweep(ROBOT, 0, speeds=SPEEDS, pose=[0.0, 0.4])
+    t = np.arange(0.0, motion.duration, 0.004)
+    simple = lieid.Model(ROBOT, "coulomb,viscous,viscous_polynomial,offset")
+    stages = two_stage(
+        simple, [excitation(0), excitation(1)], {0: measured(t, motion.at(t))}, TRUTH,
+        processing=CUTOFF, friction_processing=CUTOFF,
+    )  # fmt: skip
+    (agreement,) = stages.compare(whole)
+    assert agreement.agree
+    assert agreement.relative < 0.05
+    kept = [p.label for p in stages.fit.model.placements]
+    assert {"offset:1", "coulomb:2", "stribeck:1", "viscous_polynomial:2"} <= set(kept)
+    assert "viscous_polynomial:1" not in kept
+    # the second stage's friction predicts a new run better than the first's
+    new = excitation(7)
+    error = [lieid.compare(f, new).rms_moving[0] for f in (stages.rigid, stages.fit)]
+    assert error[1] < 0.5 * error[0]
+    assert stages.fit.rms_train[0] < stages.rigid.rms_train[0]
+    stages.fit.save(tmp_path / "two.json")
+    again = lieid.Fit.load(tmp_path / "two.json")
+    np.testing.assert_allclose(again.predict(new), stages.fit.predict(new), atol=1e-12)
+    assert np.all(np.isfinite(stages.fit.std))
+    json.dumps(stages.to_dict(), allow_nan=False)

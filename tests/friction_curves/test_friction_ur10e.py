@@ -1,0 +1,85 @@
+"""Joint 2 of a real UR10e: its friction runs beside what the excitation runs say."""
+
+import numpy as np
+import pytest
+from real_arms import UR10E, needs
+
+import lieid_casadi as lieid
+from lieid_casadi.errors import LoadMismatchWarning
+from lieid_casadi.friction_curves import compare_friction, fit_friction, friction_curve, two_stage
+from lieid_casadi.recording import Processing
+
+pytestmark = needs(UR10E / "joint_2_alone_currents.csv.gz")
+GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
+CUTOFF = Processing(cutoff=7.0)
+EFFECTS = "coulomb,viscous,load_friction"
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return lieid.Robot.from_urdf(UR10E / "ur10e.urdf")
+
+
+@pytest.fixture(scope="module")
+def alone():
+    return lieid.Recording.load(UR10E / "joint_2_alone_currents.csv.gz", torque_constants=GAINS)
+
+
+@pytest.fixture(scope="module")
+def excitation():
+    return [lieid.Recording.load(UR10E / f"excitation_{k}s.csv.gz") for k in (30, 50)]
+
+
+@pytest.fixture(scope="module")
+def whole(robot, excitation):
+    model = lieid.Model(robot, "armature,coulomb,viscous,offset,load_friction:2+3")
+    return lieid.identify(model, excitation, processing=CUTOFF)
+
+
+def numbers(rows, joint=2):
+    return {r["name"]: r["value"] for r in rows if r["joint"] == joint}
+
+
+def test_curve_and_load_dependence_agree_with_the_excitation_runs(robot, alone, whole):
+    curve = friction_curve(robot, alone, 1, processing=CUTOFF)
+    fit = fit_friction(curve, EFFECTS)
+    own, others = numbers(fit.parameter_table()), numbers(whole.parameter_table())
+    assert own["load_friction.f_tau"] == pytest.approx(others["load_friction.f_tau"], rel=0.1)
+    assert own["coulomb.f_c"] == pytest.approx(others["coulomb.f_c"], rel=0.1)
+    assert own["viscous.f_v"] == pytest.approx(others["viscous.f_v"], rel=0.1)
+    assert fit.correlation > 0.98
+    assert fit.rms < 0.05 * curve.friction.mean()
+    agreement = compare_friction(fit, whole)
+    assert agreement.agree
+    assert agreement.relative < 0.05
+
+
+def test_without_the_load_the_curve_is_not_one(robot, alone, whole):
+    """At one speed friction is up to 8 N·m apart under unlike loads."""
+    curve = friction_curve(whole, alone, 1, processing=CUTOFF)
+    plain, loaded = fit_friction(curve, "coulomb,viscous"), fit_friction(curve, EFFECTS)
+    assert plain.rms > 4 * loaded.rms
+    assert not compare_friction(plain, whole).agree
+    middle = np.abs(curve.speed - 0.5) < 0.05
+    assert np.ptp(curve.friction[middle]) > 6.0
+
+
+def test_nominal_inertias_are_off_and_the_fits_are_not(robot, alone, whole):
+    nominal = friction_curve(robot, alone, 1, processing=CUTOFF)
+    assert any(isinstance(w, LoadMismatchWarning) for w in nominal.warnings)
+    fitted = friction_curve(whole, alone, 1, processing=CUTOFF)
+    assert fitted.load_error < 1.0
+    assert not any(isinstance(w, LoadMismatchWarning) for w in fitted.warnings)
+
+
+def test_two_stages_are_as_good_as_one_fit(robot, alone, excitation, whole):
+    model = lieid.Model(robot, "armature,coulomb,viscous,offset,load_friction:3")
+    stages = two_stage(
+        model, excitation, {1: alone}, EFFECTS, processing=CUTOFF, friction_processing=CUTOFF
+    )
+    test = lieid.Recording.load(UR10E / "excitation_14_harmonics.csv.gz")
+    one, two, simple = (lieid.compare(f, test).rms[1] for f in (whole, stages.fit, stages.rigid))
+    assert two < 0.65 * simple
+    assert two < 1.1 * one
+    (agreement,) = stages.compare(whole)
+    assert agreement.relative < 0.05
