@@ -225,9 +225,10 @@ def _header() -> str:
 @cache
 def _derivation() -> str:
     """Return a digest of the code between a robot and its C source."""
-    package = Path(__file__).parents[1]
-    files = [package / "functions.py", package / "robot" / "robot.py"]
-    files += [Path(__file__).with_name("kernel_source.py"), *(package / "dynamics").glob("*.py")]
+    package, here = Path(__file__).parents[1], Path(__file__).parent
+    files = [*(package / "dynamics").glob("*.py"), *(package / "expressions").glob("*.py")]
+    files += [package / "robot" / "robot.py", here / "kernel_functions.py"]
+    files += [here / "kernel_source.py"]
     digest = hashlib.sha256(ca.CasadiMeta.version().encode())
     for path in sorted(files):
         digest.update(path.read_bytes())
