@@ -5,7 +5,7 @@ import numpy as np
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.recording import Processing
-from lieid_casadi.recording.processing.process import velocity
+from lieid_casadi.recording.processing import velocity
 
 COUNTS, VELOCITY_NOISE = 2**18, 0.028  # per turn; rad/s
 ROBOT = lieid.robots.two_link()

@@ -15,8 +15,8 @@ from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
 from lieid_casadi.identification.regression.streaming import factors
 from lieid_casadi.recording import Processing, process
+from lieid_casadi.recording.processing import overlap_windows
 from lieid_casadi.recording.processing.overlap_windows import filter_memory, windows
-from lieid_casadi.recording.processing.process import overlap_windows
 
 FRICTION = "coulomb,viscous,offset,viscous_polynomial"
 
