@@ -1,6 +1,6 @@
 """Write the files of ``fits_0_1_0`` with the code of version 0.1.0 (commit 787729c).
 
-    python make_fits_0_1_0.py FOLDER
+python make_fits_0_1_0.py FOLDER
 """
 
 import sys
