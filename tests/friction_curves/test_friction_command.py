@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from friction.friction_plant import ROBOT, SPEEDS, excitation, measured
+from friction_curves.friction_plant import ROBOT, SPEEDS, excitation, measured
 
 import lieid_casadi as lieid
 from lieid_casadi import plant

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from friction.friction_plant import CUTOFF, ROBOT, SPEEDS, arm, friction, measured
+from friction_curves.friction_plant import CUTOFF, ROBOT, SPEEDS, arm, friction, measured
 
 import lieid_casadi as lieid
 from lieid_casadi import plant

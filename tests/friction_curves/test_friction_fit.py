@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from friction.friction_plant import (
+from friction_curves.friction_plant import (
     COULOMB,
     CUTOFF,
     EXTRA,
