@@ -1,50 +1,10 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
+from recording.bag_files import NAMES, START, StoragePlugin, arm_messages, write
 from recording.planar_arm import measured
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording import Recording
-
-STORE = get_typestore(Stores.ROS2_HUMBLE)
-NAMES = ["shoulder", "elbow"]
-START = 1_700_000_000_000_000_000
-
-
-def write(path: Path, messages, plugin=StoragePlugin.SQLITE3):
-    """Bag folder with messages (topic, nanoseconds, names, q, dq, tau, stamped)."""
-    types, empty = STORE.types, np.zeros(0)
-    with Writer(path, version=9, storage_plugin=plugin) as writer:
-        connections = {
-            topic: writer.add_connection(topic, "sensor_msgs/msg/JointState", typestore=STORE)
-            for topic in sorted({m[0] for m in messages})
-        }
-        for topic, time, names, q, dq, tau, stamped in messages:
-            sec, nanosec = divmod(time if stamped else 0, 1_000_000_000)
-            message = types["sensor_msgs/msg/JointState"](
-                header=types["std_msgs/msg/Header"](
-                    stamp=types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec),
-                    frame_id="",
-                ),
-                name=list(names),
-                position=np.asarray(q, dtype=float),
-                velocity=empty if dq is None else np.asarray(dq, dtype=float),
-                effort=empty if tau is None else np.asarray(tau, dtype=float),
-            )
-            raw = STORE.serialize_cdr(message, "sensor_msgs/msg/JointState")
-            writer.write(connections[topic], time, raw)
-    return path
-
-
-def arm_messages(recording, *, names=NAMES, topic="/joint_states", stamped=True):
-    order = [NAMES.index(name) for name in names]
-    return [
-        (topic, START + round(t * 1e9), names, q[order], dq[order], tau[order], stamped)
-        for t, q, dq, tau in zip(recording.t, recording.q, recording.dq, recording.tau, strict=True)
-    ]
 
 
 @pytest.fixture(scope="module")

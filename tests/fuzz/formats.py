@@ -1,0 +1,110 @@
+"""The formats that the package reads: their seeds, their mutations, and what is done with them."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from fuzz import container_mutations, seeds, text_mutations
+from fuzz.byte_mutations import mutate_bytes
+
+Mutation = Callable[[bytes, random.Random], bytes]
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format.
+
+    Attributes
+    ----------
+    name
+        Of the format, for tables and ``--format``.
+    file_name
+        Name that a file of this format has; empty for the folder of a ROS 2 bag.
+    seeds
+        Returns valid files.
+    mutate
+        Structure-aware mutation.
+    use
+        Loads a file and does with it what every command does.
+    """
+
+    name: str
+    file_name: str
+    seeds: Callable[[], list[bytes]]
+    mutate: Mutation
+    use: Callable[[Path], None]
+
+    def mutation(self, index: int, seed: int) -> bytes:
+        """Return the mutation of a number; the same for the same seed on any machine."""
+        rng = random.Random(f"{self.name}/{seed}/{index}")
+        files = self.seeds()
+        data = rng.choice(files)
+        for _ in range(rng.choice((1, 1, 1, 2, 3))):
+            if rng.random() < 0.6:
+                data = self.mutate(data, rng)
+            else:
+                data = mutate_bytes(data, rng, rng.choice(files))
+        return data
+
+    def write(self, data: bytes, folder: Path) -> Path:
+        """Write a file of this format into a folder."""
+        if not self.file_name:
+            return seeds.directory_seed(data, folder)
+        file = folder / self.file_name
+        file.write_bytes(data)
+        return file
+
+
+def _use_recording(path: Path) -> None:
+    from lieid_casadi.recording import Recording, check, process
+
+    recording = Recording.load(path)
+    check(recording)
+    process(recording)
+
+
+def _use_robot(path: Path) -> None:
+    import lieid_casadi as lieid
+
+    robot = lieid.Robot.load(path)
+    lieid.Model(robot, ["coulomb", "viscous", "offset"])
+
+
+def _use_fit(path: Path) -> None:
+    import lieid_casadi as lieid
+
+    fit = lieid.Fit.load(path)
+    if fit.model.robot.n == 2:
+        fit.predict(_two_joint_recording())
+
+
+@cache
+def _two_joint_recording() -> Any:
+    from recording.planar_arm import measured
+
+    return measured(duration=1.0, rate=50.0)
+
+
+FORMATS = {
+    made.name: made
+    for made in (
+        Format("csv", "run.csv", seeds.csv, text_mutations.mutate_csv, _use_recording),
+        Format("csv.gz", "run.csv.gz", seeds.csv_gz, container_mutations.mutate_gzip,
+               _use_recording),
+        Format("npz", "run.npz", seeds.npz, container_mutations.mutate_npz, _use_recording),
+        Format("parquet", "run.parquet", seeds.parquet, mutate_bytes, _use_recording),
+        Format("mcap", "run.mcap", seeds.mcap, container_mutations.mutate_mcap, _use_recording),
+        Format("bag", "run.bag", seeds.ros1_bag, container_mutations.mutate_bag, _use_recording),
+        Format("db3", "run.db3", seeds.ros2_database, container_mutations.mutate_sqlite,
+               _use_recording),
+        Format("ros2", "", seeds.ros2_metadata, text_mutations.mutate_yaml, _use_recording),
+        Format("yaml", "robot.yaml", seeds.robot_yaml, text_mutations.mutate_yaml, _use_robot),
+        Format("urdf", "robot.urdf", seeds.urdf, text_mutations.mutate_xml, _use_robot),
+        Format("fit", "fit.json", seeds.fit_json, text_mutations.mutate_json, _use_fit),
+    )
+}  # fmt: skip
