@@ -237,7 +237,7 @@ class Model:
         for p, shape, state in self._named(shapes, states):
             if state:
                 past = before.of(p.joint, p.source, state)
-                after += p.effect.advance(past, now.of(p.joint, p.source), shape)
+                after += p.effect.next_states(past, now.of(p.joint, p.source), shape)
         return ca.vertcat(*after)
 
     def _named(

@@ -1,82 +1,45 @@
-"""Physical effects beside the rigid body: one file each, one definition for every use."""
+"""Physical effects other than the rigid body: one file each, one definition for every use.
 
-from lieid_casadi.effects import (
-    armature,
-    base_tilt,
-    bias_drift,
-    coulomb,
-    encoder_offset,
-    external_wrench,
-    joint_elasticity,
-    load_friction,
-    offset,
-    payload,
-    position_friction,
-    position_spring,
-    presliding,
-    sigmoid_friction,
-    stribeck,
-    temperature_friction,
-    torque_delay,
-    torque_gain,
-    torque_ripple,
-    transmission_coupling,
-    viscous,
-    viscous_asymmetric,
-    viscous_polynomial,
-    warm_up,
-)
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow
+Importing the package imports every module in it, which registers its effects: adding an effect
+to the library is adding one file.
+"""
+
+from importlib import import_module
+from pkgutil import iter_modules
+
+from lieid_casadi.effects.arm_effect import ArmEffect, InstantModel, SegmentModel
 from lieid_casadi.effects.effect import (
+    REGISTER,
     Coefficient,
     Effect,
+    MemoryState,
     Shape,
     Signals,
-    State,
     effect,
     make,
     register,
 )
 from lieid_casadi.effects.placement import Placement, parse_effects, place
 
-LIBRARY = (
-    coulomb.Coulomb,
-    viscous.Viscous,
-    offset.Offset,
-    viscous_polynomial.ViscousPolynomial,
-    viscous_asymmetric.ViscousAsymmetric,
-    stribeck.Stribeck,
-    load_friction.LoadFriction,
-    temperature_friction.TemperatureFriction,
-    warm_up.WarmUp,
-    position_friction.PositionFriction,
-    presliding.Presliding,
-    sigmoid_friction.SigmoidFriction,
-    armature.Armature,
-    joint_elasticity.JointElasticity,
-    torque_ripple.TorqueRipple,
-    position_spring.PositionSpring,
-    transmission_coupling.TransmissionCoupling,
-    torque_gain.TorqueGain,
-    torque_delay.TorqueDelay,
-    bias_drift.BiasDrift,
-    encoder_offset.EncoderOffset,
-    base_tilt.BaseTilt,
-    payload.Payload,
-    external_wrench.ExternalWrench,
+for _module in iter_modules(__path__):
+    import_module(f"{__name__}.{_module.name}")
+
+#: The effects that come with the package, in alphabetical order of their modules.
+LIBRARY: tuple[type[Effect], ...] = tuple(
+    dict.fromkeys(variant.kind for variant in REGISTER.values())
 )
 
 __all__ = [
     "LIBRARY",
-    "ArmAlong",
     "ArmEffect",
-    "ArmNow",
     "Coefficient",
     "Effect",
+    "InstantModel",
+    "MemoryState",
     "Placement",
+    "SegmentModel",
     "Shape",
     "Signals",
-    "State",
     "effect",
     "make",
     "parse_effects",

@@ -1,14 +1,14 @@
-"""Effects on the whole arm or on what is measured: their columns need the model along a motion.
+"""Effects on the whole arm or on the measurement: their columns need the model along a motion.
 
-Each is written as the change that a value makes, divided by the value: value · column is then the
-exact change once the fit has settled, and the derivative at first.
+Each column is the change of torque that a coefficient causes, divided by the coefficient: value ·
+column is the exact change when the fit has converged, and the column is the derivative at zero.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Protocol
+from typing import ClassVar, Literal, Protocol
 
 import casadi as ca
 import numpy as np
@@ -19,8 +19,8 @@ from lieid_casadi.effects.effect import Effect, Signals
 Array = NDArray[np.float64]
 
 
-class ArmAlong(Protocol):
-    """A model along a segment of K instants, as such effects see it."""
+class SegmentModel(Protocol):
+    """A model evaluated along a segment of K samples."""
 
     @property
     def t(self) -> Array:
@@ -40,13 +40,13 @@ class ArmAlong(Protocol):
 
     @property
     def fitted(self) -> bool:
-        """Whether the segment is one that the model is fitted to."""
+        """Whether the model is fitted to this segment."""
 
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Return the rigid torque (K, n) of another motion."""
+        """Return the rigid torque (K, n), N·m, of another motion q, dq, ddq (K, n)."""
 
     def smooth(self, x: Array) -> Array:
-        """Return a signal (K, …) low-passed so far that it can be derived twice."""
+        """Return a signal (K, …) low-pass filtered such that it can be differentiated twice."""
 
     def gravity_by_axis(self) -> Array:
         """Return the gravity torques (K, n, 3) of 1 m/s² along each axis of the base."""
@@ -62,8 +62,8 @@ class ArmAlong(Protocol):
         """Return the rigid torque (K, n, 10) per link parameter of a body in the tool's frame."""
 
 
-class ArmNow(Protocol):
-    """A model at one instant, in symbols, as generated code sees it."""
+class InstantModel(Protocol):
+    """A model at one instant as symbolic expressions, for generated code."""
 
     @property
     def load(self) -> ca.SX:
@@ -93,34 +93,57 @@ class ArmNow(Protocol):
 class ArmEffect(Effect):
     """An effect whose columns are computed along a whole segment.
 
-    ``whole_arm`` effects act on no joint in particular. Where one instant is enough, `now` says
-    the same in symbols, for generated code.
+    Attributes
+    ----------
+    reach : str
+        ``"joint"`` if the columns are zero on all joints but the effect's own, else ``"arm"``.
+    trial_values : tuple
+        Coefficients other than zero at which a diagnosis tries the columns, because the column
+        at a likely value differs from the derivative at zero.
+    export_note : str
+        What generated code does instead if it does not reproduce the effect.
     """
 
-    whole_arm: ClassVar[bool] = False
-    reach: ClassVar[str] = "arm"  # "joint": its columns act on its own joint alone
-    #: Coefficients at which the columns are tried before anything is known of them, beside zero:
-    #: where the column at a likely value differs from the derivative.
-    starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
-    #: What generated code does about it where that is not what happens along a recording.
-    in_code: ClassVar[str] = ""
+    reach: ClassVar[Literal["arm", "joint"]] = "arm"
+    trial_values: ClassVar[tuple[tuple[float, ...], ...]] = ()
+    export_note: ClassVar[str] = ""
     signals: tuple[str, ...] = ()
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return zeros: nothing is known from the signals of one instant."""
+        """Return zeros: the columns do not follow from the signals of one joint and instant."""
         return [ca.SX(0) for _ in self.coefficients]
 
     @abstractmethod
-    def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
-        """Return the columns (K, n, c), given the coefficients (c,) so far."""
+    def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
+        """Return the columns (K, n, c) along a segment.
 
-    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX | None:
-        """Return the columns (n, c) at one instant, or None where one does not tell them."""
+        Parameters
+        ----------
+        arm : SegmentModel
+            The model along the segment of K samples.
+        joint : int
+            The joint (from 0) on which the effect is placed.
+        values : (c,)
+            Current coefficients, about which the columns are taken.
+        """
+
+    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX | None:
+        """Return the columns (n, c) at one instant, None if they depend on more than one.
+
+        Parameters
+        ----------
+        arm : InstantModel
+            The model at the instant.
+        joint : int
+            The joint (from 0) on which the effect is placed.
+        values : (c,)
+            Coefficients of the fit.
+        """
         return None
 
 
 def on_joint(column: Array, joint: int, n: int) -> Array:
-    """Return a column (K,) of one joint as (K, n, 1)."""
+    """Return a column (K,) of one joint (from 0) of n as (K, n, 1), zero elsewhere."""
     columns = np.zeros((len(column), n, 1))
     columns[:, joint, 0] = column
     return columns

@@ -1,11 +1,13 @@
-"""A base that does not stand level."""
+"""Tilt of the base against gravity."""
 
 from __future__ import annotations
+
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow, Array
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
 from lieid_casadi.effects.effect import Coefficient, register
 
 LEAST = 1e-4  # rad
@@ -13,19 +15,32 @@ LEAST = 1e-4  # rad
 
 @register
 class BaseTilt(ArmEffect):
-    """Gravity turned about the base's x axis, then about its y axis."""
+    """Gravity rotated about the base's x axis, then about its y axis: R_y(β)·R_x(α)·g.
+
+    α and β in rad. Revealed by gravity torque in poses spread over the workspace, above all on
+    a vertical first joint. Confused with link parameters and with `encoder_offset`.
+    """
 
     name = "base_tilt"
     formula = "gravity = R_y(β)·R_x(α)·g"
-    coefficients = (Coefficient("alpha", "rad"), Coefficient("beta", "rad"))
+    coefficients = (
+        Coefficient("alpha", "rad", meaning="tilt about the base's x axis"),
+        Coefficient("beta", "rad", meaning="tilt about the base's y axis"),
+    )
     whole_arm = True
+    revealed_by = "gravity torque in poses spread over the workspace, above all on the first joint"
+    confused_with: ClassVar = {
+        "encoder_offset": "both turn gravity; a tilt acts on all joints",
+        "offset": "on a vertical first joint over a small range; turn it through its whole range",
+    }
+    typical = "0.1 to 2°"
 
-    def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
-        """See the class."""
+    def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
+        """Return the columns of the formula."""
         return arm.gravity_by_axis() @ _changes(arm.gravity, values)
 
-    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX:
-        """See the class."""
+    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+        """Return the columns of the formula."""
         return ca.horzcat(*(arm.gravity_torque(g) for g in _changes(arm.gravity, values).T))
 
 

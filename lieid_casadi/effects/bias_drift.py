@@ -1,29 +1,42 @@
-"""A torque sensor whose zero drifts."""
+"""Drift of the zero of a torque sensor."""
 
 from __future__ import annotations
+
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow, Array, on_joint
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient, register
 
 
 @register
 class BiasDrift(ArmEffect):
-    """A bias that grows with time; it does not carry over to another recording."""
+    """A bias that grows with time: τ = r·(t − t̄), r in N·m/s, t̄ the mean time of the recording.
+
+    It does not carry over to another recording: predictions of other recordings and exported
+    code omit it. Revealed by long recordings of repeated motion. Confused with `warm_up` and with
+    an offset in short recordings.
+    """
 
     name = "bias_drift"
     formula = "r·(t − t̄)"
-    coefficients = (Coefficient("r", "N·m/s"),)
+    coefficients = (Coefficient("r", "N·m/s", meaning="drift rate"),)
     reach = "joint"
-    in_code = "left out: it belongs to the recordings of the fit and does not carry over"
+    revealed_by = "the same motion repeated over several minutes"
+    confused_with: ClassVar = {
+        "warm_up": "only warm-up changes sign with the velocity; drive both directions",
+        "offset": "in short recordings; record longer",
+    }
+    typical = "0.1 to 1 % of a torque sensor's range per hour"
+    export_note = "omitted: it belongs to the recordings of the fit and does not carry over"
 
-    def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
-        """See the class."""
+    def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
+        """Return the columns of the formula."""
         drift = arm.t - arm.t.mean() if arm.fitted else np.zeros_like(arm.t)
         return on_joint(drift, joint, arm.torque.shape[1])
 
-    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX:
+    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
         """Return zeros, as along any recording that was not fitted."""
         return ca.SX(arm.load.shape[0], 1)

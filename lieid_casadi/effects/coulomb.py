@@ -1,8 +1,9 @@
-"""Coulomb friction (Eq. 10)."""
+"""Coulomb friction (Luo et al. 2024, Eq. 10)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
@@ -11,13 +12,29 @@ from lieid_casadi.effects.effect import Coefficient, Effect, Signals, register
 
 @register
 class Coulomb(Effect):
-    """Dry friction of constant size against the motion."""
+    """Dry friction of constant size against the motion: τ = f_c·sgn(q̇), f_c in N·m.
+
+    Revealed by slow motion in both directions. Confused with other terms that change sign with
+    the velocity. At rest it is undetermined: sgn(0) = 0.
+    """
 
     name = "coulomb"
     formula = "f_c·sgn(q̇)"
-    coefficients = (Coefficient("f_c", "N·m"),)
+    coefficients = (Coefficient("f_c", "N·m", meaning="dry friction in sliding"),)
     signals = ("sign",)
+    revealed_by = "motion in both directions through the same positions, at low and medium speed"
+    confused_with: ClassVar = {
+        "viscous": "at one speed the two are the same; use speeds that differ by a factor of 5",
+        "load_friction": "under a constant load the two are the same; vary pose and payload",
+        "presliding": "differs only within a few degrees after a reversal; reverse slowly",
+        "stribeck": "at one low speed the two are the same; use several low speeds",
+    }
+    typical = "1 to 10 % of the joint's torque limit with harmonic drives; less with torque sensors"
+    references = (
+        "Luo et al., Robotica 2024, Eq. 10",
+        "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",
+    )
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         return [s.sign]

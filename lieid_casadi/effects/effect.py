@@ -1,16 +1,16 @@
-"""What a physical effect is, and the register of all effects by name.
+"""Definition of a physical effect, and the registry of all effects by name.
 
 An effect is written once, as CasADi columns per joint. The fit, the prediction, the generated
-C, the regressor that an excitation sees and the candidates of a diagnosis all use that one
-definition.
+C, the regressor of an excitation and the candidates of a diagnosis all use that definition.
 """
 
 from __future__ import annotations
 
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import casadi as ca
 import numpy as np
@@ -20,21 +20,50 @@ from lieid_casadi.errors import EffectError
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A linear coefficient; ``unit`` as for a revolute joint."""
+    """A linear coefficient of an effect.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        As for a revolute joint; models convert it for a prismatic one.
+    lower, upper : float
+        Bounds that physics sets, infinite where there are none.
+    meaning : str
+        One phrase for documentation.
+    resolved_by : str
+        ``"sample_time"`` if values smaller than one sampling interval cannot be distinguished
+        from an error of differentiation; empty otherwise.
+    """
 
     name: str
     unit: str
     lower: float = -np.inf
     upper: float = np.inf
+    meaning: str = ""
+    resolved_by: Literal["", "sample_time"] = ""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape parameter, on which the torque depends nonlinearly; bounds are finite.
+    """A shape parameter: the torque depends on it nonlinearly.
 
-    It is searched on a logarithmic scale where ``lower`` is above zero, else on a linear one.
-    Where a small change makes another column altogether, as with the order of a harmonic,
-    ``scan`` is the step of a linear search through the range.
+    It is searched on a logarithmic scale if ``lower`` is above zero, else on a linear one.
+
+    Attributes
+    ----------
+    name, unit : str
+    initial, lower, upper : float
+        Start value and finite bounds.
+    scan : float, optional
+        Step of a linear search through the whole range, for parameters such as the order of a
+        harmonic, where a small change gives an unrelated column.
+    meaning : str
+        One phrase for documentation.
+    resolved_by : str
+        What narrows the range that a recording can resolve: ``"duration"`` (a time constant, by
+        the length of the segments), ``"speed"`` (a velocity, by the joint's dead zone and top
+        speed), or empty (the bounds alone).
     """
 
     name: str
@@ -43,10 +72,12 @@ class Shape:
     lower: float
     upper: float
     scan: float | None = None
+    meaning: str = ""
+    resolved_by: Literal["", "duration", "speed"] = ""
 
 
 @dataclass(frozen=True)
-class State:
+class MemoryState:
     """A number that an effect with memory carries from sample to sample.
 
     ``initial`` is its value at the first sample of every segment.
@@ -93,22 +124,75 @@ class Signals:
 class Effect(ABC):
     """One physical effect on one joint: τ_i += Σ coefficient · column(signals, shapes).
 
-    Subclasses state the class attributes and write `columns`; with memory, also ``states`` and
-    `advance`. ``signals`` names what they use. Dry friction, which is undetermined at rest, is
-    told by the signal ``sign`` or, in its absence, by ``dry``. Register a subclass with
-    `register`, or use the `effect` decorator on a function.
+    Subclasses set the class attributes and implement `columns`; effects with memory also set
+    ``states`` and implement `advance`. Register a subclass with `register`, or use the `effect`
+    decorator on a function.
+
+    Attributes
+    ----------
+    name, formula : str
+    coefficients : tuple of Coefficient
+        In the order of the columns.
+    shapes : tuple of Shape
+    states : tuple of MemoryState
+    signals : tuple of str
+        The fields of `Signals` that the effect uses.
+    dry : bool
+        Whether the torque is undetermined at rest although no column contains the sign. Effects
+        that use the signal ``sign`` are undetermined at rest anyway.
+    couples : bool
+        Whether the motion of another joint acts on this one.
+    whole_arm : bool
+        Whether the effect acts on no joint in particular.
+    energy : str or None
+        ``"armature"`` or ``"offset"`` if link parameters can produce the same torque.
+    option : str
+        The variant of this instance, a key of ``options``.
+    options : mapping
+        The variants of the effect: option → one sentence.
+    replaces : tuple of str
+        Effects whose place this one takes; a model normally has one or the other.
+    accompanied_by : tuple of str
+        Effects that change whenever this one does, such as the offset of a spring.
+    counted_as : tuple of str
+        Effects that stand for this one in the regressor of a trajectory design.
+    candidate : bool
+        Whether a diagnosis tries it as a missing effect.
+    revealed_by : str
+        The motion that reveals the effect.
+    confused_with : mapping
+        Effects that produce a similar torque → when, and how to separate them.
+    typical : str
+        Typical sizes.
+    references : tuple of str
     """
 
     name: ClassVar[str]
     formula: str
     coefficients: tuple[Coefficient, ...]
     shapes: tuple[Shape, ...] = ()
-    states: tuple[State, ...] = ()
+    states: tuple[MemoryState, ...] = ()
     signals: tuple[str, ...] = ("dq",)
-    dry: bool = False  # undetermined at rest, although no column has the sign
+    dry: bool = False
     couples: ClassVar[bool] = False
-    energy: ClassVar[str | None] = None  # "armature" or "offset": what links can imitate
+    whole_arm: ClassVar[bool] = False
+    energy: ClassVar[str | None] = None
     option: str = ""
+    options: ClassVar[Mapping[str, str]] = {}
+    replaces: tuple[str, ...] = ()
+    accompanied_by: tuple[str, ...] = ()
+    counted_as: tuple[str, ...] = ()
+    candidate: ClassVar[bool] = True
+    revealed_by: ClassVar[str] = ""
+    confused_with: ClassVar[Mapping[str, str]] = {}
+    typical: ClassVar[str] = ""
+    references: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, *, option: str = "") -> None:
+        if option and option not in self.options:
+            known = ", ".join(self.options) or "no option"
+            raise EffectError(f"{self.name} has no option {option!r}; expected {known}")
+        self.option = option
 
     @abstractmethod
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
@@ -117,10 +201,34 @@ class Effect(ABC):
     def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
         """Return the states at the sample ``now``, one expression per state.
 
-        ``before`` holds the signals of the sample before it, and ``before.state`` the states
-        there. Motion between two samples is theirs to bridge: nothing is said about the rate.
+        Parameters
+        ----------
+        before : Signals
+            Signals of the sample before; ``before.state`` holds the states there.
+        now : Signals
+            Signals of this sample, at any time after the other.
+        shape : mapping
+            Shape parameters by name.
         """
         raise NotImplementedError(f"effect {self.name} has states but no advance")
+
+    def next_states(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> list[ca.SX]:
+        """Return the states of `advance`, held where an input is not finite.
+
+        One NaN or infinite sample must not destroy the states of all samples after it. If any
+        symbol on which `advance` depends is not finite, at this sample or the one before, the
+        states keep their values; they evolve again from the next pair of finite samples. Python
+        evaluation, compiled batches and exported C all use this expression.
+        """
+        after = [ca.SX(x) for x in self.advance(before, now, shape)]
+        size = ca.SX(0)
+        for symbol in ca.symvar(ca.vertcat(*after)):
+            size += ca.fabs(symbol)
+        finite = size <= sys.float_info.max  # false for NaN
+        return [
+            ca.if_else(finite, x, before.state[state.name])
+            for x, state in zip(after, self.states, strict=True)
+        ]
 
     @property
     def label(self) -> str:
@@ -131,33 +239,37 @@ class Effect(ABC):
         return f"<effect {self.label}: {self.formula}>"
 
 
-REGISTER: dict[str, Callable[[], Effect]] = {}
+@dataclass(frozen=True)
+class EffectVariant:
+    """An effect class with one of its options; calling it makes the effect."""
+
+    kind: type[Effect]
+    option: str
+
+    def __call__(self) -> Effect:
+        """Return a new effect."""
+        return self.kind(option=self.option) if self.option else self.kind()
 
 
-def register(kind: type[Effect], *, options: Sequence[str] = ()) -> type[Effect]:
-    """Make an effect known by its name, and by ``name/option`` for each option.
+#: Every registered effect by its label, ``name`` or ``name/option``.
+REGISTER: dict[str, EffectVariant] = {}
+
+
+def register(kind: type[Effect]) -> type[Effect]:
+    """Register an effect class under its name, and under ``name/option`` for each option.
 
     Raises
     ------
     EffectError
         If the name is taken by another effect.
     """
-    for option in ("", *options):
+    for option in ("", *kind.options):
         label = f"{kind.name}/{option}" if option else kind.name
-        known = REGISTER.get(label)
-        if known is not None and getattr(known, "kind", None) is not kind:
+        taken = REGISTER.get(label)
+        if taken is not None and taken.kind is not kind:
             raise EffectError(f"effect name {label!r} is taken; choose another name")
-        REGISTER[label] = _Maker(kind, option)
+        REGISTER[label] = EffectVariant(kind, option)
     return kind
-
-
-@dataclass(frozen=True)
-class _Maker:
-    kind: type[Effect]
-    option: str
-
-    def __call__(self) -> Effect:
-        return self.kind(option=self.option) if self.option else self.kind()  # type: ignore[call-arg]
 
 
 def effect(
@@ -173,8 +285,13 @@ def effect(
 
     Parameters
     ----------
+    name, formula : str
     coefficients : mapping
         Linear coefficient → unit, in the order of the returned columns.
+    shapes : sequence of Shape
+        Shape parameters; the function receives their symbols by name.
+    signals : sequence of str
+        The fields of `Signals` that the function uses.
     couples : bool
         Whether another joint acts on this one: its signals are ``signals.other``, and the effect
         is placed on pairs, ``name:5<6``.
@@ -214,9 +331,9 @@ def make(label: str) -> Effect:
         If no effect has that name; the message lists those that exist.
     """
     if label not in REGISTER:
-        known = ", ".join(sorted(REGISTER))
+        names = ", ".join(sorted(REGISTER))
         raise EffectError(
-            f"unknown effect {label!r}; expected one of {known}, "
-            "or an effect of your own given with --effects-file"
+            f"unknown effect {label!r}; expected one of {names}, "
+            "or a user-defined effect given with --effects-file"
         )
     return REGISTER[label]()

@@ -1,26 +1,40 @@
-"""A joint whose zero is not where the model has it."""
+"""Zero offset of a joint encoder."""
 
 from __future__ import annotations
+
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow, Array
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
 from lieid_casadi.effects.effect import Coefficient, register
 
-LEAST = 1e-4  # rad: below it a difference over this much stands for the derivative
+LEAST = 1e-4  # rad; smallest step of the difference quotient
 
 
 @register
 class EncoderOffset(ArmEffect):
-    """The true angle is the measured one plus δ; other joints feel it too."""
+    """The true angle is the measured angle plus an offset: q_true = q + δ, δ in rad.
+
+    The torques of other joints change, too. Revealed by gravity torque in poses spread over the
+    range. An offset about a vertical first axis has no effect. Confused with link parameters
+    (first moments), with `base_tilt` and with `offset`.
+    """
 
     name = "encoder_offset"
     formula = "q_true = q + δ"
-    coefficients = (Coefficient("delta", "rad"),)
+    coefficients = (Coefficient("delta", "rad", meaning="zero offset"),)
+    revealed_by = "gravity torque in poses spread over the range of this joint and its neighbours"
+    confused_with: ClassVar = {
+        "base_tilt": "both turn gravity; a tilt acts on all joints",
+        "position_spring": "over a small range of positions; use the whole range",
+        "payload": "both change gravity torques; use the whole range of poses",
+    }
+    typical = "0.1 to 2° after the replacement of a drive"
 
-    def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
-        """See the class."""
+    def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
+        """Return the columns of the formula."""
         q, dq, ddq = arm.motion
         step = _step(values)
         moved = q.copy()
@@ -28,8 +42,8 @@ class EncoderOffset(ArmEffect):
         change = arm.rigid(moved, dq, ddq) - arm.load
         return change[:, :, None] / step
 
-    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX:
-        """See the class."""
+    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+        """Return the columns of the formula."""
         offset, step = np.zeros(arm.load.shape[0]), _step(values)
         offset[joint] = step
         return (arm.rigid_beside(offset) - arm.load) / step

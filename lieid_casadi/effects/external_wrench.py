@@ -1,29 +1,42 @@
-"""A constant push or pull at the tool."""
+"""A constant wrench at the tool."""
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import casadi as ca
 
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow, Array
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
 from lieid_casadi.effects.effect import Coefficient, register
 
 
 @register
 class ExternalWrench(ArmEffect):
-    """A constant wrench that the tool exerts on its surroundings, base axes."""
+    """A constant wrench that the tool exerts on its surroundings: τ = Jᵀ·[m; f].
+
+    Moment m (3,) in N·m and force f (3,) in N at the tool's origin, in base axes. Revealed by
+    motion while the contact or cable force is constant. Confused with a payload over a small
+    range of orientations.
+    """
 
     name = "external_wrench"
     formula = "+Jᵀ·[m; f]"
     coefficients = (
-        *(Coefficient(f"m{axis}", "N·m") for axis in "xyz"),
-        *(Coefficient(f"f{axis}", "N") for axis in "xyz"),
+        *(Coefficient(f"m{x}", "N·m", meaning=f"moment about {x}") for x in "xyz"),
+        *(Coefficient(f"f{x}", "N", meaning=f"force along {x}") for x in "xyz"),
     )
     whole_arm = True
+    revealed_by = "motion through the workspace while the wrench is constant"
+    confused_with: ClassVar = {
+        "payload": "a vertical force resembles a weight at the tool's origin; accelerate the tool",
+        "offset": "over a small range of poses; use the whole range",
+    }
+    typical = "hoses and cables 1 to 20 N"
 
-    def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
-        """See the class."""
+    def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
+        """Return the columns of the formula."""
         return arm.jacobian().transpose(0, 2, 1)
 
-    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX:
-        """See the class."""
+    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+        """Return the columns of the formula."""
         return arm.jacobian().T

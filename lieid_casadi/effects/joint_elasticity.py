@@ -1,26 +1,44 @@
-"""A joint that winds up under load."""
+"""Elasticity between motor and link."""
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, Array
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel
 from lieid_casadi.effects.effect import Coefficient, register
 
-LEAST = 1e-4  # rad of winding at the largest load: below it a difference stands for a derivative
+LEAST = 1e-4  # rad of deflection at the largest load; smallest step of the difference quotient
 
 
 @register
 class JointElasticity(ArmEffect):
-    """The link's angle is the measured one of the motor less τ/K, τ the link-side torque."""
+    """The link angle lags behind the measured motor angle: q_link = q − c·τ_load, c = 1/K.
+
+    The compliance c in rad/(N·m) is not negative; τ_load is the link-side torque in N·m. Other
+    joints are affected through the dynamics. Revealed by high accelerations near the joint's
+    resonance and by large loads. Confused with `torque_delay` and `armature`.
+    """
 
     name = "joint_elasticity"
     formula = "q_link = q − c·τ_load, c = 1/K"
-    coefficients = (Coefficient("c", "rad/(N·m)", lower=0.0),)
-    starts = ((1e-4,), (3e-4,), (1e-3,), (3e-3,))  # geared drives have 1e-5 to 1e-3
+    coefficients = (Coefficient("c", "rad/(N·m)", lower=0.0, meaning="compliance 1/K"),)
+    trial_values = ((1e-4,), (3e-4,), (1e-3,), (3e-3,))
+    revealed_by = "high accelerations with a large inertia behind the joint, and large loads"
+    confused_with: ClassVar = {
+        "torque_delay": "both shift the torque in time; vary the frequency",
+        "armature": "both grow with acceleration; elasticity also moves other joints",
+        "encoder_offset": "under a constant load the deflection is an offset; vary the load",
+    }
+    typical = "1e-5 to 1e-3 rad/(N·m) with geared drives"
+    references = (
+        "Spong, J. Dyn. Syst. Meas. Control 109(4), 1987",
+        "De Luca, Book, Robots with Flexible Elements, Springer Handbook of Robotics",
+    )
 
-    def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
-        """See the class."""
+    def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
+        """Return the columns of the formula."""
         load = arm.smooth(arm.load[:, joint])
         largest = float(np.abs(load).max(initial=0.0))
         if largest == 0.0:

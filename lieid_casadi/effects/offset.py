@@ -1,8 +1,9 @@
-"""Constant torque (Eq. 10)."""
+"""Constant torque (Luo et al. 2024, Eq. 10)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
@@ -11,14 +12,26 @@ from lieid_casadi.effects.effect import Coefficient, Effect, Signals, register
 
 @register
 class Offset(Effect):
-    """A constant torque: sensor offset, unequal friction of the two directions."""
+    """A constant torque τ = f_b, in N·m: zero error of a torque sensor, unequal friction.
+
+    Revealed by any motion that separates it from gravity. Confused with the gravity torque of a
+    joint that moves little, and with Coulomb friction that differs between the two directions.
+    """
 
     name = "offset"
     formula = "f_b"
-    coefficients = (Coefficient("f_b", "N·m"),)
+    coefficients = (Coefficient("f_b", "N·m", meaning="constant torque"),)
     signals = ()
     energy = "offset"
+    revealed_by = "motion through a wide range of positions, in both directions"
+    confused_with: ClassVar = {
+        "position_spring": "over a small range of positions; use the whole range",
+        "bias_drift": "over a short recording; record longer",
+        "base_tilt": "on joints whose gravity torque changes little; use the whole range",
+    }
+    typical = "up to a few per cent of the torque limit"
+    references = ("Luo et al., Robotica 2024, Eq. 10",)
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         return [ca.SX(1)]

@@ -1,32 +1,43 @@
-"""A body at the tool."""
+"""A body attached to the tool."""
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import casadi as ca
 
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow, Array
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
 from lieid_casadi.effects.effect import Coefficient, register
 
 
 @register
 class Payload(ArmEffect):
-    """Mass and first moment of a small body in the tool's frame.
+    """Mass and first moments of a body attached to the tool: τ = Y_tool·[m, m·c].
 
-    Its inertia about the tool's origin is neglected. In a fit of the last link it is absorbed.
+    m in kg, m·c (3,) in kg·m in the tool frame; the inertia about the tool's origin is neglected.
+    Revealed by gravity torque in several orientations of the tool. In a fit with free link
+    parameters it is absorbed by those of the last link; it is identifiable as a change of a fit.
     """
 
     name = "payload"
     formula = "Y_tool·[m, m·c]"
     coefficients = (
-        Coefficient("m", "kg"),
-        *(Coefficient(f"mc{axis}", "kg·m") for axis in "xyz"),
+        Coefficient("m", "kg", meaning="mass"),
+        *(Coefficient(f"mc{x}", "kg·m", meaning=f"first moment along {x}") for x in "xyz"),
     )
     whole_arm = True
+    revealed_by = "gravity torque in at least three orientations of the tool"
+    confused_with: ClassVar = {
+        "external_wrench": "over a small range of orientations; a force keeps its direction",
+        "torque_gain": "on one joint only; a payload acts on all joints before it",
+    }
+    typical = "up to the arm's rated payload"
+    references = ("Swevers, Verdonck, De Schutter, IEEE Control Systems Magazine 27(5), 2007",)
 
-    def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
-        """See the class."""
+    def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
+        """Return the columns of the formula."""
         return arm.tool_regressor()[:, :, :4]
 
-    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX:
-        """See the class."""
+    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+        """Return the columns of the formula."""
         return arm.tool_regressor()[:, :4]

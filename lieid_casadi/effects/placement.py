@@ -20,7 +20,7 @@ class Placement:
     @property
     def whole_arm(self) -> bool:
         """Whether it acts on no joint in particular."""
-        return bool(getattr(self.effect, "whole_arm", False))
+        return self.effect.whole_arm
 
     @property
     def label(self) -> str:
@@ -47,12 +47,12 @@ def place(spec: str | Effect, n: int, joints: Sequence[int] | None = None) -> li
         Unknown effect, a joint that the arm does not have, a coupling without its source.
     """
     if isinstance(spec, Effect):
-        if getattr(spec, "whole_arm", False):
+        if spec.whole_arm:
             return [Placement(spec, 0)]
         return [_placement(spec, j, None, n, spec.label) for j in _every(joints, n)]
     label, _, where = spec.strip().partition(":")
     effect = make(label)
-    if getattr(effect, "whole_arm", False):
+    if effect.whole_arm:
         if where:
             raise EffectError(f"effect {spec!r} acts on the whole arm; leave out its joints")
         return [Placement(effect, 0)]

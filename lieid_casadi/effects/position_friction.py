@@ -1,8 +1,9 @@
-"""Dry friction that varies along the turn: eccentric gears, cables that wind up."""
+"""Dry friction that varies with position: eccentric gears, cables."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
@@ -11,15 +12,30 @@ from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals, reg
 
 @register
 class PositionFriction(Effect):
-    """One harmonic of dry friction over the joint angle. Beside `coulomb`."""
+    """One harmonic of dry friction over the joint angle; beside `coulomb`.
+
+    τ = (f_sin·sin kq + f_cos·cos kq)·sgn(q̇), with f_sin and f_cos in N·m and k in 1/rad.
+    Revealed by motion in both directions through the whole range. Confused with load friction,
+    because gravity varies with position, too.
+    """
 
     name = "position_friction"
     formula = "(f_sin·sin kq + f_cos·cos kq)·sgn(q̇)"
-    coefficients = (Coefficient("f_sin", "N·m"), Coefficient("f_cos", "N·m"))
-    shapes = (Shape("k", "1/rad", 1.0, 0.5, 8.0),)
+    coefficients = (
+        Coefficient("f_sin", "N·m", meaning="sine part of the dry friction"),
+        Coefficient("f_cos", "N·m", meaning="cosine part of the dry friction"),
+    )
+    shapes = (Shape("k", "1/rad", 1.0, 0.5, 8.0, meaning="periods per turn"),)
     signals = ("q", "sign")
+    revealed_by = "slow motion in both directions through the joint's whole range"
+    confused_with: ClassVar = {
+        "load_friction": "gravity varies with position, too; repeat the motion with a payload",
+        "torque_ripple": "ripple has the same sign in both directions; drive both",
+    }
+    typical = "10 to 30 % of Coulomb friction"
+    references = ("Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",)
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         phase = shape["k"] * s.q
         return [ca.sin(phase) * s.sign, ca.cos(phase) * s.sign]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
@@ -11,13 +12,25 @@ from lieid_casadi.effects.effect import Coefficient, Effect, Signals, register
 
 @register
 class PositionSpring(Effect):
-    """Torque in proportion to the angle; beside `offset`, which has the spring's rest angle."""
+    """Torque in proportion to the angle: τ = K·q, K in N·m/rad.
+
+    Used beside `offset`, which contains the rest angle: −K·q₀. Revealed by motion through a wide
+    range. Confused with gravity over a small range.
+    """
 
     name = "position_spring"
     formula = "K·q"
-    coefficients = (Coefficient("K", "N·m/rad"),)
+    coefficients = (Coefficient("K", "N·m/rad", meaning="stiffness"),)
     signals = ("q",)
+    accompanied_by = ("offset",)
+    revealed_by = "slow motion through the joint's whole range, also where gravity has no effect"
+    confused_with: ClassVar = {
+        "offset": "over a small range of positions; use the whole range",
+        "encoder_offset": "where gravity is nearly linear in the angle; use the whole range",
+        "torque_ripple": "over less than a period of the ripple; use the whole range",
+    }
+    typical = "cables and hoses 0.1 to 5 N·m/rad; spring balancers up to the gravity torque"
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         return [s.q]

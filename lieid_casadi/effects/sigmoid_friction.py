@@ -1,8 +1,9 @@
-"""The sigmoid that was published for the Franka Panda."""
+"""The sigmoid friction model published for the Franka Panda."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
@@ -11,25 +12,34 @@ from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals, reg
 
 @register
 class SigmoidFriction(Effect):
-    """Friction that rises steeply but smoothly through rest and levels out.
+    """Friction that rises smoothly through zero speed and levels out.
 
-    In place of `coulomb` and `viscous`: Gaz, Cognetti, Oliva, Robuffo Giordano, De Luca,
-    "Dynamic identification of the Franka Emika Panda robot …", IEEE RA-L 2019. Zero at rest;
-    φ3 makes the two directions unequal.
+    τ = φ1/(1 + e^{−φ2·(q̇+φ3)}) − φ1/(1 + e^{−φ2·φ3}), with φ1 in N·m, φ2 in s/rad, φ3 in rad/s;
+    it is zero at rest, and φ3 makes the two directions unequal. Replaces `coulomb` and
+    `viscous`. Revealed by motion at low and high speed. Confused with these two.
     """
 
     name = "sigmoid_friction"
     formula = "φ1/(1 + e^{−φ2·(q̇+φ3)}) − φ1/(1 + e^{−φ2·φ3})"
-    coefficients = (Coefficient("phi1", "N·m"),)
+    coefficients = (Coefficient("phi1", "N·m", meaning="friction from one direction to the other"),)
     shapes = (
-        Shape("phi2", "s/rad", 8.0, 0.5, 200.0),
-        Shape("phi3", "rad/s", 0.0, -0.3, 0.3),
+        Shape("phi2", "s/rad", 8.0, 0.5, 200.0, meaning="steepness at rest"),
+        Shape("phi3", "rad/s", 0.0, -0.3, 0.3, meaning="shift that makes the directions unequal"),
     )
     signals = ("dq",)
     dry = True
+    replaces = ("coulomb", "viscous")
+    candidate = False
+    revealed_by = "motion at low and high speed in both directions"
+    confused_with: ClassVar = {
+        "coulomb": "where φ2 is large the two are the same",
+        "viscous": "where φ2 is small the two are the same",
+    }
+    typical = "φ1 of 0.3 to 1.3 N·m, φ2 of 5 to 17 s/rad (Panda)"
+    references = ("Gaz, Cognetti, Oliva, Robuffo Giordano, De Luca, IEEE RA-L 4(4), 2019",)
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         steep, shift = shape["phi2"], shape["phi3"]
         # 1/(1 + e^{−x}) = (1 + tanh(x/2))/2, which does not overflow
         return [(ca.tanh(steep * (s.dq + shift) / 2) - ca.tanh(steep * shift / 2)) / 2]

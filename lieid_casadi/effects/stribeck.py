@@ -1,54 +1,80 @@
-"""Stribeck friction: more friction at low speed (Eqs. 6-7)."""
+"""Stribeck friction: more friction at low speed (Luo et al. 2024, Eqs. 6-7)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals, register
-from lieid_casadi.errors import EffectError
 
-ROUNDED = 1e-6  # added to (q̇/v_s)²: a power below 2 has no slope at rest without it
+REGULARIZATION = 1e-6  # added to (q̇/v_s)²: a power below 2 has no derivative at rest otherwise
 
 
+@register
 class Stribeck(Effect):
-    """What static friction exceeds Coulomb friction by, fading with velocity.
+    """Excess of static over Coulomb friction, which fades with velocity; beside `coulomb`.
 
-    Beside `coulomb`. Options: ``exponent``, Eq. 6 with its exponent δ_s free (2 otherwise);
-    ``two_width``, Eq. 7, where Coulomb friction rises as the static friction falls, each with
-    its own width: in place of `coulomb`.
+    τ = (f_s − f_c)·sgn(q̇)·e^{−(q̇/v_s)²}, with f_s − f_c in N·m and v_s in rad/s. Revealed by
+    slow motion at several speeds below v_s. Confused with Coulomb friction where all speeds are
+    above v_s, and with a viscous polynomial where the lowest speeds are missing.
     """
 
     name = "stribeck"
+    options: ClassVar = {
+        "exponent": "Eq. 6 with its exponent δ_s free; it is 2 otherwise",
+        "two_width": (
+            "Eq. 7: Coulomb friction rises as static friction falls, each with its own width; "
+            "replaces coulomb"
+        ),
+    }
     signals: tuple[str, ...] = ("dq", "sign")
+    revealed_by = "reversals and constant speeds between the dead zone and a few times v_s"
+    confused_with: ClassVar = {
+        "coulomb": "where no speed is below v_s; move more slowly",
+        "presliding": "both act near reversals; only presliding depends on the distance moved",
+        "viscous_polynomial": "both bend the friction curve; use speeds below v_s",
+    }
+    typical = "f_s − f_c of 10 to 50 % of f_c; v_s of 0.01 to 0.3 rad/s"
+    references = (
+        "Luo et al., Robotica 2024, Eqs. 6-7",
+        "Tustin, J. IEE 94, 1947",
+        "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",
+    )
 
     def __init__(self, *, option: str = "") -> None:
-        self.option = option
-        width = Shape("v_s", "rad/s", 0.1, 1e-3, 2.0)
-        self.coefficients = (Coefficient("f_s-f_c", "N·m"),)
-        if option == "":
-            self.formula = "(f_s − f_c)·sgn(q̇)·e^{−(q̇/v_s)²}"
-            self.shapes = (width,)
-        elif option == "exponent":
+        super().__init__(option=option)
+        width = Shape(
+            "v_s", "rad/s", 0.1, 1e-3, 2.0, meaning="Stribeck velocity", resolved_by="speed"
+        )
+        self.coefficients = (
+            Coefficient("f_s-f_c", "N·m", meaning="static minus Coulomb friction"),
+        )
+        self.shapes = (width,)
+        self.formula = "(f_s − f_c)·sgn(q̇)·e^{−(q̇/v_s)²}"
+        if option == "exponent":
             self.formula = "(f_s − f_c)·sgn(q̇)·e^{−|q̇/v_s|^δ_s}"
-            self.shapes = (width, Shape("delta_s", "1", 2.0, 0.3, 5.0))
+            self.shapes += (Shape("delta_s", "1", 2.0, 0.3, 5.0, meaning="exponent"),)
         elif option == "two_width":
             self.formula = "sgn(q̇)·(f_c·(1 − e^{−(q̇/v_c)²}) + f_s·e^{−(q̇/v_s)²})"
-            self.coefficients = (Coefficient("f_c", "N·m"), Coefficient("f_s", "N·m"))
-            self.shapes = (Shape("v_c", "rad/s", 0.02, 1e-3, 2.0), width)
-        else:
-            raise EffectError(f"stribeck has no option {option!r}; expected exponent or two_width")
+            self.replaces = ("coulomb",)
+            self.coefficients = (
+                Coefficient("f_c", "N·m", meaning="Coulomb friction"),
+                Coefficient("f_s", "N·m", meaning="static friction"),
+            )
+            rise = Shape(
+                "v_c", "rad/s", 0.02, 1e-3, 2.0,
+                meaning="velocity over which Coulomb friction rises", resolved_by="speed",
+            )  # fmt: skip
+            self.shapes = (rise, width)
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         ratio = (s.dq / shape["v_s"]) ** 2
         if self.option == "exponent":
-            return [s.sign * ca.exp(-((ratio + ROUNDED) ** (shape["delta_s"] / 2)))]
+            return [s.sign * ca.exp(-((ratio + REGULARIZATION) ** (shape["delta_s"] / 2)))]
         fading = s.sign * ca.exp(-ratio)
         if self.option == "two_width":
             return [-s.sign * ca.expm1(-((s.dq / shape["v_c"]) ** 2)), fading]
         return [fading]
-
-
-register(Stribeck, options=["exponent", "two_width"])

@@ -3,47 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals, register
-from lieid_casadi.errors import EffectError
 
 
+@register
 class TemperatureFriction(Effect):
-    """Change of viscous and dry friction with temperature, from a ``temp`` column.
+    """Change of viscous and dry friction with temperature; beside `viscous` and `coulomb`.
 
-    T̄ is the mean of the training recordings. Beside `viscous` and `coulomb`. The option
-    ``exponential`` is viscous friction that falls exponentially with warmth, as lubricants do
-    (Vogel, Reynolds): in place of `viscous`; beside it, the part that does not fall.
+    τ = f_Tv·(T − T̄)·q̇ + f_Tc·(T − T̄)·sgn(q̇), with T in °C from a ``temp`` column and T̄ the mean
+    of the training recordings; f_Tv in N·m·s/(rad·°C), f_Tc in N·m/°C. Revealed by recordings of
+    a cold and a warm joint. Confused with `warm_up` while the temperature rises steadily.
     """
 
     name = "temperature_friction"
+    options: ClassVar = {
+        "exponential": (
+            "viscous friction that falls exponentially with temperature, as lubricants do "
+            "(Vogel, Reynolds); replaces viscous, or, beside it, is the part that falls"
+        ),
+    }
     signals: tuple[str, ...] = ("dq", "sign", "temperature")
+    revealed_by = "the same motion with a cold and a warm joint, 10 °C apart or more"
+    confused_with: ClassVar = {
+        "warm_up": "while the temperature rises steadily; record several starts",
+        "viscous": "at one temperature the two are the same",
+    }
+    typical = "viscous friction falls by 1 to 5 % per °C"
+    references = (
+        "Gao et al., IROS 2017",
+        "Bittencourt, Axelsson, Jung, Brogårdh, Modeling and Identification of Wear, IFAC 2011",
+    )
 
     def __init__(self, *, option: str = "") -> None:
-        self.option = option
-        if option == "":
-            self.formula = "f_Tv·(T − T̄)·q̇ + f_Tc·(T − T̄)·sgn(q̇)"
-            self.coefficients = (
-                Coefficient("f_Tv", "N·m·s/(rad·°C)"),
-                Coefficient("f_Tc", "N·m/°C"),
-            )
-        elif option == "exponential":
+        super().__init__(option=option)
+        self.formula = "f_Tv·(T − T̄)·q̇ + f_Tc·(T − T̄)·sgn(q̇)"
+        self.coefficients = (
+            Coefficient("f_Tv", "N·m·s/(rad·°C)", meaning="viscous friction per °C"),
+            Coefficient("f_Tc", "N·m/°C", meaning="dry friction per °C"),
+        )
+        if option == "exponential":
             self.formula = "f_v·e^{−β·(T − T̄)}·q̇"
-            self.coefficients = (Coefficient("f_v", "N·m·s/rad"),)
-            self.shapes = (Shape("beta", "1/°C", 0.02, 1e-4, 0.3),)
+            self.coefficients = (Coefficient("f_v", "N·m·s/rad", meaning="viscous friction at T̄"),)
+            self.shapes = (Shape("beta", "1/°C", 0.02, 1e-4, 0.3, meaning="relative decay per °C"),)
             self.signals = ("dq", "temperature")
-        else:
-            raise EffectError(
-                f"temperature_friction has no option {option!r}; expected exponential"
-            )
+            self.replaces = self.counted_as = ("viscous",)
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         if self.option == "exponential":
             return [ca.exp(-shape["beta"] * s.temperature) * s.dq]
         return [s.temperature * s.dq, s.temperature * s.sign]
-
-
-register(TemperatureFriction, options=["exponential"])

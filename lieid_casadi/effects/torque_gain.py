@@ -1,28 +1,41 @@
-"""A torque sensor or drive constant that is off by a factor."""
+"""A wrong gain of a torque sensor or a wrong drive constant."""
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import casadi as ca
 
-from lieid_casadi.effects.arm_effect import ArmAlong, ArmEffect, ArmNow, Array, on_joint
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient, register
 
 
 @register
 class TorqueGain(ArmEffect):
-    """What is measured is (1 + g) times the torque; relative to the other joints' gains."""
+    """The measured torque is (1 + g) times the torque: τ_measured = (1 + g)·τ.
+
+    g is dimensionless and relative to the other joints: a gain common to all joints cannot be
+    distinguished from larger masses. Revealed by motion of several joints with large gravity
+    torque, or a payload of known mass. Confused with friction in proportion to the load.
+    """
 
     name = "torque_gain"
     formula = "τ_measured = (1 + g)·τ"
-    coefficients = (Coefficient("g", "1"),)
+    coefficients = (Coefficient("g", "1", meaning="relative error of the gain"),)
     reach = "joint"
+    revealed_by = "large gravity torque on several joints, or a payload of known mass"
+    confused_with: ClassVar = {
+        "load_friction": "only friction changes sign with the velocity; drive both directions",
+        "payload": "a payload changes all joints before it; use the whole range of poses",
+    }
+    typical = "1 to 10 %"
 
-    def along(self, arm: ArmAlong, joint: int, values: Array) -> Array:
-        """See the class."""
+    def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
+        """Return the columns of the formula."""
         return on_joint(arm.torque[:, joint], joint, arm.torque.shape[1])
 
-    def now(self, arm: ArmNow, joint: int, values: Array) -> ca.SX:
-        """See the class."""
+    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+        """Return the columns of the formula."""
         column = ca.SX(arm.torque.shape[0], 1)
         column[joint] = arm.torque[joint]
         return column

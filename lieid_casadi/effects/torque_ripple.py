@@ -1,8 +1,9 @@
-"""Torque that repeats along the turn: cogging, gears, eccentric bearings."""
+"""Torque that repeats with the joint angle: cogging, gears, eccentric bearings."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
@@ -11,15 +12,29 @@ from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals, reg
 
 @register
 class TorqueRipple(Effect):
-    """One harmonic of the joint angle, of any order from 2 up; the first ones look like gravity."""
+    """One harmonic of the joint angle: τ = a·sin(kq) + b·cos(kq), of order 2 and above.
+
+    a and b in N·m, k in 1/rad; order 1 cannot be distinguished from gravity. Revealed by slow
+    motion sampled several times per period of the ripple. Confused with gravity at low order.
+    """
 
     name = "torque_ripple"
     formula = "a·sin(kq) + b·cos(kq)"
-    coefficients = (Coefficient("a", "N·m"), Coefficient("b", "N·m"))
-    shapes = (Shape("k", "1/rad", 6.0, 1.9, 400.0, scan=0.25),)
+    coefficients = (
+        Coefficient("a", "N·m", meaning="sine part"),
+        Coefficient("b", "N·m", meaning="cosine part"),
+    )
+    shapes = (Shape("k", "1/rad", 6.0, 1.9, 400.0, scan=0.25, meaning="periods per turn"),)
     signals = ("q",)
+    revealed_by = "slow motion through at least one period, sampled 5 times per period or more"
+    confused_with: ClassVar = {
+        "position_friction": "friction changes sign with the direction; drive both",
+        "position_spring": "over less than a period; use the whole range",
+    }
+    typical = "1 to 5 % of the torque limit; harmonic drives have orders of 100 to 320"
+    references = ("Tuttle, Seering, IEEE Trans. Robot. Autom. 12(3), 1996",)
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         phase = shape["k"] * s.q
         return [ca.sin(phase), ca.cos(phase)]

@@ -1,42 +1,54 @@
-"""What another joint's motion does to a joint: shared gears, coupled drives."""
+"""Torque on a joint from the motion of another: shared gears, coupled drives."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Effect, Signals, register
-from lieid_casadi.errors import EffectError
 
 
+@register
 class TransmissionCoupling(Effect):
-    """Viscous and dry friction that joint j's motion makes on joint i.
+    """Viscous and dry friction on joint i from the motion of joint j, written ``:i<j``.
 
-    Option ``rotor``: joint i also accelerates the rotor of joint j's drive, as where the gears
-    of a wrist turn each other. Seen from both joints, 5<6 and 6<5, that inertia is the same.
+    τ_i = f_v·q̇_j + f_c·sgn(q̇_j), with f_v in N·m·s/rad and f_c in N·m. Revealed by motion in which
+    the joints move independently. Confused with joint i's own friction where both move together.
     """
 
     name = "transmission_coupling"
+    options: ClassVar = {
+        "rotor": (
+            "joint i also accelerates the rotor of joint j's drive, as where the gears of a wrist "
+            "turn each other; 5<6 and 6<5 have the same inertia"
+        ),
+    }
     signals: tuple[str, ...] = ("dq", "sign")
     couples = True
+    revealed_by = "motion in which the two joints move one at a time"
+    confused_with: ClassVar = {
+        "viscous": "where both joints move together; move them one at a time",
+        "coulomb": "where both joints move together; move them one at a time",
+    }
+    typical = "up to the size of the joint's own friction in coupled wrists; zero elsewhere"
+    references = ("Gautier, Janot, Vandanjon, IEEE Trans. Control Syst. Technol. 21(2), 2013",)
 
     def __init__(self, *, option: str = "") -> None:
-        self.option = option
+        super().__init__(option=option)
         self.formula = "f_v·q̇_j + f_c·sgn(q̇_j)"
-        self.coefficients = (Coefficient("f_v", "N·m·s/rad"), Coefficient("f_c", "N·m"))
+        self.coefficients = (
+            Coefficient("f_v", "N·m·s/rad", meaning="friction per velocity of joint j"),
+            Coefficient("f_c", "N·m", meaning="dry friction from the motion of joint j"),
+        )
         if option == "rotor":
             self.formula += " + I_a·q̈_j"
-            self.coefficients += (Coefficient("I_a", "kg·m²"),)
+            self.coefficients += (Coefficient("I_a", "kg·m²", meaning="shared rotor inertia"),)
             self.signals = ("dq", "ddq", "sign")
-        elif option:
-            raise EffectError(f"transmission_coupling has no option {option!r}; expected rotor")
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         assert s.other is not None  # placed on a pair of joints
         friction = [s.other.dq, s.other.sign]
         return [*friction, s.other.ddq] if self.option == "rotor" else friction
-
-
-register(TransmissionCoupling, options=["rotor"])

@@ -1,8 +1,9 @@
-"""Viscous friction (Eq. 10)."""
+"""Viscous friction (Luo et al. 2024, Eq. 10)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
@@ -11,13 +12,28 @@ from lieid_casadi.effects.effect import Coefficient, Effect, Signals, register
 
 @register
 class Viscous(Effect):
-    """Friction in proportion to velocity."""
+    """Friction in proportion to velocity: τ = f_v·q̇, f_v in N·m·s/rad.
+
+    Revealed by motion at several speeds. Confused with Coulomb friction at a single speed.
+    """
 
     name = "viscous"
     formula = "f_v·q̇"
-    coefficients = (Coefficient("f_v", "N·m·s/rad"),)
+    coefficients = (Coefficient("f_v", "N·m·s/rad", meaning="friction per velocity"),)
     signals = ("dq",)
+    revealed_by = "motion at speeds from about 10 % to 100 % of the joint's limit, both directions"
+    confused_with: ClassVar = {
+        "coulomb": "at one speed the two are the same; use speeds that differ by a factor of 5",
+        "viscous_polynomial": "over a narrow range of speeds; use the whole range",
+        "temperature_friction": "at one temperature the two are the same",
+        "torque_delay": "a delay of an accelerating torque resembles damping; vary the frequency",
+    }
+    typical = "comparable with Coulomb friction at half of the joint's top speed"
+    references = (
+        "Luo et al., Robotica 2024, Eq. 10",
+        "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",
+    )
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         return [s.dq]

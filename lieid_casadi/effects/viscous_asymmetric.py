@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
@@ -11,13 +12,27 @@ from lieid_casadi.effects.effect import Coefficient, Effect, Signals, register
 
 @register
 class ViscousAsymmetric(Effect):
-    """Half the difference of the two directions' viscous coefficients."""
+    """Half the difference of the two directions' viscous coefficients: τ = f·|q̇|.
+
+    f in N·m·s/rad. Revealed by fast motion in both directions through the same positions.
+    Confused with an offset at a single speed. The asymmetric part of Coulomb friction is the
+    effect `offset`.
+    """
 
     name = "viscous_asymmetric"
     formula = "f·|q̇|"
-    coefficients = (Coefficient("f", "N·m·s/rad"),)
+    coefficients = (
+        Coefficient("f", "N·m·s/rad", meaning="half the difference between the directions"),
+    )
     signals = ("dq", "sign")
+    revealed_by = "fast and slow motion in both directions through the same positions"
+    confused_with: ClassVar = {
+        "offset": "at one speed the two are the same; use several speeds",
+        "viscous_polynomial": "where one direction is always faster; use equal speeds",
+    }
+    typical = "up to 20 % of the viscous coefficient"
+    references = ("Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",)
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         return [s.sign * s.dq]

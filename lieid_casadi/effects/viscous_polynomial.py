@@ -1,8 +1,9 @@
-"""Nonlinear viscous friction (Eq. 17)."""
+"""Nonlinear viscous friction (Luo et al. 2024, Eq. 17)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
@@ -11,16 +12,27 @@ from lieid_casadi.effects.effect import Coefficient, Effect, Signals, register
 
 @register
 class ViscousPolynomial(Effect):
-    """Second and third power of velocity; beside `viscous`."""
+    """Second and third power of velocity beside `viscous`: τ = f_v2·sgn(q̇)·q̇² + f_v3·q̇³.
+
+    Units: f_v2 in N·m·s²/rad², f_v3 in N·m·s³/rad³. Revealed by motion over the whole range of
+    speeds. Confused with Stribeck friction where the lowest speeds are missing.
+    """
 
     name = "viscous_polynomial"
     formula = "f_v2·sgn(q̇)·q̇² + f_v3·q̇³"
     coefficients = (
-        Coefficient("f_v2", "N·m·s²/rad²"),
-        Coefficient("f_v3", "N·m·s³/rad³"),
+        Coefficient("f_v2", "N·m·s²/rad²", meaning="friction per square of velocity"),
+        Coefficient("f_v3", "N·m·s³/rad³", meaning="friction per cube of velocity"),
     )
     signals = ("dq", "sign")
+    revealed_by = "motion from low speed to the joint's top speed"
+    confused_with: ClassVar = {
+        "stribeck": "both bend the friction curve; only Stribeck friction falls at low speed",
+        "temperature_friction": "fast motion warms the joint; repeat it at another temperature",
+    }
+    typical = "10 to 30 % of the friction at top speed; grease shear-thins, so f_v3 is often < 0"
+    references = ("Luo et al., Robotica 2024, Eq. 17",)
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         return [s.sign * s.dq**2, s.dq**3]

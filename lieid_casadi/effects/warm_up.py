@@ -1,8 +1,9 @@
-"""Friction that changes while the joint warms up, where no temperature was recorded."""
+"""Friction that changes while the joint warms up, without a measured temperature."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import casadi as ca
 
@@ -11,18 +12,32 @@ from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals, reg
 
 @register
 class WarmUp(Effect):
-    """Change of viscous and dry friction with time since the segment began.
+    """Change of viscous and dry friction with the time since the segment began.
 
-    Beside `viscous` and `coulomb`, which are then the friction of the cold joint.
+    τ = (f_tv·q̇ + f_tc·sgn(q̇))·(1 − e^{−t/θ}), with f_tv in N·m·s/rad, f_tc in N·m, θ and t in s.
+    Beside `viscous` and `coulomb`, which are then the friction of the cold joint. Revealed by a
+    recording longer than θ that starts cold. Confused with `temperature_friction`.
     """
 
     name = "warm_up"
     formula = "(f_tv·q̇ + f_tc·sgn(q̇))·(1 − e^{−t/θ})"
-    coefficients = (Coefficient("f_tv", "N·m·s/rad"), Coefficient("f_tc", "N·m"))
-    shapes = (Shape("theta", "s", 300.0, 1.0, 2e4),)
+    coefficients = (
+        Coefficient("f_tv", "N·m·s/rad", meaning="change of viscous friction, warm minus cold"),
+        Coefficient("f_tc", "N·m", meaning="change of dry friction, warm minus cold"),
+    )
+    shapes = (
+        Shape("theta", "s", 300.0, 1.0, 2e4, meaning="time constant", resolved_by="duration"),
+    )
     signals = ("dq", "sign", "time")
+    revealed_by = "a cold start and a recording of at least one time constant at working speed"
+    confused_with: ClassVar = {
+        "temperature_friction": "while the temperature rises steadily; use a temp column",
+        "bias_drift": "both grow with time; only warm-up changes sign with the velocity",
+    }
+    typical = "friction falls by 10 to 40 % over 5 to 60 min"
+    references = ("Simoni, Beschi, Legnani, Visioli, IROS 2015",)
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """See the class."""
+        """Return the columns of the formula."""
         warm = -ca.expm1(-s.time / shape["theta"])
         return [warm * s.dq, warm * s.sign]

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class OneInstant:
-    """A model at one instant, as `ArmEffect.now` sees it.
+    """A model at one instant, as `ArmEffect.instant_columns` takes it.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ def with_arm_effects(columns: ca.SX, model: Model, arm: OneInstant, values: Arra
     for p in model.placements:
         last = first + len(p.effect.coefficients)
         if isinstance(p.effect, ArmEffect):
-            now = p.effect.now(arm, p.joint, values[first:last])
+            now = p.effect.instant_columns(arm, p.joint, values[first:last])
             if now is None:
                 raise ExportError(
                     f"{p.label} needs the motion along time, of which exported C sees one "
@@ -99,7 +99,7 @@ def with_arm_effects(columns: ca.SX, model: Model, arm: OneInstant, values: Arra
 def arm_notes(fit: Fit) -> list[str]:
     """Return what a user of the code should know about such effects."""
     placed = [p for p in fit.model.placements if isinstance(p.effect, ArmEffect)]
-    said = {p.label: p.effect.in_code for p in placed if isinstance(p.effect, ArmEffect)}
+    said = {p.label: p.effect.export_note for p in placed if isinstance(p.effect, ArmEffect)}
     notes = [f"{label}: {text}" for label, text in said.items() if text]
     inside = [label for label, text in said.items() if not text]
     if inside:

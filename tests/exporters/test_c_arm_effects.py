@@ -189,7 +189,7 @@ def test_a_whole_segment_effect_of_ones_own_is_refused_unless_it_says_so(tmp_pat
         name, formula = "late", "a·τ(t − 1)"
         coefficients = (Coefficient("a", "1"),)
 
-        def along(self, arm, joint, values):
+        def segment_columns(self, arm, joint, values):
             return np.zeros((*arm.load.shape, 1))
 
     with pytest.raises(ExportError, match="late:1"):

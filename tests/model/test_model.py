@@ -175,3 +175,29 @@ def test_sliding_joints_have_newtons():
     for column in model.columns:
         revolute = robot.joints[column.joint].revolute
         assert ("N·m" in column.unit) == revolute
+
+
+@pytest.mark.parametrize("kind", LIBRARY, ids=lambda kind: kind.name)
+def test_the_library_is_documented_by_data(kind):
+    """The effect atlas and `lieid effects` are generated from these attributes."""
+    names = {other.name for other in LIBRARY}
+    assert kind.__doc__
+    assert kind.revealed_by
+    assert kind.typical
+    assert set(kind.confused_with) <= names - {kind.name}
+    for option in ("", *kind.options):
+        effect = make(f"{kind.name}/{option}" if option else kind.name)
+        assert all(item.meaning for item in (*effect.coefficients, *effect.shapes))
+        assert set(effect.replaces + effect.counted_as + effect.accompanied_by) <= names
+
+
+def test_every_module_of_the_library_is_registered():
+    """Adding an effect is adding one file: no list has to be edited."""
+    from pathlib import Path
+
+    from lieid_casadi import effects
+
+    folder = Path(effects.__file__).parent
+    defined = {path.stem for path in folder.glob("*.py") if "\n@register\n" in path.read_text()}
+    assert {kind.__module__.rpartition(".")[2] for kind in LIBRARY} == defined
+    assert len(LIBRARY) == 24

@@ -196,7 +196,9 @@ def _along(
         assert isinstance(c.effect, ArmEffect)
         parts = [
             s.segment.filter(
-                np.concatenate([c.effect.along(s.arm, c.joint, x) for x in c.grid], axis=2)
+                np.concatenate(
+                    [c.effect.segment_columns(s.arm, c.joint, x) for x in c.grid], axis=2
+                )
             )
             for s in signals
         ]

@@ -150,7 +150,7 @@ def candidates(
 def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Array:
     """Return the values to try on a joint (G, s): shape parameters within what it can show."""
     if isinstance(effect, ArmEffect):
-        return np.array([(0.0,) * len(effect.coefficients), *effect.starts])
+        return np.array([(0.0,) * len(effect.coefficients), *effect.trial_values])
     if not effect.shapes:
         return np.zeros((1, 0))
     count = GRID if len(effect.shapes) == 1 else int(np.ceil(np.sqrt(GRID)))
@@ -185,7 +185,7 @@ def _has_signals(effect: Effect, segments: Sequence[Processed]) -> bool:
 
 
 def _places(effect: Effect, n: int) -> list[Placement]:
-    if getattr(effect, "whole_arm", False):
+    if effect.whole_arm:
         return [Placement(effect, 0)]
     if effect.couples:
         return [Placement(effect, i, j) for i in range(n) for j in range(n) if i != j]

@@ -82,7 +82,7 @@ class EffectFunction:
     def _advance(self) -> Vectorized:
         now = _signals({name: ca.SX.sym(f"now_{name}") for name in OWN})
         inputs = [*self._states, *self._own.values(), *(getattr(now, name) for name in OWN)]
-        after = self.effect.advance(self._signals(), now, self._shape)
+        after = self.effect.next_states(self._signals(), now, self._shape)
         return Vectorized([*inputs, *self._shapes], after)
 
     @property

@@ -156,6 +156,7 @@ def effects_along(
         last = first + len(p.effect.coefficients)
         if isinstance(p.effect, ArmEffect):
             filled = columns.copy() if filled is None else filled
-            filled[:, :, first:last] = p.effect.along(arm, p.joint, arm.coefficients[first:last])
+            values = arm.coefficients[first:last]
+            filled[:, :, first:last] = p.effect.segment_columns(arm, p.joint, values)
         first = last
     return columns if filled is None else filled
