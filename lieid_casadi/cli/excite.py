@@ -98,7 +98,9 @@ def _add_search(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--solver", choices=SOLVERS, default="ipopt")
     group.add_argument("--starts", type=int, default=4, metavar="N")
     group.add_argument("--seed", type=int, default=0, metavar="N")
-    group.add_argument("--time-limit", type=float, default=float("inf"), metavar="S")
+    group.add_argument(
+        "--max-iterations", type=int, metavar="N", help="of one start; default: no limit"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -119,7 +121,8 @@ def run(args: argparse.Namespace) -> int:
             free_start=args.free_start, acceleration=args.acceleration, family=args.family,
             duration=args.duration, harmonics=args.harmonics, periods=args.periods,
             samples=args.samples, rate=args.rate, scaling=args.scaling, solver=args.solver,
-            starts=args.starts, seed=args.seed, time_limit=args.time_limit, progress=report,
+            starts=args.starts, seed=args.seed, max_iterations=args.max_iterations,
+            progress=report,
         )  # fmt: skip
     replace_folder(folder, excitation.save)
     output.write_json(args.json, excitation.to_dict())

@@ -53,7 +53,7 @@ def excite(
     solver: str = "ipopt",
     starts: int = 4,
     seed: int = 0,
-    time_limit: float = np.inf,
+    max_iterations: int | None = None,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
     executor: Executor | None = None,
 ) -> Excitation:
@@ -94,8 +94,10 @@ def excite(
         time and ends at slightly larger condition numbers (tests/benchmarks/excitation_ipopt.py).
     starts : int
         Random starts, of which the best is kept.
-    time_limit : float
-        s per start.
+    max_iterations : int, optional
+        Most iterations of one start; without it each stage of the search ends by its own
+        tolerance. There is no limit in seconds: the same seed gives the same trajectory on a
+        busy machine.
     progress : callable
         Called with what is done and the fraction that is done.
     executor : Executor, optional
@@ -116,8 +118,13 @@ def excite(
         basis=families.make(family, duration=duration, harmonics=harmonics), scaling=scaling,
         solver=solver,
     )  # fmt: skip
-    if periods < 1 or starts < 1:
-        raise ExcitationError(f"periods {periods}, starts {starts}; expected 1 at least")
+    for name, count in (
+        ("periods", periods), ("starts", starts), ("max_iterations", max_iterations),
+    ):  # fmt: skip
+        if count is not None and count < 1:
+            raise ExcitationError(f"{name}: {count}; expected 1 at least")
+    if seed < 0:
+        raise ExcitationError(f"seed: {seed}; expected 0 or a positive integer")
     if not rate > 0.0:
         raise ExcitationError(f"rate: {rate:g} Hz; expected a positive number")
     progress("compiling", 0.0)
@@ -125,7 +132,7 @@ def excite(
     built = time.monotonic()
     attempts = solve_all(
         problem, [seed + k for k in range(starts)],
-        progress=progress, executor=executor, time_limit=time_limit,
+        progress=progress, executor=executor, max_iterations=max_iterations,
     )  # fmt: skip
     best = best_of(attempts)
     solved = time.monotonic()

@@ -29,7 +29,8 @@ def plot(excitation: Excitation) -> Figure:
     plot_history(excitation, figure.add_subplot(grid[1, 1]))
     figure.suptitle(
         f"{excitation.model.robot.name}: condition number {excitation.condition_number:.4g}, "
-        f"{excitation.duration:.4g} s"
+        f"{excitation.duration:.4g} s",
+        parse_math=False,  # "$" in a robot's name is no formula
     )
     return figure
 

@@ -1,7 +1,7 @@
 """Designs end to end: every limit judged by Pinocchio and coal, not by what designed them."""
 
 import pickle
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -188,9 +188,11 @@ def test_same_seed_same_trajectory_on_any_executor():
     model = lieid.Model(lieid.robots.two_link(), effects="coulomb,viscous")
     options = {"criterion": "condition", "duration": 6.0, "starts": 3, "seed": 5}
     here = excite(model, **options)
-    there = excite(model, executor=Elsewhere(), **options)
-    np.testing.assert_array_equal(here.trajectory.coefficients, there.trajectory.coefficients)
-    assert [s.seed for s in there.starts] == [5, 6, 7]
+    with ThreadPoolExecutor(2) as threads:
+        results = [excite(model, executor=e, **options) for e in (Elsewhere(), threads)]
+    for there in results:
+        np.testing.assert_array_equal(here.trajectory.coefficients, there.trajectory.coefficients)
+        assert [s.seed for s in there.starts] == [5, 6, 7]
     best = min(s.condition_number for s in here.starts)
     # the search's smooth signs against the model's own
     assert np.isclose(here.condition_number, best, rtol=0.2)
@@ -262,7 +264,10 @@ def robot_with(**changes):
         ({}, {"samples": 10}, "samples: 10; expected 44"),
         ({}, {"scaling": "imperial"}, "scaling: 'imperial'"),
         ({}, {"scaling": [1.0, 2.0]}, "expected 20 positive factors"),
-        ({}, {"starts": 0}, "starts 0; expected 1"),
+        ({}, {"starts": 0}, "starts: 0; expected 1"),
+        ({}, {"periods": 0}, "periods: 0; expected 1"),
+        ({}, {"max_iterations": 0}, "max_iterations: 0; expected 1"),
+        ({}, {"seed": -1}, "seed: -1; expected 0"),
         ({}, {"rate": 0.0}, "rate: 0 Hz"),
         ({}, {"constraints": [CartesianSpeed(0.0)]}, "Cartesian speed: 0"),
     ],

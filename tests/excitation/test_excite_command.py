@@ -1,6 +1,8 @@
 """``lieid excite``: files, keys, exit statuses."""
 
+import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,8 +70,11 @@ def test_the_plot_is_a_figure_of_its_own():
     import matplotlib as mpl
 
     before = dict(mpl.rcParams)
-    model = lieid.Model(lieid.robots.two_link())
-    figure = lieid.excitation.excite(model, duration=6.0, starts=1).plot()
+    model = lieid.Model(replace(lieid.robots.two_link(), name="a$x^{$"))
+    found = lieid.excitation.excite(model, duration=6.0, starts=1, max_iterations=20)
+    figure = found.plot()
+    figure.savefig(io.BytesIO(), format="png")  # "$" in a name is no formula
+    assert "a$x^{$" in figure.get_suptitle()
     assert len(figure.axes) == 3
     assert dict(mpl.rcParams) == before
 

@@ -5,7 +5,12 @@ import pytest
 
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.basis.families import Fourier, make
-from lieid_casadi.excitation.basis.trajectory import Parametrization, SampledBasis, Trajectory
+from lieid_casadi.excitation.basis.trajectory import (
+    Parametrization,
+    SampledBasis,
+    Trajectory,
+    null_space,
+)
 
 FAMILIES = ["fourier", "modified_fourier", "spline"]
 UNITS = np.array([[2.0, 2.0, 5.0], [1.0, 3.0, 9.0]])
@@ -58,6 +63,21 @@ def test_equal_freedom_of_fourier_and_spline():
     sizes = {family: parametrization(family, fixed=True).size for family in FAMILIES}
     assert sizes["fourier"] == sizes["spline"] == 2 * (2 * 4 + 1 - 3)
     assert sizes["modified_fourier"] > sizes["fourier"]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("fixed", [True, False])
+def test_rounding_does_not_rotate_the_free_variables(family, fixed):
+    """The singular vectors of a null space do rotate: other processors began elsewhere."""
+    basis = make(family, duration=8.0, harmonics=4)
+    ends = basis.evaluate(np.array([0.0, 8.0]))
+    rows = np.vstack([ends[k] * 8.0**k for k in ((0, 1, 2) if fixed else (1, 2))])
+    noise = 1e-14 * np.abs(rows).max() * np.random.default_rng(0).normal(size=rows.shape)
+    directions = null_space(rows)
+    np.testing.assert_allclose(null_space(rows + noise), directions, atol=1e-9)
+    np.testing.assert_allclose(rows @ directions, 0.0, atol=1e-10 * np.abs(rows).max())
+    np.testing.assert_allclose(directions.T @ directions, np.eye(directions.shape[1]), atol=1e-12)
+    assert directions.shape[1] == rows.shape[1] - np.linalg.matrix_rank(rows)
 
 
 @pytest.mark.parametrize("family", FAMILIES)

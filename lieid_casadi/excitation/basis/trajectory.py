@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lieid_casadi.excitation.basis.families import Basis
 
 Array = NDArray[np.float64]
+DEPENDENT = 1e-9  # part of a row, beyond the rows before it, below which it adds no condition
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +97,11 @@ class Parametrization:
     @cached_property
     def _directions(self) -> Array:
         """Orthonormal null space (m, d) of the end conditions."""
-        from scipy.linalg import null_space
-
         ends = self.basis.evaluate(np.array([0.0, self.basis.duration]))
         kinds = (0, 1, 2) if self.fixed else (1, 2)
         # a duration of one in place of seconds makes the conditions comparable
         conditions = np.vstack([ends[k] * self.basis.duration**k for k in kinds])
-        return np.asarray(null_space(conditions, rcond=1e-10))
+        return null_space(conditions)
 
     @cached_property
     def scales(self) -> Array:
@@ -132,6 +131,27 @@ class Parametrization:
         coefficients = trajectory.coefficients.copy()
         coefficients[:, 0] -= self.pose
         return np.ravel((coefficients @ self._directions) / self.scales)
+
+
+def null_space(rows: Array) -> Array:
+    """Return an orthonormal null space (m, d) of rows (k, m) that rounding does not rotate.
+
+    The singular vectors of a null space are arbitrary up to a rotation. The one returned by a
+    linear-algebra library depends on the processor, and with it every random start. Here it is the
+    orthonormal basis nearest to fixed reference directions (orthogonal Procrustes problem), a
+    smooth function of the rows.
+    """
+    projector = np.eye(rows.shape[1])
+    for row in rows:
+        rest = projector @ row
+        if np.linalg.norm(rest) > DEPENDENT * np.linalg.norm(row):
+            unit = rest / np.linalg.norm(rest)
+            projector = projector - np.outer(unit, unit)
+    free = round(float(np.trace(projector)))
+    reference = np.random.default_rng(0).normal(size=(rows.shape[1], free))
+    near = projector @ reference
+    left, _, right = np.linalg.svd(near, full_matrices=False)
+    return np.asarray(left @ right)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ barrier parameter falls from stage to stage, together with the smoothing of the 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -47,14 +46,11 @@ class Ipopt:
     constraints : SampledConstraints
     report : callable
         Called with each `Iteration` and its z; may raise to stop.
-    deadline : float
-        `time.monotonic` at which to stop.
     """
 
     constraints: SampledConstraints
     size: int
     report: Callable[[Iteration], None] = lambda iteration: None
-    deadline: float = np.inf
     barrier: float | None = None
     hessian: Array | None = None
     stage: int = 0
@@ -80,7 +76,7 @@ class Ipopt:
             in_vain = in_vain + 1 if outside and state.violation > 0.99 * least else 0
             least = min(least, state.violation)
             ended = count >= iterations or in_vain >= HOPELESS
-            if ended or time.monotonic() > self.deadline:
+            if ended:
                 break
             if len(lacking):
                 found = c.peaks(state.excess, NEAR).joined(c.peaks(run.last.excess, NEAR))
@@ -173,7 +169,7 @@ class Run:
         return solver.hessian
 
     def done(self, z: Array) -> bool:
-        """See `Program`: no gain, a limit overlooked, or no time left."""
+        """See `Program`: no gain, or a limit overlooked."""
         if self.count == 0 and np.array_equal(z, self.state.z):
             return False  # the start
         solver, before = self.solver, self.state
@@ -191,7 +187,7 @@ class Run:
             gain += abs(before.violation - state.violation)
         self._still = self._still + 1 if gain < self._enough else 0
         ended = self._still >= (STUCK if outside else STILL)
-        return overlooked or ended or time.monotonic() > solver.deadline
+        return overlooked or ended
 
     def _at(self, z: Array) -> State:
         if not np.array_equal(self._here.z, z):

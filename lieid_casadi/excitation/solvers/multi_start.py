@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
-import numpy as np
-
+from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation.design_problem import Design, Problem
 from lieid_casadi.excitation.solvers.staged_solve import Solution, solve
@@ -33,7 +34,7 @@ def solve_all(
     *,
     progress: Progress = lambda stage, fraction: None,
     executor: Executor | None = None,
-    time_limit: float = np.inf,
+    max_iterations: int | None = None,
 ) -> list[Attempt]:
     """Return one attempt per seed; the result does not depend on the executor.
 
@@ -46,7 +47,9 @@ def solve_all(
         Nothing feasible was found before it.
     """
     if executor is not None:
-        jobs = [executor.submit(attempt_design, problem.design, seed, time_limit) for seed in seeds]
+        jobs = [
+            executor.submit(attempt_design, problem.design, seed, max_iterations) for seed in seeds
+        ]
         attempts = []
         for k, job in enumerate(jobs):
             attempts.append(job.result())
@@ -59,7 +62,7 @@ def solve_all(
             progress(f"start {k + 1} of {len(seeds)}: {stage}", (k + fraction) / len(seeds))
 
         try:
-            attempts.append(attempt(problem, seed, progress=told, time_limit=time_limit))
+            attempts.append(attempt(problem, seed, progress=told, max_iterations=max_iterations))
         except KeyboardInterrupt:
             if not any(a.solution for a in attempts):
                 raise
@@ -78,36 +81,29 @@ def attempt(
     seed: int,
     *,
     progress: Progress = lambda stage, fraction: None,
-    time_limit: float = np.inf,
+    max_iterations: int | None = None,
 ) -> Attempt:
     """Solve from one start; a start without a solution is no error."""
     began = time.monotonic()
     try:
-        solution = solve(problem, seed, progress=progress, time_limit=time_limit)
+        solution = solve(problem, seed, progress=progress, max_iterations=max_iterations)
     except NoSolution as failure:
         return Attempt(seed, time.monotonic() - began, reason=str(failure))
     return Attempt(seed, time.monotonic() - began, solution, interrupted=solution.interrupted)
 
 
-def attempt_design(design: Design, seed: int, time_limit: float) -> Attempt:
-    """Solve from one start in another process; compiled code comes from the cache there."""
-    return attempt(_problem(design), seed, time_limit=time_limit)
+@blas_on_one_thread
+def attempt_design(design: Design, seed: int, max_iterations: int | None) -> Attempt:
+    """Solve from one start on an executor; compiled code comes from the cache there."""
+    return attempt(_problem(design), seed, max_iterations=max_iterations)
 
 
-_last: list[tuple[Design, Problem]] = []  # the problem that this process solved last
+_last = threading.local()  # the problem that this thread solved last: a problem is not shared
 
 
 def _problem(design: Design) -> Problem:
-    key = repr_of(design)
-    if _last and repr_of(_last[0][0]) == key:
-        return _last[0][1]
-    problem = Problem(design)
-    _last[:] = [(design, problem)]
+    key = pickle.dumps(design)
+    if getattr(_last, "key", None) != key:
+        _last.key, _last.problem = key, Problem(design)
+    problem: Problem = _last.problem
     return problem
-
-
-def repr_of(design: Design) -> bytes:
-    """Return bytes that two equal designs share."""
-    import pickle
-
-    return pickle.dumps(design)

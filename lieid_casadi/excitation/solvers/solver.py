@@ -55,8 +55,9 @@ class Iteration:
 class Solver(Protocol):
     """Minimizes one objective after the other; what it learned of one serves the next.
 
-    Every solver is made with ``constraints``, ``size`` (of z), ``report`` (called with each
-    `Iteration`; may raise to stop) and ``deadline`` (`time.monotonic` at which to stop).
+    Every solver is made with ``constraints``, ``size`` (of z) and ``report`` (called with each
+    `Iteration`; may raise to stop). No solver looks at a clock: the same start gives the same
+    iterates on a busy machine.
 
     Attributes
     ----------

@@ -8,7 +8,6 @@ step would break another limit, and searches along the step on the exact penalty
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -38,14 +37,11 @@ class Sqp:
     constraints : SampledConstraints
     report : callable
         Called with each `Iteration` and its z; may raise to stop.
-    deadline : float
-        `time.monotonic` at which to stop.
     """
 
     constraints: SampledConstraints
     size: int
     report: Callable[[Iteration], None] = lambda iteration: None
-    deadline: float = np.inf
     penalty: float = 1.0
     hessian: Array | None = None
     stage: int = 0
@@ -68,7 +64,7 @@ class Sqp:
             state = after
             self.report(Iteration(self.stage, k, state))
             still = still + 1 if gain < tolerance else 0
-            if still >= 2 or time.monotonic() > self.deadline:
+            if still >= 2:
                 break
         self.stage += 1
         return state.z

@@ -106,9 +106,20 @@ def solve(
     seed: int,
     *,
     progress: Progress = lambda stage, fraction: None,
-    time_limit: float = np.inf,
+    max_iterations: int | None = None,
 ) -> Solution:
     """Optimize from one random start and verify on the fine grid.
+
+    Parameters
+    ----------
+    problem : Problem
+    seed : int
+        Of the random start.
+    progress : callable, optional
+        Called with the stage and the fraction that is done.
+    max_iterations : int, optional
+        Iterations of all stages together; without it each stage ends by its own tolerance.
+        Iterations that restore a limit on the fine grid come on top.
 
     Raises
     ------
@@ -121,21 +132,25 @@ def solve(
         [stage.criterion.name for stage in plan.stages], progress,
         sum(stage.iterations for stage in plan.stages),
     )  # fmt: skip
-    deadline = time.monotonic() + time_limit
     solver = SOLVERS[problem.design.solver](
-        problem.constraints(COARSE), problem.parametrization.size, tracker, deadline
+        problem.constraints(COARSE), problem.parametrization.size, tracker
     )
     z, ceiling, stopped = random_start(problem, seed), None, False
     try:
         for stage in plan.stages:
+            iterations = stage.iterations
+            if max_iterations is not None:
+                iterations = min(iterations, max_iterations - len(tracker.history))
+            if iterations <= 0:
+                break
             if stage is plan.bounded_from:
                 ceiling = ceiling_of(tracker)
                 tracker.rank = plan.rank
             z = solver.minimize(
                 problem.objective(stage.criterion, ceiling), z,
-                iterations=stage.iterations, tolerance=stage.tolerance,
+                iterations=iterations, tolerance=stage.tolerance,
             )  # fmt: skip
-        z = verified(problem, solver, tracker, plan, ceiling, deadline)
+        z = verified(problem, solver, tracker, plan, ceiling)
     except KeyboardInterrupt:
         held = last_that_holds(problem, tracker)
         if held is None:
@@ -200,11 +215,8 @@ def verified(
     tracker: Tracker,
     plan: Plan,
     ceiling: float | None,
-    deadline: float,
 ) -> Array:
     """Return the best iterate once the fine grid holds; solve on that grid as long as it does not.
-
-    Once time is up, the best of those before that hold.
 
     Raises
     ------
@@ -219,9 +231,6 @@ def verified(
         excess = exact.excess(exact.sampled.motion(reached.z))
         if tracker.best is not None and exact.largest(excess) <= 0.0:
             return reached.z
-        if time.monotonic() > deadline and (held := last_that_holds(problem, tracker)) is not None:
-            tracker.best = held
-            return held.z
         tracker.best, tracker.best_rank = None, np.inf
         solver.constraints = problem.constraints(FINE)
         solver.minimize(objective, reached.z, iterations=POLISH, tolerance=1e-5)
@@ -241,7 +250,7 @@ def why_not(problem: Problem, tracker: Tracker) -> str:
     """Return which limit the last iterate breaks most, where, by how much, and what to relax."""
     state = tracker.last
     if state is None:
-        raise ExcitationError("no iteration was made: the time limit is too short")
+        raise ExcitationError("no iteration was made; expected max_iterations of 1 at least")
     exact = problem.constraints(FINE, margin=0.0)
     motion = exact.sampled.motion(state.z)
     worst, told = -np.inf, ""
