@@ -1,30 +1,231 @@
-"""Files that are either there in full or not at all."""
+"""Output files that are either replaced as a whole or left as they were."""
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import io
 import os
-import tempfile
+import secrets
+import shutil
+import stat
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from lieid_casadi.errors import OutputError
+
+PREFIX, SUFFIX = ".lieid-", ".part"  # of temporary files and folders
+
 
 @contextlib.contextmanager
-def atomic_binary(path: Path) -> Iterator[BinaryIO]:
-    """Binary file that takes its name only once it is written and closed without error."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
+def atomic_binary(path: str | Path) -> Iterator[BinaryIO]:
+    """Binary file that takes its place only after it was written and closed without error.
+
+    Symbolic links are followed and missing folders made. An existing regular file is replaced
+    atomically and keeps its mode and owner. A device, a pipe or a standard stream is written
+    through.
+
+    Parameters
+    ----------
+    path : str or Path
+        Where the file will be.
+
+    Raises
+    ------
+    OutputError
+        The system refuses to write: no permission, no space, a folder in the way. An existing
+        file is then unchanged.
+    """
+    check_file(path)
+    with reported(path):
+        status = _status(path)
+        if status is not None and _written_through(status):
+            content = io.BytesIO()
+            yield content
+            _write_through(path, status, content.getbuffer())
+            return
+        target = Path(os.path.realpath(path))
+        with created_folders(target.parent), _temporary_file(target.parent) as (temporary, file):
             yield file
             file.flush()
             os.fsync(file.fileno())
-        # mkstemp makes private files; a result has the permissions of any other new file
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
+            if status is not None:
+                _copy_owner_and_mode(status, file.fileno())
+            os.replace(temporary, target)
+
+
+def check_file(path: str | Path) -> None:
+    """Refuse a path that a file cannot be written to; nothing is changed.
+
+    Raises
+    ------
+    OutputError
+    """
+    with reported(path):
+        status = _status(path)
+        if status is not None and stat.S_ISDIR(status.st_mode):
+            raise OutputError(f"{path}: is a folder; expected a file to write")
+        if status is not None and not os.access(path, os.W_OK):
+            raise OutputError(f"{path}: cannot be written: no permission")
+        if status is None or not _written_through(status):
+            check_parent(path)
+
+
+def check_parent(path: str | Path) -> None:
+    """Refuse a path in whose folder, or in what exists of it, nothing can be made.
+
+    Raises
+    ------
+    OutputError
+    """
+    folder = Path(os.path.realpath(path)).parent
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    if not folder.is_dir():
+        raise OutputError(f"{path}: cannot be written: {folder} is not a folder")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise OutputError(f"{path}: cannot be written: no permission in {folder}")
+
+
+@contextlib.contextmanager
+def reported(path: str | Path) -> Iterator[None]:
+    """Turn an error of the operating system into one line that names the output.
+
+    Raises
+    ------
+    OutputError
+    """
+    try:
+        yield
+    except BrokenPipeError:
+        raise  # the reader has gone; the command line ends quietly
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(f"{path}: cannot be written: {reason}") from error
+
+
+@contextlib.contextmanager
+def created_folders(folder: Path) -> Iterator[None]:
+    """Make a folder and those above it; after an error, remove those that were made."""
+    missing: list[Path] = []
+    above = folder
+    while not above.exists():
+        missing.append(above)
+        above = above.parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
     except BaseException:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(temporary)
+        for made in missing:
+            with contextlib.suppress(OSError):
+                made.rmdir()
         raise
+
+
+@contextlib.contextmanager
+def temporary_folder(parent: Path) -> Iterator[Path]:
+    """Folder that is removed at the end, unless it was renamed."""
+    remove_abandoned(parent)
+    while True:
+        folder = _temporary_name(parent)
+        folder.mkdir()
+        if (handle := _locked(folder, os.O_RDONLY)) is not None:
+            break
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(handle)
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove temporary files of runs that were killed while they wrote into a folder.
+
+    A run holds a lock on its temporary files; the lock ends with the process.
+    """
+    with os.scandir(folder) as entries:
+        names = [entry.path for entry in entries if is_temporary(entry.name)]
+    for name in names:
+        with contextlib.suppress(OSError):
+            handle = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.path.isdir(name):
+                    shutil.rmtree(name)
+                else:
+                    os.unlink(name)
+            finally:
+                os.close(handle)
+
+
+def is_temporary(name: str) -> bool:
+    """Return whether a name is that of a temporary file of this program."""
+    return name.startswith(PREFIX) and name.endswith(SUFFIX)
+
+
+@contextlib.contextmanager
+def _temporary_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
+    remove_abandoned(folder)
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
+    while True:
+        path = _temporary_name(folder)
+        if (handle := _locked(path, flags)) is not None:
+            break
+    try:
+        with os.fdopen(handle, "w+b") as file:
+            yield path, file
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(path)
+        raise
+
+
+def _temporary_name(folder: Path) -> Path:
+    return folder / f"{PREFIX}{secrets.token_hex(8)}{SUFFIX}"
+
+
+def _locked(path: Path, flags: int) -> int | None:
+    """Return a handle that holds the lock; None if another run has removed the path meanwhile."""
+    handle = os.open(path, flags | os.O_CLOEXEC, 0o666)
+    with contextlib.suppress(OSError):  # some network file systems have no locks
+        fcntl.flock(handle, fcntl.LOCK_EX)
+    if path.exists():
+        return handle
+    os.close(handle)
+    return None
+
+
+def _status(path: str | Path) -> os.stat_result | None:
+    try:
+        return os.stat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+
+
+def _written_through(status: os.stat_result) -> bool:
+    return not stat.S_ISREG(status.st_mode) or _standard_stream(status) is not None
+
+
+def _standard_stream(status: os.stat_result) -> int | None:
+    """Return the number of the standard output or error stream that is this file."""
+    for stream in (1, 2):
+        with contextlib.suppress(OSError):
+            if os.path.samestat(os.fstat(stream), status):
+                return stream
+    return None
+
+
+def _write_through(path: str | Path, status: os.stat_result, content: memoryview) -> None:
+    stream = _standard_stream(status)
+    if stream is not None:
+        sys.stdout.flush()
+    with open(path if stream is None else os.dup(stream), "wb") as file:
+        file.write(content)
+
+
+def _copy_owner_and_mode(status: os.stat_result, handle: int) -> None:
+    with contextlib.suppress(OSError):  # only a privileged user may give files away
+        os.fchown(handle, status.st_uid, status.st_gid)
+    os.fchmod(handle, stat.S_IMODE(status.st_mode))

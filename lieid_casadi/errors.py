@@ -45,7 +45,11 @@ class FitFileError(LieidError):
 
 
 class ExportError(LieidError):
-    """A fit that cannot be exported to this format, or a folder that cannot be written."""
+    """A fit that cannot be exported to this format."""
+
+
+class OutputError(LieidError):
+    """A file or folder that cannot be written, or may not be replaced."""
 
 
 class UsageError(LieidError):

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli.option_types import InputPath, PictureFile
 
 if TYPE_CHECKING:
     from lieid_casadi.comparison import Comparison
@@ -15,10 +16,13 @@ if TYPE_CHECKING:
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("compare", help="errors of a fit on recordings, per joint")
-    parser.add_argument("fit", metavar="FIT")
-    parser.add_argument("recordings", nargs="+", metavar="REC")
+    parser.add_argument("fit", type=InputPath, metavar="FIT")
+    parser.add_argument("recordings", nargs="+", type=InputPath, metavar="REC")
     parser.add_argument(
-        "--plot", metavar="FILE", help="draw measured, predicted and residual torque"
+        "--plot",
+        type=PictureFile,
+        metavar="FILE",
+        help="draw measured, predicted and residual torque",
     )
     shared_options.add_recording_options(parser)
     shared_options.add_effects_file(parser)
@@ -31,35 +35,18 @@ def run(args: argparse.Namespace) -> None:
     """Compare, print and write."""
     from lieid_casadi.comparison import compare
     from lieid_casadi.identification import Fit
+    from lieid_casadi.report import comparison_report
 
-    output.check_writable(args.json, args.html, args.plot)
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
     recordings = shared_options.recordings_of(args.recordings, args, fit.model.robot)
     comparison = compare(fit, recordings)
-    output.write_json(args.json, comparison.to_dict())
-    if args.html is not None:
-        from lieid_casadi.report import comparison_report
-
-        output.write_file(args.html, comparison_report(fit, comparison).encode())
-    if args.plot is not None:
-        save_figure(args.plot, comparison.plot())
+    files = output.Files()
+    files.add_json(args.json, comparison.to_dict())
+    files.add_html(args.html, lambda: comparison_report(fit, comparison))
+    files.add_picture(args.plot, comparison.plot)
+    files.write()
     print_comparison(fit, comparison)
-
-
-def save_figure(path: str, figure: Any) -> None:
-    """Write a figure; the file's ending gives its format."""
-    import io
-    from pathlib import Path
-
-    from lieid_casadi.errors import UsageError
-
-    kind = Path(path).suffix.lstrip(".").lower() or "png"
-    if kind not in figure.canvas.get_supported_filetypes():
-        raise UsageError(f"{path}: cannot draw {kind!r} files; expected e.g. .png, .pdf or .svg")
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, dpi=110)
-    output.write_file(path, buffer.getvalue())
 
 
 def print_comparison(fit: Fit, comparison: Comparison) -> None:

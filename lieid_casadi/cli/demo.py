@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
-from lieid_casadi.errors import UsageError
+from lieid_casadi.cli.option_types import InputPath, seed
 
 if TYPE_CHECKING:
     from lieid_casadi.demo import Demo
-
-MARK = "lieid-demo.txt"  # says that a folder was made here and may be replaced
 
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("demo", help="the whole loop on a simulated arm")
-    parser.add_argument("-o", "--output", default="lieid-demo", metavar="DIR")
-    parser.add_argument("--robot", default="panda", metavar="ROBOT", help="default: panda")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--force", action="store_true", help="replace a folder with other content")
+    shared_options.add_output_folder(parser, default="lieid-demo")
+    parser.add_argument(
+        "--robot", type=InputPath, default="panda", metavar="ROBOT", help="default: panda"
+    )
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="default: 0")
     shared_options.add_outputs(parser)
     parser.set_defaults(run=run)
 
@@ -33,48 +31,45 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.robot import Robot
 
     folder = Path(args.output)
-    check_replaceable(folder, force=args.force)
-    output.check_writable(args.json)
     with output.progress("demo") as report:
         demo = run_demo(Robot.load(args.robot), seed=args.seed, progress=report)
-    write(demo, folder)
-    output.write_json(args.json, content(demo))
+    files = output.Files()
+    files.add_json(args.json, content(demo))
+    write(demo, folder, force=args.force)
+    files.write()
     show(demo, folder)
 
 
-def check_replaceable(folder: Path, *, force: bool) -> None:
-    """Refuse a non-empty folder that the demo did not make, unless forced."""
-    output.check_writable(folder / MARK)
-    if folder.is_file():
-        raise UsageError(f"{folder}: is a file; expected a folder")
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / MARK).exists() and not force:
-        raise UsageError(f"{folder}: not empty and not made by lieid demo; --force replaces it")
+def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
+    """Write all files of a demo into a folder, as a whole or not at all.
 
-
-def write(demo: Demo, folder: Path) -> None:
-    """Write everything beside the folder first, then put it in place at once."""
-    from lieid_casadi.cli.compare import save_figure
+    Parameters
+    ----------
+    demo : Demo
+    folder : Path
+        Made if it does not exist.
+    force : bool
+        Replace what an earlier demo wrote into it; other files are kept.
+    """
     from lieid_casadi.exporters.c_export import export_c
+    from lieid_casadi.output_folder import output_folder
     from lieid_casadi.report import diagnosis_report
 
-    fresh = folder.with_name(f".{folder.name}.new")
-    shutil.rmtree(fresh, ignore_errors=True)
-    fresh.mkdir(parents=True)
-    (fresh / MARK).write_text("Made by lieid demo, which replaces this folder.\n")
-    demo.excitation.save(fresh / "excitation")
-    demo.train.save(fresh / "train.csv.gz")
-    demo.test.save(fresh / "test.csv.gz")
-    demo.fit.save(fresh / "fit.json")
-    demo.better.save(fresh / "better.json")
-    save_figure(str(fresh / "comparison.png"), demo.comparison.plot())
-    save_figure(str(fresh / "errors.png"), demo.comparison.plot_errors())
-    save_figure(str(fresh / "waterfall.png"), demo.diagnosis.plot())
-    report = diagnosis_report(demo.diagnosis, demo.better_comparison)
-    (fresh / "report.html").write_text(report, encoding="utf-8")
-    export_c(demo.better, fresh / "c")
-    if folder.exists():
-        shutil.rmtree(folder)
-    fresh.replace(folder)
+    with output_folder(folder, force=force) as fresh:
+        demo.excitation.save(fresh / "excitation")
+        demo.train.save(fresh / "train.csv.gz")
+        demo.test.save(fresh / "test.csv.gz")
+        demo.fit.save(fresh / "fit.json")
+        demo.better.save(fresh / "better.json")
+        for name, figure in (
+            ("comparison.png", demo.comparison.plot()),
+            ("errors.png", demo.comparison.plot_errors()),
+            ("waterfall.png", demo.diagnosis.plot()),
+        ):
+            (fresh / name).write_bytes(output.picture_bytes(name, figure))
+        report = diagnosis_report(demo.diagnosis, demo.better_comparison)
+        (fresh / "report.html").write_bytes(output.html_bytes(report))
+        export_c(demo.better, fresh / "c")
 
 
 def content(demo: Demo) -> dict[str, Any]:

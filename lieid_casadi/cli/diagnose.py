@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile, seed
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -24,15 +25,34 @@ def add_parser(commands: Any) -> None:
     )
     shared_options.add_robot(parser)
     parser.add_argument(
-        "recordings", nargs="*", metavar="REC", help="with a FIT in place of ROBOT: measured since"
+        "recordings",
+        nargs="*",
+        type=InputPath,
+        metavar="REC",
+        help="recordings measured since the fit, with a FIT in place of ROBOT",
     )
-    parser.add_argument("--train", nargs="+", default=[], metavar="A", help="recordings to fit")
-    parser.add_argument("--test", nargs="+", default=[], metavar="B", help="recordings to confirm")
+    parser.add_argument(
+        "--train", nargs="+", type=InputPath, default=[], metavar="A", help="recordings to fit"
+    )
+    parser.add_argument(
+        "--test",
+        nargs="+",
+        type=InputPath,
+        default=[],
+        metavar="B",
+        help="recordings that confirm the result and are not fitted",
+    )
     parser.add_argument("--method", choices=("wls", "ols", "robust"), default="wls")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the bootstrap")
+    parser.add_argument(
+        "--seed", type=seed, default=0, metavar="N", help="of the bootstrap; default: 0"
+    )
     parser.add_argument("--interactive", action="store_true", help="ask before each step")
-    parser.add_argument("-o", "--output", metavar="fit.json", help="the last model")
-    parser.add_argument("--plot", metavar="FILE", help="draw the fall of the error")
+    parser.add_argument(
+        "-o", "--output", type=OutputFile, metavar="fit.json", help="write the last model"
+    )
+    parser.add_argument(
+        "--plot", type=PictureFile, metavar="FILE", help="draw the error after each step"
+    )
     shared_options.add_effects(parser)
     shared_options.add_recording_options(parser)
     shared_options.add_processing(parser)
@@ -43,22 +63,18 @@ def add_parser(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Diagnose, print and write."""
-    output.check_writable(args.output, args.json, args.html, args.plot)
+    from lieid_casadi.report import diagnosis_report
+
     if Path(args.robot).suffix == ".json":
         diagnosis = _changed(args)
     else:
         diagnosis = _missing(args)
-    if args.output is not None:
-        diagnosis.fit.save(args.output)
-    output.write_json(args.json, diagnosis.to_dict())
-    if args.html is not None:
-        from lieid_casadi.report import diagnosis_report
-
-        output.write_file(args.html, diagnosis_report(diagnosis).encode())
-    if args.plot is not None:
-        from lieid_casadi.cli.compare import save_figure
-
-        save_figure(args.plot, diagnosis.plot())
+    files = output.Files()
+    files.add_fit(args.output, diagnosis.fit)
+    files.add_json(args.json, diagnosis.to_dict())
+    files.add_html(args.html, lambda: diagnosis_report(diagnosis))
+    files.add_picture(args.plot, diagnosis.plot)
+    files.write()
     print_diagnosis(diagnosis)
 
 

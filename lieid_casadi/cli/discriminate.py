@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
-from lieid_casadi.cli.excite import INTERRUPTED, check_folder, replace_folder
+from lieid_casadi.cli.excite import INTERRUPTED
+from lieid_casadi.cli.option_types import InputPath, number, seed
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -19,26 +20,27 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "discriminate", help="design the trajectory that tells rival effects apart"
     )
-    parser.add_argument("fit", metavar="FIT")
+    parser.add_argument("fit", type=InputPath, metavar="FIT")
     parser.add_argument("effects", nargs="+", metavar="EFFECT", help="stribeck:4, two at least")
-    parser.add_argument("-o", "--output", required=True, metavar="DIR")
-    parser.add_argument("--force", action="store_true", help="replace a folder with other content")
+    shared_options.add_output_folder(parser)
     parser.add_argument(
         "--size", action="append", default=[], metavar="EFFECT=V1[,V2…]",
         help="coefficients, then shapes, of an effect; default: fitted, else as large as the noise",
     )  # fmt: skip
     parser.add_argument(
-        "--recordings", nargs="+", default=[], metavar="REC",
+        "--recordings", nargs="+", type=InputPath, default=[], metavar="REC",
         help="along which the colour of the fit's noise is measured",
     )  # fmt: skip
-    parser.add_argument("--level", type=float, default=0.95, metavar="P", help="default: 0.95")
-    parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="of one period")
+    parser.add_argument("--level", type=number, default=0.95, metavar="P", help="default: 0.95")
+    parser.add_argument("--duration", type=number, default=10.0, metavar="S", help="of one period")
     parser.add_argument("--harmonics", type=int, default=5, metavar="N")
-    parser.add_argument("--start-pose", type=float, nargs="+", metavar="Q", help="rad")
-    parser.add_argument("--acceleration", type=float, nargs="+", metavar="A", help="rad/s²")
-    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the files")
-    parser.add_argument("--time-limit", type=float, default=20.0, metavar="S", help="of the search")
-    parser.add_argument("--seed", type=int, default=0, metavar="N")
+    parser.add_argument("--start-pose", type=number, nargs="+", metavar="Q", help="rad")
+    parser.add_argument("--acceleration", type=number, nargs="+", metavar="A", help="rad/s²")
+    parser.add_argument("--rate", type=number, default=1000.0, metavar="HZ", help="of the files")
+    parser.add_argument(
+        "--time-limit", type=number, default=20.0, metavar="S", help="of the search"
+    )
+    parser.add_argument("--seed", type=seed, default=0, metavar="N")
     shared_options.add_effects_file(parser)
     shared_options.add_recording_options(parser)
     shared_options.add_outputs(parser)
@@ -52,8 +54,6 @@ def run(args: argparse.Namespace) -> int:
     from lieid_casadi.identification import Fit
 
     folder = Path(args.output)
-    check_folder(folder, force=args.force)
-    output.check_writable(args.json)
     shared_options.load_effects_file(args.effects_file)
     sizes = sizes_of(args.size)
     fit = Fit.load(args.fit)
@@ -65,8 +65,10 @@ def run(args: argparse.Namespace) -> int:
             start_pose=args.start_pose, acceleration=args.acceleration, rate=args.rate,
             time_limit=args.time_limit, seed=args.seed, progress=report,
         )  # fmt: skip
-    replace_folder(folder, result.save)
-    output.write_json(args.json, result.to_dict())
+    files = output.Files()
+    files.add_json(args.json, result.to_dict())
+    result.save(folder, force=args.force)
+    files.write()
     show(result, folder)
     return INTERRUPTED if result.interrupted else 0
 

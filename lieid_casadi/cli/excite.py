@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
-from lieid_casadi.errors import UsageError
+from lieid_casadi.cli.option_types import InputPath, number, seed
 
 if TYPE_CHECKING:
     from lieid_casadi.excitation import Excitation
@@ -26,8 +25,7 @@ def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("excite", help="design an optimal excitation trajectory")
     shared_options.add_robot(parser)
-    parser.add_argument("-o", "--output", required=True, metavar="DIR")
-    parser.add_argument("--force", action="store_true", help="replace a folder with other content")
+    shared_options.add_output_folder(parser)
     shared_options.add_effects(parser)
     parser.add_argument("--criterion", choices=CRITERIA, default="combined")
     parser.add_argument(
@@ -49,13 +47,13 @@ def add_parser(commands: Any) -> None:
 def _add_motion(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("motion")
     group.add_argument("--family", choices=FAMILIES, default="fourier")
-    group.add_argument("--duration", type=float, default=20.0, metavar="S", help="of one period")
+    group.add_argument("--duration", type=number, default=20.0, metavar="S", help="of one period")
     group.add_argument("--harmonics", type=int, default=5, metavar="N")
     group.add_argument("--periods", type=int, default=1, metavar="N")
     group.add_argument("--samples", type=int, default=100, metavar="N", help="of the criterion")
-    group.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the files")
+    group.add_argument("--rate", type=number, default=1000.0, metavar="HZ", help="of the files")
     group.add_argument(
-        "--start-pose", nargs="+", type=float, metavar="Q", help="default: middle of the ranges"
+        "--start-pose", nargs="+", type=number, metavar="Q", help="default: middle of the ranges"
     )
     group.add_argument(
         "--free-start", action="store_true", help="start anywhere; run in from the start pose"
@@ -65,31 +63,35 @@ def _add_motion(parser: argparse.ArgumentParser) -> None:
 def _add_limits(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("limits beside those of position and velocity")
     group.add_argument(
-        "--acceleration", nargs="+", type=float, metavar="A", help="rad/s², one or one a joint"
+        "--acceleration", nargs="+", type=number, metavar="A", help="rad/s², one or one a joint"
     )
     group.add_argument(
-        "--torque-fraction", type=float, default=1.0, metavar="F", help="of the torque limits"
+        "--torque-fraction", type=number, default=1.0, metavar="F", help="of the torque limits"
     )
     group.add_argument("--no-torque", action="store_true", help="leave torque limits aside")
     group.add_argument(
-        "--cartesian-speed", type=float, metavar="M/S", help="of tool and joint centres"
+        "--cartesian-speed", type=number, metavar="M/S", help="of tool and joint centres"
     )
-    group.add_argument("--floor", nargs="?", type=float, const=0.0, metavar="Z", help="default: 0")
+    group.add_argument("--floor", nargs="?", type=number, const=0.0, metavar="Z", help="default: 0")
     group.add_argument(
-        "--wall", nargs=4, type=float, action="append", default=[], metavar=("NX", "NY", "NZ", "D"),
+        "--wall", nargs=4, type=number, action="append", default=[],
+        metavar=("NX", "NY", "NZ", "D"),
         help="stay where n·x ≤ d",
     )  # fmt: skip
     for name, text in (("--room", "stay inside this box"), ("--obstacle", "stay out of this box")):
         group.add_argument(
-            name, nargs=6, type=float, action="append", default=[],
+            name, nargs=6, type=number, action="append", default=[],
             metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"), help=text,
         )  # fmt: skip
     group.add_argument(
-        "--self-collision", nargs="?", type=float, const=0.02, metavar="CLEARANCE",
+        "--self-collision", nargs="?", type=number, const=0.02, metavar="CLEARANCE",
         help="keep the links apart; default: 0.02 m",
     )  # fmt: skip
     group.add_argument(
-        "--capsules", metavar="FILE", help="links as capsules (YAML); default: fitted"
+        "--capsules",
+        type=InputPath,
+        metavar="FILE",
+        help="links as capsules (YAML); default: fitted",
     )
 
 
@@ -97,7 +99,7 @@ def _add_search(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("search")
     group.add_argument("--solver", choices=SOLVERS, default="ipopt")
     group.add_argument("--starts", type=int, default=4, metavar="N")
-    group.add_argument("--seed", type=int, default=0, metavar="N")
+    group.add_argument("--seed", type=seed, default=0, metavar="N", help="default: 0")
     group.add_argument(
         "--max-iterations", type=int, metavar="N", help="of one start; default: no limit"
     )
@@ -108,8 +110,6 @@ def run(args: argparse.Namespace) -> int:
     from lieid_casadi.excitation import excite
 
     folder = Path(args.output)
-    check_folder(folder, force=args.force)
-    output.check_writable(args.json)
     model = shared_options.model_of(args)
     if args.friction_sweep:
         return _sweep(args, model, folder)
@@ -124,8 +124,10 @@ def run(args: argparse.Namespace) -> int:
             starts=args.starts, seed=args.seed, max_iterations=args.max_iterations,
             progress=report,
         )  # fmt: skip
-    replace_folder(folder, excitation.save)
-    output.write_json(args.json, excitation.to_dict())
+    files = output.Files()
+    files.add_json(args.json, excitation.to_dict())
+    excitation.save(folder, force=args.force)
+    files.write()
     show(excitation, folder)
     return INTERRUPTED if excitation.interrupted else 0
 
@@ -169,6 +171,7 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
 
 def _sweep(args: argparse.Namespace, model: Model, folder: Path) -> int:
     from lieid_casadi.excitation import friction_sweep
+    from lieid_casadi.output_folder import write_folder
 
     sweeps = [
         friction_sweep(
@@ -181,13 +184,11 @@ def _sweep(args: argparse.Namespace, model: Model, folder: Path) -> int:
         )
         for joint in args.friction_sweep
     ]
-
-    def save(into: Path) -> None:
-        for sweep in sweeps:
-            sweep.save(into)
-
-    replace_folder(folder, save)
-    output.write_json(args.json, {"sweeps": [sweep.to_dict() for sweep in sweeps]})
+    files = output.Files()
+    files.add_json(args.json, {"sweeps": [sweep.to_dict() for sweep in sweeps]})
+    contents = {name: data for sweep in sweeps for name, data in sweep.files().items()}
+    write_folder(folder, contents, force=args.force)
+    files.write()
     for sweep in sweeps:
         count, left_out = len(sweep.parts) // 2, len(sweep.left_out)
         output.say(
@@ -208,31 +209,3 @@ def show(excitation: Excitation, folder: Path) -> None:
         f"Built in {excitation.build_seconds:.2g} s, solved in {excitation.solve_seconds:.2g} s. "
         f"Files in {folder}."
     )
-
-
-def check_folder(folder: Path, *, force: bool) -> None:
-    """Refuse a folder with content, unless forced.
-
-    Raises
-    ------
-    UsageError
-    """
-    output.check_writable(folder / "trajectory.csv")
-    if folder.is_file():
-        raise UsageError(f"{folder}: is a file; expected a folder")
-    if folder.is_dir() and any(folder.iterdir()) and not force:
-        raise UsageError(f"{folder}: not empty; --force replaces it")
-
-
-def replace_folder(folder: Path, save: Any) -> None:
-    """Write beside the folder first, then put everything in place at once."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    fresh = folder.with_name(f".{folder.name}.new")
-    shutil.rmtree(fresh, ignore_errors=True)
-    try:
-        save(fresh)
-        if folder.exists():
-            shutil.rmtree(folder)
-        fresh.replace(folder)
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)

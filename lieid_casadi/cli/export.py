@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli.option_types import InputPath
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -17,25 +18,22 @@ FORMATS = ("c", "urdf")
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("export", help="write a fit as C code or as a URDF")
-    parser.add_argument("fit", metavar="FIT")
+    parser.add_argument("fit", type=InputPath, metavar="FIT")
     parser.add_argument("--to", choices=FORMATS, required=True)
-    parser.add_argument("-o", "--output", required=True, metavar="DIR")
-    parser.add_argument("--force", action="store_true", help="replace a folder with other content")
-    parser.add_argument("--prefix", metavar="NAME", help="of all names in C; default: arm")
+    shared_options.add_output_folder(parser)
+    parser.add_argument("--prefix", metavar="NAME", help="prefix of all C names; default: arm")
     shared_options.add_effects_file(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write the files and tell what a user should know about them."""
-    from lieid_casadi.exporters.output_folder import check_folder
+    """Write the files and print notes on their use."""
     from lieid_casadi.identification import Fit
 
     if args.prefix is not None and args.to != "c":
         raise UsageError(
             f"--prefix {args.prefix}: only C code has names to prefix; expected --to c"
         )
-    check_folder(args.output, force=args.force)
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
     files, notes = _export(fit, args)
@@ -52,5 +50,5 @@ def _export(fit: Fit, args: argparse.Namespace) -> tuple[list[str], tuple[str, .
     if args.to == "c":
         made = export_c(fit, args.output, prefix=args.prefix or "arm", force=args.force)
         return [path.name for path in made.files], made.notes
-    written = export_urdf(fit, args.output)
+    written = export_urdf(fit, args.output, force=args.force)
     return [written.urdf.name, written.mjcf.name], written.notes

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis.extend import Extension
@@ -14,12 +15,25 @@ if TYPE_CHECKING:
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("extend", help="add an effect to a fit, refit, before and after")
-    parser.add_argument("fit", metavar="FIT")
+    parser.add_argument("fit", type=InputPath, metavar="FIT")
     parser.add_argument("--add", required=True, metavar="A,B:2+3,…", help="effects to add")
-    parser.add_argument("--train", nargs="+", required=True, metavar="A")
-    parser.add_argument("--test", nargs="+", default=[], metavar="B")
-    parser.add_argument("-o", "--output", metavar="fit2.json")
-    parser.add_argument("--plot", metavar="FILE", help="draw the fall of the error")
+    parser.add_argument(
+        "--train", nargs="+", type=InputPath, required=True, metavar="A", help="recordings to fit"
+    )
+    parser.add_argument(
+        "--test",
+        nargs="+",
+        type=InputPath,
+        default=[],
+        metavar="B",
+        help="recordings that are not fitted",
+    )
+    parser.add_argument(
+        "-o", "--output", type=OutputFile, metavar="fit2.json", help="write the new fit"
+    )
+    parser.add_argument(
+        "--plot", type=PictureFile, metavar="FILE", help="draw the errors before and after"
+    )
     shared_options.add_effects_file(parser)
     shared_options.add_recording_options(parser)
     shared_options.add_outputs(parser)
@@ -32,20 +46,17 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.diagnosis.extend import extend
     from lieid_casadi.identification import Fit
 
-    output.check_writable(args.output, args.json, args.plot)
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
     train = shared_options.recordings_of(args.train, args, fit.model.robot)
     test = shared_options.recordings_of(args.test, args, fit.model.robot)
     with output.progress("extend") as report:
         extension = extend(fit, args.add, train, test or None, progress=report)
-    if args.output is not None:
-        extension.after.save(args.output)
-    output.write_json(args.json, extension.to_dict())
-    if args.plot is not None:
-        from lieid_casadi.cli.compare import save_figure
-
-        save_figure(args.plot, extension.plot())
+    files = output.Files()
+    files.add_fit(args.output, extension.after)
+    files.add_json(args.json, extension.to_dict())
+    files.add_picture(args.plot, extension.plot)
+    files.write()
     print_extension(extension)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli.option_types import InputPath, PictureFile, number, seed
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -25,7 +26,13 @@ def add_parser(commands: Any) -> None:
         "friction", help="friction of one joint, from motion to and fro over the same positions"
     )
     shared_options.add_robot(parser)
-    parser.add_argument("recordings", nargs="+", metavar="REC", help="the joint moving both ways")
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        type=InputPath,
+        metavar="REC",
+        help="recordings in which the joint moves in both directions",
+    )
     parser.add_argument("--joint", type=int, required=True, metavar="J", help="from 1")
     parser.add_argument(
         "--effects",
@@ -34,14 +41,25 @@ def add_parser(commands: Any) -> None:
         "default: all of the literature are tried and ranked",
     )
     parser.add_argument(
-        "--fit", metavar="FIT", help="of the whole arm: its rigid torque, and is its friction alike"
+        "--fit",
+        type=InputPath,
+        metavar="FIT",
+        help="fit of the whole arm: its rigid torque is used, and its friction is compared",
     )
-    parser.add_argument("--load", choices=("model", "measured"), help="what the load is taken from")
-    parser.add_argument("--plot", metavar="FILE", help="draw the curve and the fit")
-    parser.add_argument("--seed", type=int, default=0, metavar="N")
+    parser.add_argument(
+        "--load", choices=("model", "measured"), help="source of the load torque; default: model"
+    )
+    parser.add_argument(
+        "--plot", type=PictureFile, metavar="FILE", help="draw the curve and the fit"
+    )
+    parser.add_argument(
+        "--seed", type=seed, default=0, metavar="N", help="of the search; default: 0"
+    )
     shared_options.add_effects_file(parser)
     shared_options.add_recording_options(parser)
-    parser.add_argument("--cutoff", type=float, metavar="HZ", help="of the low-pass")
+    parser.add_argument(
+        "--cutoff", type=number, metavar="HZ", help="cut-off frequency of the low-pass filter"
+    )
     shared_options.add_outputs(parser)
     shared_options.add_threads(parser)
     parser.set_defaults(run=run)
@@ -49,12 +67,10 @@ def add_parser(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Extract, fit, print and write."""
-    from lieid_casadi.cli.compare import save_figure
     from lieid_casadi.friction_curves import compare_friction, fit_friction, friction_curve
     from lieid_casadi.friction_curves.ranking import rank_friction_models
     from lieid_casadi.recording import Processing
 
-    output.check_writable(args.json, args.plot)
     shared_options.load_effects_file(args.effects_file)
     robot = shared_options.robot_of(args)
     if not 1 <= args.joint <= robot.n:
@@ -75,9 +91,10 @@ def run(args: argparse.Namespace) -> None:
             ranked = rank_friction_models(curve, seed=args.seed, progress=report)
         fit = ranked[0].fit
     agreement = None if whole is None else compare_friction(fit, whole)
-    output.write_json(args.json, result(fit, ranked, agreement))
-    if args.plot is not None:
-        save_figure(args.plot, fit.plot())
+    files = output.Files()
+    files.add_json(args.json, result(fit, ranked, agreement))
+    files.add_picture(args.plot, fit.plot)
+    files.write()
     _print_curve(curve)
     _print_models(ranked, curve)
     _print_fit(fit)

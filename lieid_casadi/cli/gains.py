@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile, number
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -21,21 +22,36 @@ def add_parser(commands: Any) -> None:
     )
     shared_options.add_robot(parser)
     parser.add_argument(
-        "--unloaded", nargs="+", required=True, metavar="REC", help="currents without payload"
+        "--unloaded",
+        nargs="+",
+        type=InputPath,
+        required=True,
+        metavar="REC",
+        help="recordings of currents without the payload",
     )
     parser.add_argument(
-        "--loaded", nargs="+", required=True, metavar="REC", help="currents with the payload"
+        "--loaded",
+        nargs="+",
+        type=InputPath,
+        required=True,
+        metavar="REC",
+        help="recordings of currents with the payload",
     )
-    parser.add_argument("--mass", type=float, required=True, metavar="KG", help="of the payload")
+    parser.add_argument("--mass", type=number, required=True, metavar="KG", help="of the payload")
     parser.add_argument(
         "--com",
         nargs=3,
-        type=float,
+        type=number,
         metavar=("X", "Y", "Z"),
-        help="its centre of mass in the tool's frame, m, where known",
+        help="the payload's centre of mass in the tool frame, m, if it was measured",
     )
-    parser.add_argument("--yaml", metavar="FILE", help="write the robot with its torque constants")
-    parser.add_argument("--plot", metavar="FILE", help="draw the gains")
+    parser.add_argument(
+        "--yaml",
+        type=OutputFile,
+        metavar="FILE",
+        help="write the robot with its torque constants",
+    )
+    parser.add_argument("--plot", type=PictureFile, metavar="FILE", help="draw the gains")
     shared_options.add_effects(parser)
     shared_options.add_processing(parser)
     shared_options.add_outputs(parser)
@@ -46,8 +62,8 @@ def add_parser(commands: Any) -> None:
 def run(args: argparse.Namespace) -> None:
     """Identify, print and write."""
     from lieid_casadi.gains import drive_gains
+    from lieid_casadi.robot.yaml_file import write_yaml
 
-    output.check_writable(args.json, args.yaml, args.plot)
     if not args.mass > 0.0:
         raise UsageError(f"--mass {args.mass:g}: expected kg above 0")
     model = shared_options.model_of(args)
@@ -63,15 +79,11 @@ def run(args: argparse.Namespace) -> None:
             processing=shared_options.processing_of(args),
             progress=report,
         )
-    if args.yaml is not None:
-        from lieid_casadi.robot.yaml_file import write_yaml
-
-        output.write_file(args.yaml, write_yaml(gains.robot_with_gains()).encode())
-    output.write_json(args.json, gains.to_dict())
-    if args.plot is not None:
-        from lieid_casadi.cli.compare import save_figure
-
-        save_figure(args.plot, gains.plot())
+    files = output.Files()
+    files.add(args.yaml, lambda: write_yaml(gains.robot_with_gains()).encode())
+    files.add_json(args.json, gains.to_dict())
+    files.add_picture(args.plot, gains.plot)
+    files.write()
     print_gains(gains)
 
 

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli.option_types import InputPath, OutputFile
 
 if TYPE_CHECKING:
     from lieid_casadi.comparison import Comparison
@@ -18,10 +19,23 @@ def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("identify", help="fit a model to recordings")
     shared_options.add_robot(parser)
-    parser.add_argument("train", nargs="+", metavar="TRAIN", help="recording, REC@T0:T1 for a part")
-    parser.add_argument("--test", nargs="+", default=[], metavar="T", help="recordings not fitted")
+    parser.add_argument(
+        "train",
+        nargs="+",
+        type=InputPath,
+        metavar="TRAIN",
+        help="recording to fit; REC@T0:T1 is the part from T0 to T1 seconds",
+    )
+    parser.add_argument(
+        "--test",
+        nargs="+",
+        type=InputPath,
+        default=[],
+        metavar="T",
+        help="recordings that are not fitted",
+    )
     parser.add_argument("--method", choices=METHODS, default="wls")
-    parser.add_argument("-o", "--output", metavar="fit.json")
+    parser.add_argument("-o", "--output", type=OutputFile, metavar="fit.json", help="write the fit")
     shared_options.add_effects(parser)
     shared_options.add_recording_options(parser)
     shared_options.add_processing(parser)
@@ -34,8 +48,8 @@ def run(args: argparse.Namespace) -> None:
     """Fit, compare with the test recordings, print and write."""
     from lieid_casadi.comparison import compare
     from lieid_casadi.identification import identify
+    from lieid_casadi.report import comparison_report, fit_report
 
-    output.check_writable(args.output, args.json, args.html)
     model = shared_options.model_of(args)
     train = shared_options.training_of(args.train, args, model.robot)
     test = shared_options.recordings_of(args.test, args, model.robot)
@@ -48,14 +62,14 @@ def run(args: argparse.Namespace) -> None:
             progress=report,
         )
     comparison = compare(fit, test) if test else None
-    if args.output is not None:
-        fit.save(args.output)
-    output.write_json(args.json, result(fit, comparison))
-    if args.html is not None:
-        from lieid_casadi.report import comparison_report, fit_report
-
-        page = fit_report(fit) if comparison is None else comparison_report(fit, comparison)
-        output.write_file(args.html, page.encode())
+    files = output.Files()
+    files.add_fit(args.output, fit)
+    files.add_json(args.json, result(fit, comparison))
+    files.add_html(
+        args.html,
+        lambda: fit_report(fit) if comparison is None else comparison_report(fit, comparison),
+    )
+    files.write()
     print_fit(fit, comparison)
 
 

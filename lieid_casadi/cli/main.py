@@ -13,6 +13,8 @@ from typing import NoReturn
 
 from lieid_casadi import __version__
 from lieid_casadi.cli import shared_options
+from lieid_casadi.cli.option_types import check_paths
+from lieid_casadi.cli.output import visible
 
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
 COMMANDS = (
@@ -26,7 +28,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print one line on stderr and exit with status 2."""
-        self.exit(BAD_INPUT, f"{self.prog}: {' '.join(message.split())}\n")
+        self.exit(BAD_INPUT, f"{self.prog}: {visible(' '.join(message.split()))}\n")
 
 
 def build_parser() -> Parser:
@@ -50,24 +52,28 @@ def main(words: Sequence[str] | None = None) -> int:
     _log_to_stderr()
     try:
         shared_options.use_threads(args)
-        return int(args.run(args) or DONE)
+        check_paths(args)
+        status = int(args.run(args) or DONE)
+        sys.stdout.flush()
+        return status
     except KeyboardInterrupt:
         _say(f"lieid {args.command}: interrupted")
         return INTERRUPTED
     except BrokenPipeError:
-        # the reader of our output has gone; nothing more can be said to it
+        # the reader of the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception as error:  # the outermost frame: every cause gets its status
         if args.debug:
             raise
-        return _status(args.command, error)
+        return _status(args, error)
 
 
-def _status(command: str, error: Exception) -> int:
+def _status(args: argparse.Namespace, error: Exception) -> int:
     """Print one line for an error and return its exit status."""
     from lieid_casadi.errors import LieidError, NoSolution
 
+    command, own_code = args.command, getattr(args, "effects_file", None)
     text = " ".join(str(error).split())
     if isinstance(error, NoSolution):
         _say(f"lieid {command}: {text}")
@@ -75,8 +81,12 @@ def _status(command: str, error: Exception) -> int:
     if isinstance(error, LieidError):
         _say(f"lieid {command}: {text}")
         return BAD_INPUT
-    if isinstance(error, OSError) and error.filename is not None:
-        _say(f"lieid {command}: {error.filename}: {error.strerror}")
+    if isinstance(error, OSError):
+        place = "" if error.filename is None else f"{error.filename}: "
+        _say(f"lieid {command}: {place}{error.strerror or text}")
+        return BAD_INPUT
+    if own_code is not None and (line := shared_options.exception_in_file(own_code, error)):
+        _say(f"lieid {command}: {' '.join(line.split())}")
         return BAD_INPUT
     _say(f"lieid {command}: internal error: {type(error).__name__}: {text} (--debug shows where)")
     return INTERNAL
@@ -84,7 +94,7 @@ def _status(command: str, error: Exception) -> int:
 
 def _say(line: str) -> None:
     with contextlib.suppress(OSError):
-        print(line, file=sys.stderr)
+        print(visible(line), file=sys.stderr)
 
 
 def _log_to_stderr() -> None:

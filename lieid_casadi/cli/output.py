@@ -1,18 +1,23 @@
-"""What a command shows and writes: tables on stdout, progress on stderr, files whole or not."""
+"""What a command shows and writes: tables on stdout, progress on stderr, files as a whole."""
 
 from __future__ import annotations
 
+import io
 import json
 import sys
+import unicodedata
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.errors import LieidWarning, UsageError
+from lieid_casadi.errors import LieidWarning
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
+
+    from lieid_casadi.identification import Fit
 
 WIDTH = 120  # of tables that do not go to a terminal
 
@@ -21,20 +26,41 @@ def console() -> Console:
     """Return the console of stdout."""
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
+    width = None if sys.stdout.isatty() else WIDTH
+    return Console(width=width, highlight=False, emoji=False)
+
+
+def visible(text: str) -> str:
+    r"""Return text in which characters that control a terminal are written out.
+
+    Names come from files of others: control characters, those that change the direction of
+    writing, and bytes that are not UTF-8 become escapes such as ``\x1b``.
+
+    Examples
+    --------
+    >>> visible("arm\x1b[2J")
+    'arm\\x1b[2J'
+    """
+    return "".join(
+        c.encode("unicode_escape").decode() if unicodedata.category(c)[0] == "C" else c
+        for c in text
+    )
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Print a table; the first column is text, the others are numbers."""
     from rich import box
-    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
-    shown = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, title_style="bold")
+    def text(cell: object) -> Text:
+        return Text(visible(_text(cell)))
+
+    shown = Table(title=text(title), title_justify="left", box=box.SIMPLE_HEAD, title_style="bold")
     for k, name in enumerate(columns):
-        shown.add_column(escape(name), justify="left" if k == 0 else "right", overflow="fold")
+        shown.add_column(text(name), justify="left" if k == 0 else "right", overflow="fold")
     for row in rows:
-        shown.add_row(*(escape(_text(cell)) for cell in row))
+        shown.add_row(*map(text, row))
     console().print(shown)
 
 
@@ -47,8 +73,9 @@ def _text(cell: object) -> str:
 
 
 def say(text: str) -> None:
-    """Print one paragraph on stdout."""
-    console().print(text, markup=False, soft_wrap=True)
+    """Print paragraphs on stdout."""
+    lines = "\n".join(visible(line) for line in text.split("\n"))
+    console().print(lines, markup=False, soft_wrap=True)
 
 
 def show_warnings(warnings: Sequence[LieidWarning]) -> None:
@@ -57,46 +84,69 @@ def show_warnings(warnings: Sequence[LieidWarning]) -> None:
         say(f"  ! {type(warning).__name__.removesuffix('Warning')}: {warning}")
 
 
-def write_json(path: str | None, content: dict[str, Any]) -> None:
-    """Write a result as JSON, atomically; nothing if no file was asked for."""
-    if path is not None:
-        text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
-        write_file(path, text.encode())
+def json_bytes(content: dict[str, Any]) -> bytes:
+    """Return a result as JSON; bytes of names that are not UTF-8 become escapes."""
+    text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
+    return text.encode(errors="backslashreplace")
 
 
-def write_file(path: str | Path, content: bytes) -> None:
-    """Write a file whole or not at all, making its folder."""
-    from lieid_casadi.atomic_file import atomic_binary
-
-    target = Path(path)
-    check_writable(target)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_binary(target) as file:
-        file.write(content)
+def html_bytes(page: str) -> bytes:
+    """Return a page as UTF-8; bytes of names that are not UTF-8 become question marks."""
+    return page.encode(errors="replace")
 
 
-def check_writable(*paths: str | Path | None) -> None:
-    """Refuse output paths that cannot be written, before any work is done.
+def picture_bytes(path: str, figure: Figure) -> bytes:
+    """Return a figure in the format of the path's suffix; PNG without one."""
+    buffer = io.BytesIO()
+    kind = Path(path).suffix.lstrip(".").lower() or "png"
+    figure.savefig(buffer, format=kind, dpi=110)
+    return buffer.getvalue()
 
-    Raises
-    ------
-    UsageError
-    """
-    import os
 
-    for path in paths:
-        if path is None:
-            continue
-        target = Path(path)
-        if target.is_dir():
-            raise UsageError(f"{path}: is a folder; expected a file to write")
-        folder = target.parent
-        while not folder.exists() and folder != folder.parent:
-            folder = folder.parent
-        if not folder.is_dir():
-            raise UsageError(f"{path}: cannot be written: {folder} is not a folder")
-        if not os.access(folder, os.W_OK | os.X_OK):
-            raise UsageError(f"{path}: cannot be written: no permission in {folder}")
+class Files:
+    """The files that a command writes at its end: all of them or, after an error, none."""
+
+    def __init__(self) -> None:
+        self._contents: list[tuple[str, bytes]] = []
+
+    def add(self, path: str | None, content: Callable[[], bytes]) -> None:
+        """Add a file, if it was asked for; its content is made now."""
+        if path is not None:
+            self._contents.append((path, content()))
+
+    def add_fit(self, path: str | None, fit: Fit) -> None:
+        """Add a fit file, if it was asked for."""
+        from lieid_casadi.identification.fit_file import content_of
+
+        self.add(path, lambda: content_of(fit))
+
+    def add_json(self, path: str | None, content: dict[str, Any]) -> None:
+        """Add a result for machines, if it was asked for."""
+        self.add(path, lambda: json_bytes(content))
+
+    def add_html(self, path: str | None, page: Callable[[], str]) -> None:
+        """Add a report, if it was asked for."""
+        self.add(path, lambda: html_bytes(page()))
+
+    def add_picture(self, path: str | None, figure: Callable[[], Figure]) -> None:
+        """Add a picture, if it was asked for."""
+        if path is not None:
+            self.add(path, lambda: picture_bytes(path, figure()))
+
+    def write(self) -> None:
+        """Write all files.
+
+        Raises
+        ------
+        OutputError
+        """
+        from lieid_casadi.atomic_file import atomic_binary
+
+        with ExitStack() as stack:
+            for path, content in self._contents:
+                file = stack.enter_context(atomic_binary(path))
+                file.write(content)
+                file.flush()
 
 
 @contextmanager
@@ -108,9 +158,9 @@ def progress(title: str) -> Iterator[Callable[[str, float], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=1.0)
         yield lambda stage, fraction: bar.update(
-            task, completed=fraction, description=f"{title}: {stage}"
+            task, completed=fraction, description=visible(f"{title}: {stage}")
         )

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli.option_types import InputPath, PictureFile, number
 
 if TYPE_CHECKING:
     from lieid_casadi.payload import PayloadEstimate
@@ -13,18 +14,30 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser(
-        "payload", help="mass, centre of mass and inertia of what hangs on the tool"
+    parser = commands.add_parser("payload", help="mass, centre of mass and inertia of the payload")
+    parser.add_argument("fit", type=InputPath, metavar="FIT", help="made without the payload")
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        type=InputPath,
+        metavar="REC",
+        help="recordings measured with the payload",
     )
-    parser.add_argument("fit", metavar="FIT", help="made without the payload")
-    parser.add_argument("recordings", nargs="+", metavar="REC", help="measured with it")
     parser.add_argument(
         "--refit-friction",
         action="store_true",
-        help="Coulomb and viscous friction and offsets may differ from the fit's (warmth)",
+        help="fit Coulomb friction, viscous friction and offsets again, which change with "
+        "temperature",
     )
-    parser.add_argument("--cutoff", type=float, metavar="HZ", help="default: the fit's own")
-    parser.add_argument("--plot", metavar="FILE", help="draw the fall of the error")
+    parser.add_argument(
+        "--cutoff",
+        type=number,
+        metavar="HZ",
+        help="cut-off frequency of the low-pass filter; default: that of the fit",
+    )
+    parser.add_argument(
+        "--plot", type=PictureFile, metavar="FILE", help="draw the errors before and after"
+    )
     shared_options.add_effects_file(parser)
     shared_options.add_recording_options(parser)
     shared_options.add_outputs(parser, html=True)
@@ -36,8 +49,8 @@ def run(args: argparse.Namespace) -> None:
     """Identify, print and write."""
     from lieid_casadi.identification import Fit
     from lieid_casadi.payload import identify_payload
+    from lieid_casadi.report import payload_report
 
-    output.check_writable(args.json, args.html, args.plot)
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
     recordings = shared_options.recordings_of(args.recordings, args, fit.model.robot)
@@ -49,15 +62,11 @@ def run(args: argparse.Namespace) -> None:
             refit_friction=args.refit_friction,
             progress=report,
         )
-    output.write_json(args.json, payload.to_dict())
-    if args.html is not None:
-        from lieid_casadi.report import payload_report
-
-        output.write_file(args.html, payload_report(fit, payload).encode())
-    if args.plot is not None:
-        from lieid_casadi.cli.compare import save_figure
-
-        save_figure(args.plot, payload.plot())
+    files = output.Files()
+    files.add_json(args.json, payload.to_dict())
+    files.add_html(args.html, lambda: payload_report(fit, payload))
+    files.add_picture(args.plot, payload.plot)
+    files.write()
     print_payload(payload)
 
 

@@ -6,14 +6,15 @@ import argparse
 from typing import Any
 
 from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli.option_types import InputPath, OutputFile
 
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("predict", help="torque of a fit along a recording")
-    parser.add_argument("fit", metavar="FIT")
-    parser.add_argument("recording", metavar="REC")
-    parser.add_argument("-o", "--output", required=True, metavar="pred.csv")
+    parser.add_argument("fit", type=InputPath, metavar="FIT")
+    parser.add_argument("recording", type=InputPath, metavar="REC")
+    parser.add_argument("-o", "--output", type=OutputFile, required=True, metavar="pred.csv")
     shared_options.add_recording_options(parser)
     shared_options.add_effects_file(parser)
     shared_options.add_threads(parser)
@@ -28,7 +29,6 @@ def run(args: argparse.Namespace) -> None:
 
     from lieid_casadi.identification import Fit
 
-    output.check_writable(args.output)
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
     (recording,) = shared_options.recordings_of([args.recording], args, fit.model.robot)
@@ -38,5 +38,7 @@ def run(args: argparse.Namespace) -> None:
     table = np.column_stack([recording.t, torque])
     formats = ["%.15g", *["%.9g"] * fit.model.n]
     np.savetxt(text, table, fmt=formats, delimiter=",", header=header, comments="")
-    output.write_file(args.output, text.getvalue().encode())
+    files = output.Files()
+    files.add(args.output, lambda: text.getvalue().encode())
+    files.write()
     output.say(f"{len(torque)} rows written to {args.output}")

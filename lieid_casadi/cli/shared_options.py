@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from lieid_casadi.cli.option_types import InputPath, OutputFile, OutputFolder, number
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -18,7 +19,9 @@ DEFAULT_EFFECTS = "coulomb,viscous,offset"
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
     """Add ROBOT with --tip and --lock."""
-    parser.add_argument("robot", metavar="ROBOT", help="URDF or YAML file, or a bundled name")
+    parser.add_argument(
+        "robot", type=InputPath, metavar="ROBOT", help="URDF or YAML file, or a bundled name"
+    )
     parser.add_argument("--tip", metavar="LINK", help="last link of the chain (URDF)")
     parser.add_argument("--lock", nargs="+", default=[], metavar="JOINT", help="joints to lock")
 
@@ -33,7 +36,10 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
 def add_processing(parser: argparse.ArgumentParser) -> None:
     """Add filter options."""
     parser.add_argument(
-        "--cutoff", type=float, metavar="HZ", help="of the low-pass; default: chosen"
+        "--cutoff",
+        type=number,
+        metavar="HZ",
+        help="cut-off frequency of the low-pass filter; default: chosen from the data",
     )
     parser.add_argument(
         "--average-periods", action="store_true", help="average periodic recordings over periods"
@@ -49,24 +55,49 @@ def add_effects(parser: argparse.ArgumentParser, *, default: str = DEFAULT_EFFEC
 
 
 def add_effects_file(parser: argparse.ArgumentParser) -> None:
-    """Add --effects-file, Python code of the user's own that is run."""
-    parser.add_argument("--effects-file", metavar="F.py", help="registers effects of your own")
+    """Add --effects-file, a Python file of the user that is executed."""
+    parser.add_argument(
+        "--effects-file",
+        type=InputPath,
+        metavar="F.py",
+        help="Python file that registers your own effects; it is executed",
+    )
 
 
 def add_outputs(parser: argparse.ArgumentParser, *, html: bool = False) -> None:
     """Add --json, and --html where there is a report."""
-    parser.add_argument("--json", metavar="FILE", help="write the result for machines")
+    parser.add_argument("--json", type=OutputFile, metavar="FILE", help="write the result as JSON")
     if html:
-        parser.add_argument("--html", metavar="FILE", help="write a self-contained report")
+        parser.add_argument(
+            "--html", type=OutputFile, metavar="FILE", help="write a self-contained report"
+        )
+
+
+def add_output_folder(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
+    """Add -o DIR and --force."""
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=OutputFolder,
+        required=default is None,
+        default=default,
+        metavar="DIR",
+        help="folder to write" + ("" if default is None else f"; default: {default}"),
+    )
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="replace the files that lieid wrote into the folder; others are kept",
+    )
 
 
 def add_threads(parser: argparse.ArgumentParser) -> None:
     """Add --threads."""
-    parser.add_argument("--threads", type=int, metavar="N", help="processors to use; default: 2")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to use; default: 2")
 
 
 def use_threads(args: argparse.Namespace) -> None:
-    """Apply --threads: before NumPy is imported, or its linear algebra has chosen already."""
+    """Apply --threads; it has no effect on linear algebra once NumPy is imported."""
     import os
 
     threads = getattr(args, "threads", None)
@@ -119,15 +150,48 @@ def processing_of(args: argparse.Namespace) -> Processing:
 
 
 def load_effects_file(path: str | None) -> None:
-    """Run the user's own Python file, which registers effects."""
+    """Run the user's own Python file, which registers effects.
+
+    Raises
+    ------
+    UsageError
+        The file does not exist, or an exception was raised in it; the message names the line.
+    """
     if path is None:
         return
     import runpy
     from pathlib import Path
 
     if not Path(path).is_file():
-        raise UsageError(f"{path}: no such file; --effects-file expects a Python file of your own")
-    runpy.run_path(path)
+        raise UsageError(f"{path}: no such file; --effects-file expects your own Python file")
+    try:
+        runpy.run_path(path)
+    except (Exception, SystemExit) as error:
+        raise UsageError(exception_in_file(path, error) or f"{path}: {error}") from error
+
+
+def exception_in_file(path: str, error: BaseException) -> str | None:
+    """Return a line that names where in a Python file an exception was raised; None if elsewhere.
+
+    Parameters
+    ----------
+    path : str
+        As it was executed.
+    error : BaseException
+        With its traceback.
+    """
+    import traceback
+
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename == path
+    ]
+    if isinstance(error, SyntaxError) and error.filename == path:
+        lines.append(error.lineno)
+    if not lines:
+        return None
+    return f"{path}, line {lines[-1]}: {type(error).__name__}: {error}"
 
 
 def _torque_constants(args: argparse.Namespace, robot: Robot) -> list[float] | None:

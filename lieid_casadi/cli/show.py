@@ -19,7 +19,6 @@ def add_parser(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Print the tables."""
-    output.check_writable(args.json)
     model = shared_options.model_of(args)
     robot = model.robot
     joints = [
@@ -58,7 +57,9 @@ def run(args: argparse.Namespace) -> None:
         "base_parameters": parameters,
         "dropped": [base.names[k] for k in base.dropped],
     }
-    output.write_json(args.json, _null_for_nan(content))
+    files = output.Files()
+    files.add_json(args.json, _null_for_nan(content))
+    files.write()
 
 
 def _print(name: str, joints: list[dict[str, Any]]) -> None:

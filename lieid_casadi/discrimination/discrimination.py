@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.excitation.basis.trajectory import Motion, Trajectory, period_grid
-from lieid_casadi.excitation.files import csv_text, write_all
+from lieid_casadi.excitation.files import csv_text
 from lieid_casadi.model import Model
+from lieid_casadi.output_folder import write_folder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -180,8 +181,21 @@ class Discrimination:
         assert drawn is not None
         return drawn
 
-    def save(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write ``trajectory.csv`` (one period), ``discriminate.json``, ``discriminate.png``."""
+    def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
+        """Write ``trajectory.csv`` (one period), ``discriminate.json``, ``discriminate.png``.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made if it does not exist; written as a whole or not at all.
+        force : bool
+            Replace what an earlier call wrote into it; other files are kept.
+
+        Raises
+        ------
+        OutputError
+            The folder has other content or cannot be written.
+        """
         image = io.BytesIO()
         self.plot().savefig(image, format="png", dpi=120)
         content = json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
@@ -190,7 +204,7 @@ class Discrimination:
             "discriminate.json": content.encode(),
             "discriminate.png": image.getvalue(),
         }
-        return write_all(Path(folder), files)
+        return write_folder(folder, files, force=force)
 
     def _repr_html_(self) -> str:
         from html import escape

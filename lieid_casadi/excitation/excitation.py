@@ -229,11 +229,24 @@ class Excitation:
 
         return plot(self)
 
-    def save(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write trajectory, JSON, plot, text and ROS 2 message into a folder; return the files."""
+    def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
+        """Write trajectory, JSON, plot, text and ROS 2 message into a folder; return the files.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made if it does not exist; written as a whole or not at all.
+        force : bool
+            Replace what an earlier call wrote into it; other files are kept.
+
+        Raises
+        ------
+        OutputError
+            The folder has other content or cannot be written.
+        """
         from lieid_casadi.excitation.files import save
 
-        return save(self, Path(folder))
+        return save(self, Path(folder), force=force)
 
     def _repr_html_(self) -> str:
         from lieid_casadi.excitation.summary import html

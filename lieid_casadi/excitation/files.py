@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.output_folder import write_folder
 
 if TYPE_CHECKING:
     from lieid_casadi.excitation.excitation import Excitation
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 ROS_RATE = 100.0  # Hz; joint trajectory controllers interpolate with quintics between points
 
 
-def save(excitation: Excitation, folder: Path) -> tuple[Path, ...]:
-    """Write all files of a design into a folder, made if need be, each whole or not at all."""
+def save(excitation: Excitation, folder: Path, *, force: bool) -> tuple[Path, ...]:
+    """Write all files of a design into a folder; see `write_folder`."""
     content = excitation.to_dict()
     motion = excitation.motion()
     ros = excitation.motion(min(ROS_RATE, excitation.rate))
@@ -32,21 +33,7 @@ def save(excitation: Excitation, folder: Path) -> tuple[Path, ...]:
         "excitation.png": figure.getvalue(),
         "summary.txt": (excitation.summary() + "\n").encode(),
     }
-    return write_all(folder, files)
-
-
-def write_all(folder: Path, files: dict[str, bytes]) -> tuple[Path, ...]:
-    """Write files into a folder."""
-    from lieid_casadi.atomic_file import atomic_binary
-
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name, data in files.items():
-        path = folder / name
-        with atomic_binary(path) as file:
-            file.write(data)
-        written.append(path)
-    return tuple(written)
+    return write_folder(folder, files, force=force)
 
 
 def csv_text(motion: Motion) -> str:

@@ -72,16 +72,34 @@ class FrictionSweep:
             "left_out": list(self.left_out),
         }
 
-    def save(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write ``friction_sweep_qJ.csv`` and ``.json`` into a folder; return the files."""
+    def files(self) -> dict[str, bytes]:
+        """Return the content of ``friction_sweep_qJ.csv`` and ``.json`` by name."""
         import json
 
-        from lieid_casadi.excitation.files import csv_text, write_all
+        from lieid_casadi.excitation.files import csv_text
 
         name = f"friction_sweep_q{self.joint + 1}"
         content = json.dumps(self.to_dict(), indent=1)
-        files = {f"{name}.csv": csv_text(self.motion).encode(), f"{name}.json": content.encode()}
-        return write_all(Path(folder), files)
+        return {f"{name}.csv": csv_text(self.motion).encode(), f"{name}.json": content.encode()}
+
+    def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
+        """Write ``friction_sweep_qJ.csv`` and ``.json`` into a folder; return the files.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made if it does not exist; written as a whole or not at all.
+        force : bool
+            Replace what an earlier call wrote into it; other files are kept.
+
+        Raises
+        ------
+        OutputError
+            The folder has other content or cannot be written.
+        """
+        from lieid_casadi.output_folder import write_folder
+
+        return write_folder(folder, self.files(), force=force)
 
 
 def friction_sweep(

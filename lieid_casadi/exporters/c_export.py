@@ -14,9 +14,9 @@ from lieid_casadi.exporters.c_functions import Functions, functions
 from lieid_casadi.exporters.c_self_test import Check, check
 from lieid_casadi.exporters.c_statements import number
 from lieid_casadi.exporters.c_text import comment, numbered, render, wrapped
-from lieid_casadi.exporters.output_folder import check_folder, write_folder
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import Parameter
+from lieid_casadi.output_folder import check_folder, write_folder
 
 RIGID_CALLS = (
     ("rigid_torque", "q + j, dq + j, ddq + j"),
@@ -47,17 +47,23 @@ def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool =
     ----------
     fit : Fit
     folder : str or Path
-        Made if it is not there; written whole or not at all.
+        Made if it does not exist; written as a whole or not at all.
     prefix : str
         Of all names, so that several arms fit into one program.
     force : bool
-        Replace a folder that has content already, as a whole.
+        Replace what an earlier export wrote into the folder; other files are kept.
+
+    Returns
+    -------
+    CExport
 
     Raises
     ------
     ExportError
-        A prefix that is no C name, a folder that cannot be written, an effect that has no C form or
-        needs more than one instant, a number that is not finite.
+        The prefix is not usable, an effect has no C form or needs more than one instant, or a
+        number is not finite.
+    OutputError
+        The folder has other content or cannot be written.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix):
         raise ExportError(f"prefix {prefix!r}: expected letters, digits and _, a letter first")

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.joint_friction import joint_frictions, left_out, negative
 from lieid_casadi.exporters.mjcf import mjcf_snippet
 from lieid_casadi.exporters.urdf_edit import edited_urdf
 from lieid_casadi.exporters.urdf_write import written_urdf
 from lieid_casadi.identification.fit import Fit
+from lieid_casadi.output_folder import check_folder, write_folder
 from lieid_casadi.robot.robot import STANDARD_GRAVITY
 
 
@@ -26,7 +26,7 @@ class UrdfExport:
     notes: tuple[str, ...]
 
 
-def export_urdf(fit: Fit, folder: str | Path) -> UrdfExport:
+def export_urdf(fit: Fit, folder: str | Path, *, force: bool = False) -> UrdfExport:
     """Write ``ROBOT.urdf`` and ``ROBOT_joints.xml`` (for MuJoCo) into a folder.
 
     The URDF is the one that the robot was read from, with the identified inertias and, where
@@ -38,26 +38,28 @@ def export_urdf(fit: Fit, folder: str | Path) -> UrdfExport:
     fit : Fit
         Of method ``feasible``.
     folder : str or Path
-        Made if it is not there; files in it of the same names are replaced.
+        Made if it does not exist; written as a whole or not at all.
+    force : bool
+        Replace what an earlier export wrote into the folder; other files are kept.
+
+    Returns
+    -------
+    UrdfExport
 
     Raises
     ------
     ExportError
-        The fit's masses and inertias need not be possible: the message has the command that
-        makes one whose are.
+        The fit's masses and inertias are not certified to be physically consistent; the message
+        has the command that makes a fit whose are.
+    OutputError
+        The folder has other content or cannot be written.
     """
+    check_folder(folder, force=force)
     text, notes = urdf_text(fit)
-    target = Path(folder)
     name = _file_name(fit.model.robot.name)
-    urdf, mjcf = target / f"{name}.urdf", target / f"{name}_joints.xml"
-    snippet = mjcf_snippet(fit, file=mjcf.name)
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-        for path, content in ((urdf, text), (mjcf, snippet)):
-            with atomic_binary(path) as file:
-                file.write(content.encode("utf-8"))
-    except OSError as error:
-        raise ExportError(f"{folder}: cannot be written: {error.strerror}") from None
+    snippet = mjcf_snippet(fit, file=f"{name}_joints.xml")
+    files = {f"{name}.urdf": text.encode(), f"{name}_joints.xml": snippet.encode()}
+    urdf, mjcf = write_folder(folder, files, force=force)
     return UrdfExport(urdf, mjcf, tuple(notes))
 
 

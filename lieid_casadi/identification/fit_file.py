@@ -86,7 +86,13 @@ class Content(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def save(fit: Fit, path: str | Path) -> None:
-    """Write a fit; an existing file is replaced whole or not at all."""
+    """Write a fit; an existing file is replaced as a whole or not at all."""
+    with atomic_binary(path) as file:
+        file.write(content_of(fit))
+
+
+def content_of(fit: Fit) -> bytes:
+    """Return the content of a fit file."""
     content = Content(
         kind=KIND,
         schema=SCHEMA,
@@ -114,9 +120,8 @@ def save(fit: Fit, path: str | Path) -> None:
         certificate=None if fit.certificate is None else fit.certificate.to_dict(),
     )
     text = json.dumps(msgspec.to_builtins(content), indent=1, allow_nan=False, ensure_ascii=False)
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    with atomic_binary(Path(path)) as file:
-        file.write(text.encode())
+    # names of files may have bytes that are not UTF-8; JSON keeps them as \udcXX
+    return text.encode(errors="backslashreplace")
 
 
 def load(path: str | Path) -> Fit:

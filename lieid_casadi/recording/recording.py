@@ -314,16 +314,13 @@ class Recording:
         Raises
         ------
         RecordingError
-            Another suffix, or a folder that cannot be written to.
+            Another suffix.
+        OutputError
+            The file cannot be written.
         """
         file = Path(path)
         write = writer_of(file)
-        try:
-            write(self, file)
-        except OSError as error:
-            raise RecordingError(
-                f"{file}: cannot be written ({error.strerror or error})"
-            ) from error
+        write(self, file)
 
     def rows(self, first: int, last: int) -> Self:
         """Rows first … last − 1 (from 0)."""

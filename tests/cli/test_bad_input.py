@@ -251,12 +251,6 @@ def test_cutoff_beyond_the_rate(run, good):
     refused(run("identify", "two_link", good, "--cutoff", 400), "400", "Hz")
 
 
-def test_demo_leaves_a_strangers_folder_alone(run, tmp_path):
-    (tmp_path / "thesis.txt").write_text("years of work")
-    refused(run("demo", "-o", tmp_path), "not empty", "--force")
-    assert (tmp_path / "thesis.txt").exists()
-
-
 def test_a_killed_run_leaves_no_half_written_fit(tmp_path, good):
     """Kill the process in the middle of the write: the old file is still whole."""
     path = tmp_path / "fit.json"

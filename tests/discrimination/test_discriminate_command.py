@@ -37,7 +37,7 @@ def test_writes_the_trajectory_and_says_how_long(paths, tmp_path, capsys):
     assert f"{content['seconds']:.4g} s of this motion" in shown.out
     assert shown.err == ""
     assert {p.name for p in out.iterdir()} == {
-        "trajectory.csv", "discriminate.json", "discriminate.png"
+        "trajectory.csv", "discriminate.json", "discriminate.png", "lieid-manifest.json"
     }  # fmt: skip
     assert json.loads((out / "discriminate.json").read_text()) == content
     # a folder with content stays as it is, unless forced

@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from export.c_arms import BUILDS, WARNINGS, library, made_fit, pointer, run, sample_type
+from exporters.c_arms import BUILDS, WARNINGS, library, made_fit, pointer, run, sample_type
 from robot.random_arms import random_arm
 
 import lieid_casadi as lieid

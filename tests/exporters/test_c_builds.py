@@ -5,7 +5,7 @@ import shutil
 import subprocess
 
 import pytest
-from export.c_arms import ARMS, BUILDS, WARNINGS, library, made_fit, run
+from exporters.c_arms import ARMS, BUILDS, WARNINGS, library, made_fit, run
 from real_arms import TX40, UR10E, needs
 
 import lieid_casadi as lieid
@@ -124,7 +124,7 @@ def test_header_names_every_parameter(exported):
 
 def test_constants_are_the_fit(exported):
     fit, loaded = ARMS[exported.name](), library(exported)
-    from export.c_arms import constants
+    from exporters.c_arms import constants
 
     for name, numbers in (
         ("link_parameters", fit.link_parameters),

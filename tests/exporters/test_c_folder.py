@@ -3,17 +3,17 @@
 import casadi as ca
 import numpy as np
 import pytest
-from export.c_arms import ARMS, made_fit
+from exporters.c_arms import ARMS, made_fit
 
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
-from lieid_casadi.errors import ExportError
+from lieid_casadi.errors import ExportError, OutputError
 from lieid_casadi.exporters.c_export import export_c
-from lieid_casadi.exporters.output_folder import write_folder
+from lieid_casadi.output_folder import MANIFEST, write_folder
 
 FILES = {
     "arm.h", "arm.c", "arm_parameters.c", "arm_test.c", "lieid_runtime.h", "CMakeLists.txt",
-    "README.md",
+    "README.md", MANIFEST,
 }  # fmt: skip
 
 
@@ -35,7 +35,8 @@ def names(folder):
 
 def test_all_files_and_nothing_else(fit, tmp_path):
     made = export_c(fit, tmp_path / "new" / "arm")
-    assert {path.name for path in made.files} == names(tmp_path / "new" / "arm") == FILES
+    assert names(tmp_path / "new" / "arm") == FILES
+    assert {path.name for path in made.files} == FILES - {MANIFEST}
     assert names(tmp_path / "new") == {"arm"}
     export_c(fit, tmp_path / "empty", prefix="left2")
     assert "left2_test.c" in names(tmp_path / "empty")
@@ -48,12 +49,10 @@ def test_exports_of_one_fit_are_equal(fit, tmp_path):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-def test_folder_with_content_only_by_force(fit, tmp_path):
-    (tmp_path / "arm").mkdir()
-    (tmp_path / "arm" / "mine.txt").write_text("keep me")
-    with pytest.raises(ExportError, match="arm: not empty; expected a new folder, or --force"):
+def test_an_earlier_export_is_replaced_only_by_force(fit, tmp_path):
+    export_c(fit, tmp_path / "arm", prefix="left")
+    with pytest.raises(OutputError, match="arm: not empty; expected a new folder, or --force"):
         export_c(fit, tmp_path / "arm")
-    assert names(tmp_path / "arm") == {"mine.txt"}
     export_c(fit, tmp_path / "arm", force=True)
     assert names(tmp_path / "arm") == FILES
     assert names(tmp_path) == {"arm"}
@@ -62,7 +61,7 @@ def test_folder_with_content_only_by_force(fit, tmp_path):
 def test_file_in_the_way(fit, tmp_path):
     (tmp_path / "arm").write_text("")
     for folder, message in (("arm", "is a file"), ("arm/below", "is not a folder")):
-        with pytest.raises(ExportError, match=message):
+        with pytest.raises(OutputError, match=message):
             export_c(fit, tmp_path / folder, force=True)
     assert (tmp_path / "arm").read_text() == ""
 
@@ -84,12 +83,11 @@ def test_failure_leaves_the_folder_as_it_was(tmp_path):
             return [ca.erf(s.dq)]
 
     fit = made_fit(lieid.robots.two_link(), [Erf()])
-    (tmp_path / "arm").mkdir()
-    (tmp_path / "arm" / "mine.txt").write_text("keep me")
+    write_folder(tmp_path / "arm", {"old.c": b"old"})
     with pytest.raises(ExportError, match="operation ERF, which exported C does not have"):
         export_c(fit, tmp_path / "arm", force=True)
     assert names(tmp_path) == {"arm"}
-    assert names(tmp_path / "arm") == {"mine.txt"}
+    assert names(tmp_path / "arm") == {"old.c", MANIFEST}
 
 
 def test_interrupted_writing_leaves_nothing(tmp_path, monkeypatch):
@@ -99,7 +97,7 @@ def test_interrupted_writing_leaves_nothing(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(ExportError, match="cannot be written: No space left"):
+    with pytest.raises(OutputError, match="cannot be written: No space left"):
         write_folder(tmp_path / "a", {"x": b"1"})
     assert not names(tmp_path)
 
@@ -124,7 +122,7 @@ def test_user_effect_is_exported(tmp_path):
         def columns(self, s, shape):
             return [ca.atan(s.dq / 0.1), ca.fabs(ca.sin(3 * s.q)) ** 1.5]
 
-    from export.c_arms import run
+    from exporters.c_arms import run
 
     export_c(made_fit(lieid.robots.two_link(), [Waves()]), tmp_path / "arm")
     sources = ["arm.c", "arm_parameters.c", "arm_test.c"]
@@ -182,10 +180,10 @@ def test_fit_that_is_not_there(tmp_path, capsys):
 
 
 def test_command_writes_a_urdf(tmp_path, capsys):
-    from export.test_urdf_export import fitted
+    from exporters.test_urdf_export import fitted
 
     fitted(lieid.robots.two_link()).save(tmp_path / "fit.json")
     words = ["export", str(tmp_path / "fit.json"), "--to", "urdf", "-o", str(tmp_path / "out")]
     assert main(words) == 0
-    assert {path.suffix for path in (tmp_path / "out").iterdir()} == {".urdf", ".xml"}
+    assert names(tmp_path / "out") == {"two_link.urdf", "two_link_joints.xml", MANIFEST}
     assert "written to" in capsys.readouterr().out

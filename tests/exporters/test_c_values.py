@@ -5,7 +5,7 @@ import ctypes
 import numpy as np
 import pinocchio as pin
 import pytest
-from export.c_arms import ARMS, constants, library, pointer, run, sample_type
+from exporters.c_arms import ARMS, constants, library, pointer, run, sample_type
 from robot.random_arms import to_pinocchio
 
 import lieid_casadi as lieid
@@ -143,7 +143,7 @@ def test_smooth_sign_is_a_tanh_and_sharpens(arm, motion):
 
 
 def test_smooth_coulomb_friction_by_hand(tmp_path):
-    from export.c_arms import made_fit
+    from exporters.c_arms import made_fit
 
     exported = Exported(made_fit(lieid.robots.two_link(), "coulomb"), tmp_path / "arm")
     dq, v0 = np.array([[0.02, -0.3]]), np.array([0.1, 0.05])

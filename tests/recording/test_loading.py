@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from recording.planar_arm import measured
 
-from lieid_casadi.errors import RecordingError, UnknownColumnWarning
+from lieid_casadi.errors import OutputError, RecordingError, UnknownColumnWarning
 from lieid_casadi.recording import Recording
 
 FORMATS = ["csv", "csv.gz", "npz", "parquet"]
@@ -204,8 +204,9 @@ def test_gzip_is_written_without_a_time_stamp(tmp_path):
 def test_saving_elsewhere_fails_in_one_line(tmp_path):
     with pytest.raises(RecordingError, match=r"expected \.csv"):
         measured(duration=1).save(tmp_path / "run.txt")
-    with pytest.raises(RecordingError, match="cannot be written"):
-        measured(duration=1).save(tmp_path / "missing" / "run.csv")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot be written"):
+        measured(duration=1).save(tmp_path / "file" / "run.csv")
 
 
 def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):

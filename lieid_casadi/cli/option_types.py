@@ -1,0 +1,119 @@
+"""Types of options: numbers with a range, and paths whose use is checked before any work."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import stat
+from collections.abc import Sequence
+from pathlib import Path
+
+from lieid_casadi.errors import UsageError
+
+PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".eps", ".ps")
+
+
+class InputPath(str):
+    """A file or folder that a command reads; ``REC@T0:T1`` is a part of a recording."""
+
+    @property
+    def file(self) -> Path:
+        """The file or folder itself."""
+        path, at, _ = self.rpartition("@")
+        return Path(path if at and not os.path.exists(self) else self)
+
+
+class OutputFile(str):
+    """A file that a command writes."""
+
+
+class PictureFile(OutputFile):
+    """A picture that a command writes; its suffix is the format."""
+
+
+class OutputFolder(str):
+    """A folder that a command writes."""
+
+
+def seed(text: str) -> int:
+    """Return a whole number, 0 or more."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number, 0 or more")
+    return value
+
+
+def number(text: str) -> float:
+    """Return a finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text}: expected a number")
+    return value
+
+
+def check_paths(args: argparse.Namespace) -> None:
+    """Refuse outputs that cannot be written or that are inputs, before any work is done.
+
+    Raises
+    ------
+    OutputError
+        A file or folder that cannot be written or may not be replaced.
+    UsageError
+        An output that is also an input or another output, or a picture of an unknown format.
+    """
+    from lieid_casadi.atomic_file import check_file
+    from lieid_casadi.output_folder import check_folder
+
+    values = [v for value in vars(args).values() for v in _flat(value)]
+    inputs = [value for value in values if isinstance(value, InputPath)]
+    outputs = [value for value in values if isinstance(value, (OutputFile, OutputFolder))]
+    for output in outputs:
+        if isinstance(output, OutputFolder):
+            check_folder(output, force=args.force)
+        else:
+            check_file(output)
+        if isinstance(output, PictureFile) and Path(output).suffix.lower() not in ("", *PICTURES):
+            raise UsageError(
+                f"{output}: cannot draw {Path(output).suffix!r} files; "
+                "expected e.g. .png, .pdf or .svg"
+            )
+        for given in inputs:
+            if _overwrites(output, given.file):
+                raise UsageError(f"{output}: is also an input ({given}); expected another output")
+    _check_different(outputs)
+
+
+def _flat(value: object) -> Sequence[object]:
+    return value if isinstance(value, (list, tuple)) else (value,)
+
+
+def _overwrites(output: str, given: Path) -> bool:
+    """Return whether writing an output would replace an input or a file in it."""
+    try:
+        source, target = given.stat(), os.stat(output)
+    except OSError:
+        return False  # one of them does not exist
+    if stat.S_ISCHR(target.st_mode) or stat.S_ISFIFO(target.st_mode):
+        return False  # a terminal or a pipe may be both
+    if os.path.samestat(source, target):
+        return True
+    inner, outer = Path(output).resolve(), given.resolve()
+    if isinstance(output, OutputFolder):
+        inner, outer = outer, inner
+    return outer.is_dir() and inner.is_relative_to(outer)
+
+
+def _check_different(outputs: Sequence[str]) -> None:
+    seen: set[str] = set()
+    for output in outputs:
+        place = os.path.realpath(output)
+        if place in seen and (os.path.isfile(place) or not os.path.exists(place)):
+            raise UsageError(f"{output}: is written by two options; expected different files")
+        seen.add(place)

@@ -1,0 +1,384 @@
+"""Outputs: whole or unchanged, never over an input, never over files of others."""
+
+import json
+import os
+import stat
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from cli.test_bad_input import columns, refused, run, write  # noqa: F401 - a fixture
+
+import lieid_casadi as lieid
+from lieid_casadi.atomic_file import PREFIX, SUFFIX, atomic_binary
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import OutputError
+from lieid_casadi.output_folder import MANIFEST, output_folder, write_folder
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A recording and a fit that tests copy."""
+    folder = tmp_path_factory.mktemp("kept")
+    write(folder / "run.csv", columns(seconds=4.0))
+    assert main(["identify", "two_link", str(folder / "run.csv"), "-o", f"{folder}/fit.json"]) == 0
+    return {name: (folder / name).read_bytes() for name in ("run.csv", "fit.json")}
+
+
+@pytest.fixture
+def work(kept, tmp_path, monkeypatch):
+    """The current directory, with a recording and a fit in it."""
+    for name, content in kept.items():
+        (tmp_path / name).write_bytes(content)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def tree(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(Path(folder).rglob("*"))
+        if path.is_file()
+    }
+
+
+def save(path, content=b"new"):
+    with atomic_binary(path) as file:
+        file.write(content)
+
+
+# ---- Files --------------------------------------------------------------------------------------
+
+
+def test_a_regular_file_is_replaced_and_keeps_its_mode(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_bytes(b"old")
+    path.chmod(0o640)
+    before = path.stat().st_ino
+    save(path)
+    assert path.read_bytes() == b"new"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    assert path.stat().st_ino != before
+    assert os.listdir(tmp_path) == ["a.json"]
+
+
+def test_a_new_file_has_the_mode_of_any_new_file(tmp_path):
+    old = os.umask(0o027)
+    try:
+        save(tmp_path / "deep" / "a.json")
+    finally:
+        os.umask(old)
+    assert stat.S_IMODE((tmp_path / "deep" / "a.json").stat().st_mode) == 0o640
+
+
+def test_symbolic_links_are_followed(tmp_path):
+    (tmp_path / "store").mkdir()
+    (tmp_path / "store" / "real").write_bytes(b"old")
+    (tmp_path / "link").symlink_to(tmp_path / "store" / "real")
+    (tmp_path / "dangling").symlink_to("store/new")
+    save(tmp_path / "link")
+    save(tmp_path / "dangling")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "dangling").is_symlink()
+    assert tree(tmp_path / "store") == {"real": b"new", "new": b"new"}
+
+
+def test_a_device_is_written_through(work, run):  # noqa: F811
+    null = os.stat("/dev/null")
+    status, _, err = run(
+        "identify", "two_link", "run.csv", "-o", "/dev/null", "--json", "/dev/null"
+    )
+    assert status == 0, err
+    assert os.stat("/dev/null").st_ino == null.st_ino
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+
+
+def test_a_full_device_is_status_2(work, run):  # noqa: F811
+    refused(run("identify", "two_link", "run.csv", "-o", "/dev/full"), "/dev/full", "No space left")
+
+
+def test_a_named_pipe_is_written_through(tmp_path):
+    pipe, received = tmp_path / "pipe", []
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: received.append(pipe.read_bytes()))
+    reader.start()
+    save(pipe, b"through")
+    reader.join(timeout=60)
+    assert received == [b"through"]
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+@pytest.mark.parametrize("target", ["/dev/stdout", "same"])
+def test_standard_output_is_written_through(work, target):
+    """Also where the shell has redirected it to the very file that is named."""
+    with open("all.csv", "wb") as shown:
+        target = "all.csv" if target == "same" else target
+        command = [sys.executable, "-m", "lieid_casadi.cli.main", "predict", "fit.json", "run.csv"]
+        subprocess.run([*command, "-o", target], stdout=shown, check=True)
+    lines = Path("all.csv").read_text().splitlines()
+    assert lines[0] == "t,tau1,tau2"
+    assert len(lines) == 402
+    assert "400 rows" in lines[-1]
+
+
+@pytest.mark.parametrize("fault", ["write", "fsync", "replace"])
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch, fault):
+    path = tmp_path / "a.json"
+    path.write_bytes(b"old")
+
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    def half():
+        with atomic_binary(path) as file:
+            file.write(b"new")
+            if fault == "write":
+                full()
+
+    with monkeypatch.context() as patch:
+        if fault != "write":
+            patch.setattr(os, fault, full)
+        with pytest.raises(OutputError, match=r"a\.json: cannot be written: No space left"):
+            half()
+    assert tree(tmp_path) == {"a.json": b"old"}
+    save(path)
+    assert tree(tmp_path) == {"a.json": b"new"}
+
+
+def test_folders_made_for_a_failed_write_are_removed(tmp_path, monkeypatch):
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OutputError):
+        save(tmp_path / "new" / "deep" / "a.json")
+    assert not os.listdir(tmp_path)
+
+
+def test_temporary_files_of_dead_runs_are_removed_and_those_of_others_kept(tmp_path):
+    (tmp_path / f"{PREFIX}dead{SUFFIX}").write_bytes(b"half")
+    (tmp_path / f"{PREFIX}folder{SUFFIX}").mkdir()
+    (tmp_path / f"{PREFIX}folder{SUFFIX}" / "half").write_bytes(b"half")
+    with atomic_binary(tmp_path / "a") as file:
+        file.write(b"a")
+        save(tmp_path / "b")  # meanwhile: the file being written is locked
+    assert tree(tmp_path) == {"a": b"a", "b": b"new"}
+    assert sorted(os.listdir(tmp_path)) == ["a", "b"]
+
+
+def test_a_file_size_limit_is_status_2(work):
+    """The limit stops a write with SIGXFSZ or EFBIG; the old file is intact."""
+    old = Path("fit.json").read_bytes()
+    limit = len(old) // 2 // 1024
+    command = f"ulimit -f {limit}; exec {sys.executable} -m lieid_casadi.cli.main"
+    command += " identify two_link run.csv --effects '' -o fit.json --json result.json"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "File too large" in done.stderr
+    assert Path("fit.json").read_bytes() == old
+    assert sorted(os.listdir()) == ["fit.json", "run.csv"]
+
+
+@pytest.mark.parametrize("output", ["fit.json", "closed/a.json", "closed"])
+def test_a_missing_permission_is_status_2(work, run, monkeypatch, output):  # noqa: F811
+    allowed, closed = os.access, {str(work / "closed"), "fit.json"}
+    Path("closed").mkdir()
+
+    def access(path, mode):  # root may write everywhere
+        return allowed(path, mode) and not (mode & os.W_OK and str(path) in closed)
+
+    monkeypatch.setattr(os, "access", access)
+    before = tree(work)
+    if output == "closed":
+        outcome = export(run, output)
+    else:
+        outcome = run("identify", "two_link", "run.csv", "-o", output)
+    refused(outcome, output, "permission")
+    assert tree(work) == before
+
+
+# ---- Inputs -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["predict", "fit.json", "run.csv", "-o", "run.csv"],
+        ["predict", "fit.json", "run.csv", "-o", "fit.json"],
+        ["predict", "fit.json", "run.csv@0:2", "-o", "run.csv"],
+        ["predict", "fit.json", "run.csv", "-o", "linked.csv"],
+        ["predict", "fit.json", "run.csv", "-o", "../{here}/run.csv"],
+        ["identify", "two_link", "run.csv", "-o", "run.csv"],
+        ["identify", "two_link", "run.csv", "--json", "hard.csv"],
+        ["identify", "two_link", "run.csv", "--html", "linked.csv"],
+        ["identify", "two_link", "run.csv", "--test", "hard.csv", "-o", "hard.csv"],
+        ["compare", "fit.json", "run.csv", "--plot", "run.csv"],
+        ["extend", "fit.json", "--add", "stribeck", "--train", "run.csv", "-o", "fit.json"],
+        ["diagnose", "two_link", "--train", "run.csv", "-o", "run.csv"],
+        ["payload", "fit.json", "run.csv", "--json", "run.csv"],
+        ["friction", "two_link", "run.csv", "--joint", "1", "--json", "run.csv"],
+    ],
+    ids=" ".join,
+)
+def test_an_output_that_is_an_input_is_refused(work, run, words):  # noqa: F811
+    os.symlink("run.csv", "linked.csv")
+    os.link("run.csv", "hard.csv")
+    before = tree(work)
+    message = run(*(word.format(here=work.name) for word in words))
+    refused(message)
+    assert "is also an input" in message[2] or "cannot draw" in message[2]
+    assert tree(work) == before
+
+
+def test_two_outputs_in_one_file_are_refused(work, run):  # noqa: F811
+    words = ["identify", "two_link", "run.csv", "-o", "a.json", "--json", "./a.json"]
+    refused(run(*words), "a.json", "two options")
+    assert not Path("a.json").exists()
+
+
+def test_a_picture_of_an_unknown_format_is_refused_before_the_work(work, run):  # noqa: F811
+    refused(run("compare", "none.json", "run.csv", "--plot", "a.xyz"), "a.xyz", ".png")
+
+
+def test_of_several_outputs_all_or_none_are_written(work, run):  # noqa: F811
+    refused(run("identify", "two_link", "run.csv", "-o", "new.json", "--json", "/dev/full"))
+    assert not Path("new.json").exists()
+
+
+# ---- Folders ------------------------------------------------------------------------------------
+
+
+def export(run, folder, *more):  # noqa: F811
+    return run("export", "fit.json", "--to", "c", "-o", folder, *more)
+
+
+@pytest.mark.parametrize("place", ["current", "absolute", "linked", "parent", "home", "root"])
+def test_folders_that_are_never_replaced(work, run, monkeypatch, place):  # noqa: F811
+    """Not even where they hold a manifest."""
+    inner, home = work / "inner", work / "home"
+    for folder in (inner, home):
+        folder.mkdir()
+        (folder / "thesis.txt").write_text("years of work")
+    (work / "link").symlink_to(inner)
+    for folder in (work, inner, home):
+        content = {"program": "lieid-casadi", "files": ["thesis.txt", "fit.json", "arm.c"]}
+        (folder / MANIFEST).write_text(json.dumps(content))
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.chdir(inner)
+    before = tree(work)
+    named = {
+        "current": ".", "absolute": inner, "linked": work / "link", "parent": "..", "home": home,
+        "root": "/",
+    }[place]  # fmt: skip
+    for words in (
+        ["export", work / "fit.json", "--to", "c"],
+        ["export", work / "fit.json", "--to", "urdf"],
+        ["excite", "two_link"],
+        ["discriminate", work / "fit.json", "stribeck:1", "coulomb:2"],
+        ["demo"],
+    ):
+        refused(run(*words, "-o", named, "--force"), "not empty", "expected another folder")
+    assert tree(work) == before
+
+
+@pytest.mark.parametrize("force", [[], ["--force"]])
+def test_a_folder_without_a_manifest_is_never_replaced(work, run, force):  # noqa: F811
+    (work / "out").mkdir()
+    (work / "out" / "thesis.txt").write_text("years of work")
+    refused(export(run, "out", *force), "out", "not empty", MANIFEST)
+    refused(run("demo", "-o", "out", *force), "out", "not empty", MANIFEST)
+    assert tree(work / "out") == {"thesis.txt": b"years of work"}
+
+
+def test_demo_checks_its_folder_before_the_work(work, run, monkeypatch):  # noqa: F811
+    def never(*arguments, **options):
+        raise AssertionError
+
+    monkeypatch.setattr("lieid_casadi.demo.run_demo", never)
+    refused(run("demo", "-o", work, "--force"), "current directory")
+
+
+def test_files_that_the_manifest_does_not_list_are_kept(work, run):  # noqa: F811
+    assert export(run, "out")[0] == 0
+    (work / "out" / "build").mkdir()
+    (work / "out" / "build" / "mine.o").write_text("mine")
+    (work / "out" / "mine.c").write_text("mine")
+    refused(export(run, "out"), "--force")
+    status, _, err = export(run, "out", "--force", "--prefix", "scara")
+    assert status == 0, err
+    made = tree(work / "out")
+    assert made["build/mine.o"] == made["mine.c"] == b"mine"
+    assert "scara.h" in made
+    assert "arm.h" not in made
+    listed = set(json.loads(made[MANIFEST])["files"])
+    assert listed == made.keys() - {"build/mine.o", "mine.c", MANIFEST}
+
+
+def test_a_file_of_another_in_the_place_of_a_new_one_is_not_replaced(tmp_path):
+    folder = tmp_path / "out"
+    write_folder(folder, {"a": b"1"})
+    (folder / "b").write_bytes(b"mine")
+    with pytest.raises(OutputError, match="b: not written by lieid"):
+        write_folder(folder, {"a": b"2", "b": b"2"}, force=True)
+    assert (folder / "a").read_bytes() == b"1"
+    assert (folder / "b").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("name", ["../mine", "/mine", "sub/../../mine", "link/mine"])
+def test_a_manifest_cannot_name_files_elsewhere(tmp_path, name):
+    folder, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "mine").write_bytes(b"mine")
+    (tmp_path / "mine").write_bytes(b"mine")
+    write_folder(folder, {"a": b"1"})
+    (folder / "link").symlink_to(elsewhere)
+    (folder / MANIFEST).write_text(json.dumps({"program": "lieid-casadi", "files": ["a", name]}))
+    write_folder(folder, {"b": b"2"}, force=True)
+    assert (tmp_path / "mine").exists()
+    assert (elsewhere / "mine").exists()
+    assert not (folder / "a").exists()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"program": "other", "files": []}', "1"])
+def test_a_manifest_of_another_program_counts_for_nothing(tmp_path, text):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / MANIFEST).write_text(text)
+    with pytest.raises(OutputError, match="not written by lieid"):
+        write_folder(tmp_path / "out", {"a": b"1"}, force=True)
+
+
+def test_an_empty_folder_may_be_the_current_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_folder(".", {"sub/a": b"1"})
+    assert tree(tmp_path).keys() == {"sub/a", MANIFEST}
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_an_error_on_the_way_leaves_a_folder_as_it_was(tmp_path, exists):
+    if exists:
+        write_folder(tmp_path / "out", {"a": b"1"})
+    before = tree(tmp_path)
+
+    def half():
+        with output_folder(tmp_path / "out", force=True) as fresh:
+            (fresh / "a").write_bytes(b"2")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        half()
+    assert tree(tmp_path) == before
+    assert os.listdir(tmp_path) == (["out"] if exists else [])
+
+
+def test_library_functions_do_not_replace_files_of_others(work):
+    fit = lieid.Fit.load("fit.json")
+    from lieid_casadi.exporters.c_export import export_c
+
+    for made in (lambda: export_c(fit, ".", force=True), lambda: fit.save("inner/..")):
+        before = tree(work)
+        with pytest.raises(OutputError):
+            made()
+        assert tree(work) == before
