@@ -94,13 +94,13 @@ def _currents(paths: list[str], robot: Robot) -> list[Recording]:
 
 
 def print_gains(gains: DriveGains) -> None:
-    """Print the gains, what was not told, and the option that other commands take."""
+    """Print the gains, those not identified, and the option for other commands."""
     output.table(
         f"Drive gains by a payload of {gains.mass:g} kg (low-pass {gains.cutoff:.3g} Hz)",
         ["joint", "gain", "std", "std %", "95 % from", "to", "unit", "RMS error, A", "N·m"],
         [
             [
-                f"{row['joint']} {row['name']}{'' if row['told'] else ' *'}",
+                f"{row['joint']} {row['name']}{'' if row['identified'] else ' *'}",
                 row["gain"],
                 row["std"],
                 None if row["gain"] is None else 100.0 * row["std"] / abs(row["gain"]),
@@ -113,12 +113,12 @@ def print_gains(gains: DriveGains) -> None:
         ],
     )
     for part in gains.not_identified:
-        output.say(f"  * the gain of joint {part.joint + 1} is not told: {part.reason}.")
+        output.say(f"  * the gain of joint {part.joint + 1} cannot be identified: {part.reason}.")
     centre = ", ".join(
-        "not told" if c != c else f"{1000 * c:.1f} ± {1000 * s:.1f}"
+        "not identified" if c != c else f"{1000 * c:.1f} ± {1000 * s:.1f}"
         for c, s in zip(gains.com, gains.com_std, strict=True)
     )
-    output.say(f"Payload's centre of mass in the tool's frame: ({centre}) mm.")
+    output.say(f"Centre of mass of the payload in the tool frame: ({centre}) mm.")
     if gains.option is not None:
-        output.say(f"For the other commands:\n{gains.option}")
+        output.say(f"Option for the other commands:\n{gains.option}")
     output.show_warnings(gains.warnings)

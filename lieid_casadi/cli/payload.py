@@ -1,4 +1,4 @@
-"""``lieid payload FIT REC…``: what hangs on the tool."""
+"""``lieid payload FIT REC…``: identify the payload at the tool."""
 
 from __future__ import annotations
 
@@ -71,14 +71,14 @@ def run(args: argparse.Namespace) -> None:
 
 
 def print_payload(payload: PayloadEstimate) -> None:
-    """Print the verdict, the quantities, the error's fall and what was not told."""
+    """Print the verdict, the quantities, the errors and what cannot be identified."""
     output.say(payload.sentence)
     output.table(
-        "Payload in the tool's frame; inertia about the centre of mass",
+        "Payload in the tool frame; inertia about the centre of mass",
         ["", "value", "std", "95 % from", "to", "feasible", "unit"],
         [
             [
-                row["name"] + ("" if row["told"] else " *"),
+                row["name"] + ("" if row["identified"] else " *"),
                 row["value"],
                 row["std"],
                 *(row["interval"] or (None, None)),
@@ -92,7 +92,7 @@ def print_payload(payload: PayloadEstimate) -> None:
     for part in payload.not_identified:
         by_reason.setdefault(part.reason, []).append(part.name)
     for reason, names in by_reason.items():
-        output.say(f"  * not told: {', '.join(names)}; {reason}.")
+        output.say(f"  * not identified: {', '.join(names)}; {reason}.")
     output.table(
         f"RMS error in motion, N·m (low-pass {payload.cutoff:.3g} Hz)",
         ["joint", "fit alone", "with the payload", "feasible", "the fit's own, held out"],

@@ -1,4 +1,4 @@
-"""Drive gains in N·m/A from motor currents and a payload of known mass."""
+"""Identification of drive gains in N·m/A from motor currents and a payload of known mass."""
 
 from lieid_casadi.gains.estimate import DriveGains, GainNotIdentified
 from lieid_casadi.gains.identify import drive_gains

@@ -1,4 +1,4 @@
-"""Result: drive gains, how well they are known, and which the motion could not tell."""
+"""Result: drive gains with standard deviations, and the gains that cannot be identified."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import IdentificationError, LieidWarning
+from lieid_casadi.html_table import html_table, number_cell
 from lieid_casadi.identification.fit import Source, warning_list
+from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.robot import Robot
 
 if TYPE_CHECKING:
@@ -17,12 +19,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-NORMAL = 1.959963984540054  # standard deviations either side that hold 95 %
+NORMAL = 1.959963984540054  # standard deviations on either side of a 95 % interval
 
 
 @dataclass(frozen=True)
 class GainNotIdentified:
-    """A joint (from 0) whose gain the motion could not tell, and why."""
+    """A joint (from 0) whose gain cannot be identified from the recordings, and the reason."""
 
     joint: int
     reason: str
@@ -30,26 +32,32 @@ class GainNotIdentified:
 
 @dataclass(frozen=True, eq=False)
 class DriveGains:
-    """Result of :func:`lieid_casadi.drive_gains`. NaN where the motion tells nothing.
+    """Result of :func:`lieid_casadi.drive_gains`; NaN for gains that cannot be identified.
 
     Attributes
     ----------
     robot : Robot
+    effects : tuple of str
+        Friction effects that were identified with the gains.
     gains, std : (n,)
-        N·m/A (N/A for a sliding joint), and standard deviations.
+        Gains in N·m/A (N/A for a prismatic joint) and their standard deviations.
     covariance : (n, n)
-        Of the gains; they share the error of their common scale.
+        Covariance of the gains; the error of their common scale correlates them.
     not_identified : tuple of GainNotIdentified
-        Gains without a number, or with one that is little more than noise.
+        Gains without a value, or with a standard deviation above 10 % of the value.
     mass : float
-        kg, as given.
+        Mass of the payload as given, kg.
     com, com_std : (3,)
-        Payload's centre of mass in the tool's frame, m; standard deviation 0 where it was given.
+        Centre of mass of the payload in the tool frame, m; standard deviation 0 where given.
     rms, rms_current : (n,)
-        Error in motion, N·m and A.
+        RMS residual of joints in motion, N·m and A.
     relative_rms : (n,)
-        Error over the spread of the torque.
+        RMS residual divided by the standard deviation of the torque.
+    cutoff : float
+        Cut-off frequency of the low-pass filter, Hz.
     unloaded, loaded : tuple of Source
+        Recordings without and with the payload.
+    warnings : tuple of LieidWarning
     """
 
     robot: Robot
@@ -71,12 +79,12 @@ class DriveGains:
 
     @property
     def interval(self) -> tuple[Array, Array]:
-        """Bounds (n,) that hold each gain with 95 % probability."""
+        """Bounds (n,) of the 95 % confidence interval of each gain."""
         return self.gains - NORMAL * self.std, self.gains + NORMAL * self.std
 
     @property
     def option(self) -> str | None:
-        """The gains as other commands take them; None where one is not told."""
+        """The gains as the option of other commands; None if a gain cannot be identified."""
         if self.not_identified:
             return None
         return "--torque-constants " + ",".join(f"{k:.5g}" for k in self.gains)
@@ -87,12 +95,13 @@ class DriveGains:
         Raises
         ------
         IdentificationError
-            A gain was not told.
+            A gain cannot be identified.
         """
         if self.not_identified:
             part = self.not_identified[0]
             raise IdentificationError(
-                f"the gain of joint {part.joint + 1} is not told ({part.reason}); a robot needs all"
+                f"the gain of joint {part.joint + 1} cannot be identified ({part.reason}); a robot "
+                "needs the torque constants of all joints"
             )
         joints = tuple(
             replace(joint, torque_constant=float(k))
@@ -101,18 +110,18 @@ class DriveGains:
         return replace(self.robot, joints=joints, source=None)
 
     def table(self) -> list[dict[str, Any]]:
-        """Return one row per joint (from 1): gain, std, interval, unit, told."""
-        doubtful = {part.joint for part in self.not_identified}
+        """Return one row per joint (from 1): gain, std, interval, unit, identified."""
+        weak = {part.joint for part in self.not_identified}
         low, high = self.interval
         return [
             {
                 "joint": j + 1,
                 "name": joint.name,
-                "gain": _number(self.gains[j]),
-                "std": _number(self.std[j]),
+                "gain": number_or_none(self.gains[j]),
+                "std": number_or_none(self.std[j]),
                 "interval": None if np.isnan(self.gains[j]) else [float(low[j]), float(high[j])],
                 "unit": "N·m/A" if joint.revolute else "N/A",
-                "told": j not in doubtful,
+                "identified": j not in weak,
             }
             for j, joint in enumerate(self.robot.joints)
         ]
@@ -122,8 +131,8 @@ class DriveGains:
         return {
             "robot": self.robot.name,
             "effects": list(self.effects),
-            "gains": _numbers(self.gains),
-            "std": _numbers(self.std),
+            "gains": numbers_or_none(self.gains),
+            "std": numbers_or_none(self.std),
             "interval_95": [row["interval"] for row in self.table()],
             "units": [row["unit"] for row in self.table()],
             "option": self.option,
@@ -131,11 +140,11 @@ class DriveGains:
                 {"joint": part.joint + 1, "reason": part.reason} for part in self.not_identified
             ],
             "mass": self.mass,
-            "com": _numbers(self.com),
-            "com_std": _numbers(self.com_std),
-            "rms": _numbers(self.rms),
-            "rms_current": _numbers(self.rms_current),
-            "relative_rms": _numbers(self.relative_rms),
+            "com": numbers_or_none(self.com),
+            "com_std": numbers_or_none(self.com_std),
+            "rms": numbers_or_none(self.rms),
+            "rms_current": numbers_or_none(self.rms_current),
+            "relative_rms": numbers_or_none(self.relative_rms),
             "cutoff": self.cutoff,
             "unloaded": [{"name": r.name, "sha256": r.sha256} for r in self.unloaded],
             "loaded": [{"name": r.name, "sha256": r.sha256} for r in self.loaded],
@@ -143,7 +152,7 @@ class DriveGains:
         }
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the gains with their 95 % intervals; return the figure, not shown."""
+        """Draw the gains with their 95 % intervals and return the figure."""
         from matplotlib.figure import Figure
 
         if ax is None:
@@ -160,26 +169,16 @@ class DriveGains:
         return drawn
 
     def _repr_html_(self) -> str:
-        from html import escape
-
-        def cell(value: float | None, digits: int) -> str:
-            return "<td>–</td>" if value is None else f"<td>{value:.{digits}g}</td>"
-
-        rows = "".join(
-            f"<tr><td>{row['joint']} {escape(row['name'])}{'' if row['told'] else ' (not told)'}"
-            f"</td>{cell(row['gain'], 4)}{cell(row['std'], 2)}<td>{row['unit']}</td></tr>"
+        rows = [
+            (
+                f"{row['joint']} {row['name']}{'' if row['identified'] else ' (not identified)'}",
+                number_cell(row["gain"], 4),
+                number_cell(row["std"], 2),
+                row["unit"],
+            )
             for row in self.table()
-        )
-        head = "<tr><th>joint</th><th>gain</th><th>std</th><th>unit</th></tr>"
-        return f"<table>{head}{rows}</table>"
+        ]
+        return html_table(("joint", "gain", "std", "unit"), rows)
 
     def __repr__(self) -> str:
         return f"<DriveGains of {self.robot.name}: {', '.join(f'{k:.4g}' for k in self.gains)}>"
-
-
-def _number(x: float) -> float | None:
-    return float(x) if np.isfinite(x) else None
-
-
-def _numbers(x: Array) -> list[float | None]:
-    return [_number(float(each)) for each in x]

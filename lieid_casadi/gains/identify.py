@@ -19,7 +19,7 @@ from lieid_casadi.errors import (
     ModelError,
 )
 from lieid_casadi.gains.estimate import DriveGains, GainNotIdentified
-from lieid_casadi.gains.regression import BODY, GainProblem, Solution
+from lieid_casadi.gains.regression import BODY, GainProblem, GainSolution
 from lieid_casadi.identification.fit import Source
 from lieid_casadi.identification.identify import center_temperature, unique_warnings
 from lieid_casadi.identification.regression.design_matrix import Design
@@ -30,10 +30,10 @@ from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
-WEAK = 0.1  # standard deviation over gain, above which it is not told
-NOT_SHOWN = 0.3  # of all gains: the mass is not seen at all
-ANOTHER_ARM = 0.3  # error over the torque's spread, on half of the joints
-UNSEEN = 1e-6  # of a hidden direction
+WEAK = 0.1  # relative standard deviation above which a gain is reported as not identified
+NO_PAYLOAD = 0.3  # the same of every gain: the payload has no visible effect
+ANOTHER_ARM = 0.3  # residual over the torque's standard deviation, on more than half of the joints
+ZERO = 1e-6  # part of a hidden direction that counts as zero
 
 
 @blas_on_one_thread
@@ -48,26 +48,29 @@ def drive_gains(
     processing: Processing | None = None,
     progress: Progress | None = None,
 ) -> DriveGains:
-    """Identify N·m/A of every drive by a payload of known mass.
+    """Identify the gain of every drive in N·m/A from a payload of known mass.
 
-    Gains, the arm's base parameters, friction and what is unknown of the payload are found
-    together by total least squares; the known mass gives the scale (Gautier, Briot, 2014).
+    Gains, base parameters of the arm, friction and the unknown parameters of the payload are
+    identified together by total least squares; the known mass determines the scale (Gautier,
+    Briot, "Global identification of joint drive gains and dynamic parameters of robots", 2014).
 
     Parameters
     ----------
     robot : Robot
-        Its geometry; inertias are not needed.
+        Only its geometry is used; inertias are not needed.
     unloaded, loaded : Recording or sequence of Recording
-        With currents, without and with the payload; best the same exciting motions.
+        Recordings with motor currents, without and with the payload; the same exciting motions
+        in both are best.
     mass : float
-        Of the payload, kg.
+        Mass of the payload, kg.
     com : (3,), optional
-        Its centre of mass in the tool's frame, m; identified if left out.
-    effects : str or sequence
-        Friction of the joints; without shape parameters.
+        Centre of mass of the payload in the tool frame, m; identified if not given.
+    effects : str or sequence of str or Effect
+        Friction effects of the joints, without shape parameters.
     processing : Processing, optional
+        Filter options; by default the cut-off is chosen from the data.
     progress : callable, optional
-        Called with a stage's name and the fraction done.
+        Called with the name of a stage and the completed fraction (0 to 1).
 
     Returns
     -------
@@ -76,10 +79,10 @@ def drive_gains(
     Raises
     ------
     IdentificationError
-        A mass that is not positive, the same recording as both, a payload that does not show,
-        recordings of another arm.
+        The mass is not positive; a recording is given as unloaded and as loaded; the payload has
+        no visible effect; or the recordings are of another arm.
     ModelError, RecordingError, EffectError
-        No currents, another number of joints, effects with shape parameters.
+        Currents are missing, the number of joints differs, or an effect has shape parameters.
     """
     empty, full = _listed(unloaded), _listed(loaded)
     known = _known(mass, com)
@@ -102,8 +105,13 @@ def drive_gains(
     designs = (Design(compiled, segments[:split]), Design(compiled, segments[split:]))
     solution = GainProblem(*designs, known).solve()
     _require_motion(solution)
-    if not solution.settled:
-        found.append(ConvergenceWarning("gains and load had not settled"))
+    if not solution.converged:
+        found.append(
+            ConvergenceWarning(
+                "gains and load did not converge; use effects without load_friction, or longer "
+                "recordings"
+            )
+        )
     result = _result(model, solution, mass, known, options, (empty, full))
     report("done", 1.0)
     return replace(result, warnings=unique_warnings(found))
@@ -118,7 +126,7 @@ def _split(recordings: Sequence[Recording], count: int) -> tuple[list[Recording]
 
 
 def _known(mass: float, com: ArrayLike | None) -> Array:
-    """Return the payload's parameters (10,) as far as they are known."""
+    """Return the payload's parameters (10,), NaN where unknown."""
     if not (np.isfinite(mass) and mass > 0.0):
         raise IdentificationError(f"mass of the payload is {mass:g} kg, expected more than 0")
     known = np.full(BODY, np.nan)
@@ -152,7 +160,7 @@ def _check(model: Model, empty: Sequence[Recording], full: Sequence[Recording]) 
         if len(still):
             raise IdentificationError(
                 f"{name}: the current i{still[0] + 1} is the same in every row "
-                f"({recording.current[0, still[0]]:g} A); expected what the motor drew"
+                f"({recording.current[0, still[0]]:g} A); expected the measured motor current"
             )
     for one in empty:
         for other in full:
@@ -164,24 +172,24 @@ def _check(model: Model, empty: Sequence[Recording], full: Sequence[Recording]) 
 
 
 def _overlap(one: Recording, other: Recording) -> bool:
-    """Whether two recordings share rows of one source."""
+    """Return whether two recordings share rows of one file."""
     same = bool(one.source_hash) and one.source_hash == other.source_hash
     return bool(same and one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1])
 
 
 def _in_amperes(recording: Recording) -> Recording:
-    """Return a recording whose torque is its current."""
+    """Return the recording with the current in A as its torque."""
     return recording.with_torque_constants(np.ones(recording.n))
 
 
-def _require_motion(solution: Solution) -> None:
+def _require_motion(solution: GainSolution) -> None:
     if not any(len(e) for e in solution.residuals):
-        raise IdentificationError("no joint moves; expected exciting motion")
+        raise IdentificationError("no joint moves; expected a motion that excites all joints")
 
 
 def _result(
     model: Model,
-    solution: Solution,
+    solution: GainSolution,
     mass: float,
     known: Array,
     options: Processing,
@@ -194,31 +202,29 @@ def _result(
     spread = np.abs(gains) * np.array([np.std(i) if len(i) else np.nan for i in solution.currents])
     relative = rms / np.where(spread > 0.0, spread, np.nan)
     moves = np.array([len(i) > 0 for i in solution.currents])
-    seen = _seen(solution, n) & moves
-    _require_load(gains, std, seen, mass)
+    identifiable = _identifiable(solution, n) & moves
+    _require_load(gains, std, identifiable, mass)
     _require_arm(model, relative, recordings)
     parts = []
     for j in range(n):
         if not moves[j]:
             parts.append(GainNotIdentified(j, "the joint never moves"))
-        elif not seen[j]:
-            parts.append(
-                GainNotIdentified(j, "none of its torque hangs together with the payload's")
-            )
+        elif not identifiable[j]:
+            parts.append(GainNotIdentified(j, "its torque is not related to that of the payload"))
         elif not std[j] <= WEAK * abs(gains[j]):
             parts.append(
                 GainNotIdentified(
                     j,
                     f"standard deviation {100 * std[j] / abs(gains[j]):.0f} % of the gain: the "
-                    "joint feels the payload too little in this motion",
+                    "payload loads this joint too little in this motion",
                 )
             )
     com, com_std = _centre(model, solution, mass, known)
     return DriveGains(
         robot=model.robot,
         effects=tuple(model.effects),
-        gains=np.where(seen, gains, np.nan),
-        std=np.where(seen, std, np.nan),
+        gains=np.where(identifiable, gains, np.nan),
+        std=np.where(identifiable, std, np.nan),
         covariance=solution.covariance[:n, :n],
         not_identified=tuple(parts),
         mass=float(mass),
@@ -234,20 +240,19 @@ def _result(
     )
 
 
-def _seen(solution: Solution, n: int) -> NDArray[np.bool_]:
-    """Mark the gains (n,) that no hidden direction contains."""
-    seen = np.ones(n, dtype=bool)
+def _identifiable(solution: GainSolution, n: int) -> NDArray[np.bool_]:
+    """Mark the gains (n,) that no hidden direction involves."""
+    identifiable = np.ones(n, dtype=bool)
     scale = np.maximum(np.abs(solution.gains), 1e-300)
     for direction in solution.hidden:
         part = np.abs(direction[:n]) / scale
-        # of the direction's own size in gains; payload parameters alone do not matter
         largest = float(np.max(np.abs(direction), initial=0.0))
-        seen &= part * scale <= UNSEEN * largest
-    return seen
+        identifiable &= part * scale <= ZERO * largest
+    return identifiable
 
 
-def _centre(model: Model, solution: Solution, mass: float, known: Array) -> tuple[Array, Array]:
-    """Return the payload's centre of mass and standard deviations (3,), NaN where not shown."""
+def _centre(model: Model, solution: GainSolution, mass: float, known: Array) -> tuple[Array, Array]:
+    """Return centre of mass and standard deviations (3,), NaN where not identifiable."""
     com = solution.body[1:4] / mass
     if not np.isnan(known[1]):
         return com, np.zeros(3)
@@ -255,37 +260,37 @@ def _centre(model: Model, solution: Solution, mass: float, known: Array) -> tupl
     std = np.sqrt(np.diag(solution.covariance)[first : first + 3]) / mass
     lost = np.zeros(3, dtype=bool)
     for direction in solution.hidden:
-        lost |= np.abs(direction[first : first + 3]) > UNSEEN * np.max(np.abs(direction))
+        lost |= np.abs(direction[first : first + 3]) > ZERO * np.max(np.abs(direction))
     return np.where(lost, np.nan, com), np.where(lost, np.nan, std)
 
 
-def _require_load(gains: Array, std: Array, seen: NDArray[np.bool_], mass: float) -> None:
-    """Raise where the load is not there, or was taken off."""
-    relative = std[seen] / np.abs(gains[seen])
-    if not len(relative) or np.min(relative) > NOT_SHOWN:
+def _require_load(gains: Array, std: Array, identifiable: NDArray[np.bool_], mass: float) -> None:
+    """Raise if the payload has no visible effect, or if the runs are exchanged."""
+    relative = std[identifiable] / np.abs(gains[identifiable])
+    if not len(relative) or np.min(relative) > NO_PAYLOAD:
         raise IdentificationError(
-            f"the loaded recordings do not show a payload of {mass:g} kg beside the unloaded "
-            "ones (all gains are uncertain by more than 30 %); expected more motion, or the "
-            "right recordings"
+            f"the loaded recordings do not show a payload of {mass:g} kg in comparison with the "
+            "unloaded ones (the standard deviation of every gain exceeds 30 %); expected more "
+            "motion, or recordings with that payload"
         )
-    told = seen & (std <= NOT_SHOWN * np.abs(gains))
-    if np.all(gains[told] < 0.0):
+    known = identifiable & (std <= NO_PAYLOAD * np.abs(gains))
+    if np.all(gains[known] < 0.0):
         raise IdentificationError(
-            "all drive gains come out negative: are the unloaded and the loaded recordings "
-            "exchanged, or the currents' signs reversed?"
+            "all drive gains are negative: the unloaded and the loaded recordings may be "
+            "exchanged, or the signs of the currents reversed"
         )
 
 
 def _require_arm(
     model: Model, relative: Array, recordings: tuple[Sequence[Recording], Sequence[Recording]]
 ) -> None:
-    """Raise where the model explains too little of the currents."""
+    """Raise if the model explains too little of the currents."""
     bad = np.nan_to_num(relative) > ANOTHER_ARM
     if bad.sum() > len(bad) // 2:
         j = int(np.argmax(np.nan_to_num(relative)))
         names = ", ".join(r.name or "recording" for part in recordings for r in part)
         raise IdentificationError(
-            f"{names}: the arm {model.robot.name!r} with one payload explains too little (on "
-            f"joint {j + 1} an error of {100 * relative[j]:.0f} % of the torque's spread); "
-            "expected runs of that arm, all loaded ones with the same payload"
+            f"{names}: the arm {model.robot.name!r} with one payload does not explain the "
+            f"currents (on joint {j + 1} the residual is {100 * relative[j]:.0f} % of the torque's "
+            "standard deviation); expected runs of that arm, all loaded ones with the same payload"
         )

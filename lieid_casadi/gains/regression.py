@@ -1,4 +1,4 @@
-"""Equations of unloaded and loaded runs in motor currents, and their solution."""
+"""Regression of unloaded and loaded runs in motor currents."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 
 Array = NDArray[np.float64]
 BODY = 10
-ROUNDS = 20
-SETTLED = 1e-5  # of the gains
+MOST_ITERATIONS = 20
+CONVERGED = 1e-5  # relative change of the gains
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """Result: gains, base values and payload, with the covariance of all.
+class GainSolution:
+    """Gains, base parameters and payload, with their common covariance.
 
     Attributes
     ----------
@@ -42,16 +42,16 @@ class Solution:
     values : (p,)
         Base parameters, N·m.
     body : (10,)
-        Payload, tool frame; m, m·c, inertia about the tool's origin.
+        Payload in the tool frame: m, m·c, inertia about the tool frame's origin.
     covariance : (n + p + u, n + p + u)
-        Of gains, base values and the payload's unknown parameters.
+        Covariance of gains, base parameters and the u unknown parameters of the payload.
     hidden : (h, n + p + u)
-        Directions that the data does not show.
+        Directions that cannot be identified from the data.
     residuals : tuple of (R,)
-        Per joint, N·m.
+        One array per joint, N·m.
     currents : tuple of (R,)
-        Per joint, A, filtered.
-    settled : bool
+        One array per joint, filtered, A.
+    converged : bool
     """
 
     gains: Array
@@ -61,18 +61,18 @@ class Solution:
     hidden: Array
     residuals: tuple[Array, ...]
     currents: tuple[Array, ...]
-    settled: bool
+    converged: bool
 
 
 class GainProblem:
-    """The stacked equations of an arm's runs.
+    """Stacked equations of an arm's runs without and with a payload.
 
     Parameters
     ----------
     unloaded, loaded : Design
-        Of the same model; their torques are currents.
+        Design matrices of the same model; their torques are currents in A.
     known : (10,)
-        Payload's parameters in the tool's frame, NaN where not known.
+        Parameters of the payload in the tool frame, NaN where unknown.
     """
 
     def __init__(self, unloaded: Design, loaded: Design, known: Array) -> None:
@@ -92,33 +92,35 @@ class GainProblem:
         """Number of unknowns."""
         return self.model.n + self.model.base.count + int(self.unknown.sum())
 
-    def solve(self) -> Solution:
-        """Alternate the most likely gains, noise and load until the gains settle.
+    def solve(self) -> GainSolution:
+        """Alternate between gains, noise levels and load until the gains converge.
 
         Raises
         ------
         IdentificationError
-            The payload does not show in the currents.
+            The payload has no effect on the currents that the arm does not explain.
         """
         parameters, body = None, np.zeros(BODY)
         rows = self._rows(parameters, body)
         noise = _own_noise(rows)
         gains = np.zeros(self.model.n)
         found: NullVector | None = None
-        settled = False
-        for _ in range(ROUNDS):
+        converged = False
+        for _ in range(MOST_ITERATIONS):
             if self.moving_load and parameters is not None:
                 rows = self._rows(parameters, body)
-            factors = [Factor(f.r[:, :-1], f.rows) for f in joint_factors(rows)]  # the sum is zero
+            factors = [
+                Factor(f.r[:, :-1], f.rows) for f in joint_factors(rows)
+            ]  # the right-hand side is zero
             if found is None:
-                # in units of its noise, each current has the noise 1 in each of its rows
+                # after division by its noise level, each current has noise 1 in each row
                 size = np.sqrt(np.maximum(rows.lengths, 1))
                 found = null_vector(combine(factors, 1.0 / noise), size)
             if found is None:
                 raise IdentificationError(
-                    "the motion does not show the payload's mass apart from what is unknown of "
-                    "arm and payload; expected the same motions with and without the payload, "
-                    "slow and fast, or a known --com"
+                    "the effect of the payload's mass cannot be separated from the unknown "
+                    "parameters of arm and payload; expected the same motions with and without "
+                    "the payload, slow and fast, or a known centre of mass (--com)"
                 )
             found = most_likely(factors, found, noise)
             change = np.abs(found.gains - gains) / np.maximum(np.abs(found.gains), 1e-300)
@@ -134,17 +136,17 @@ class GainProblem:
             body = self.known.copy()
             body[self.unknown] = found.others[self.model.base.count :]
             parameters = self.model.base.lift(values, prior(self.model))
-            if change.max() <= SETTLED:
-                settled = True
+            if change.max() <= CONVERGED:
+                converged = True
                 break
         assert found is not None
         torque_noise = np.where(gains != 0.0, np.abs(gains), 1.0) * noise
-        return self._with_covariance(rows, found, body, torque_noise, settled)
+        return self._with_covariance(rows, found, body, torque_noise, converged)
 
     def _with_covariance(
-        self, rows: Rows, found: NullVector, body: Array, noise: Array, settled: bool
-    ) -> Solution:
-        """Evaluate the covariance at currents without noise, which the solution predicts."""
+        self, rows: Rows, found: NullVector, body: Array, noise: Array, converged: bool
+    ) -> GainSolution:
+        """Evaluate the covariance at the noise-free currents that the solution predicts."""
         residuals = self._residuals(rows, found)
         n = self.model.n
         clean = []
@@ -156,7 +158,7 @@ class GainProblem:
         exact = Rows(clean, self.width, rows.segments)
         weights = [np.full(len(j.torque), 1.0 / s) for j, s in zip(clean, noise, strict=True)]
         least = solve(combine(joint_factors(exact), 1.0 / noise))
-        return Solution(
+        return GainSolution(
             gains=found.gains,
             values=found.others[: self.model.base.count],
             body=body,
@@ -164,11 +166,11 @@ class GainProblem:
             hidden=np.array(least.hidden).reshape(-1, self.width),
             residuals=tuple(residuals),
             currents=tuple(j.matrix[:, k] for k, j in enumerate(rows.joints[:n])),
-            settled=settled,
+            converged=converged,
         )
 
     def _rows(self, parameters: Array | None, body: Array) -> Rows:
-        """Return rows in [gains; base values; payload; 1], all of whose sums should be zero."""
+        """Return rows of the homogeneous system in [gains; base parameters; payload; 1]."""
         shapes = self.model.initial_shapes
         loaded = parameters
         if parameters is not None:
@@ -207,7 +209,7 @@ class GainProblem:
 
 
 def _own_noise(rows: Rows) -> Array:
-    """Return what each joint's current has that no other column of its rows explains, A."""
+    """Return the RMS of each current's part that the other columns do not explain, A."""
     found = []
     for j, joint in enumerate(rows.joints):
         if not len(joint.torque):

@@ -1,12 +1,12 @@
-"""Total least squares where some columns are noisy (currents) and the others exact.
+"""Total least squares with noisy columns (currents) and exact columns.
 
-Per joint j, i_j·k_j − M_j·β − M_j·B·π = 0, the payload's known mass being one column with the
-coefficient 1: M. Gautier, S. Briot, "Global identification of joint drive gains and dynamic
-parameters of robots", J. Dynamic Systems, Measurement, and Control 2014. Noise is in the currents
-alone, and each joint has its own. The exact columns are eliminated first (Golub, Hoffman, Stewart,
-Linear Algebra and its Applications 1987); from that null vector, which weighs all joints' rows
-alike, the maximum of the likelihood is found, where the error of each current counts in units of
-its own noise.
+The equation of joint j is i_j·k_j − M_j·β − M_j·B·π = 0, in which the known mass of the payload is
+one column with coefficient 1: M. Gautier, S. Briot, "Global identification of joint drive gains and
+dynamic parameters of robots", J. Dynamic Systems, Measurement, and Control 2014. Only the currents
+are noisy, each with its own noise level. `null_vector` eliminates the exact columns first (Golub,
+Hoffman, Stewart, Linear Algebra and its Applications 1987) and weights the rows of all joints
+equally. `most_likely` starts from its result and maximizes the likelihood, which weights the error
+of each current with that current's noise.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from scipy.optimize import least_squares
 from lieid_casadi.identification.regression.least_squares import Factor
 
 Array = NDArray[np.float64]
-RANK = 1e-9  # of scaled columns
-SHOWN = 1e-6  # of the known column's norm that the others leave
-MOST_STEPS = 50  # of the search
+RANK = 1e-9  # relative tolerance on singular values of scaled columns
+INDEPENDENT = 1e-6  # least part of the known column that the other columns may not explain
+MOST_EVALUATIONS = 50  # of the nonlinear least-squares search
 
 
 @dataclass(frozen=True, eq=False)
 class NullVector:
-    """The null vector [gains; others; 1] of the rows.
+    """The null vector [gains; others; 1] of the stacked rows.
 
     Attributes
     ----------
     gains : (n,)
-        Zero where the column is zero: a joint that never moves.
-    others : (q,)
-        Coefficients of the exact columns but the last.
+        N·m/A; zero for a zero column, that is for a joint that never moves.
+    others : (q − 1,)
+        Coefficients of the exact columns without the last column, whose coefficient is 1.
     """
 
     gains: Array
@@ -43,21 +43,31 @@ class NullVector:
 
 
 def null_vector(factor: Factor, noise: Array) -> NullVector | None:
-    """Return the null vector, or None where the last column shows nothing of its own.
+    """Return the null vector, or None if the other columns explain the last column.
 
     Parameters
     ----------
     factor : Factor
-        Of the weighted rows; columns: n noisy ones, q exact ones, the known one.
+        Triangular factor of the weighted rows: n noisy columns, then q exact columns, the last
+        of which has coefficient 1.
     noise : (n,)
-        Of each noisy column: expected norm of the noise in its weighted rows.
+        Expected norm of the noise in the weighted rows of each noisy column.
+
+    Returns
+    -------
+    NullVector or None
+
+    Notes
+    -----
+    Golub, Hoffman, Stewart, "A generalization of the Eckart-Young-Mirsky matrix approximation
+    theorem", Linear Algebra and its Applications 1987.
     """
     n, r = len(noise), factor.r
-    there = np.linalg.norm(r[:, :n], axis=0) > 0.0
-    noisy, exact = r[:, :n][:, there] / noise[there], r[:, n:]
+    moves = np.linalg.norm(r[:, :n], axis=0) > 0.0
+    noisy, exact = r[:, :n][:, moves] / noise[moves], r[:, n:]
     size = np.linalg.norm(exact, axis=0)
     exact = exact / np.where(size > 0.0, size, 1.0)
-    if size[-1] == 0.0 or not there.any() or _own_part(exact) < SHOWN:
+    if size[-1] == 0.0 or not moves.any() or _own_part(exact) < INDEPENDENT:
         return None
     u, singular, _ = np.linalg.svd(exact, full_matrices=False)
     basis = u[:, singular > RANK * singular[0]]
@@ -68,55 +78,66 @@ def null_vector(factor: Factor, noise: Array) -> NullVector | None:
     if coefficients[-1] == 0.0:
         return None
     gains = np.zeros(n)
-    gains[there] = direction / noise[there] / coefficients[-1]
+    gains[moves] = direction / noise[moves] / coefficients[-1]
     return NullVector(gains, coefficients[:-1] / coefficients[-1])
 
 
 def most_likely(factors: Sequence[Factor], start: NullVector, noise: Array) -> NullVector:
     """Return gains and others that minimize Σ_j ‖i_j − torque_j/k_j‖² / σ_j².
 
-    The unknowns are 1/k_j, in which a gain that the motion hardly tells does no harm.
+    The unknowns are 1/k_j, so that a gain with a large uncertainty does not disturb the others.
 
     Parameters
     ----------
     factors : sequence of n Factor
-        Of each joint's rows, columns as for `null_vector`.
+        Triangular factors of each joint's rows, with the columns of `null_vector`.
     start : NullVector
-        Near the minimum.
+        A point near the minimum.
     noise : (n,)
-        σ_j of the currents, A.
+        Standard deviations σ_j of the currents' noise, A.
+
+    Returns
+    -------
+    NullVector
     """
     n = len(noise)
-    there = [int(j) for j in np.flatnonzero(start.gains)]
-    current = [factors[j].r[:, j] / noise[j] for j in there]
-    torque = [-factors[j].r[:, n:] / noise[j] for j in there]
+    moving = [int(j) for j in np.flatnonzero(start.gains)]
+    current = [factors[j].r[:, j] / noise[j] for j in moving]
+    torque = [-factors[j].r[:, n:] / noise[j] for j in moving]
 
     def error(x: Array) -> Array:
-        others = np.append(x[len(there) :], 1.0)
+        others = np.append(x[len(moving) :], 1.0)
         return np.concatenate(
             [i - a * (m @ others) for i, a, m in zip(current, x, torque, strict=False)]
         )
 
     def slopes(x: Array) -> Array:
-        others = np.append(x[len(there) :], 1.0)
+        others = np.append(x[len(moving) :], 1.0)
         blocks = []
         for k, (a, m) in enumerate(zip(x, torque, strict=False)):
             block = np.zeros((len(m), len(x)))
-            block[:, k], block[:, len(there) :] = -m @ others, -a * m[:, :-1]
+            block[:, k], block[:, len(moving) :] = -m @ others, -a * m[:, :-1]
             blocks.append(block)
         return np.vstack(blocks)
 
-    first = np.concatenate([1.0 / start.gains[there], start.others])
+    first = np.concatenate([1.0 / start.gains[moving], start.others])
     x = least_squares(
-        error, first, slopes, x_scale="jac", max_nfev=MOST_STEPS, ftol=1e-12, xtol=1e-12, gtol=1e-12
+        error,
+        first,
+        slopes,
+        x_scale="jac",
+        max_nfev=MOST_EVALUATIONS,
+        ftol=1e-12,
+        xtol=1e-12,
+        gtol=1e-12,
     ).x
     gains = np.zeros(n)
-    gains[there] = 1.0 / x[: len(there)]
-    return NullVector(gains, x[len(there) :])
+    gains[moving] = 1.0 / x[: len(moving)]
+    return NullVector(gains, x[len(moving) :])
 
 
 def _own_part(exact: Array) -> float:
-    """Return what the other columns leave of the last one, of unit size."""
+    """Return the norm of the last column's part that the other columns do not explain."""
     others, last = exact[:, :-1], exact[:, -1]
     fitted = others @ np.linalg.lstsq(others, last, rcond=RANK)[0]
     return float(np.linalg.norm(last - fitted))

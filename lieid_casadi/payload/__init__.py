@@ -1,6 +1,7 @@
-"""What hangs on the tool: a payload's mass, centre of mass and inertia, by a fit without it."""
+"""Identification of a payload at the tool from a fit without it and a run with it."""
 
-from lieid_casadi.payload.estimate import FeasibleBody, NotIdentified, PayloadEstimate
+from lieid_casadi.payload.body import FeasibleBody
+from lieid_casadi.payload.estimate import NotIdentified, PayloadEstimate
 from lieid_casadi.payload.identify import identify_payload
 
 __all__ = ["FeasibleBody", "NotIdentified", "PayloadEstimate", "identify_payload"]

@@ -1,14 +1,18 @@
-"""From a payload's ten parameters to mass, centre of mass and central inertia, with covariance.
+"""Mass, centre of mass and central inertia from the ten parameters of a payload.
 
-The parameters are m, m·c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the tool frame's origin.
+The parameters are m, m·c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin of the tool frame.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.robot.inertia import body_inertia
+from lieid_casadi.json_numbers import numbers_or_none
+from lieid_casadi.robot.inertia import body_inertia, pseudo_inertia
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -18,32 +22,32 @@ UNITS = ("kg", "m", "m", "m", *("kg·m²",) * 6)
 _ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 
-def physical(parameters: Array) -> Array:
+def physical_quantities(parameters: Array) -> Array:
     """Return mass, centre of mass (3) and inertia about it (6) as one array (10,)."""
     body = body_inertia(parameters)
     return np.array([body.mass, *body.com, *(body.inertia[i, j] for i, j in _ENTRIES)])
 
 
-def physical_slopes(parameters: Array) -> Array:
-    """Return the derivatives (10, 10) of `physical` by the parameters; mass not zero."""
+def physical_jacobian(parameters: Array) -> Array:
+    """Return the Jacobian (10, 10) of `physical_quantities` at parameters with non-zero mass."""
     m, moment = float(parameters[0]), parameters[1:4]
-    slopes = np.zeros((10, 10))
-    slopes[0, 0] = 1.0
-    slopes[1:4, 0] = -moment / m**2
-    slopes[1:4, 1:4] = np.eye(3) / m
+    jacobian = np.zeros((10, 10))
+    jacobian[0, 0] = 1.0
+    jacobian[1:4, 0] = -moment / m**2
+    jacobian[1:4, 1:4] = np.eye(3) / m
     square = moment @ moment * np.eye(3) - np.outer(moment, moment)
     for row, (i, j) in enumerate(_ENTRIES, start=4):
-        slopes[row, row] = 1.0
-        slopes[row, 0] = square[i, j] / m**2
+        jacobian[row, row] = 1.0
+        jacobian[row, 0] = square[i, j] / m**2
         for k in range(3):
-            # of |mc|²·1 − mc·mcᵀ
+            # derivative of |mc|²·1 − mc·mcᵀ
             change = 2.0 * moment[k] * (i == j) - (i == k) * moment[j] - (j == k) * moment[i]
-            slopes[row, 1 + k] = -change / m
-    return slopes
+            jacobian[row, 1 + k] = -change / m
+    return jacobian
 
 
 def _depends_on() -> Mask:
-    """Mark which parameters (columns) each quantity of `physical` (rows) is made of."""
+    """Mark the parameters (columns) that each physical quantity (rows) depends on."""
     depends = np.eye(10, dtype=bool)
     depends[1:, 0] = True
     for row, (i, j) in enumerate(_ENTRIES, start=4):
@@ -55,13 +59,59 @@ def _depends_on() -> Mask:
 DEPENDS_ON = _depends_on()
 
 
-def told(hidden: Array) -> Mask:
-    """Mark the quantities of `physical` that the data tells at all.
+def identifiable_quantities(hidden: Array) -> Mask:
+    """Mark the physical quantities (10,) that can be identified from the data.
 
     Parameters
     ----------
     hidden : (h, 10)
-        Directions of the parameters that leave every torque as it is, in comparable units.
+        Directions of the parameters that do not change any torque, in comparable units.
     """
-    unseen = np.abs(hidden).max(axis=0, initial=0.0) > 1e-6
-    return np.asarray(~np.any(DEPENDS_ON & unseen, axis=1))
+    hidden_parameters = np.abs(hidden).max(axis=0, initial=0.0) > 1e-6
+    return np.asarray(~np.any(DEPENDS_ON & hidden_parameters, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class FeasibleBody:
+    """The nearest physically consistent body.
+
+    Attributes
+    ----------
+    parameters : (10,)
+        m, m·c, inertia about the tool frame's origin (kg, kg·m, kg·m²).
+    rms_after : (n,)
+        RMS error of the loaded run with this body, N·m.
+    """
+
+    parameters: Array
+    rms_after: Array
+
+    @property
+    def mass(self) -> float:
+        """Mass, kg."""
+        return float(self.parameters[0])
+
+    @property
+    def com(self) -> Array:
+        """Centre of mass (3,), tool frame, m."""
+        return physical_quantities(self.parameters)[1:4]
+
+    @property
+    def inertia(self) -> Array:
+        """xx, xy, yy, xz, yz, zz (6,) about the centre of mass, tool axes, kg·m²."""
+        return physical_quantities(self.parameters)[4:]
+
+    @property
+    def eigenvalues(self) -> Array:
+        """Eigenvalues (4,) of the pseudo-inertia, all positive."""
+        return np.asarray(np.linalg.eigvalsh(pseudo_inertia(self.parameters)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the body as in the JSON output."""
+        return {
+            "mass": self.mass,
+            "com": self.com.tolist(),
+            "inertia": self.inertia.tolist(),
+            "eigenvalues": self.eigenvalues.tolist(),
+            "rms_after": numbers_or_none(self.rms_after),
+        }

@@ -1,4 +1,4 @@
-"""Result: what hangs on the tool, how well it is known, and what the motion could not tell."""
+"""Result: payload at the tool, its uncertainty, and the quantities that cannot be identified."""
 
 from __future__ import annotations
 
@@ -11,75 +11,41 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning
 from lieid_casadi.identification.fit import Source, warning_list
-from lieid_casadi.payload.body import NAMES, UNITS, physical
-from lieid_casadi.robot.inertia import pseudo_inertia
+from lieid_casadi.json_numbers import number_or_none, numbers_or_none
+from lieid_casadi.payload.body import NAMES, UNITS, FeasibleBody, physical_quantities
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-NORMAL = 1.959963984540054  # standard deviations either side that hold 95 %
-NOTHING = 3.0  # standard deviations of the mass that are still nothing
+NORMAL = 1.959963984540054  # standard deviations on either side of a 95 % interval
+INSIGNIFICANT = 3.0  # a mass below that many standard deviations is not significant
 
 
 @dataclass(frozen=True)
 class NotIdentified:
-    """A quantity that the motion could not tell, and why."""
+    """A quantity that cannot be identified from this recording, and the reason."""
 
     name: str
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class FeasibleBody:
-    """The nearest body that can exist.
+@dataclass(frozen=True)
+class FrictionChange:
+    """Change of one friction parameter between the fit and the loaded run.
 
     Attributes
     ----------
-    parameters : (10,)
-        m, m·c, inertia about the tool frame's origin.
-    rms_after : (n,)
-        Error of the loaded run with it, N·m.
+    name : str
+    joint : int
+        From 0.
+    fitted : float
+        Value in the fit.
+    change, std : float
+        Value in the loaded run minus that in the fit, and its standard deviation.
+    unit : str
     """
-
-    parameters: Array
-    rms_after: Array
-
-    @property
-    def mass(self) -> float:
-        """Mass, kg."""
-        return float(self.parameters[0])
-
-    @property
-    def com(self) -> Array:
-        """Centre of mass (3,), tool frame, m."""
-        return physical(self.parameters)[1:4]
-
-    @property
-    def inertia(self) -> Array:
-        """xx, xy, yy, xz, yz, zz (6,) about the centre of mass, tool axes, kg·m²."""
-        return physical(self.parameters)[4:]
-
-    @property
-    def eigenvalues(self) -> Array:
-        """Of the pseudo-inertia (4,), all positive."""
-        return np.asarray(np.linalg.eigvalsh(pseudo_inertia(self.parameters)))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as it stands in JSON."""
-        return {
-            "mass": self.mass,
-            "com": self.com.tolist(),
-            "inertia": self.inertia.tolist(),
-            "eigenvalues": self.eigenvalues.tolist(),
-            "rms_after": _numbers(self.rms_after),
-        }
-
-
-@dataclass(frozen=True)
-class FrictionChange:
-    """A number of the fit's friction that was left free in the loaded run."""
 
     name: str
     joint: int
@@ -91,29 +57,35 @@ class FrictionChange:
 
 @dataclass(frozen=True, eq=False)
 class PayloadEstimate:
-    """Result of :func:`lieid_casadi.identify_payload`. NaN where the motion tells nothing.
+    """Result of :func:`lieid_casadi.identify_payload`; NaN for quantities not identifiable.
 
     Attributes
     ----------
+    robot : str
+        Name of the robot.
+    joint_names : tuple of str
     values, std : (10,)
-        Mass (kg), centre of mass (3, tool frame, m), inertia about it (xx, xy, yy, xz, yz, zz,
-        tool axes, kg·m²) by weighted least squares, and standard deviations that include the
-        fit's own uncertainty.
+        Mass (kg), centre of mass (3, tool frame, m) and inertia about it (xx, xy, yy, xz, yz,
+        zz, tool axes, kg·m²) by weighted least squares, and their standard deviations, which
+        include the fit's own uncertainty.
     parameters, covariance : (10,), (10, 10)
-        m, m·c, inertia about the tool frame's origin; directions that the motion does not show
-        are at zero, without variance.
+        m, m·c, inertia about the tool frame's origin; zero with zero variance along directions
+        that cannot be identified.
     feasible : FeasibleBody
+        The nearest physically consistent body.
     not_identified : tuple of NotIdentified
-        Quantities without a number, or with one that is little more than noise.
+        Quantities without a value, or with a large relative uncertainty.
     rms_before, rms_after : (n,)
-        Error of the loaded run by the fit alone and with the payload, joints in motion, N·m;
-        NaN for a joint that never moves.
+        RMS error of the loaded run with the fit alone and with the payload, joints in motion,
+        N·m; NaN for a joint that never moves.
     rms_fit : (n,)
-        Held-out error of the fit's own training, N·m: what to expect.
+        Held-out error of the fit on its training recordings, N·m: the error to expect.
     friction : tuple of FrictionChange
-        What was refitted; empty without ``refit_friction``.
+        Refitted friction; empty without ``refit_friction``.
     cutoff : float
-        Hz.
+        Cut-off frequency of the low-pass filter, Hz.
+    recordings : tuple of Source
+    warnings : tuple of LieidWarning
     """
 
     robot: str
@@ -164,58 +136,59 @@ class PayloadEstimate:
 
     @property
     def interval(self) -> tuple[Array, Array]:
-        """Bounds (10,) that hold each of ``values`` with 95 % probability."""
+        """Bounds (10,) of the 95 % confidence interval of each of ``values``."""
         return self.values - NORMAL * self.std, self.values + NORMAL * self.std
 
     @property
     def explained(self) -> bool:
-        """Whether a payload explains the run on most joints."""
+        """Whether a payload explains the run on more than half of the joints."""
         misfits = sum(isinstance(w, PayloadMisfitWarning) for w in self.warnings)
         return 2 * misfits < len(self.joint_names)
 
     @property
     def sentence(self) -> str:
-        """The answer in words."""
+        """The result in one sentence."""
         if self.explained:
-            return self._taken_as_payload
+            return self._payload_sentence
         return (
-            "A payload does not explain this run: is it this arm, and has nothing else changed? "
-            f"Taken as one: {self._taken_as_payload}"
+            "A payload does not explain this run: check that it is of this arm, and run lieid "
+            "diagnose FIT REC to find what else has changed. Taken as a payload: "
+            f"{self._payload_sentence}"
         )
 
     @property
-    def _taken_as_payload(self) -> str:
+    def _payload_sentence(self) -> str:
         m, std = self.mass, self.mass_std
         if not np.isfinite(m):
-            return "The motion does not tell the payload's mass."
+            return "The mass of the payload cannot be identified from this motion."
         size = f"{with_std(m, std)} kg (one standard deviation)"
-        if abs(m) <= NOTHING * std:
-            return f"No payload can be told from none: {size}."
+        if abs(m) <= INSIGNIFICANT * std:
+            return f"No significant payload: {size}."
         if m < 0.0:
             return (
-                f"The run carries less than the fit knows of: {size}. Was the fit made with a "
-                "load, or has a tool been taken off?"
+                f"The run carries less than the fit includes: {size}. The fit may have been made "
+                "with a load, or a tool may have been removed."
             )
         com = [
-            f"{1000 * c:.1f} ± {1000 * s:.1f}" if np.isfinite(c) else "not told"
+            f"{1000 * c:.1f} ± {1000 * s:.1f}" if np.isfinite(c) else "not identified"
             for c, s in zip(self.com, self.com_std, strict=True)
         ]
-        return f"Payload {size}, centre of mass at ({', '.join(com)}) mm in the tool's frame."
+        return f"Payload {size}, centre of mass at ({', '.join(com)}) mm in the tool frame."
 
     def table(self) -> list[dict[str, Any]]:
-        """Return one row per quantity: name, value, std, interval, feasible, unit, told."""
-        doubtful = {part.name for part in self.not_identified}
+        """Return one row per quantity: name, value, std, interval, feasible, unit, identified."""
+        weak = {part.name for part in self.not_identified}
         low, high = self.interval
-        possible = physical(self.feasible.parameters)
+        feasible = physical_quantities(self.feasible.parameters)
         return [
             {
                 "name": name,
-                "value": _number(self.values[k]),
-                "std": _number(self.std[k]),
+                "value": number_or_none(self.values[k]),
+                "std": number_or_none(self.std[k]),
                 "interval": None if np.isnan(self.values[k]) else [float(low[k]), float(high[k])],
-                "feasible": float(possible[k]),
+                "feasible": float(feasible[k]),
                 "unit": UNITS[k],
-                "told": name not in doubtful,
+                "identified": name not in weak,
             }
             for k, name in enumerate(NAMES)
         ]
@@ -228,26 +201,26 @@ class PayloadEstimate:
             "frame": "tool",
             "verdict": self.sentence,
             "explained": self.explained,
-            "mass": _number(self.mass),
-            "com": _numbers(self.com),
-            "inertia": _numbers(self.inertia),
+            "mass": number_or_none(self.mass),
+            "com": numbers_or_none(self.com),
+            "inertia": numbers_or_none(self.inertia),
             "std": {
-                "mass": _number(self.mass_std),
-                "com": _numbers(self.com_std),
-                "inertia": _numbers(self.inertia_std),
+                "mass": number_or_none(self.mass_std),
+                "com": numbers_or_none(self.com_std),
+                "inertia": numbers_or_none(self.inertia_std),
             },
             "interval_95": {
-                "mass": _numbers(np.array([low[0], high[0]])),
-                "com": [_numbers(pair) for pair in np.column_stack([low, high])[1:4]],
-                "inertia": [_numbers(pair) for pair in np.column_stack([low, high])[4:]],
+                "mass": numbers_or_none(np.array([low[0], high[0]])),
+                "com": [numbers_or_none(pair) for pair in np.column_stack([low, high])[1:4]],
+                "inertia": [numbers_or_none(pair) for pair in np.column_stack([low, high])[4:]],
             },
             "feasible": self.feasible.to_dict(),
             "not_identified": [
                 {"name": part.name, "reason": part.reason} for part in self.not_identified
             ],
-            "rms_before": _numbers(self.rms_before),
-            "rms_after": _numbers(self.rms_after),
-            "rms_fit": _numbers(self.rms_fit),
+            "rms_before": numbers_or_none(self.rms_before),
+            "rms_after": numbers_or_none(self.rms_after),
+            "rms_fit": numbers_or_none(self.rms_fit),
             "refit_friction": bool(self.friction),
             "friction": [
                 {
@@ -266,7 +239,7 @@ class PayloadEstimate:
         }
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw each joint's error before and after the payload; return the figure, not shown."""
+        """Draw the error of each joint with and without the payload and return the figure."""
         from lieid_casadi.payload.view import plot
 
         return plot(self, ax)
@@ -281,7 +254,7 @@ class PayloadEstimate:
 
 
 def with_std(value: float, std: float) -> str:
-    """Return a value and its standard deviation, both to the second digit of the latter.
+    """Return a value ± its standard deviation, rounded to two digits of the latter.
 
     Examples
     --------
@@ -290,11 +263,3 @@ def with_std(value: float, std: float) -> str:
     """
     decimals = min(max(1 - math.floor(math.log10(std)), 0), 12) if 0.0 < std < math.inf else 4
     return f"{value:z.{decimals}f} ± {std:.{decimals}f}"
-
-
-def _number(x: float) -> float | None:
-    return float(x) if np.isfinite(x) else None
-
-
-def _numbers(x: Array) -> list[float | None]:
-    return [_number(float(each)) for each in x]

@@ -1,4 +1,4 @@
-"""The possible body nearest to what was estimated: pseudo-inertia positive definite."""
+"""The physically consistent body nearest to an estimate."""
 
 from __future__ import annotations
 
@@ -14,33 +14,36 @@ from lieid_casadi.identification.regression.least_squares import Factor
 from lieid_casadi.robot.inertia import link_parameters, pseudo_inertia
 
 Array = NDArray[np.float64]
-DENSITY = 2700.0  # kg/m³, aluminium: the ball that stands for a body nothing is known of
-ROUNDING = 1e-13  # of the largest variance
-LEAST_MASS = 1e-3  # kg, of that ball
-WEIGHT = 0.01  # of the divergence from it, against squared standard deviations
-SOFTER = (1.0, 10.0, 100.0, 1000.0)  # standard deviations, where the estimate is far from any body
-SCALE = np.array([1.0, *(0.1,) * 3, *(0.01,) * 6])  # typical sizes, for rounding only
+DENSITY = 2700.0  # kg/m³, aluminium: density of the reference ball
+ROUNDING = 1e-13  # least variance relative to the largest
+LEAST_MASS = 1e-3  # kg, least mass of the reference ball
+WEIGHT = 0.01  # of the divergence from the ball relative to squared standard deviations
+RELAXATION = (1.0, 10.0, 100.0, 1000.0)  # factors on the standard deviations, tried in this order
+SCALE = np.array([1.0, *(0.1,) * 3, *(0.01,) * 6])  # typical sizes of parameters, for scaling
 
 
-def possible_body(parameters: Array, covariance: Array, hidden: Array) -> Array:
-    """Return ten parameters (10,) of a body that can exist, near an estimate.
+def nearest_feasible_body(parameters: Array, covariance: Array, hidden: Array) -> Array:
+    """Return the parameters (10,) of the physically consistent body nearest to an estimate.
 
-    Minimizes the squared distance in standard deviations plus a small divergence (Lee, Wensing,
-    Park, T-RO 2020) from a ball, which decides where the data says nothing.
+    Its pseudo-inertia is positive definite. The objective is the squared distance in standard
+    deviations plus a small entropic divergence (Lee, Wensing, Park, T-RO 2020) from a ball of the
+    estimated mass, which determines the directions that the data does not show. Where the
+    estimate is so far from any feasible body that the solver fails, the standard deviations are
+    enlarged.
 
     Parameters
     ----------
     parameters : (10,)
-        Estimate.
+        Estimate: m, m·c, inertia about the tool frame's origin (kg, kg·m, kg·m²).
     covariance : (10, 10)
-        Of the estimate, apart from the hidden directions.
+        Covariance of the estimate, zero along the hidden directions.
     hidden : (h, 10)
-        Directions of the parameters that the data does not show.
+        Directions of the parameters that cannot be identified from the data.
 
     Raises
     ------
     NoSolution
-        The solver did not finish.
+        The solver fails for every relaxation.
     """
     factor = _precision(parameters, covariance, hidden)
     problem = FeasibleProblem(
@@ -53,9 +56,9 @@ def possible_body(parameters: Array, covariance: Array, hidden: Array) -> Array:
         options=FeasibleOptions(),
     )
     solver, failure = ConvexSolver(problem), None
-    for softer in SOFTER:
+    for relaxation in RELAXATION:
         try:
-            return solver.solve(Factor(factor.r / softer, factor.rows), WEIGHT)
+            return solver.solve(Factor(factor.r / relaxation, factor.rows), WEIGHT)
         except NoSolution as error:
             failure = error
     assert failure is not None
@@ -63,7 +66,17 @@ def possible_body(parameters: Array, covariance: Array, hidden: Array) -> Array:
 
 
 def distance(body: Array, parameters: Array, covariance: Array, hidden: Array) -> float:
-    """Return how far a body (10,) is from an estimate, in standard deviations."""
+    """Return the distance between a body and an estimate in standard deviations.
+
+    Parameters
+    ----------
+    body, parameters : (10,)
+        Body and estimate: m, m·c, inertia (kg, kg·m, kg·m²).
+    covariance : (10, 10)
+        Covariance of the estimate.
+    hidden : (h, 10)
+        Directions that cannot be identified; they do not count.
+    """
     return float(np.sqrt(_precision(parameters, covariance, hidden).misfit(body)))
 
 
@@ -78,13 +91,13 @@ def _ball(parameters: Array) -> Array:
 def _precision(parameters: Array, covariance: Array, hidden: Array) -> Factor:
     """Return rows whose squares sum to the squared distance in standard deviations."""
     scaled = hidden / SCALE
-    seen = null_space(scaled) if len(scaled) else np.eye(10)
-    # what the data tells are the combinations seenᵀ·(parameters / scale)
-    values = seen.T @ (parameters / SCALE)
-    spread = seen.T @ (covariance / np.outer(SCALE, SCALE)) @ seen
+    visible = null_space(scaled) if len(scaled) else np.eye(10)
+    # the data determines the combinations visibleᵀ·(parameters / scale)
+    values = visible.T @ (parameters / SCALE)
+    spread = visible.T @ (covariance / np.outer(SCALE, SCALE)) @ visible
     variance, axes = np.linalg.eigh(spread)
     whiten = (axes / np.sqrt(np.maximum(variance, ROUNDING * variance[-1]))).T
-    rows, target = whiten @ (seen.T / SCALE), whiten @ values
+    rows, target = whiten @ (visible.T / SCALE), whiten @ values
     r = np.zeros((11, 11))
     r[: len(rows), :10], r[: len(rows), 10] = rows, target
     return Factor(r, 1)

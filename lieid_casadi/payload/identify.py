@@ -21,15 +21,20 @@ from lieid_casadi.identification.prediction import predict_recording
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.payload import payload_warnings
-from lieid_casadi.payload.body import physical, physical_slopes, told
-from lieid_casadi.payload.estimate import FeasibleBody, FrictionChange, PayloadEstimate
-from lieid_casadi.payload.feasible_body import SCALE, possible_body
-from lieid_casadi.payload.regression import Estimate, LoadedRun
+from lieid_casadi.payload.body import (
+    FeasibleBody,
+    identifiable_quantities,
+    physical_jacobian,
+    physical_quantities,
+)
+from lieid_casadi.payload.estimate import FrictionChange, PayloadEstimate
+from lieid_casadi.payload.feasible_body import SCALE, nearest_feasible_body
+from lieid_casadi.payload.regression import LoadedRun, LoadedRunEstimate
 from lieid_casadi.recording import Processed, Recording, check, process
 
 Array = NDArray[np.float64]
-ROUNDING = 1e-10  # of a variance that nearly cancels
-DRIFTS = ("coulomb", "viscous", "offset")  # what changes with warmth and wear
+ROUNDING = 1e-10  # least variance relative to the sum of its terms before cancellation
+REFITTED = ("coulomb", "viscous", "offset")  # effects that change with temperature and wear
 
 
 @blas_on_one_thread
@@ -41,25 +46,25 @@ def identify_payload(
     refit_friction: bool = False,
     progress: Progress | None = None,
 ) -> PayloadEstimate:
-    """Identify the body at the tool that a fit does not know of.
+    """Identify a payload at the tool that a fit does not include.
 
-    What the torque measured under load exceeds the fit's by is regressed on the tool's columns,
-    both through the fit's filter, while the fit's numbers may move within their uncertainty.
-    Friction that depends on the load sees the payload.
+    The difference between the measured torque and the fit's prediction is regressed on the
+    columns of a body at the tool, both through the fit's filter, while the parameters of the fit
+    may move within their uncertainty. Load-dependent friction accounts for the payload.
 
     Parameters
     ----------
     fit : Fit
-        Made without the payload, by any method.
+        Identified without the payload, by any method.
     recordings : Recording or sequence of Recording
-        With the payload, and torques.
+        Recordings with the payload, with torques.
     cutoff : float, optional
-        Of the low-pass, Hz; the fit's own if left out.
+        Cut-off frequency of the low-pass filter, Hz; that of the fit if not given.
     refit_friction : bool
-        Whether Coulomb and viscous friction and offsets are free in this run, for an arm whose
-        warmth is not that of the fit.
+        Whether Coulomb friction, viscous friction and offsets are identified again from this
+        run, for an arm whose temperature differs from that of the fit.
     progress : callable, optional
-        Called with a stage's name and the fraction done.
+        Called with the name of a stage and the completed fraction (0 to 1).
 
     Returns
     -------
@@ -68,29 +73,37 @@ def identify_payload(
     Raises
     ------
     ModelError, EffectError, RecordingError
-        Recordings that do not fit the model.
+        The recordings do not match the model.
     IdentificationError
-        Nothing moves; nothing to refit; or no payload explains the run: it is of another arm.
+        No joint moves, there is no friction to refit, or no payload explains the run, which is
+        then of another arm.
     NoSolution
-        The solver did not find a possible body.
+        The solver did not find a physically consistent body.
+
+    Notes
+    -----
+    Khalil, Gautier, Lemoine, "Identification of the payload inertial parameters of industrial
+    manipulators", ICRA 2007. The mass scales with the torque constants where torques come from
+    motor currents.
     """
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     report = progress or (lambda stage, fraction: None)
     check_recordings(fit.model, given)
     report("check", 0.0)
     for recording in given:
-        check(recording, fit.model.robot)  # raises; its warnings need the payload's torque
-    found = payload_warnings.of_the_fit(fit, given)
+        check(recording, fit.model.robot)  # raises here; warnings need the torque with the payload
+    found = payload_warnings.fit_warnings(fit, given)
     report("process", 0.2)
     options = replace(fit.processing, average_periods=False, cutoff=cutoff or fit.processing.cutoff)
     segments, _ = center_temperature(process(given, options), fit.temperature_mean)
     require_one_load(segments)
     run = LoadedRun(fit, Design(fit.compiled, segments))
     _require_motion(run)
-    frictional = np.array([name in DRIFTS for name in run.names])
+    frictional = np.array([name in REFITTED for name in run.names])
     if refit_friction and not frictional.any():
         raise IdentificationError(
-            f"nothing to refit: the fit of {fit.model.robot.name!r} has none of {', '.join(DRIFTS)}"
+            f"no friction to refit: the fit of {fit.model.robot.name!r} has none of "
+            f"{', '.join(REFITTED)}; leave out --refit-friction"
         )
     report("regress", 0.4)
     kept = run.estimate(np.zeros_like(frictional))
@@ -101,10 +114,10 @@ def identify_payload(
     found += [w for recording in given for w in _checked(fit, recording, nominal)]
     if not refit_friction:
         found += payload_warnings.changed_friction(run, kept, refitted, frictional)
-    report("possible body", 0.8)
+    report("feasible body", 0.8)
     result = _result(fit, run, estimate, frictional if refit_friction else None)
     found += [w for segment in segments for w in segment.warnings]
-    found += payload_warnings.of_the_payload(fit, result, estimate)
+    found += payload_warnings.payload_warnings(fit, result, estimate)
     report("done", 1.0)
     return replace(
         result,
@@ -114,7 +127,7 @@ def identify_payload(
 
 
 def _checked(fit: Fit, recording: Recording, parameters: Array) -> tuple[LieidWarning, ...]:
-    """Check a recording against the rigid torque with the payload."""
+    """Check a recording against the rigid torque of the arm with the payload."""
     rigid = parameters.copy()
     rigid[10 * fit.model.n :] = 0.0
     torque = predict_recording(
@@ -124,7 +137,7 @@ def _checked(fit: Fit, recording: Recording, parameters: Array) -> tuple[LieidWa
 
 
 def require_one_load(segments: Sequence[Processed]) -> None:
-    """Raise where the column ``load`` names several payloads.
+    """Raise if the column ``load`` contains several payloads.
 
     Raises
     ------
@@ -134,8 +147,8 @@ def require_one_load(segments: Sequence[Processed]) -> None:
     if len(labels) > 1:
         name = segments[0].recording.name or "the recordings"
         raise IdentificationError(
-            f"{name}: column load names {len(labels)} payloads ({', '.join(labels[:4])}); expected "
-            "one, or the part with it as REC@T0:T1"
+            f"{name}: column load contains {len(labels)} payloads ({', '.join(labels[:4])}); "
+            "expected one; select the part with it as REC@T0:T1"
         )
 
 
@@ -143,34 +156,33 @@ def _require_motion(run: LoadedRun) -> None:
     rows = run.design.rows(run.fit.shapes, run.fit.parameters)
     if not rows.lengths.any():
         raise IdentificationError(
-            "no joint moves in the loaded run; expected motion, best that of the fit's training"
+            "no joint moves in the loaded run; expected a motion like that of the fit's training"
         )
 
 
 def _result(
-    fit: Fit, run: LoadedRun, estimate: Estimate, refitted: NDArray[np.bool_] | None
+    fit: Fit, run: LoadedRun, estimate: LoadedRunEstimate, refitted: NDArray[np.bool_] | None
 ) -> PayloadEstimate:
     hidden = estimate.hidden / SCALE
     hidden = hidden / np.maximum(np.abs(hidden).max(axis=1, keepdims=True), 1e-300)
-    seen = told(hidden)
-    values, std = physical(estimate.parameters), np.full(10, np.nan)
+    identifiable = identifiable_quantities(hidden)
+    values, std = physical_quantities(estimate.parameters), np.full(10, np.nan)
     if estimate.parameters[0] != 0.0:
-        slopes = physical_slopes(estimate.parameters)
-        std = _propagated(slopes, estimate.covariance)
+        std = _propagated(physical_jacobian(estimate.parameters), estimate.covariance)
     else:
-        seen[:] = False
-    not_identified = payload_warnings.not_identified(values, std, seen, hidden)
-    lost = ~seen | payload_warnings.without_a_number(values, std)
-    body = possible_body(estimate.parameters, estimate.covariance, estimate.hidden)
-    moved = run.errors(body, refitted, estimate.free)
+        identifiable[:] = False
+    not_identified = payload_warnings.not_identified(values, std, identifiable, hidden)
+    unknown = ~identifiable | payload_warnings.too_uncertain(values, std)
+    body = nearest_feasible_body(estimate.parameters, estimate.covariance, estimate.hidden)
+    feasible_errors = run.errors(body, refitted, estimate.free)
     return PayloadEstimate(
         robot=fit.model.robot.name,
         joint_names=tuple(joint.name for joint in fit.model.robot.joints),
-        values=np.where(lost, np.nan, values),
-        std=np.where(lost, np.nan, std),
+        values=np.where(unknown, np.nan, values),
+        std=np.where(unknown, np.nan, std),
         parameters=estimate.parameters,
         covariance=estimate.covariance,
-        feasible=FeasibleBody(body, payload_warnings.rms(moved)),
+        feasible=FeasibleBody(body, payload_warnings.rms(feasible_errors)),
         not_identified=not_identified,
         rms_before=payload_warnings.rms(estimate.before),
         rms_after=payload_warnings.rms(estimate.after),
@@ -182,15 +194,15 @@ def _result(
     )
 
 
-def _propagated(slopes: Array, covariance: Array) -> Array:
-    """Return standard deviations of linear functions, never below what rounding leaves open."""
-    variance = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)
-    apart = slopes**2 @ np.diag(covariance)  # as if nothing cancelled
-    return np.asarray(np.sqrt(np.maximum(variance, ROUNDING * apart)))
+def _propagated(jacobian: Array, covariance: Array) -> Array:
+    """Return standard deviations of linear functions, bounded below by rounding errors."""
+    variance = np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian)
+    uncorrelated = jacobian**2 @ np.diag(covariance)
+    return np.asarray(np.sqrt(np.maximum(variance, ROUNDING * uncorrelated)))
 
 
 def _friction(
-    fit: Fit, refitted: NDArray[np.bool_], estimate: Estimate
+    fit: Fit, refitted: NDArray[np.bool_], estimate: LoadedRunEstimate
 ) -> tuple[FrictionChange, ...]:
     drifting = np.array([p.name.startswith("bias_drift") for p in fit.model.base_columns])
     free = np.flatnonzero(refitted | drifting)

@@ -1,16 +1,17 @@
-"""Equations of a loaded run: payload columns, and what the fit leaves open of its own numbers.
+"""Regression of a loaded run on the payload and on the uncertain parameters of the fit.
 
-Per joint, with M the filtered base columns along the loaded run (load friction at the load with
-the payload) and β̂ the fit's values,
+For each joint, with M the filtered base columns along the loaded run (load friction at the load
+with the payload) and β̂ the fit's values,
 
     torque − M·β̂ = M·B·π + J·δ + F·φ + noise,   δ ~ N(0, C),
 
-π being the payload's ten parameters, B what they add to the base parameters (a body at the tool
-adds to the last link), J the derivatives by values and shapes, C the fit's covariance, and φ
-numbers that are free (friction that is refitted, drift). With δ = L·z, C = L·Lᵀ, the fit's
-uncertainty is one more set of rows: z = 0 with unit weight. So the estimate is that of both runs
-together, as in Khalil, Gautier, Lemoine, "Identification of the payload inertial parameters of
-industrial manipulators", ICRA 2007, without the first run's data.
+where π are the ten parameters of the payload, B maps them to base parameters (a body at the tool
+adds to the last link), J are the derivatives with respect to values and shapes, C is the fit's
+covariance, and φ are changes of free parameters (refitted friction, drift). With δ = L·z and
+C = L·Lᵀ, the fit's uncertainty is an additional set of rows z = 0 with unit weight. The estimate
+is therefore that of a joint identification from both runs, as in Khalil, Gautier, Lemoine,
+"Identification of the payload inertial parameters of industrial manipulators", ICRA 2007, but it
+does not need the data of the first run.
 """
 
 from __future__ import annotations
@@ -37,30 +38,31 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 BODY = 10
-ROUNDS = 30
-SETTLED = 1e-8  # of the payload's torque
-STEP = 1e-3  # kg, kg·m, kg·m²: for the friction's slope over load
-KNOWN = 1e-12  # of the largest variance (of unit columns): below it a number counts as exact
+MOST_ITERATIONS = 30
+CONVERGED = 1e-8  # change of the payload's torque relative to the residual
+STEP = 1e-3  # kg, kg·m, kg·m²: finite difference for the derivative of load friction
+EXACT = 1e-12  # variance relative to the largest (scaled) below which a parameter counts as exact
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
-    """Least squares of a loaded run.
+class LoadedRunEstimate:
+    """Least-squares estimate from a loaded run.
 
     Attributes
     ----------
     parameters, covariance : (10,), (10, 10)
-        Of the payload, tool frame.
+        Payload in the tool frame (kg, kg·m, kg·m²).
     hidden : (h, 10)
-        Directions of the payload's parameters that the run does not show.
+        Directions of the payload's parameters that cannot be identified from the run.
     free, free_std : (f,)
-        Change of the fit's free numbers.
+        Changes of the fit's free parameters and their standard deviations.
     before, after : tuple of (R,)
-        Measured − predicted per joint: by the fit alone, and with the payload (and what was
-        refitted), the fit's own numbers kept.
+        Measured − predicted torque per joint, N·m: of the fit alone, and with the payload and
+        the refitted parameters, all other parameters of the fit unchanged.
     noise : (n,)
-        Standard deviation per joint of what is left after the fit's numbers have moved, too.
-    settled : bool
+        Standard deviation of the residual per joint, N·m, after the fit's parameters have been
+        adjusted within their uncertainty.
+    converged : bool
     """
 
     parameters: Array
@@ -71,17 +73,17 @@ class Estimate:
     before: tuple[Array, ...]
     after: tuple[Array, ...]
     noise: Array
-    settled: bool
+    converged: bool
 
 
 class LoadedRun:
-    """A fit along a loaded run.
+    """Equations of a loaded run for a fit that was made without the payload.
 
     Parameters
     ----------
     fit : Fit
     design : Design
-        Of the fit's model along the run.
+        Design matrix of the fit's model along the loaded run.
     """
 
     def __init__(self, fit: Fit, design: Design) -> None:
@@ -90,13 +92,13 @@ class LoadedRun:
         self.transport = parameter_transport(fit.model.robot.tool)
         self.to_base = base.combination[:, BODY * (n - 1) : BODY * n] @ self.transport
         self.names = [p.name.split(".")[0] for p in fit.model.base_columns]
-        # drift is one recording's own: nothing is known of it in another
+        # a drift belongs to one recording and does not carry over to another
         self.drifting = np.array([name == "bias_drift" for name in self.names])
         self.values = np.where(self.drifting, 0.0, fit.values)
         self.root = _root(fit.covariance)
         first = design.segments[0]
         step = float(np.median(np.diff(first.filtered_time)))
-        # rows closer than half a period of the cut-off tell the same thing
+        # rows closer than half a period of the cut-off are not independent
         self.information = min(1.0, 2.0 * first.cutoff * step)
 
     def loaded_parameters(self, body: Array) -> Array:
@@ -106,12 +108,12 @@ class LoadedRun:
         parameters[last - BODY : last] += self.transport @ body
         return parameters
 
-    def estimate(self, free: NDArray[np.bool_]) -> Estimate:
-        """Solve; ``free`` marks base columns (p,) whose values may take any value."""
+    def estimate(self, free: NDArray[np.bool_]) -> LoadedRunEstimate:
+        """Estimate the payload; ``free`` marks base columns (p,) whose values are unconstrained."""
         free = free | self.drifting
         noise, body = self.fit.noise, np.zeros(BODY)
-        settled, before = False, self._residuals(self._rows(body), body)
-        for _ in range(ROUNDS):
+        converged, before = False, self._residuals(self._rows(body), body)
+        for _ in range(MOST_ITERATIONS):
             rows, errors = self._equations(body, free)
             factor = self._with_prior(combine(joint_factors(rows), self._weights(noise)))
             solution = solve(factor)
@@ -121,8 +123,8 @@ class LoadedRun:
             size = np.sqrt(sum(float(e @ e) for e in errors))
             change = np.sqrt(sum(float(x @ x) for x in moved))
             body = fresh
-            if change <= SETTLED * size:
-                settled = True
+            if change <= CONVERGED * size:
+                converged = True
                 break
         unit = solution.unit_covariance
         each = [
@@ -134,7 +136,7 @@ class LoadedRun:
         covariance = covariance + unit[:, known] @ unit[known, :]
         chosen = solution.values[BODY + self.root.shape[1] :]
         after = self._residuals(self._rows(body), body, np.flatnonzero(free), chosen)
-        return Estimate(
+        return LoadedRunEstimate(
             body,
             covariance[:BODY, :BODY],
             np.array([h[:BODY] for h in solution.hidden]).reshape(-1, BODY),
@@ -143,11 +145,21 @@ class LoadedRun:
             tuple(before),
             tuple(after),
             noise,
-            settled,
+            converged,
         )
 
     def errors(self, body: Array, free: NDArray[np.bool_] | None, change: Array) -> list[Array]:
-        """Return measured − predicted torque per joint (R,) with a body at the tool."""
+        """Return measured − predicted torque per joint (R,) with a body at the tool.
+
+        Parameters
+        ----------
+        body : (10,)
+            Parameters of the body in the tool frame.
+        free : (p,) bool, optional
+            Base columns that were refitted; drift is always free.
+        change : (f,)
+            Changes of the free values.
+        """
         chosen = self.drifting if free is None else free | self.drifting
         return self._residuals(self._rows(body), body, np.flatnonzero(chosen), change)
 
@@ -163,7 +175,7 @@ class LoadedRun:
         return rows.residuals(values)
 
     def _equations(self, body: Array, free: NDArray[np.bool_]) -> tuple[Rows, list[Array]]:
-        """Return rows in [π; z; φ], linear at a payload, and the residuals there."""
+        """Return rows in [π; z; φ], linearized at a payload, and the residuals there."""
         rows, values = self._rows(body), self.values + self.to_base @ body
         errors = rows.residuals(values)
         parameters = self.loaded_parameters(body)
@@ -185,7 +197,7 @@ class LoadedRun:
         return Rows(joints, count, rows.segments), errors
 
     def _load_slopes(self, rows: Rows, body: Array, values: Array) -> list[Array]:
-        """Return how friction changes with the payload, through the load, per joint (R, 10)."""
+        """Return the derivative of load friction with respect to the payload per joint (R, 10)."""
         varying, shapes = self.design.varying, self.fit.shapes
         slopes = [np.zeros((int(length), BODY)) for length in rows.lengths]
         if not len(varying):
@@ -201,7 +213,7 @@ class LoadedRun:
         return np.asarray(np.sqrt(self.information) / noise)
 
     def _with_prior(self, factor: Factor) -> Factor:
-        """Add the rows z = 0."""
+        """Add the rows z = 0 of the fit's uncertainty."""
         known = self.root.shape[1]
         prior = np.zeros((known, factor.r.shape[1]))
         prior[:, BODY : BODY + known] = np.eye(known)
@@ -221,9 +233,9 @@ class LoadedRun:
 
 
 def _root(covariance: Array) -> Array:
-    """Return L (p, k) with C = L·Lᵀ, exact numbers left out."""
+    """Return L (p, k) with C = L·Lᵀ, without directions that are known exactly."""
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(size > 0.0, size, 1.0)
     variance, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
-    kept = variance > KNOWN * max(float(variance[-1]), KNOWN)
+    kept = variance > EXACT * max(float(variance[-1]), EXACT)
     return np.asarray(unit[:, None] * axes[:, kept] * np.sqrt(variance[kept]))

@@ -1,4 +1,4 @@
-"""How a payload looks: a table for notebooks, and the error's fall joint by joint."""
+"""Table and plot of a payload estimate."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from lieid_casadi.html_table import html_table, number_cell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,22 +18,22 @@ if TYPE_CHECKING:
 
 def html(payload: PayloadEstimate) -> str:
     """Return the verdict and the quantities as an HTML table."""
-
-    def cell(value: float | None, digits: int) -> str:
-        return "<td>–</td>" if value is None else f"<td>{value:.{digits}g}</td>"
-
     rows = [
-        f"<tr><td>{row['name']}{'' if row['told'] else ' (not told)'}</td>"
-        f"{cell(row['value'], 4)}{cell(row['std'], 2)}{cell(row['feasible'], 4)}"
-        f"<td>{row['unit']}</td></tr>"
+        (
+            f"{row['name']}{'' if row['identified'] else ' (not identified)'}",
+            number_cell(row["value"], 4),
+            number_cell(row["std"], 2),
+            number_cell(row["feasible"], 4),
+            row["unit"],
+        )
         for row in payload.table()
     ]
-    head = "<tr><th></th><th>value</th><th>std</th><th>feasible</th><th>unit</th></tr>"
-    return f"<p>{escape(payload.sentence)}</p><table>{head}{''.join(rows)}</table>"
+    table = html_table(("", "value", "std", "feasible", "unit"), rows)
+    return f"<p>{escape(payload.sentence)}</p>{table}"
 
 
 def plot(payload: PayloadEstimate, ax: Axes | None = None) -> Figure:
-    """Draw each joint's error by the fit alone, with the payload, and what the fit itself had."""
+    """Draw the error of each joint with the fit alone and with the payload."""
     from matplotlib.figure import Figure
 
     n = len(payload.joint_names)

@@ -1,4 +1,4 @@
-"""Drive gains of the plant's currents, whose true torque constants are known here alone."""
+"""Drive gains identified from simulated currents with known torque constants."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ CUTOFF = lieid.Processing(cutoff=8.0)
 
 def amperes(arm, *, motion=4, seed=0, seconds=30.0, harmonics=8, sensors=None, gains=GAINS, name="",
             still=()):  # fmt: skip
-    """Currents of an arm on a random motion; joints in ``still`` keep their pose."""
+    """Return currents of an arm on a random motion; joints in ``still`` do not move."""
     path = plant.FourierTrajectory(
         arm.robot, base_frequency=1 / seconds, harmonics=harmonics, seed=motion
     )
@@ -55,19 +55,19 @@ def test_gains_within_three_standard_deviations(found):
     assert found.warnings == ()
 
 
-def test_centre_of_mass_comes_with_them(found):
+def test_centre_of_mass_is_identified(found):
     assert np.all(np.abs(found.com - COM) < 3.5 * found.com_std)
     assert np.all(found.com_std < 1e-3)
 
 
-def test_the_option_is_what_other_commands_take(found):
+def test_option_for_other_commands(found):
     constants = found.option.removeprefix("--torque-constants ").split(",")
     assert np.allclose([float(k) for k in constants], found.gains, rtol=1e-4)
     assert np.allclose(found.robot_with_gains().torque_constants, found.gains)
 
 
 def test_exact_without_noise_and_friction():
-    """Neither sign nor size of a gain is taken for granted, and inertias are not needed."""
+    """Gains of any sign and size are found, and inertias are not needed."""
     still = plant.Arm(PANDA, ARM.parameters, plant.JointFriction.none(7))
     gains = np.array([3.0, -250.0, 0.1, 1.0, 40.0, 7.0, -2.0])
     ideal = plant.Sensors(rate=200.0)
@@ -79,12 +79,12 @@ def test_exact_without_noise_and_friction():
     assert np.allclose(found.com, COM, atol=1e-4)
 
 
-def test_total_least_squares_is_not_drawn_to_zero_by_noise():
-    """Ordinary least squares with the mass on the right-hand side is, by noise over signal."""
+def test_total_least_squares_is_unbiased_by_noise():
+    """Ordinary least squares with the mass on the right-hand side underestimates the gains."""
     noisy = plant.Sensors(rate=200.0, torque_noise=tuple(0.02 * plant.torque_scale(PANDA)))
     wide = lieid.Processing(cutoff=40.0)
     off = []
-    for seed in range(4):
+    for seed in range(3):
         one = amperes(ARM, motion=4 + seed, seed=seed, sensors=noisy)
         other = amperes(LOADED, motion=24 + seed, seed=50 + seed, sensors=noisy)
         found = lieid.drive_gains(PANDA, one, other, mass=MASS, processing=wide)
@@ -93,7 +93,7 @@ def test_total_least_squares_is_not_drawn_to_zero_by_noise():
 
 
 def test_null_vector_of_rows_with_noise_in_some_columns():
-    """Against the exact answer; plain least squares is off by a hundred of its deviations."""
+    """Against the exact solution, from which ordinary least squares differs by 3 % or more."""
     rng = np.random.default_rng(0)
     exact = rng.standard_normal((20000, 3))
     gains, others = np.array([2.0, 5.0]), np.array([1.5, -0.5])
@@ -111,18 +111,18 @@ def test_null_vector_of_rows_with_noise_in_some_columns():
     assert plain[0] < 0.97 * gains[0]
 
 
-def test_friction_that_grows_with_load():
-    """Its load needs the gains, which are found first."""
-    grown = [plant.LoadFriction(j, gain=0.1) for j in range(7)]
-    one = amperes(ARM.with_effects(*grown))
-    other = amperes(LOADED.with_effects(*grown), motion=5, seed=1)
+def test_load_friction():
+    """The load in N·m depends on the gains, which are identified at the same time."""
+    load_friction = [plant.LoadFriction(j, gain=0.1) for j in range(7)]
+    one = amperes(ARM.with_effects(*load_friction))
+    other = amperes(LOADED.with_effects(*load_friction), motion=5, seed=1)
     effects = "coulomb,viscous,offset,load_friction"
     found = lieid.drive_gains(PANDA, one, other, mass=MASS, effects=effects, processing=CUTOFF)
     assert np.all(np.abs(found.gains - GAINS) < 3.5 * found.std)
     assert np.all(found.std < 0.02 * GAINS)
 
 
-def test_a_known_centre_of_mass_helps(found, unloaded):
+def test_a_known_centre_of_mass_reduces_the_uncertainty(found, unloaded):
     loaded = amperes(LOADED, motion=5, seed=1)
     known = lieid.drive_gains(PANDA, unloaded, loaded, mass=MASS, com=COM, processing=CUTOFF)
     assert np.all(known.std <= found.std * 1.02)
@@ -133,7 +133,7 @@ def test_a_known_centre_of_mass_helps(found, unloaded):
 
 @pytest.mark.slow
 def test_intervals_cover_the_truth():
-    """40 pairs of runs on other motions: 90-98.5 % of 280 intervals."""
+    """40 pairs of runs with different motions: 90-98.5 % of 280 intervals."""
     held = []
     for seed in range(40):
         one = amperes(ARM, motion=10 * seed + 4, seed=seed)
@@ -144,8 +144,8 @@ def test_intervals_cover_the_truth():
     assert np.max(held) < 4.0
 
 
-def test_slow_motion_does_not_tell_a_vertical_axis():
-    """Joint 1 of the Panda feels no gravity: only its inertia tells torque from ampere."""
+def test_slow_motion_does_not_identify_the_gain_of_a_vertical_axis():
+    """Gravity does not load joint 1 of the Panda: only its inertia identifies its gain."""
     scale = tuple(0.01 * plant.torque_scale(PANDA))
     noisy = plant.Sensors(rate=200.0, torque_noise=scale, coloured_noise=scale)
     slow = {"seconds": 60.0, "harmonics": 2, "sensors": noisy}
@@ -156,11 +156,11 @@ def test_slow_motion_does_not_tell_a_vertical_axis():
     assert found.option is None
     assert np.all(np.abs(found.gains - GAINS) < 3.5 * found.std)
     assert np.all(found.std[1:6] < 0.02 * GAINS[1:6])
-    with pytest.raises(IdentificationError, match="gain of joint 1 is not told"):
+    with pytest.raises(IdentificationError, match="gain of joint 1 cannot be identified"):
         found.robot_with_gains()
 
 
-def test_a_joint_that_never_moves_is_told_and_the_others_found():
+def test_a_joint_that_never_moves_is_reported_and_the_others_are_found():
     one, other = amperes(ARM, still=[6]), amperes(LOADED, motion=5, seed=1, still=[6])
     found = lieid.drive_gains(PANDA, one, other, mass=MASS, processing=CUTOFF)
     assert [(p.joint, p.reason) for p in found.not_identified] == [(6, "the joint never moves")]
@@ -174,7 +174,7 @@ def test_exchanged_recordings_are_refused(unloaded):
         lieid.drive_gains(PANDA, amperes(LOADED, motion=5), unloaded, mass=MASS, processing=CUTOFF)
 
 
-def test_a_payload_that_is_not_there_is_refused(unloaded):
+def test_loaded_runs_without_the_payload_are_refused(unloaded):
     again = amperes(ARM, motion=5, seed=1)
     with pytest.raises(IdentificationError, match=r"do not show a payload of 3 kg|exchanged"):
         lieid.drive_gains(PANDA, unloaded, again, mass=MASS, processing=CUTOFF)
@@ -188,12 +188,12 @@ def test_another_arm_is_refused(unloaded):
 
 
 @pytest.mark.parametrize("mass", [0.0, -1.0, np.nan, np.inf])
-def test_a_mass_that_is_none_is_refused(unloaded, mass):
+def test_a_mass_that_is_not_positive_is_refused(unloaded, mass):
     with pytest.raises(IdentificationError, match="mass of the payload"):
         lieid.drive_gains(PANDA, unloaded, unloaded, mass=mass)
 
 
-def test_input_that_does_not_fit_is_refused(unloaded):
+def test_unsuitable_input_is_refused(unloaded):
     def gains(one, other, **options):
         return lieid.drive_gains(PANDA, one, other, mass=MASS, **options)
 
@@ -219,7 +219,7 @@ def test_input_that_does_not_fit_is_refused(unloaded):
 
 
 def test_two_parts_of_one_file_are_two_recordings(tmp_path):
-    """The payload was put on half-way."""
+    """The payload was attached half-way through the recording."""
     one, other = amperes(ARM, seconds=15.0), amperes(LOADED, motion=5, seed=1, seconds=15.0)
     shift = 20.0
     whole = lieid.Recording.from_arrays(
@@ -236,7 +236,7 @@ def test_two_parts_of_one_file_are_two_recordings(tmp_path):
         lieid.drive_gains(PANDA, parts[0], parts[2], mass=MASS)
 
 
-def test_views(found):
+def test_table_and_plot(found):
     assert found._repr_html_().count("<tr>") == 8
     figure = found.plot()
     assert found.plot(figure.axes[0]) is figure

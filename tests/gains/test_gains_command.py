@@ -1,4 +1,4 @@
-"""``lieid gains``: table, JSON, the option's text, YAML; one line and status 2 for bad input."""
+"""``lieid gains``: table, JSON, printed option, YAML; one line and status 2 for bad input."""
 
 import json
 
@@ -41,7 +41,7 @@ def test_table_json_yaml_and_the_option(files, tmp_path, capsys):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_printed_option_is_taken_by_identify(files, tmp_path, capsys):
+def test_identify_accepts_the_printed_option(files, tmp_path, capsys):
     assert lieid_gains(files) == 0
     lines = capsys.readouterr().out.splitlines()
     option = next(line for line in lines if line.startswith("--torque-constants")).split()

@@ -1,4 +1,4 @@
-"""Runs of simulated arms with and without a payload, and what the payload truly is."""
+"""Runs of simulated arms with and without a payload of known parameters."""
 
 import numpy as np
 

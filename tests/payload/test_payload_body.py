@@ -1,12 +1,17 @@
-"""From ten parameters to mass, centre and inertia; the nearest body that can exist."""
+"""Physical quantities of a payload, and the nearest physically consistent body."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lieid_casadi.payload.body import NAMES, physical, physical_slopes, told
-from lieid_casadi.payload.feasible_body import possible_body
+from lieid_casadi.payload.body import (
+    NAMES,
+    identifiable_quantities,
+    physical_jacobian,
+    physical_quantities,
+)
+from lieid_casadi.payload.feasible_body import nearest_feasible_body
 from lieid_casadi.robot.inertia import link_parameters, pseudo_inertia
 
 numbers = st.floats(-1.0, 1.0, allow_subnormal=False)
@@ -16,54 +21,62 @@ bodies = st.tuples(
 
 
 @given(bodies)
-def test_slopes_against_central_differences(parameters):
+def test_jacobian_against_central_differences(parameters):
     step = 1e-6
     numeric = [
-        (physical(parameters + step * unit) - physical(parameters - step * unit)) / (2 * step)
+        (
+            physical_quantities(parameters + step * unit)
+            - physical_quantities(parameters - step * unit)
+        )
+        / (2 * step)
         for unit in np.eye(10)
     ]
-    size = 1.0 + np.abs(physical_slopes(parameters)).max()
-    assert np.allclose(physical_slopes(parameters), np.transpose(numeric), atol=1e-6 * size)
+    size = 1.0 + np.abs(physical_jacobian(parameters)).max()
+    assert np.allclose(physical_jacobian(parameters), np.transpose(numeric), atol=1e-6 * size)
 
 
 @given(bodies)
-def test_quantities_depend_on_what_is_said(parameters):
-    """A hidden direction along one parameter takes exactly the quantities that move with it."""
-    slopes = np.abs(physical_slopes(parameters)) > 1e-9
+def test_hidden_parameters_hide_the_quantities_that_depend_on_them(parameters):
+    """A hidden direction along one parameter hides every quantity that changes with it."""
+    jacobian = np.abs(physical_jacobian(parameters)) > 1e-9
     for k, unit in enumerate(np.eye(10)):
-        # what moves is lost; a moment of zero moves nothing, and is lost all the same
-        assert not np.any(slopes[:, k] & told(unit[None]))
-    assert told(np.zeros((0, 10))).all()
+        # a first moment of zero changes no quantity, but hides them all the same
+        assert not np.any(jacobian[:, k] & identifiable_quantities(unit[None]))
+    assert identifiable_quantities(np.zeros((0, 10))).all()
 
 
-def test_nothing_but_an_unseen_moment_is_lost():
-    lost = {name for name, seen in zip(NAMES, told(np.eye(10)[2:3]), strict=True) if not seen}
-    assert lost == {"com_y", "Ixx", "Ixy", "Iyz", "Izz"}
+def test_a_hidden_first_moment_hides_five_quantities():
+    hidden = {
+        name
+        for name, visible in zip(NAMES, identifiable_quantities(np.eye(10)[2:3]), strict=True)
+        if not visible
+    }
+    assert hidden == {"com_y", "Ixx", "Ixy", "Iyz", "Izz"}
 
 
 @settings(max_examples=12, deadline=None)
 @given(bodies, st.integers(0, 2**32 - 1))
-def test_possible_body_is_possible(parameters, seed):
-    """Whatever was estimated, negative masses included."""
+def test_nearest_feasible_body_is_feasible(parameters, seed):
+    """For any estimate, including negative masses."""
     random = np.random.default_rng(seed)
     parameters = parameters * random.choice([-1.0, 1.0])
     root = random.standard_normal((10, 10)) * np.array([0.1, *(0.02,) * 3, *(0.005,) * 6])[:, None]
-    body = possible_body(parameters, root @ root.T, np.zeros((0, 10)))
+    body = nearest_feasible_body(parameters, root @ root.T, np.zeros((0, 10)))
     assert np.linalg.eigvalsh(pseudo_inertia(body))[0] > 0.0
 
 
-def test_a_body_that_is_possible_and_well_known_stays():
+def test_an_accurate_feasible_estimate_is_kept():
     body = link_parameters(2.0, [0.1, 0.0, 0.05], np.diag([0.02, 0.03, 0.025]))
     std = np.array([1e-3, *(1e-4,) * 3, *(1e-4,) * 6])
-    found = possible_body(body, np.diag(std**2), np.zeros((0, 10)))
+    found = nearest_feasible_body(body, np.diag(std**2), np.zeros((0, 10)))
     assert np.all(np.abs(found - body) < 0.2 * std)
 
 
-def test_what_the_data_does_not_show_comes_from_a_ball():
-    """A planar arm shows m, mcx, mcy, Izz; the others are finite and of the ball's size."""
+def test_hidden_directions_are_taken_from_the_reference_ball():
+    """A planar arm identifies m, mcx, mcy, Izz; the other parameters are those of a ball."""
     hidden = np.eye(10)[[3, 4, 5, 6, 7, 8]]
     body = np.array([2.0, 0.2, 0.0, 0, 0, 0, 0, 0, 0, 0.05])
-    found = possible_body(body, np.diag([1e-4, 1e-5, 1e-5, *(0.0,) * 6, 1e-6]), hidden)
+    found = nearest_feasible_body(body, np.diag([1e-4, 1e-5, 1e-5, *(0.0,) * 6, 1e-6]), hidden)
     assert np.linalg.eigvalsh(pseudo_inertia(found))[0] > 0.0
     assert found[0] == pytest.approx(2.0, abs=0.02)
     assert found[9] == pytest.approx(0.05, abs=2e-3)

@@ -34,7 +34,7 @@ def test_table_json_report_and_picture(files, tmp_path, capsys):
     assert lieid_payload(*words) == 0
     shown = capsys.readouterr().out
     assert shown.startswith(("Payload 1.99", "Payload 2.00"))
-    assert "not told: com_z" in shown
+    assert "not identified: com_z" in shown
     content = json.loads(out.read_text())
     assert content["mass"] == pytest.approx(2.0, abs=4 * content["std"]["mass"])
     assert content["com"][2] is None
@@ -124,6 +124,6 @@ def test_bad_input_is_one_line(files, tmp_path, capsys, make, words, message):
     assert not out.exists()
 
 
-def test_a_fit_that_is_none_is_one_line(files, capsys):
+def test_a_recording_in_place_of_a_fit_is_refused_in_one_line(files, capsys):
     assert lieid_payload(files / "loaded.csv", files / "loaded.csv") == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -1,4 +1,4 @@
-"""A real arm without payload, and with one whose torque Pinocchio adds to what was measured."""
+"""A real arm without payload, and with the torque of one added by Pinocchio."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ def load(name):
 
 
 def with_body(robot, run):
-    """The recording with the torque of a body at the tool, along the measured motion."""
+    """Return the recording with the torque of a body at the tool added."""
     body = link_parameters(MASS, COM, np.diag([0.03, 0.03, 0.02]))
     links = robot.link_parameters
     models = [
@@ -47,7 +47,7 @@ def fit(robot):
     return lieid.identify(model, [load(name) for name in TRAIN], processing=CUTOFF)
 
 
-def test_another_motion_carries_nothing(fit):
+def test_an_unloaded_run_has_no_significant_payload(fit):
     found = lieid.identify_payload(fit, load(RUN))
     assert abs(found.mass) < 3.0 * found.mass_std
     assert found.mass_std < 0.1
@@ -56,7 +56,7 @@ def test_another_motion_carries_nothing(fit):
     assert whitened @ whitened < 29.6  # chi-square of ten numbers, p = 0.001
 
 
-def test_a_body_on_measured_torque(fit, robot):
+def test_a_body_added_to_measured_torque(fit, robot):
     found = lieid.identify_payload(fit, with_body(robot, load(RUN)))
     assert abs(found.mass - MASS) < 3.0 * found.mass_std
     assert np.all(np.abs(found.com - COM) < 3.5 * found.com_std)
@@ -64,7 +64,7 @@ def test_a_body_on_measured_torque(fit, robot):
 
 
 def test_gains_from_measured_currents_and_a_body(robot):
-    """Near the gains that the source states, which have an error of their own."""
+    """Close to the gains stated with the recordings, which are themselves uncertain."""
 
     def amperes(run):
         return replace(run, tau=None, current=run.tau / GAINS)

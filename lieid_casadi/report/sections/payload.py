@@ -1,4 +1,4 @@
-"""What hangs on the tool."""
+"""The payload at the tool."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ def payload_verdict_section(payload: PayloadEstimate) -> Section:
     """Return the answer in one sentence."""
     note = ""
     if payload.friction:
-        note = "Coulomb and viscous friction and offsets were left free in the loaded run."
+        note = "Coulomb and viscous friction and offsets were identified again from the loaded run."
     return Section("", "verdict.html", {"sentence": payload.sentence, "note": note})
 
 
 def payload_section(payload: PayloadEstimate) -> Section:
-    """Return the table of quantities, and what was not told."""
+    """Return the table of quantities, and those that cannot be identified."""
     rows = []
     for row in payload.table():
         value, std, interval = row["value"], row["std"], row["interval"] or (None, None)
@@ -38,9 +38,9 @@ def payload_section(payload: PayloadEstimate) -> Section:
 
 
 def payload_picture_section(payload: PayloadEstimate) -> Section:
-    """Return the error's fall joint by joint."""
+    """Return the error of each joint with and without the payload."""
     note = (
-        "RMS error in motion, measured and predicted through the same filter: by the fit alone, "
+        "RMS error in motion, measured and predicted through the same filter: with the fit alone, "
         "and with the payload added and nothing else changed."
     )
     return picture_section("Error per joint", payload.plot(), note)
