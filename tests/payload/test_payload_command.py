@@ -104,7 +104,7 @@ def _reversed(files):
         (_without_torque, [], "no torque"),
         (_reversed, [], "no payload explains this run"),
         (None, ["--cutoff", "-1"], "cutoff"),
-        (None, ["--cutoff", "fast"], "invalid float value"),
+        (None, ["--cutoff", "fast"], "expected a number"),
         (None, ["--torque-constants", "1,2,3"], "3 numbers; expected 2"),
         (lambda files: files / "gone.csv", [], "no such file"),
     ],
