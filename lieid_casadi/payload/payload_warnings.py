@@ -153,8 +153,9 @@ def require_same_arm(fit: Fit, estimate: LoadedRunEstimate, run: LoadedRun) -> N
     raise IdentificationError(
         f"{name}: no payload explains this run: the residual on joint {j + 1} is "
         f"{residual[j]:.3g} N·m, with a torque of standard deviation {spread[j]:.3g} N·m and a "
-        f"held-out error of the fit of {own[j]:.2g} N·m; expected a run of the arm {fit.model.robot.name!r}, torques in N·m "
-        "or currents with --torque-constants"
+        f"held-out error of the fit of {own[j]:.2g} N·m; expected a run of the arm "
+        f"{fit.model.robot.name!r}, torques in N·m or currents with "
+        "--torque-constants"
     )
 
 
