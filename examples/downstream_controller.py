@@ -21,7 +21,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.exporters.c_export import export_c
-from lieid_casadi.plant.stepper import Command, Stepper
+from lieid_casadi.plant.stepper import DriveCommand, Stepper
 
 EFFECTS = "coulomb,viscous,offset,load_friction:2"
 PERIOD = 1e-3  # s
@@ -109,7 +109,9 @@ class Controller:
             error[k], q = stepper.q - path[k, 0], encoders(stepper.q)
             arguments = (array.ctypes.data_as(row) for array in (path[k], q, torque))
             cycle[k] = self.c.controller_cycle(state, *arguments)
-            command = Command(torque.copy(), still, np.where(np.isfinite(limit), limit, np.inf))
+            command = DriveCommand(
+                torque.copy(), still, np.where(np.isfinite(limit), limit, np.inf)
+            )
             stepper.step(t[k], command, temperature[k])
         count = len(self.fit.parameters)
         return Run(t, error, cycle, np.frombuffer(state.raw)[-count:].copy())

@@ -22,7 +22,7 @@ import lieid_casadi as lieid
 from lieid_casadi.excitation.basis.families import make
 from lieid_casadi.excitation.basis.trajectory import period_grid
 from lieid_casadi.excitation.criteria.quality import quality
-from lieid_casadi.excitation.design_problem import Problem
+from lieid_casadi.excitation.design_problem import ExcitationProblem
 from lieid_casadi.excitation.excite import make_design, verification
 from lieid_casadi.excitation.solvers.staged_solve import solve
 
@@ -40,7 +40,7 @@ def run(effects, criterion, seeds):
         model, basis=basis, criterion=criterion, constraints=(), start_pose=np.zeros(7),
         samples=SAMPLES,
     )  # fmt: skip
-    problem, rows = Problem(design), []
+    problem, rows = ExcitationProblem(design), []
     for seed in seeds:
         began = time.perf_counter()
         solution = solve(problem, seed)

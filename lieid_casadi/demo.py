@@ -14,7 +14,13 @@ from lieid_casadi.diagnosis import Diagnosis, diagnose
 from lieid_casadi.excitation import Excitation, excite
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.model import Model
-from lieid_casadi.plant import FourierTrajectory, Trajectory, demo_arm, demo_sensors, simulate
+from lieid_casadi.plant import (
+    FourierTrajectory,
+    ReferenceTrajectory,
+    demo_arm,
+    demo_sensors,
+    simulate,
+)
 from lieid_casadi.recording import Recording
 
 if TYPE_CHECKING:
@@ -99,7 +105,12 @@ class _Commanded:
 
 
 def _measured(
-    robot: Robot, trajectory: Trajectory, name: str, seed: int, report: Progress, begun: float
+    robot: Robot,
+    trajectory: ReferenceTrajectory,
+    name: str,
+    seed: int,
+    report: Progress,
+    begun: float,
 ) -> Recording:
     arm = demo_arm(robot, seed=0, hidden=HIDDEN, joint=HIDDEN_JOINT)
     return simulate(

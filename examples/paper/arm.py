@@ -128,7 +128,7 @@ def friction_surface(joint: int, speed: Array, load: Array) -> Array:
     zero = np.zeros((len(speed), N))
     dq, forces = zero.copy(), zero.copy()
     dq[:, joint], forces[:, joint] = speed, load
-    state = plant.State(np.zeros(len(speed)), zero, dq, np.sign(dq), forces, zero)
+    state = plant.JointState(np.zeros(len(speed)), zero, dq, np.sign(dq), forces, zero)
     drive = Drive(arm)
     return np.asarray((drive.level(state) + drive.smooth(state) - arm.friction.offset)[:, joint])
 

@@ -35,7 +35,7 @@ from lieid_casadi.friction_curves import (
     together,
 )
 from lieid_casadi.identification import Fit
-from lieid_casadi.plant.motion import Motion
+from lieid_casadi.plant.true_motion import TrueMotion
 from lieid_casadi.recording import Processing, Recording
 
 PERIOD: float = PRINTED["period"]
@@ -265,14 +265,14 @@ class _Periodic:
         return motion.q, motion.dq, motion.ddq
 
 
-def _repeated(motion: Motion, periods: int) -> Motion:
+def _repeated(motion: TrueMotion, periods: int) -> TrueMotion:
     step = motion.t[1] - motion.t[0]
     signals = {
         name: np.concatenate([getattr(motion, name)[:-1]] * periods)
         for name in motion.__dataclass_fields__
         if name != "t"
     }
-    return Motion(t=step * np.arange(len(signals["q"])), **signals)
+    return TrueMotion(t=step * np.arange(len(signals["q"])), **signals)
 
 
 def loaded_fit(fit: Fit, payload: float) -> Fit:

@@ -78,7 +78,9 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         metavar=("NX", "NY", "NZ", "D"),
         help="stay where n·x ≤ d",
     )  # fmt: skip
-    for name, text in (("--room", "stay inside this box"), ("--obstacle", "stay out of this box")):
+    for name, text in (
+        ("--workspace-box", "stay inside this box"), ("--obstacle", "stay out of this box"),
+    ):  # fmt: skip
         group.add_argument(
             name, nargs=6, type=number, action="append", default=[],
             metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"), help=text,
@@ -143,10 +145,10 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
         capsules_of,
         floor,
         load_capsules,
-        room,
+        workspace_box,
     )
 
-    asked = args.floor is not None or args.wall or args.room or args.obstacle
+    asked = args.floor is not None or args.wall or args.workspace_box or args.obstacle
     links: Any = ()
     if args.capsules is not None:
         links = load_capsules(args.capsules, robot)
@@ -161,8 +163,8 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
     if args.floor is not None:
         limits.append(floor(args.floor, capsules=links))
     limits += [Wall((x, y, z), d, capsules=links) for x, y, z, d in args.wall]
-    for corners in args.room:
-        limits += room(corners[:3], corners[3:], capsules=links)
+    for corners in args.workspace_box:
+        limits += workspace_box(corners[:3], corners[3:], capsules=links)
     limits += [Obstacle(tuple(c[:3]), tuple(c[3:]), capsules=links) for c in args.obstacle]
     if args.self_collision is not None:
         limits.append(SelfCollision(args.self_collision, links))

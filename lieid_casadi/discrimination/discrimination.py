@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.excitation.basis.trajectory import Motion, Trajectory, period_grid
+from lieid_casadi.excitation.basis.trajectory import MotionSamples, Trajectory, period_grid
 from lieid_casadi.excitation.files import csv_text
 from lieid_casadi.model import Model
 from lieid_casadi.output_folder import write_folder
@@ -102,14 +102,14 @@ class Discrimination:
             p.needed / p.noncentrality for p in self.pairs if p.told
         )
 
-    def motion(self, *, rate: float | None = None, periods: int = 1) -> Motion:
+    def motion(self, *, rate: float | None = None, periods: int = 1) -> MotionSamples:
         """Return samples of some periods, the end at rest included."""
         duration = self.trajectory.duration
         count = max(round(duration * (rate or self.rate)), 2)
         grid = np.concatenate([period_grid(duration, count) for _ in range(periods)] + [[duration]])
         t = np.append(np.arange(periods * count) * duration / count, periods * duration)
         motion = self.trajectory.at(grid)
-        return Motion(t, motion.q, motion.dq, motion.ddq)
+        return MotionSamples(t, motion.q, motion.dq, motion.ddq)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``discriminate.json`` holds; joints from 1."""

@@ -15,7 +15,7 @@ from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import EffectError
-from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.identification.regression.shape_range import ShapeRange
@@ -140,7 +140,7 @@ class Rivals:
         """Every (true, rival)."""
         return list(permutations(range(len(self.rivals)), 2))
 
-    def along(self, motion: Motion) -> Stacked:
+    def along(self, motion: MotionSamples) -> Stacked:
         """Return all columns along one period."""
         segment = self._segment(motion)
         weight = self._weight(motion)
@@ -164,7 +164,7 @@ class Rivals:
             columns.append(np.array([_flat(c[:, :, -len(own) :], weight) for c in each]))
         return Stacked(common, tuple(columns))
 
-    def sized(self, motions: Sequence[Motion]) -> None:
+    def sized(self, motions: Sequence[MotionSamples]) -> None:
         """Give effects without a size that of the fitted or stated ones, else of the noise.
 
         By the RMS torque that their columns have, equal parts of it, in the mean of motions.
@@ -200,11 +200,11 @@ class Rivals:
         """Return 1/N·m (n,): what a torque of 1 N·m weighs per √sample of one period."""
         return np.asarray(np.sqrt(self.independent_rate * self.duration) / self.fit.noise)
 
-    def _weight(self, motion: Motion) -> Array:
+    def _weight(self, motion: MotionSamples) -> Array:
         moving = np.abs(motion.dq) > self._dead_zone
         return np.asarray(moving * self.torque_weight() / np.sqrt(len(motion)))
 
-    def _segment(self, motion: Motion) -> Processed:
+    def _segment(self, motion: MotionSamples) -> Processed:
         recording = Recording.from_arrays(motion.t, motion.q, motion.dq, np.zeros_like(motion.q))
         return Processed(
             t=motion.t, q=motion.q, dq=motion.dq, ddq=motion.ddq, tau=None, temperature=None,

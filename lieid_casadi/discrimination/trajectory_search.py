@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation.basis.trajectory import (
-    Motion,
+    MotionSamples,
     Parametrization,
     SampledBasis,
     period_grid,
@@ -43,7 +43,7 @@ class Feasible:
     sets: tuple[ConstraintSet, ...]
     samples: int
 
-    def motion(self, z: Array) -> Motion:
+    def motion(self, z: Array) -> MotionSamples:
         """Return the criterion's samples of one period."""
         return self._grid(1).motion(z)
 

@@ -6,7 +6,13 @@ from lieid_casadi.excitation.friction_sweep import FrictionSweep, friction_sweep
 from lieid_casadi.excitation.limits.capsules import Capsule, enclosing, skeleton
 from lieid_casadi.excitation.limits.link_geometry import capsules_of, load_capsules
 from lieid_casadi.excitation.limits.symbolic_limits import CartesianSpeed, Torque
-from lieid_casadi.excitation.limits.workspace import Obstacle, SelfCollision, Wall, floor, room
+from lieid_casadi.excitation.limits.workspace import (
+    Obstacle,
+    SelfCollision,
+    Wall,
+    floor,
+    workspace_box,
+)
 
 __all__ = [
     "Capsule",
@@ -23,6 +29,6 @@ __all__ = [
     "floor",
     "friction_sweep",
     "load_capsules",
-    "room",
     "skeleton",
+    "workspace_box",
 ]

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from lieid_casadi.excitation.basis.families import Basis
 from lieid_casadi.excitation.basis.trajectory import Parametrization, SampledBasis, period_grid
 from lieid_casadi.excitation.criteria.criterion import Criterion, LogDet
-from lieid_casadi.excitation.criteria.information_matrix import Information
+from lieid_casadi.excitation.criteria.information_matrix import InformationMatrix
+from lieid_casadi.excitation.criteria.objective_value import ObjectiveValue
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet, SampledConstraints
 from lieid_casadi.excitation.limits.joint_limits import MotionRange
 from lieid_casadi.excitation.limits.symbolic_limits import Limit
-from lieid_casadi.excitation.solvers.solver import Outcome
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ FINE = 20  # grid of the verification
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class ExcitationDesign:
     """What is asked for; picklable, so that it can be solved in another process.
 
     Attributes
@@ -56,15 +56,17 @@ class Design:
     solver: str = "ipopt"
 
 
-class Problem:
+class ExcitationProblem:
     """A design with everything compiled that its solution needs."""
 
-    def __init__(self, design: Design) -> None:
+    def __init__(self, design: ExcitationDesign) -> None:
         self.design = design
         self.parametrization = Parametrization(
             design.basis, design.pose, design.fixed, design.range.units
         )
-        self.information = Information(design.model, sign_width=SIGN_WIDTH * design.range.velocity)
+        self.information = InformationMatrix(
+            design.model, sign_width=SIGN_WIDTH * design.range.velocity
+        )
         self.sets = self._make_sets()
 
     def _make_sets(self) -> tuple[ConstraintSet, ...]:
@@ -101,20 +103,20 @@ class Problem:
         """Return σ₁/σ_r of the full scaled regressor."""
         return condition_number(gram, self.metric)
 
-    def objective(self, criterion: Criterion, ceiling: float | None = None) -> Objective:
+    def objective(self, criterion: Criterion, ceiling: float | None = None) -> ExcitationObjective:
         """Return f(z) of a criterion, with −log det G / p ≤ ceiling where one is given."""
-        return Objective(self, criterion, ceiling)
+        return ExcitationObjective(self, criterion, ceiling)
 
 
 @dataclass(frozen=True, eq=False)
-class Objective:
+class ExcitationObjective:
     """A criterion as a function of z."""
 
-    problem: Problem
+    problem: ExcitationProblem
     criterion: Criterion
     ceiling: float | None
 
-    def __call__(self, z: Array) -> Outcome:
+    def __call__(self, z: Array) -> ObjectiveValue:
         """Return the outcome at free variables (m,)."""
         p = self.problem
         stacked = p.information.at(p.samples.motion(z))
@@ -130,7 +132,7 @@ class Objective:
             excess, slopes = np.array([volume - self.ceiling]), np.zeros((1, len(z)))
             if excess[0] > -FAR:  # else no step would come near it
                 slopes[0] = pulled(volume_slope)
-        return Outcome(value, pulled(slope), gram, excess, slopes)
+        return ObjectiveValue(value, pulled(slope), gram, excess, slopes)
 
 
 def condition_number(gram: Array, metric: Array) -> float:

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import LieidWarning
-from lieid_casadi.excitation.basis.approach_motion import RunIn
-from lieid_casadi.excitation.basis.trajectory import Motion, Trajectory
+from lieid_casadi.excitation.approach_motion import RestToRest
+from lieid_casadi.excitation.basis.trajectory import MotionSamples, Trajectory
 from lieid_casadi.excitation.criteria.quality import Quality
-from lieid_casadi.excitation.solvers.staged_solve import Step
+from lieid_casadi.excitation.solvers.staged_solve import IterationRecord
 from lieid_casadi.model import Model
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Start:
+class StartSummary:
     """What one random start came to; NaN where it found nothing."""
 
     seed: int
@@ -35,8 +35,8 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Fullness:
-    """How much of a limit the motion uses: ``used`` 0 … 1 of ``quantity``."""
+class ActiveLimit:
+    """A limit that the motion comes within 1 % of: ``used``, 0 to 1, of ``quantity``."""
 
     quantity: str
     used: float
@@ -53,7 +53,7 @@ class Excitation:
     periods : int
     rest_pose : (n,)
         Where the whole motion begins and ends.
-    run_in : RunIn
+    approach : RestToRest
         From the rest pose to the trajectory's start; the run-out is its reverse.
     rate : float
         Of the files, Hz.
@@ -65,10 +65,10 @@ class Excitation:
     max_violation : float
         Largest excess over any limit on a grid 20 times finer than the samples, in the limit's
         unit; 0 if every limit holds.
-    fullness : tuple of Fullness
-        The limits that bind, fullest first.
-    starts : tuple of Start
-    history : tuple of Step
+    active_limits : tuple of ActiveLimit
+        Limits that the motion comes within 1 % of, the closest first.
+    starts : tuple of StartSummary
+    history : tuple of IterationRecord
         Of the best start.
     build_seconds, solve_seconds : float
         Deriving and compiling; optimizing and verifying, all starts.
@@ -80,7 +80,7 @@ class Excitation:
     trajectory: Trajectory
     periods: int
     rest_pose: Array
-    run_in: RunIn
+    approach: RestToRest
     rate: float
     samples: int
     quality: Quality
@@ -88,9 +88,9 @@ class Excitation:
     scaling: str
     solver: str
     max_violation: float
-    fullness: tuple[Fullness, ...]
-    starts: tuple[Start, ...]
-    history: tuple[Step, ...]
+    active_limits: tuple[ActiveLimit, ...]
+    starts: tuple[StartSummary, ...]
+    history: tuple[IterationRecord, ...]
     build_seconds: float
     solve_seconds: float
     interrupted: bool = False
@@ -109,7 +109,7 @@ class Excitation:
     @property
     def start(self) -> float:
         """Time at which the part that counts begins, s."""
-        return self.run_in.duration
+        return self.approach.duration
 
     @property
     def end(self) -> float:
@@ -119,15 +119,15 @@ class Excitation:
     @property
     def duration(self) -> float:
         """Length of the whole motion, s."""
-        return self.end + self.run_in.duration
+        return self.end + self.approach.duration
 
-    def motion(self, rate: float | None = None) -> Motion:
+    def motion(self, rate: float | None = None) -> MotionSamples:
         """Return the whole motion, run-in and run-out included, at a rate in Hz."""
         step = 1.0 / (self.rate if rate is None else rate)
         count = int(np.floor(self.duration / step + 1e-9)) + 1
         return self.at(step * np.arange(count, dtype=np.float64))
 
-    def at(self, t: Array) -> Motion:
+    def at(self, t: Array) -> MotionSamples:
         """Return the whole motion at times from 0 to ``duration``."""
         time = np.asarray(t, dtype=float)
         n = self.model.n
@@ -140,15 +140,15 @@ class Excitation:
         )
         for mask, part in (
             (inside, self.trajectory.at(phase)),
-            (before, self.run_in.at(time[before]) if before.any() else None),
+            (before, self.approach.at(time[before]) if before.any() else None),
             (after, self._run_out(time[after]) if after.any() else None),
         ):
             if part is not None:
                 parts[:, mask] = part.q, part.dq, part.ddq
-        return Motion(time, *parts)
+        return MotionSamples(time, *parts)
 
-    def _run_out(self, time: Array) -> Motion:
-        run_out = RunIn(self.run_in.end, self.run_in.start, self.run_in.duration)
+    def _run_out(self, time: Array) -> MotionSamples:
+        run_out = RestToRest(self.approach.end, self.approach.start, self.approach.duration)
         return run_out.at(time - self.end)
 
     @property
@@ -193,7 +193,9 @@ class Excitation:
             "rate": self.rate,
             "rest_pose": self.rest_pose.tolist(),
             "max_violation": self.max_violation,
-            "fullness": [{"quantity": f.quantity, "used": f.used} for f in self.fullness],
+            "active_limits": [
+                {"quantity": limit.quantity, "used": limit.used} for limit in self.active_limits
+            ],
             "weak": [
                 {
                     "singular_value": w.singular_value,
@@ -264,7 +266,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def fullest(quantities: Sequence[tuple[str, float]]) -> tuple[Fullness, ...]:
-    """Return the quantities that come within 1 % of their limits."""
-    full = [Fullness(name, used) for name, used in quantities if used > 0.99]
-    return tuple(sorted(full, key=lambda item: -item.used))
+def active_limits(quantities: Sequence[tuple[str, float]]) -> tuple[ActiveLimit, ...]:
+    """Return the quantities that come within 1 % of their limits, the closest first."""
+    active = [ActiveLimit(name, used) for name, used in quantities if used > 0.99]
+    return tuple(sorted(active, key=lambda limit: -limit.used))

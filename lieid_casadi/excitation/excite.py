@@ -11,23 +11,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import ExcitationError, NoSolution
+from lieid_casadi.excitation.approach_motion import RestToRest, approach_motion
 from lieid_casadi.excitation.basis import families
-from lieid_casadi.excitation.basis.approach_motion import RunIn, run_in
 from lieid_casadi.excitation.basis.trajectory import period_grid
 from lieid_casadi.excitation.criteria.column_scaling import column_scale
 from lieid_casadi.excitation.criteria.criterion import NAMES
-from lieid_casadi.excitation.criteria.design_model import seen_by_design
+from lieid_casadi.excitation.criteria.design_model import design_model
 from lieid_casadi.excitation.criteria.quality import quality
-from lieid_casadi.excitation.design_problem import FINE, Design, Problem
-from lieid_casadi.excitation.excitation import Excitation, Fullness, Start, fullest
+from lieid_casadi.excitation.design_problem import FINE, ExcitationDesign, ExcitationProblem
+from lieid_casadi.excitation.excitation import ActiveLimit, Excitation, StartSummary, active_limits
 from lieid_casadi.excitation.limits.joint_limits import (
     check_duration,
     check_start_pose,
     motion_range,
 )
 from lieid_casadi.excitation.limits.symbolic_limits import Limit, Torque
-from lieid_casadi.excitation.solvers.multi_start import Attempt, solve_all
-from lieid_casadi.excitation.solvers.staged_solve import SOLVERS, Solution
+from lieid_casadi.excitation.solvers.multi_start import StartAttempt, solve_all
+from lieid_casadi.excitation.solvers.staged_solve import SOLVERS, OptimizedStart
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
@@ -128,7 +128,7 @@ def excite(
     if not rate > 0.0:
         raise ExcitationError(f"rate: {rate:g} Hz; expected a positive number")
     progress("compiling", 0.0)
-    problem = Problem(design)
+    problem = ExcitationProblem(design)
     built = time.monotonic()
     attempts = solve_all(
         problem, [seed + k for k in range(starts)],
@@ -136,26 +136,26 @@ def excite(
     )  # fmt: skip
     best = best_of(attempts)
     solved = time.monotonic()
-    way = RunIn(design.pose, design.pose, 0.0)
+    way = RestToRest(design.pose, design.pose, 0.0)
     trajectory = problem.parametrization.trajectory(best.z)
     if free_start:
         here = trajectory.at(np.zeros(1)).q[0]
-        way = run_in(design.pose, here, design.range, problem.sets, step=1.0 / rate)
+        way = approach_motion(design.pose, here, design.range, problem.sets, step=1.0 / rate)
     judged = quality(
         design.model,
         trajectory.at(period_grid(duration, samples)),
         None if np.all(design.column_scale == 1.0) else design.column_scale,
     )
-    violation, full = verification(problem, best.z)
+    violation, active = verification(problem, best.z)
     return Excitation(
         model=design.model, trajectory=trajectory, periods=periods, rest_pose=design.pose,
-        run_in=way, rate=rate, samples=samples, quality=judged, criterion=criterion,
+        approach=way, rate=rate, samples=samples, quality=judged, criterion=criterion,
         scaling=scaling if isinstance(scaling, str) else "given", solver=solver,
-        max_violation=violation, fullness=full, starts=tuple(_start(a) for a in attempts),
+        max_violation=violation, active_limits=active, starts=tuple(_start(a) for a in attempts),
         history=best.history,
         build_seconds=built - began, solve_seconds=solved - built,
         interrupted=any(a.interrupted for a in attempts),
-        warnings=() if inertial_only else seen_by_design(model)[1],
+        warnings=() if inertial_only else design_model(model)[1],
     )  # fmt: skip
 
 
@@ -172,7 +172,7 @@ def make_design(
     samples: int = 100,
     scaling: str | ArrayLike = "si",
     solver: str = "ipopt",
-) -> Design:
+) -> ExcitationDesign:
     """Check what is asked for and put it together; see `excite`."""
     if criterion not in NAMES:
         raise ExcitationError(f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}")
@@ -183,7 +183,7 @@ def make_design(
             f"samples: {samples}; expected {4 * basis.size} at least for {basis.size} "
             "coefficients a joint"
         )
-    seen = Model(model.robot) if inertial_only else seen_by_design(model)[0]
+    seen = Model(model.robot) if inertial_only else design_model(model)[0]
     robot = seen.robot
     limits = motion_range(robot, acceleration)
     check_duration(robot, limits, basis.duration)
@@ -192,13 +192,13 @@ def make_design(
     if constraints is None:
         known = robot.has_inertia and bool(np.isfinite(robot.limit("torque")).any())
         constraints = (Torque(),) if known else ()
-    return Design(
+    return ExcitationDesign(
         seen, basis, samples, limits, tuple(constraints), pose, not free_start, criterion,
         column_scale(seen, scaling), solver,
     )  # fmt: skip
 
 
-def best_of(attempts: Sequence[Attempt]) -> Solution:
+def best_of(attempts: Sequence[StartAttempt]) -> OptimizedStart:
     """Return the best solution.
 
     Raises
@@ -213,7 +213,7 @@ def best_of(attempts: Sequence[Attempt]) -> Solution:
     return min(solutions, key=lambda solution: solution.rank)
 
 
-def verification(problem: Problem, z: Array) -> tuple[float, tuple[Fullness, ...]]:
+def verification(problem: ExcitationProblem, z: Array) -> tuple[float, tuple[ActiveLimit, ...]]:
     """Return the largest violation on the fine grid, and which limits bind."""
     exact = problem.constraints(FINE, margin=0.0)
     motion = exact.sampled.motion(z)
@@ -225,14 +225,14 @@ def verification(problem: Problem, z: Array) -> tuple[float, tuple[Fullness, ...
             (label, 1.0 + float(e / s))
             for label, e, s in zip(limits.labels, excess, limits.scale, strict=True)
         ]
-    return worst, fullest(used)
+    return worst, active_limits(used)
 
 
-def _start(attempt: Attempt) -> Start:
+def _start(attempt: StartAttempt) -> StartSummary:
     solution = attempt.solution
     if solution is None:
-        return Start(attempt.seed, np.nan, np.nan, attempt.seconds, np.nan)
+        return StartSummary(attempt.seed, np.nan, np.nan, attempt.seconds, np.nan)
     first = solution.history[0].condition_number if solution.history else np.nan
-    return Start(
+    return StartSummary(
         attempt.seed, solution.condition_number, solution.neg_log_det, solution.seconds, first
     )

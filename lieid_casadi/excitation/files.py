@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.output_folder import write_folder
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def save(excitation: Excitation, folder: Path, *, force: bool) -> tuple[Path, ..
     return write_folder(folder, files, force=force)
 
 
-def csv_text(motion: Motion) -> str:
+def csv_text(motion: MotionSamples) -> str:
     """Return t, q1 … qn, dq1 … dqn, ddq1 … ddqn, one row per sample; 12 digits."""
     n = motion.q.shape[1]
     names = [f"{kind}{j + 1}" for kind in ("q", "dq", "ddq") for j in range(n)]
@@ -47,7 +47,7 @@ def csv_text(motion: Motion) -> str:
     )
 
 
-def joint_trajectory_yaml(motion: Motion, names: list[str]) -> str:
+def joint_trajectory_yaml(motion: MotionSamples, names: list[str]) -> str:
     """Return a ``trajectory_msgs/msg/JointTrajectory`` as ``ros2 topic pub`` reads it."""
     lines = ["joint_names: [" + ", ".join(json.dumps(name) for name in names) + "]", "points:"]
     for k, t in enumerate(motion.t):

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.basis.approach_motion import PEAK_ACCELERATION, PEAK_VELOCITY, RunIn
-from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.approach_motion import PEAK_ACCELERATION, PEAK_VELOCITY, RestToRest
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
 from lieid_casadi.excitation.limits.joint_limits import MotionRange, check_start_pose, motion_range
 from lieid_casadi.excitation.limits.symbolic_limits import Limit
@@ -58,7 +58,7 @@ class FrictionSweep:
 
     model: Model
     joint: int
-    motion: Motion
+    motion: MotionSamples
     parts: tuple[ConstantSpeed, ...]
     left_out: tuple[float, ...]
 
@@ -236,7 +236,7 @@ class _Path:
 
 def _motion(
     pose: Array, joint: int, runs: Sequence[_Run], rate: float, acceleration: float
-) -> tuple[Motion, list[ConstantSpeed]]:
+) -> tuple[MotionSamples, list[ConstantSpeed]]:
     """Put the runs together: to the start, forward, back, to the next start."""
     path, parts = _Path(rate), []
     fastest = max(run.speed for run in runs)
@@ -251,7 +251,7 @@ def _motion(
             PEAK_VELOCITY * abs(way[0]) / fastest,
             float(np.sqrt(SPARE * PEAK_ACCELERATION * abs(way[0]) / acceleration)),
         )
-        quintic = RunIn(np.zeros(1), way, slowest)
+        quintic = RestToRest(np.zeros(1), way, slowest)
 
         def moved(t: Array) -> Array:
             motion = quintic.at(t)
@@ -272,10 +272,10 @@ def _motion(
     signals = np.zeros((3, len(time), len(pose)))
     signals[0] = pose
     signals[:, :, joint] += way
-    return Motion(time, *signals), parts
+    return MotionSamples(time, *signals), parts
 
 
-def _verify(motion: Motion, sets: Sequence[ConstraintSet]) -> None:
+def _verify(motion: MotionSamples, sets: Sequence[ConstraintSet]) -> None:
     for limits in sets:
         excess = limits.excess(limits.values(motion))
         k, sample = np.unravel_index(int(np.argmax(excess)), excess.shape)

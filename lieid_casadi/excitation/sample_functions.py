@@ -14,7 +14,7 @@ from lieid_casadi.compiled.batch_evaluation import CompiledEvaluation, Evaluatio
 from lieid_casadi.compiled.kernel_functions import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
-from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.expressions.model_functions import sparse_function
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ class SampleKernel:
         """Shape of the matrix."""
         return self._sparse.shape
 
-    def values(self, motion: Motion, **further: Array) -> Array:
+    def values(self, motion: MotionSamples, **further: Array) -> Array:
         """Return the values (nnz, N) at every sample."""
         samples = len(motion)
         out = np.empty((len(self.rows), samples))
@@ -74,7 +74,7 @@ class SampleKernel:
         self._evaluation.bind(inputs).columns(0, samples, out)
         return out
 
-    def dense(self, motion: Motion, **further: Array) -> Array:
+    def dense(self, motion: MotionSamples, **further: Array) -> Array:
         """Return the matrices (rows, columns, N)."""
         out = np.zeros((*self.shape, len(motion)))
         out[self.rows, self.columns] = self.values(motion, **further)
@@ -89,7 +89,7 @@ class SampleKernel:
         return MachineEvaluation([self._sparse], (0,), self._sparse.shape)
 
 
-def pulled_back(values: ca.SX, seed: ca.SX, symbols: Symbols) -> ca.SX:
+def reverse_derivative(values: ca.SX, seed: ca.SX, symbols: Symbols) -> ca.SX:
     """Return seedᵀ·∂values/∂(q, dq, ddq) (3 n, 1) by reverse differentiation.
 
     Sines and cosines are symbols of their own; their part follows by the chain rule.

@@ -35,9 +35,9 @@ def summary(excitation: Excitation) -> str:
         f"Every limit holds on a grid 20 times finer than the samples "
         f"(largest excess {e.max_violation:.1g}).",
     ]
-    if e.fullness:
-        names = ", ".join(f.quantity for f in e.fullness[:6])
-        more = f" and {len(e.fullness) - 6} more" if len(e.fullness) > 6 else ""
+    if e.active_limits:
+        names = ", ".join(limit.quantity for limit in e.active_limits[:6])
+        more = f" and {len(e.active_limits) - 6} more" if len(e.active_limits) > 6 else ""
         lines.append(f"Limits that bind: {names}{more}.")
     weak = "; ".join(f"{w.text} (σ {w.singular_value:.3g})" for w in q.weak)
     lines.append(f"What torques show least (directions by their base parameters): {weak}.")

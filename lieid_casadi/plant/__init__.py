@@ -19,7 +19,7 @@ from lieid_casadi.plant.demo_arm import (
     demo_sensors,
     hidden_effect,
 )
-from lieid_casadi.plant.effect import HiddenEffect, JointEffect, State
+from lieid_casadi.plant.effect import HiddenEffect, JointEffect, JointState
 from lieid_casadi.plant.ideal_tracking import measure_along, move_along
 from lieid_casadi.plant.inertias import perturbed_inertias, with_payload
 from lieid_casadi.plant.joint_effects import (
@@ -39,12 +39,12 @@ from lieid_casadi.plant.joint_effects import (
     ViscousPolynomial,
     WarmUp,
 )
-from lieid_casadi.plant.motion import Motion, Trajectory
 from lieid_casadi.plant.rigid import build_pinocchio
 from lieid_casadi.plant.sensors import Sensors, measure
 from lieid_casadi.plant.simulate import Control, move, simulate
 from lieid_casadi.plant.torque_scale import torque_scale
 from lieid_casadi.plant.trajectories import FourierTrajectory, point_to_point, sweep
+from lieid_casadi.plant.true_motion import ReferenceTrajectory, TrueMotion
 
 __all__ = [
     "HIDDEN_EFFECT_NAMES",
@@ -62,22 +62,22 @@ __all__ = [
     "JointElasticity",
     "JointFriction",
     "JointOffset",
+    "JointState",
     "LoadFriction",
-    "Motion",
     "Payload",
     "PositionFriction",
     "PositionSpring",
     "Presliding",
+    "ReferenceTrajectory",
     "Sensors",
-    "State",
     "Stribeck",
     "TemperatureFriction",
     "Thermal",
     "TorqueDelay",
     "TorqueGain",
     "TorqueRipple",
-    "Trajectory",
     "TransmissionCoupling",
+    "TrueMotion",
     "ViscousAsymmetric",
     "ViscousPolynomial",
     "WarmUp",

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.plant.arm import Arm
-from lieid_casadi.plant.effect import JointEffect, State
+from lieid_casadi.plant.effect import JointEffect, JointState
 from lieid_casadi.plant.joint_effects import Presliding
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Drive:
                 self.hysteresis_width[effect.joint] = effect.width
         self.hysteretic = self.hysteresis_width > 0.0
 
-    def level(self, s: State) -> Array:
+    def level(self, s: JointState) -> Array:
         """Level of dry friction (…, n) ≥ 0, N·m."""
         if not self._levels and not self._level_scales:
             return np.broadcast_to(self._friction.coulomb, s.dq.shape)
@@ -45,7 +45,7 @@ class Drive:
             level[..., effect.joint] *= effect.level_scale(s)
         return np.maximum(level, 0.0)
 
-    def level_slope(self, s: State) -> Array | None:
+    def level_slope(self, s: JointState) -> Array | None:
         """Derivative of the level by the load (…, n); None if it is zero everywhere."""
         if not self._slopes:
             return None
@@ -56,7 +56,7 @@ class Drive:
             slope[..., effect.joint] *= effect.level_scale(s)
         return slope
 
-    def damping(self, s: State) -> Array:
+    def damping(self, s: JointState) -> Array:
         """Linear viscous coefficient (…, n), N·m·s/rad."""
         if not self._viscous_scales:
             return self._friction.viscous
@@ -65,7 +65,7 @@ class Drive:
             damping[..., effect.joint] *= effect.viscous_scale(s)
         return damping
 
-    def smooth(self, s: State) -> Array:
+    def smooth(self, s: JointState) -> Array:
         """All torques but the rigid arm's, armature and dry friction (…, n), N·m."""
         friction = self._friction.viscous * s.dq
         for effect in self._viscous:

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(slots=True)
-class State:
+class JointState:
     """What a joint's torque may depend on: (n,) in a simulation, (N, n) along a path.
 
     Attributes
@@ -60,26 +60,26 @@ class JointEffect(HiddenEffect):
 
     joint: int
 
-    def level(self, s: State) -> Array:
+    def level(self, s: JointState) -> Array:
         """Return what is added to the level of dry friction, N·m."""
         return np.zeros(())
 
-    def level_slope(self, s: State) -> Array:
+    def level_slope(self, s: JointState) -> Array:
         """Return the derivative of ``level`` by the load, for the simulation's Newton steps."""
         return np.zeros(())
 
-    def level_scale(self, s: State) -> Array:
+    def level_scale(self, s: JointState) -> Array:
         """Return the factor on dry friction."""
         return np.ones(())
 
-    def viscous(self, s: State) -> Array:
+    def viscous(self, s: JointState) -> Array:
         """Return added friction that vanishes at rest, N·m."""
         return np.zeros(())
 
-    def viscous_scale(self, s: State) -> Array:
+    def viscous_scale(self, s: JointState) -> Array:
         """Return the factor on friction that vanishes at rest."""
         return np.ones(())
 
-    def torque(self, s: State) -> Array:
+    def torque(self, s: JointState) -> Array:
         """Return added torque that is not friction of this joint, N·m."""
         return np.zeros(())

@@ -7,10 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.plant.arm import Arm
 from lieid_casadi.plant.drive import Drive
-from lieid_casadi.plant.effect import State
-from lieid_casadi.plant.motion import Motion
+from lieid_casadi.plant.effect import JointState
 from lieid_casadi.plant.rigid import rigid_torques, wrench_torque
 from lieid_casadi.plant.sensors import Sensors, measure
+from lieid_casadi.plant.true_motion import TrueMotion
 from lieid_casadi.recording import Recording
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def measure_along(
 
 def move_along(
     arm: Arm, t: ArrayLike, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, *, seed: int = 0
-) -> Motion:
+) -> TrueMotion:
     """Return the true signals of an arm that makes a given motion.
 
     At rest dry friction is undetermined: each rest of a joint keeps one random part of it.
@@ -58,14 +58,14 @@ def move_along(
     resting = np.abs(motor_dq) <= AT_REST
     sign = np.where(resting, 0.0, np.sign(motor_dq))
     resting &= ~drive.hysteretic
-    state = State(t, motor_q, motor_dq, sign, rigid, temperature)
+    state = JointState(t, motor_q, motor_dq, sign, rigid, temperature)
     level, smooth = drive.level(state), drive.smooth(state)
     direction = np.where(resting, _held(resting, seed), sign)
     if drive.hysteretic.any():
         direction[:, drive.hysteretic] = _hysteresis(drive, motor_q)[:, drive.hysteretic]
     dry = direction * level
     tau = rigid + smooth + dry + arm.armature * motor_ddq
-    return Motion(
+    return TrueMotion(
         t, q, dq, ddq, motor_q, motor_dq, motor_ddq, tau, rigid, dry, smooth, resting, temperature
     )
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lieid_casadi.plant.effect import Array, HiddenEffect, JointEffect, State
+from lieid_casadi.plant.effect import Array, HiddenEffect, JointEffect, JointState
 
 SLOWEST = 1e-12  # rad/s: keeps |τ|/|q̇| finite at rest
 
@@ -23,7 +23,7 @@ class ViscousPolynomial(JointEffect):
     quadratic: float = 0.0
     cubic: float = 0.0
 
-    def viscous(self, s: State) -> Array:
+    def viscous(self, s: JointState) -> Array:
         dq = s.dq[..., self.joint]
         return (self.quadratic * np.abs(dq) + self.cubic * dq * dq) * dq
 
@@ -35,7 +35,7 @@ class ViscousAsymmetric(JointEffect):
     name: ClassVar[str] = "viscous_asymmetric"
     coefficient: float = 0.0
 
-    def viscous(self, s: State) -> Array:
+    def viscous(self, s: JointState) -> Array:
         return self.coefficient * np.abs(s.dq[..., self.joint])
 
 
@@ -47,7 +47,7 @@ class Stribeck(JointEffect):
     extra: float = 0.0
     velocity: float = 0.1
 
-    def level(self, s: State) -> Array:
+    def level(self, s: JointState) -> Array:
         ratio = s.dq[..., self.joint] / self.velocity
         return np.asarray(self.extra * np.exp(-ratio * ratio))
 
@@ -65,14 +65,14 @@ class LoadFriction(JointEffect):
     extra: float = 0.0
     rate: float = 0.0
 
-    def level(self, s: State) -> Array:
+    def level(self, s: JointState) -> Array:
         load, speed = np.abs(s.load[..., self.joint]), np.abs(s.dq[..., self.joint])
         level = self._gain(s) * load
         if self.extra:
             level = level + self.extra * np.exp(-self.rate * load / np.maximum(speed, SLOWEST))
         return level
 
-    def level_slope(self, s: State) -> Array:
+    def level_slope(self, s: JointState) -> Array:
         load, speed = s.load[..., self.joint], np.abs(s.dq[..., self.joint])
         slope = self._gain(s)
         if self.extra:
@@ -80,7 +80,7 @@ class LoadFriction(JointEffect):
             slope = slope - self.extra * rate * np.exp(-rate * np.abs(load))
         return slope * np.sign(load)
 
-    def _gain(self, s: State) -> Array:
+    def _gain(self, s: JointState) -> Array:
         if self.generating is None:
             return np.asarray(self.gain)
         driven = s.load[..., self.joint] * s.sign[..., self.joint] < 0.0
@@ -96,11 +96,11 @@ class TemperatureFriction(JointEffect):
     dry_slope: float = 0.0
     reference: float = 25.0
 
-    def viscous_scale(self, s: State) -> Array:
+    def viscous_scale(self, s: JointState) -> Array:
         warmer = s.temperature[..., self.joint] - self.reference
         return np.asarray(np.exp(-self.viscous_decay * warmer))
 
-    def level_scale(self, s: State) -> Array:
+    def level_scale(self, s: JointState) -> Array:
         return 1.0 - self.dry_slope * (s.temperature[..., self.joint] - self.reference)
 
 
@@ -112,10 +112,10 @@ class WarmUp(JointEffect):
     change: float = -0.3
     time_constant: float = 30.0
 
-    def viscous_scale(self, s: State) -> Array:
+    def viscous_scale(self, s: JointState) -> Array:
         return 1.0 + self.change * (1.0 - np.exp(-s.t / self.time_constant))
 
-    def level_scale(self, s: State) -> Array:
+    def level_scale(self, s: JointState) -> Array:
         return self.viscous_scale(s)
 
 
@@ -128,7 +128,7 @@ class PositionFriction(JointEffect):
     harmonic: float = 1.0
     phase: float = 0.0
 
-    def level(self, s: State) -> Array:
+    def level(self, s: JointState) -> Array:
         return self.amplitude * np.sin(self.harmonic * s.q[..., self.joint] + self.phase)
 
 
@@ -159,7 +159,7 @@ class TorqueRipple(JointEffect):
     harmonic: float = 2.0
     phase: float = 0.0
 
-    def torque(self, s: State) -> Array:
+    def torque(self, s: JointState) -> Array:
         return self.amplitude * np.sin(self.harmonic * s.q[..., self.joint] + self.phase)
 
 
@@ -171,7 +171,7 @@ class PositionSpring(JointEffect):
     stiffness: float = 0.0
     rest: float = 0.0
 
-    def torque(self, s: State) -> Array:
+    def torque(self, s: JointState) -> Array:
         return self.stiffness * (s.q[..., self.joint] - self.rest)
 
 
@@ -184,7 +184,7 @@ class TransmissionCoupling(JointEffect):
     viscous_coefficient: float = 0.0
     coulomb: float = 0.0
 
-    def torque(self, s: State) -> Array:
+    def torque(self, s: JointState) -> Array:
         dq, sign = s.dq[..., self.source], s.sign[..., self.source]
         return self.viscous_coefficient * dq + self.coulomb * sign
 
@@ -205,7 +205,7 @@ class JointOffset(JointEffect):
     name: ClassVar[str] = "offset"
     value: float = 0.0
 
-    def torque(self, s: State) -> Array:
+    def torque(self, s: JointState) -> Array:
         return np.full(s.q[..., self.joint].shape, self.value)
 
 
@@ -213,12 +213,12 @@ class JointOffset(JointEffect):
 class ForeignTorque(JointEffect):
     """Any torque, for effects that no library knows.
 
-    ``function`` takes the :class:`State` and returns the torque of this joint; it must work
+    ``function`` takes the :class:`JointState` and returns the torque of this joint; it must work
     on (n,) and on (N, n) arrays (index with ``[..., joint]``).
     """
 
     name: ClassVar[str] = "foreign"
-    function: Callable[[State], Array] = lambda s: np.zeros(())
+    function: Callable[[JointState], Array] = lambda s: np.zeros(())
 
-    def torque(self, s: State) -> Array:
+    def torque(self, s: JointState) -> Array:
         return np.asarray(self.function(s))

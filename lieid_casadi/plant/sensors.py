@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.plant.arm import Arm
 from lieid_casadi.plant.arm_effects import BiasDrift, EncoderOffset, TorqueDelay, TorqueGain
-from lieid_casadi.plant.motion import Motion
+from lieid_casadi.plant.true_motion import TrueMotion
 from lieid_casadi.recording import Recording
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class Sensors:
 
 
 def measure(
-    arm: Arm, motion: Motion, sensors: Sensors, *, seed: int = 0, name: str = ""
+    arm: Arm, motion: TrueMotion, sensors: Sensors, *, seed: int = 0, name: str = ""
 ) -> Recording:
     """Return what the sensors say of a motion.
 
@@ -126,7 +126,7 @@ def coloured_noise(t: Array, n: int, correlation_time: float, random: np.random.
     return noise
 
 
-def _encoder(arm: Arm, motion: Motion, sensors: Sensors, random: np.random.Generator) -> Array:
+def _encoder(arm: Arm, motion: TrueMotion, sensors: Sensors, random: np.random.Generator) -> Array:
     q = motion.motor_q + random.standard_normal(motion.q.shape) * _each(sensors.position_noise)
     for effect in arm.effects_of(EncoderOffset):
         q[:, effect.joint] -= effect.offset
@@ -136,7 +136,7 @@ def _encoder(arm: Arm, motion: Motion, sensors: Sensors, random: np.random.Gener
 
 
 def _velocity(
-    motion: Motion,
+    motion: TrueMotion,
     encoder: Array,
     rows: NDArray[np.intp],
     sensors: Sensors,
@@ -154,7 +154,7 @@ def _velocity(
     return (encoder[after] - encoder[before]) / span + noise
 
 
-def _torque(arm: Arm, motion: Motion, t: Array) -> Array:
+def _torque(arm: Arm, motion: TrueMotion, t: Array) -> Array:
     """Return what torque sensors without noise say at t: delay, then gain, then drift."""
     from scipy.interpolate import PchipInterpolator
 

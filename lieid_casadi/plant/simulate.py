@@ -14,11 +14,11 @@ from lieid_casadi.errors import EffectError
 from lieid_casadi.plant.arm import Arm
 from lieid_casadi.plant.arm_effects import EncoderOffset
 from lieid_casadi.plant.ideal_tracking import move_along
-from lieid_casadi.plant.motion import Motion, Trajectory
 from lieid_casadi.plant.rigid import build_pinocchio, rigid_torques
 from lieid_casadi.plant.sensors import Sensors, measure
-from lieid_casadi.plant.stepper import Command, Stepper, StepResult
+from lieid_casadi.plant.stepper import DriveCommand, Stepper, StepResult
 from lieid_casadi.plant.torque_scale import torque_scale
+from lieid_casadi.plant.true_motion import ReferenceTrajectory, TrueMotion
 from lieid_casadi.recording import Recording
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class Control:
 
 def simulate(
     arm: Arm,
-    trajectory: Trajectory,
+    trajectory: ReferenceTrajectory,
     *,
     duration: float | None = None,
     rate: float = 1000.0,
@@ -91,13 +91,13 @@ def simulate(
 
 def move(
     arm: Arm,
-    trajectory: Trajectory,
+    trajectory: ReferenceTrajectory,
     *,
     duration: float | None = None,
     rate: float = 1000.0,
     control: Control | None = None,
     progress: Progress | None = None,
-) -> Motion:
+) -> TrueMotion:
     """Let an arm track a trajectory and return the true signals, one row per control period.
 
     The drift-kick-drift rule: torques are those at q + h/2·q̇ with the mean velocity of the
@@ -145,7 +145,9 @@ def move(
 class _Controller:
     """Torques of PD control, limited to what the drives can deliver."""
 
-    def __init__(self, arm: Arm, trajectory: Trajectory, t: Array, control: Control) -> None:
+    def __init__(
+        self, arm: Arm, trajectory: ReferenceTrajectory, t: Array, control: Control
+    ) -> None:
         q, dq, ddq = trajectory.at(np.clip(t, 0.0, trajectory.duration))
         for effect in arm.effects_of(EncoderOffset):  # the controller sees the encoders
             q[:, effect.joint] += effect.offset
@@ -164,7 +166,7 @@ class _Controller:
         limit = arm.robot.limit("torque")
         self._limit = np.where(np.isfinite(limit), limit, np.inf)
 
-    def command(self, k: int, q: Array, dq: Array) -> Command:
+    def command(self, k: int, q: Array, dq: Array) -> DriveCommand:
         """PD on where the step from q, dq (n,) leads."""
         import pinocchio as pin
 
@@ -177,7 +179,7 @@ class _Controller:
             + self._stiffness * (self._goal[k] - q - self._h * dq)
             + self._damping * (self._goal_velocity[k] - dq)
         )
-        return Command(constant, self._gain, self._limit)
+        return DriveCommand(constant, self._gain, self._limit)
 
 
 def _next(rows: Array) -> Array:
@@ -221,15 +223,15 @@ class _Rows:
         self.smooth[k], self.dry[k] = step.smooth, step.dry
         self.resting[k] = step.resting
 
-    def motion(self, t: Array, temperature: Array, rows: slice) -> Motion:
+    def motion(self, t: Array, temperature: Array, rows: slice) -> TrueMotion:
         q, dq, ddq = self.q[rows], self.dq[rows], self.ddq[rows]
-        return Motion(
+        return TrueMotion(
             t[rows], q, dq, ddq, q, dq, ddq, self.tau[rows], self.rigid[rows],
             self.dry[rows], self.smooth[rows], self.resting[rows], temperature[rows],
         )  # fmt: skip
 
 
-def _elastic(arm: Arm, t: Array, q: Array, recorded: slice) -> Motion:
+def _elastic(arm: Arm, t: Array, q: Array, recorded: slice) -> TrueMotion:
     from scipy.interpolate import CubicSpline
     from scipy.signal import butter, sosfiltfilt
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.plant.arm import Arm
 from lieid_casadi.plant.drive import Drive
-from lieid_casadi.plant.effect import State
+from lieid_casadi.plant.effect import JointState
 from lieid_casadi.plant.rigid import wrench_torque
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ TOLERANCE = 1e-10  # N·m, relative to the torques at hand
 
 
 @dataclass(slots=True)
-class Command:
+class DriveCommand:
     """Torque of the drives within a step, (n,) each: constant − gain·a, cut off at ±limit.
 
     The gain is that of a drive whose own loop is much faster than the step: it sees where the
@@ -51,7 +51,7 @@ class StepResult:
 
 
 class Stepper:
-    """State of an arm (``q``, ``dq``), advanced by drift, kick, drift.
+    """JointState of an arm (``q``, ``dq``), advanced by drift, kick, drift.
 
     q̄ = q + h/2·q̇;  q̇ ← q̇ + h·a;  q ← q̄ + h/2·q̇, where a solves
 
@@ -81,14 +81,14 @@ class Stepper:
         self._lead = self._velocity_lead(arm)
         self.unsettled = 0
 
-    def step(self, t: float, command: Command, temperature: Array) -> StepResult:
+    def step(self, t: float, command: DriveCommand, temperature: Array) -> StepResult:
         """Advance by one step under the drives' torque."""
         h, drive = self._h, self._drive
         q = self.q + 0.5 * h * self.dq
         if drive.hysteretic.any():
             self._hysteresis = drive.next_hysteresis(self._hysteresis, q - self._last_q)
             self._last_q = q
-        state = State(np.asarray(t), q, self.dq, np.sign(self.dq), self.dq, temperature)
+        state = JointState(np.asarray(t), q, self.dq, np.sign(self.dq), self.dq, temperature)
         a, sign, rigid, smooth, level = self._accelerate(state, command)
         torque = command.torque(a)
         stuck = (sign == 0.0) & ~drive.hysteretic
@@ -115,12 +115,12 @@ class Stepper:
     def presliding_stiffness(self) -> Array:
         """Stiffness at reversals (n,), N·m/rad; 0 without hysteresis."""
         drive, zero = self._drive, np.zeros(self.q.size)
-        rest = State(np.zeros(()), self.q, zero, zero, zero, zero)
+        rest = JointState(np.zeros(()), self.q, zero, zero, zero, zero)
         width = np.where(drive.hysteretic, drive.hysteresis_width, np.inf)
         return np.asarray(2.0 * drive.level(rest) / width)
 
     def _accelerate(
-        self, state: State, command: Command
+        self, state: JointState, command: DriveCommand
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Solve for the acceleration; ``state`` is left at the mean velocity of the step."""
         h, drive, dq = self._h, self._drive, self.dq
@@ -156,7 +156,7 @@ class Stepper:
 
     def _newton_step(
         self,
-        state: State,
+        state: JointState,
         inertia: Array,
         gain: Array,
         direction: Array,

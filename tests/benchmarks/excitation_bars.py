@@ -16,7 +16,7 @@ import lieid_casadi as lieid
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation import CartesianSpeed, SelfCollision, Torque, capsules_of, floor
 from lieid_casadi.excitation.basis.families import make
-from lieid_casadi.excitation.design_problem import FINE, Problem
+from lieid_casadi.excitation.design_problem import FINE, ExcitationProblem
 from lieid_casadi.excitation.excite import make_design, verification
 from lieid_casadi.excitation.solvers.staged_solve import random_start, solve
 
@@ -31,7 +31,7 @@ def panda_problem(solver="ipopt"):
         lieid.Model(lieid.robots.panda()), basis=make(), criterion="condition", constraints=(),
         acceleration=5.0, free_start=True, solver=solver,
     )  # fmt: skip
-    return Problem(design)
+    return ExcitationProblem(design)
 
 
 def panda(starts=10, peers=4):
@@ -90,7 +90,7 @@ def limits_problem(solver="ipopt"):
         ),
         solver=solver,
     )  # fmt: skip
-    return Problem(design)
+    return ExcitationProblem(design)
 
 
 def limits(starts=10):
@@ -122,7 +122,7 @@ def ur10e_problem(solver="ipopt", duration=20.0):
         basis=make(duration=duration), criterion="condition",
         constraints=(Torque(), SelfCollision(0.02, capsules_of(robot))), solver=solver,
     )  # fmt: skip
-    return Problem(design)
+    return ExcitationProblem(design)
 
 
 def ur10e(starts=5, seconds=20.0):

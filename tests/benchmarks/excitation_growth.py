@@ -15,7 +15,7 @@ from arms import panda, six_joints, twelve_joints
 
 import lieid_casadi as lieid
 from lieid_casadi.excitation.basis.families import make
-from lieid_casadi.excitation.design_problem import Problem
+from lieid_casadi.excitation.design_problem import ExcitationProblem
 from lieid_casadi.excitation.excite import make_design
 from lieid_casadi.excitation.solvers.staged_solve import solve
 from lieid_casadi.robot import Limits
@@ -41,7 +41,7 @@ def row(label, robot, *, family="fourier", harmonics=5, samples=100, duration=20
         lieid.Model(robot), basis=basis, criterion="condition", constraints=(), samples=samples
     )
     began = time.process_time()
-    problem = Problem(design)
+    problem = ExcitationProblem(design)
     built = time.process_time() - began
     numbers, seconds, counts = [], [], []
     for seed in range(STARTS):

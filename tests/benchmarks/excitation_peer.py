@@ -98,7 +98,7 @@ def run_slsqp(peer, constraints, z, *, objective="log_condition", seconds=20.0, 
 
 def linear_rows(constraints, sets, z):
     """Return A, b of the linear limits A·z ≤ b at every sample."""
-    from lieid_casadi.excitation.limits.constraint_sets import Rows
+    from lieid_casadi.excitation.limits.constraint_sets import ConstraintRows
 
     motion = constraints.sampled.motion(0.0 * z)
     excess = constraints.excess(motion)
@@ -108,7 +108,7 @@ def linear_rows(constraints, sets, z):
             quantity, sample = np.nonzero(np.isfinite(values))
             full = np.full_like(quantity, index), quantity, sample, np.full_like(quantity, side)
             columns.append(full)
-    rows = Rows(*(np.concatenate(part) for part in zip(*columns, strict=True)))
+    rows = ConstraintRows(*(np.concatenate(part) for part in zip(*columns, strict=True)))
     return constraints.jacobian(motion, rows), -constraints.at(excess, rows)
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import lieid_casadi as lieid
 from lieid_casadi.errors import ExcitationError, RobotError
 from lieid_casadi.excitation import Capsule, SelfCollision, capsules_of, enclosing, load_capsules
-from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.limits.capsules import (
     enclosing_all,
     segment_distance_to_points,
@@ -86,7 +86,7 @@ def test_distances_are_coals():
     rng = np.random.default_rng(3)
     low, high = robot.limit("position_lower"), robot.limit("position_upper")
     q = rng.uniform(low, high, (100, 7))
-    found = limits.values(Motion(np.zeros(100), q, 0 * q, 0 * q))
+    found = limits.values(MotionSamples(np.zeros(100), q, 0 * q, 0 * q))
     from excitation.test_excite import distance
 
     from lieid_casadi.plant.rigid import build_pinocchio

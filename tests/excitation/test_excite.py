@@ -149,7 +149,7 @@ def test_the_trial_of_the_paper(capsys):
         free_start=True, starts=2,
     )  # fmt: skip
     assert found.condition_number <= 12.5
-    assert found.run_in.duration > 0.5
+    assert found.approach.duration > 0.5
     motion = found.motion(500.0)
     np.testing.assert_allclose(motion.q[0], found.rest_pose, atol=1e-9)
     np.testing.assert_allclose(np.diff(motion.q, axis=0), motion.dq[1:] / 500.0, atol=2e-5)
@@ -167,7 +167,7 @@ def test_the_file_begins_and_ends_at_rest_at_the_rest_pose(free_start):
     np.testing.assert_allclose(motion.q[[0, -1]], [[0.3, -0.4]] * 2, atol=1e-9)
     np.testing.assert_allclose(motion.dq[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(motion.ddq[[0, -1]], 0.0, atol=1e-7)
-    assert (found.run_in.duration > 0.5) is free_start
+    assert (found.approach.duration > 0.5) is free_start
     assert motion.t[-1] == pytest.approx(found.duration)
     limits = lieid.robots.two_link().limit("velocity")
     assert np.abs(np.diff(motion.q, axis=0)).max() <= 1.001 * limits.max() / 500.0

@@ -126,7 +126,7 @@ def test_limits_of_every_option():
 
     arguments = build_parser().parse_args(
         ["excite", "panda", "-o", "x", "--cartesian-speed", "1", "--floor", "--self-collision",
-         "--wall", "1", "0", "0", "0.8", "--room", "-1", "-1", "-1", "1", "1", "2",
+         "--wall", "1", "0", "0", "0.8", "--workspace-box", "-1", "-1", "-1", "1", "1", "2",
          "--obstacle", "0.5", "-0.1", "0", "0.7", "0.1", "0.3"]
     )  # fmt: skip
     limits = command.limits_of(arguments, lieid.robots.panda())

@@ -14,7 +14,7 @@ from lieid_casadi.excitation import (
     capsules_of,
 )
 from lieid_casadi.excitation.basis.families import make
-from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.criteria.criterion import (
     NAMES,
     AOptimal,
@@ -24,8 +24,8 @@ from lieid_casadi.excitation.criteria.criterion import (
     LogDet,
     stages,
 )
-from lieid_casadi.excitation.criteria.information_matrix import Information
-from lieid_casadi.excitation.design_problem import Problem
+from lieid_casadi.excitation.criteria.information_matrix import InformationMatrix
+from lieid_casadi.excitation.design_problem import ExcitationProblem
 from lieid_casadi.excitation.excite import make_design
 from lieid_casadi.excitation.solvers.staged_solve import random_start
 
@@ -89,7 +89,7 @@ def test_names_and_an_unknown_one():
 def test_gradient_of_an_objective_in_the_free_variables(robot, effects):
     model = lieid.Model(lieid.Robot.load(robot), effects=effects)
     design = make_design(model, basis=make(harmonics=3), samples=40, constraints=())
-    problem = Problem(design)
+    problem = ExcitationProblem(design)
     z = random_start(problem, 3)
     direction = np.random.default_rng(4).normal(size=z.size)
     for criterion in (LogDet(), Condition(problem.metric, 2.0)):
@@ -109,8 +109,8 @@ def test_information_is_the_models_own_regressor():
     rng = np.random.default_rng(0)
     q, dq, ddq = rng.normal(size=(3, 20, 2))
     dq = np.sign(dq) * (0.5 + np.abs(dq))
-    information = Information(model, sign_width=np.full(2, 1e-3))
-    rows = information.at(Motion(np.arange(20.0), q, dq, ddq)).rows
+    information = InformationMatrix(model, sign_width=np.full(2, 1e-3))
+    rows = information.at(MotionSamples(np.arange(20.0), q, dq, ddq)).rows
     arm = lieid.compile(model)
     load = arm.inverse_dynamics(q, dq, ddq, model.robot.link_parameters)
     expected = arm.base_regressor(q, dq, ddq, load=load)
@@ -127,7 +127,7 @@ def test_what_no_motion_excites_is_refused(effect):
         pytest.skip(f"no effect {effect}")
     model = lieid.Model(lieid.robots.two_link(), effects=[effect])
     with pytest.raises(ExcitationError, match=effect):
-        Information(model, sign_width=np.ones(2))
+        InformationMatrix(model, sign_width=np.ones(2))
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_jacobian_of_a_limit(limit):
     low, high = robot.limit("position_lower"), robot.limit("position_upper")
     q = rng.uniform(low, high, (30, 7))
     dq, ddq = rng.normal(size=(2, 30, 7))
-    jacobian = limits.jacobian(Motion(np.arange(30.0), q, dq, ddq))
+    jacobian = limits.jacobian(MotionSamples(np.arange(30.0), q, dq, ddq))
     assert jacobian.shape == (len(limits.labels), 21, 30)
     for kind, signal in enumerate((q, dq, ddq)):
         change = rng.normal(size=signal.shape)
@@ -153,7 +153,7 @@ def test_jacobian_of_a_limit(limit):
         for sign in (1.0, -1.0):
             moved = [x.copy() for x in (q, dq, ddq)]
             moved[kind] = signal + sign * STEP * change
-            sides.append(limits.values(Motion(np.arange(30.0), *moved)))
+            sides.append(limits.values(MotionSamples(np.arange(30.0), *moved)))
         expected = (sides[0] - sides[1]) / (2.0 * STEP)
         found = np.einsum("kjt,tj->kt", jacobian[:, 7 * kind : 7 * kind + 7], change)
         # closest points jump where they are not unique; nowhere else do the two differ

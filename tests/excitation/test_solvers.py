@@ -11,11 +11,11 @@ from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation import Torque, excite
 from lieid_casadi.excitation.basis.families import make
-from lieid_casadi.excitation.design_problem import Problem
+from lieid_casadi.excitation.criteria.objective_value import ObjectiveValue
+from lieid_casadi.excitation.design_problem import ExcitationProblem
 from lieid_casadi.excitation.excite import make_design
 from lieid_casadi.excitation.solvers.ipopt import Ipopt
 from lieid_casadi.excitation.solvers.nonlinear_program import run_ipopt
-from lieid_casadi.excitation.solvers.solver import Outcome
 from lieid_casadi.excitation.solvers.staged_solve import SOLVERS, solve
 from lieid_casadi.plant.rigid import build_pinocchio
 
@@ -75,7 +75,7 @@ def test_no_solver_reads_a_clock(problem, solver, monkeypatch):
     """Iterates of a machine on which every call of the clock takes an hour are the same."""
     import time
 
-    problem = Problem(replace(problem.design, solver=solver))
+    problem = ExcitationProblem(replace(problem.design, solver=solver))
     quick = solve(problem, 0)
     hours = iter(range(10**9))
     monkeypatch.setattr(time, "monotonic", lambda: 3600.0 * next(hours))
@@ -120,7 +120,7 @@ def problem():
     design = make_design(
         lieid.Model(robot), basis=make(duration=6.0), criterion="condition", constraints=()
     )
-    return Problem(design)
+    return ExcitationProblem(design)
 
 
 @both
@@ -133,7 +133,9 @@ def test_a_quadratic_objective_within_linear_limits(problem, solver):
 
     def objective(z):
         away = z - target
-        return Outcome(0.5 * float(away @ away), away, np.eye(1), np.zeros(0), np.zeros((0, size)))
+        return ObjectiveValue(
+            0.5 * float(away @ away), away, np.eye(1), np.zeros(0), np.zeros((0, size))
+        )
 
     constraints = problem.constraints(1)
     made = SOLVERS[solver](constraints, size)
@@ -235,7 +237,9 @@ def test_a_run_stops_where_a_limit_was_overlooked(problem):
     size = problem.parametrization.size
 
     def outwards(z):
-        return Outcome(-float(z.sum()), -np.ones(size), np.eye(1), np.zeros(0), np.zeros((0, size)))
+        return ObjectiveValue(
+            -float(z.sum()), -np.ones(size), np.eye(1), np.zeros(0), np.zeros((0, size))
+        )
 
     seen = []
     solver = Ipopt(problem.constraints(2), size, lambda iteration: seen.append(iteration.state))

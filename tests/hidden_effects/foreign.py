@@ -8,10 +8,10 @@ import numpy as np
 from hidden_effects.hidden import Ground, Hidden, with_effect
 from numpy.typing import NDArray
 
-from lieid_casadi.plant import ForeignTorque, State
+from lieid_casadi.plant import ForeignTorque, JointState
 
 Array = NDArray[np.float64]
-Torque = Callable[[State], Array]
+Torque = Callable[[JointState], Array]
 
 
 def _foreign(
@@ -133,7 +133,7 @@ def _load_hysteresis(g: Ground, j: int) -> Hidden:
     i = _loaded(g)
     width = 0.15 * float(g.load[i])
 
-    def lag(s: State) -> Array:
+    def lag(s: JointState) -> Array:
         load, behind = s.load[..., i], np.zeros(s.load.shape[0])
         behind[0] = load[0]
         for k in range(1, len(behind)):

@@ -23,7 +23,7 @@ from hidden_effects.stage import Case, Stage, choose, hide, set_up
 from hidden_effects.strengths import Sizing, find_strengths, planned
 from numpy.typing import NDArray
 
-from lieid_casadi.plant import Arm, Motion, Sensors, measure, move, move_along
+from lieid_casadi.plant import Arm, Sensors, TrueMotion, measure, move, move_along
 
 Array = NDArray[np.float64]
 ATTEMPTS = 80
@@ -43,7 +43,7 @@ class Drawn:
 
     arm_name: str
     arms: tuple[Arm, Arm]
-    motions: tuple[Motion, Motion]
+    motions: tuple[TrueMotion, TrueMotion]
     sensors: Sensors
     noise: Array
     truth: dict[str, Any]
@@ -149,7 +149,7 @@ def _finish(
     return Drawn(stage.arm_name, arms, motions, sensors, stage.noise, truth)
 
 
-def _moved(stage: Stage, arms: tuple[Arm, Arm], run: int) -> Motion:
+def _moved(stage: Stage, arms: tuple[Arm, Arm], run: int) -> TrueMotion:
     if stage.simulated:
         return move(arms[run], stage.plans[run], rate=CONTROL_RATE)
     t, path = planned(stage, run, FINE_RATE)
@@ -157,7 +157,7 @@ def _moved(stage: Stage, arms: tuple[Arm, Arm], run: int) -> Motion:
 
 
 def _sized(
-    stage: Stage, hidden: list[Hidden], strengths: list[float], motion: Motion
+    stage: Stage, hidden: list[Hidden], strengths: list[float], motion: TrueMotion
 ) -> list[dict[str, Any]]:
     """Return each effect's true size on the motion that truly happened."""
     if not hidden:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from lieid_casadi.plant import FourierTrajectory, Trajectory, point_to_point
+from lieid_casadi.plant import FourierTrajectory, ReferenceTrajectory, point_to_point
 from lieid_casadi.plant.trajectories import Envelope, Waypoints
 from lieid_casadi.robot import Robot
 
@@ -23,7 +23,7 @@ PAUSE = 0.3  # s of rest at each end of a move between two motions
 class Chain:
     """Motions one after another; quintic moves lead from each to the next."""
 
-    parts: tuple[Trajectory, ...]
+    parts: tuple[ReferenceTrajectory, ...]
     starts: tuple[float, ...]
 
     @property
@@ -45,10 +45,10 @@ class Chain:
         return int(self.parts[0].at(np.zeros(1))[0].shape[1])
 
 
-def chain(robot: Robot, motions: Sequence[Trajectory]) -> Chain:
+def chain(robot: Robot, motions: Sequence[ReferenceTrajectory]) -> Chain:
     """Return motions in a row, joined by moves from the end of one to the start of the next."""
     envelope = Envelope.of(robot)
-    parts: list[Trajectory] = [motions[0]]
+    parts: list[ReferenceTrajectory] = [motions[0]]
     for motion in motions[1:]:
         last = parts[-1].at(np.array([parts[-1].duration]))[0][0]
         first = motion.at(np.zeros(1))[0][0]
@@ -68,7 +68,7 @@ def _move(envelope: Envelope, a: Array, b: Array) -> Waypoints:
 class Smoothed:
     """A motion without jumps of its jerk: elastic joints answer to its derivatives up to q⁗."""
 
-    def __init__(self, motion: Trajectory) -> None:
+    def __init__(self, motion: ReferenceTrajectory) -> None:
         self.duration = motion.duration + 2.0 * MARGIN
         t = np.arange(0.0, self.duration + SAMPLE, SAMPLE)
         q = motion.at(np.clip(t - MARGIN, 0.0, motion.duration))[0]
@@ -87,7 +87,7 @@ def draw_motion(robot: Robot, kind: str, duration: float, random: np.random.Gene
     if kind == "poses":
         return chain(robot, [_poses(robot, duration, random)])
     half = 0.5 * duration
-    both: list[Trajectory] = [_fourier(robot, half, random), _poses(robot, half, random)]
+    both: list[ReferenceTrajectory] = [_fourier(robot, half, random), _poses(robot, half, random)]
     return chain(robot, both if random.random() < 0.5 else both[::-1])
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.plant import Arm, EncoderOffset, Motion, Sensors, build_pinocchio, measure
+from lieid_casadi.plant import Arm, EncoderOffset, Sensors, TrueMotion, build_pinocchio, measure
 from lieid_casadi.plant.sensors import sampled_rows
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ class Clean:
     moving: NDArray[np.bool_]
 
 
-def clean(arm: Arm, motion: Motion, rate: float) -> Clean:
+def clean(arm: Arm, motion: TrueMotion, rate: float) -> Clean:
     """Return an arm's noiseless recording of a motion at a rate (Hz), with the acceleration."""
     t, rows = motion.t, sampled_rows(motion.t, rate)
     ideal = measure(arm, motion, Sensors(rate=rate))

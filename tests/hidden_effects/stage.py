@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from lieid_casadi.plant import (
     Arm,
     JointFriction,
+    ReferenceTrajectory,
     Sensors,
     Thermal,
-    Trajectory,
     move_along,
     perturbed_inertias,
     torque_scale,
@@ -71,7 +71,7 @@ class Stage:
 
     arm_name: str
     arm: Arm
-    plans: tuple[Trajectory, Trajectory]
+    plans: tuple[ReferenceTrajectory, ReferenceTrajectory]
     kinds: tuple[str, str]
     thermal: tuple[Thermal, Thermal]
     sensors: Sensors

@@ -21,14 +21,14 @@ from lieid_casadi.plant import (
     point_to_point,
     simulate,
 )
-from lieid_casadi.plant.stepper import Command, Stepper
+from lieid_casadi.plant.stepper import DriveCommand, Stepper
 
 H = 1e-3
 
 
 def _constant(torque):
     torque = np.asarray(torque, dtype=float)
-    return Command(torque, np.zeros(torque.size), np.full(torque.size, np.inf))
+    return DriveCommand(torque, np.zeros(torque.size), np.full(torque.size, np.inf))
 
 
 def _run(stepper, torque, steps):

@@ -15,7 +15,7 @@ DEPENDENT = 1e-9  # part of a row, beyond the rows before it, below which it add
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MotionSamples:
     """Samples of a motion: time (N,) in s; q, dq, ddq (N, n) in rad and s (m where sliding)."""
 
     t: Array
@@ -45,12 +45,12 @@ class Trajectory:
         """Length of the period, s."""
         return self.basis.duration
 
-    def at(self, t: Array) -> Motion:
+    def at(self, t: Array) -> MotionSamples:
         """Return the motion at times within the period."""
         time = np.asarray(t, dtype=float)
         functions = self.basis.evaluate(time)
         q, dq, ddq = (functions[k] @ self.coefficients.T for k in range(3))
-        return Motion(time, q, dq, ddq)
+        return MotionSamples(time, q, dq, ddq)
 
 
 def period_grid(duration: float, samples: int) -> Array:
@@ -171,13 +171,13 @@ class SampledBasis:
         n, kinds, samples, d = self.functions.shape
         return np.ascontiguousarray(self.functions.reshape(n, kinds * samples, d))
 
-    def motion(self, z: Array) -> Motion:
+    def motion(self, z: Array) -> MotionSamples:
         """Return the motion of free variables (n d,) at the times."""
         p = self.parametrization
         free = np.reshape(z, (p.n, -1, 1))
         values = (self._flat @ free).reshape(p.n, 3, len(self.t))
         values[:, 0] += p.pose[:, None]
-        return Motion(self.t, *(np.ascontiguousarray(values[:, k].T) for k in range(3)))
+        return MotionSamples(self.t, *(np.ascontiguousarray(values[:, k].T) for k in range(3)))
 
     def gradient(self, gradients: Array) -> Array:
         """Return ∂f/∂z (n d,) of gradients (n, 3, N) with respect to the motion."""

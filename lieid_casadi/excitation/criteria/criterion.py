@@ -127,7 +127,7 @@ class EOptimal(Criterion):
 
 
 @dataclass(frozen=True)
-class Stage:
+class CriterionStage:
     """Part of an optimization: one criterion for at most so many iterations.
 
     ``tolerance`` is the predicted decrease at which the stage is done.
@@ -144,15 +144,15 @@ SCHEDULE = (30, 30, 40, 60, 60, 100)  # iterations of each power
 TOLERANCES = (1e-4, 1e-4, 1e-4, 1e-4, 3e-5, 3e-5)
 
 
-def condition_stages(metric: Array) -> tuple[Stage, ...]:
+def condition_stages(metric: Array) -> tuple[CriterionStage, ...]:
     """Return the continuation that ends near the condition number itself."""
     return tuple(
-        Stage(Condition(metric, power), count, tolerance)
+        CriterionStage(Condition(metric, power), count, tolerance)
         for power, count, tolerance in zip(POWERS, SCHEDULE, TOLERANCES, strict=True)
     )
 
 
-def stages(name: str, metric: Array) -> tuple[Stage, ...]:
+def stages(name: str, metric: Array) -> tuple[CriterionStage, ...]:
     """Return the stages of a criterion by its name; ``combined`` is put together elsewhere.
 
     Raises
@@ -163,14 +163,14 @@ def stages(name: str, metric: Array) -> tuple[Stage, ...]:
     if name == "condition":
         return condition_stages(metric)
     if name == "hadamard":
-        return (Stage(Hadamard(), 200, 1e-5),)
+        return (CriterionStage(Hadamard(), 200, 1e-5),)
     if name == "logdet":
-        return (Stage(LogDet(), 200, 1e-5),)
+        return (CriterionStage(LogDet(), 200, 1e-5),)
     if name == "a_optimal":
-        return (Stage(LogDet(), 15), Stage(AOptimal(metric), 200, 1e-4))
+        return (CriterionStage(LogDet(), 15), CriterionStage(AOptimal(metric), 200, 1e-4))
     if name == "e_optimal":
         return tuple(
-            Stage(EOptimal(metric, power), count, tolerance)
+            CriterionStage(EOptimal(metric, power), count, tolerance)
             for power, count, tolerance in zip(POWERS, SCHEDULE, TOLERANCES, strict=True)
         )
     raise ExcitationError(f"criterion: {name!r}; expected one of {', '.join(NAMES)}")

@@ -12,9 +12,9 @@ from lieid_casadi.dynamics import recursion
 from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.errors import ExcitationError
-from lieid_casadi.excitation.basis.trajectory import Motion
-from lieid_casadi.excitation.criteria.design_model import counts
-from lieid_casadi.excitation.sample_functions import SampleKernel, pulled_back
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
+from lieid_casadi.excitation.criteria.design_model import follows_from_motion
+from lieid_casadi.excitation.sample_functions import SampleKernel, reverse_derivative
 from lieid_casadi.model import EffectSignals, Model
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ SIGN_WIDTH = 0.03  # tanh(q̇/width) in place of sgn(q̇), in parts of the speed
 class StackedRegressor:
     """Y_b over N samples, as columns (p, n·N), one row per base parameter."""
 
-    motion: Motion
+    motion: MotionSamples
     rows: Array
 
     def gram(self) -> Array:
@@ -33,7 +33,7 @@ class StackedRegressor:
         return np.asarray(self.rows @ self.rows.T)
 
 
-class Information:
+class InformationMatrix:
     """The base regressor of [Y, effect columns] along a motion, and gradients through it.
 
     Signs of velocities are smooth here, sgn(q̇) ≈ tanh(q̇/width): gradients exist. The result of a
@@ -48,7 +48,7 @@ class Information:
     ------
     ExcitationError
         An effect whose columns do not follow from motion and time at one instant; see
-        `seen_by_design`.
+        `design_model`.
     """
 
     def __init__(self, model: Model, *, sign_width: Array) -> None:
@@ -68,14 +68,14 @@ class Information:
                 for i, j in zip(self._values.rows, self._values.columns, strict=True)
             )
         )
-        pulled = pulled_back(flat, seed, symbols)
+        pulled = reverse_derivative(flat, seed, symbols)
         self._pulled = SampleKernel(
             "base_columns_reverse", symbols, pulled, {"seed": seed, **further}
         )
         self._columns, self._rows = self._values.columns, self._values.rows
         self.size = kept
 
-    def at(self, motion: Motion) -> StackedRegressor:
+    def at(self, motion: MotionSamples) -> StackedRegressor:
         """Return the stacked base regressor of a motion."""
         n, samples = self.model.n, len(motion)
         stacked = np.zeros((self.size, n, samples))
@@ -92,13 +92,13 @@ class Information:
         ]
         return np.ascontiguousarray(pulled.reshape(3, n, samples).transpose(1, 0, 2))
 
-    def _time(self, motion: Motion) -> dict[str, Array]:
+    def _time(self, motion: MotionSamples) -> dict[str, Array]:
         return {"time": motion.t[:, None]} if self._timed else {}
 
 
 def base_regressor(model: Model, symbols: Symbols, sign_width: Array, time: ca.SX) -> ca.SX:
     """Return the kept columns (n, p) of [Y, effect columns] with a smooth sign."""
-    unreachable = [p.label for p in model.placements if not counts(p.effect)]
+    unreachable = [p.label for p in model.placements if not follows_from_motion(p.effect)]
     if unreachable:
         raise ExcitationError(
             f"{', '.join(unreachable)}: depends on temperature, the past or the whole arm, "

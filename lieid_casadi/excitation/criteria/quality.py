@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ class Quality:
         return float(self.singular_values[0] / self.singular_values[self.rank - 1])
 
 
-def quality(model: Model, motion: Motion, column_scale: Array | None = None) -> Quality:
+def quality(model: Model, motion: MotionSamples, column_scale: Array | None = None) -> Quality:
     """Judge samples of a motion by the model's own columns, sharp signs included.
 
     Parameters
@@ -93,7 +93,7 @@ def quality(model: Model, motion: Motion, column_scale: Array | None = None) -> 
     )
 
 
-def stacked_regressors(model: Model, motion: Motion) -> tuple[Array, Array]:
+def stacked_regressors(model: Model, motion: MotionSamples) -> tuple[Array, Array]:
     """Return the base (N n, p) and the full (N n, P) regressor of samples."""
     from lieid_casadi.compiled import compile
 

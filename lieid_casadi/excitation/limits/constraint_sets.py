@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.excitation.basis.trajectory import Motion, SampledBasis
+from lieid_casadi.excitation.basis.trajectory import MotionSamples, SampledBasis
 
 Array = NDArray[np.float64]
 
@@ -39,11 +39,11 @@ class ConstraintSet(ABC):
     linear: bool = False
 
     @abstractmethod
-    def values(self, motion: Motion) -> Array:
+    def values(self, motion: MotionSamples) -> Array:
         """Return the quantities (k, N)."""
 
     @abstractmethod
-    def jacobian(self, motion: Motion) -> Array:
+    def jacobian(self, motion: MotionSamples) -> Array:
         """Return ∂values/∂(q, dq, ddq) (k, 3 n, N)."""
 
     def excess(self, values: Array) -> Array:
@@ -87,18 +87,18 @@ class JointLimits(ConstraintSet):
         )
         self._n = n
 
-    def values(self, motion: Motion) -> Array:
+    def values(self, motion: MotionSamples) -> Array:
         """See `ConstraintSet`."""
         return np.concatenate([motion.q.T, motion.dq.T, motion.ddq.T])
 
-    def jacobian(self, motion: Motion) -> Array:
+    def jacobian(self, motion: MotionSamples) -> Array:
         """See `ConstraintSet`."""
         identity = np.eye(3 * self._n)[:, :, None]
         return np.broadcast_to(identity, (3 * self._n, 3 * self._n, len(motion)))
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class ConstraintRows:
     """Chosen limits at chosen times: set, quantity, sample and side (+1 upper, −1 lower)."""
 
     sets: NDArray[np.intp]
@@ -115,25 +115,25 @@ class Rows:
         columns = (self.sets, self.quantities, self.samples, self.sides)
         return set(zip(*(column.tolist() for column in columns), strict=True))
 
-    def without(self, other: Rows) -> Rows:
+    def without(self, other: ConstraintRows) -> ConstraintRows:
         """Return those of these rows that another does not have."""
         keys = zip(*(column.tolist() for column in self.columns), strict=True)
         return self.chosen(np.array([key not in other.keys for key in keys], dtype=bool))
 
-    def joined(self, other: Rows) -> Rows:
+    def joined(self, other: ConstraintRows) -> ConstraintRows:
         """Return these rows and another's that are not among them."""
         new = other.without(self)
         pairs = zip(self.columns, new.columns, strict=True)
-        return Rows(*(np.concatenate(pair) for pair in pairs))
+        return ConstraintRows(*(np.concatenate(pair) for pair in pairs))
 
     @property
     def columns(self) -> tuple[NDArray[np.intp], ...]:
         """The four arrays."""
         return self.sets, self.quantities, self.samples, self.sides
 
-    def chosen(self, mask: NDArray[np.bool_]) -> Rows:
+    def chosen(self, mask: NDArray[np.bool_]) -> ConstraintRows:
         """Return some of the rows."""
-        return Rows(*(column[mask] for column in self.columns))
+        return ConstraintRows(*(column[mask] for column in self.columns))
 
 
 class SampledConstraints:
@@ -150,7 +150,7 @@ class SampledConstraints:
         self.sampled = sampled
         self.margin = margin
 
-    def excess(self, motion: Motion) -> list[tuple[Array, Array]]:
+    def excess(self, motion: MotionSamples) -> list[tuple[Array, Array]]:
         """Return per set the scaled excesses (k, N) past the upper and the lower limits."""
         result = []
         for limits in self.sets:
@@ -167,7 +167,7 @@ class SampledConstraints:
         """Return the largest scaled excess."""
         return max(float(side.max()) for pair in excess for side in pair)
 
-    def peaks(self, excess: list[tuple[Array, Array]], threshold: float) -> Rows:
+    def peaks(self, excess: list[tuple[Array, Array]], threshold: float) -> ConstraintRows:
         """Return the local maxima over time of excesses above a threshold."""
         found: list[tuple[NDArray[np.intp], ...]] = []
         for index, pair in enumerate(excess):
@@ -179,9 +179,9 @@ class SampledConstraints:
                 found.append(
                     (np.full_like(quantity, index), quantity, sample, np.full_like(quantity, side))
                 )
-        return Rows(*(np.concatenate(column) for column in zip(*found, strict=True)))
+        return ConstraintRows(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
-    def at(self, excess: list[tuple[Array, Array]], rows: Rows) -> Array:
+    def at(self, excess: list[tuple[Array, Array]], rows: ConstraintRows) -> Array:
         """Return the excesses of rows (R,)."""
         result = np.empty(len(rows))
         for index, (upper, lower) in enumerate(excess):
@@ -190,7 +190,7 @@ class SampledConstraints:
             result[mine] = np.where(rows.sides[mine] > 0, upper[where], lower[where])
         return result
 
-    def jacobian(self, motion: Motion, rows: Rows) -> Array:
+    def jacobian(self, motion: MotionSamples, rows: ConstraintRows) -> Array:
         """Return ∂excess/∂z (R, n d) of rows."""
         functions = self.sampled.functions  # (n, 3, N, d)
         n, _, _, d = functions.shape
@@ -200,7 +200,7 @@ class SampledConstraints:
             if not len(mine):
                 continue
             samples, place = np.unique(rows.samples[mine], return_inverse=True)
-            part = Motion(
+            part = MotionSamples(
                 motion.t[samples], motion.q[samples], motion.dq[samples], motion.ddq[samples]
             )
             slopes = limits.jacobian(part)[rows.quantities[mine], :, place]  # (R, 3 n)

@@ -15,7 +15,7 @@ from lieid_casadi.dynamics.lie import Pose, constant, cross, inverse_adjoint_tim
 from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
 from lieid_casadi.dynamics.motion_symbols import axes, relative_poses
 from lieid_casadi.errors import ExcitationError
-from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
 from lieid_casadi.excitation.sample_functions import SampleKernel, motion_jacobian
 from lieid_casadi.robot.robot import Robot
@@ -61,11 +61,11 @@ class SymbolicSet(ConstraintSet):
         self.lower, self.upper, self.scale = lower, upper, scale
         self.remedy = remedy
 
-    def values(self, motion: Motion) -> Array:
+    def values(self, motion: MotionSamples) -> Array:
         """See `ConstraintSet`."""
         return self._values.values(motion)
 
-    def jacobian(self, motion: Motion) -> Array:
+    def jacobian(self, motion: MotionSamples) -> Array:
         """See `ConstraintSet`."""
         return self._slopes.dense(motion)
 

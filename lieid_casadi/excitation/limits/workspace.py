@@ -59,7 +59,7 @@ def floor(height: float = 0.0, *, capsules: Sequence[Capsule] = ()) -> Wall:
     return Wall((0.0, 0.0, -1.0), -height, "floor", tuple(capsules))
 
 
-def room(
+def workspace_box(
     lower: Sequence[float], upper: Sequence[float], *, capsules: Sequence[Capsule] = ()
 ) -> tuple[Wall, ...]:
     """Return six walls: the arm stays inside the box from ``lower`` to ``upper``, m.

@@ -15,10 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.excitation.limits.constraint_sets import Rows, SampledConstraints
+from lieid_casadi.excitation.limits.constraint_sets import ConstraintRows, SampledConstraints
 from lieid_casadi.excitation.solvers.nonlinear_program import run_ipopt
 from lieid_casadi.excitation.solvers.quasi_newton import damped_bfgs, first_hessian
-from lieid_casadi.excitation.solvers.solver import Iteration, Objective, State, state_at
+from lieid_casadi.excitation.solvers.solver_interface import (
+    Iterate,
+    Iteration,
+    Objective,
+    evaluate_iterate,
+)
 
 Array = NDArray[np.float64]
 NEAR = -0.3  # scaled excess from which a peak is a row
@@ -60,13 +65,13 @@ class Ipopt:
     ) -> Array:
         """Return the last iterate of one stage."""
         c = self.constraints
-        state = state_at(c, objective, z)
+        state = evaluate_iterate(c, objective, z)
         rows, multipliers = c.peaks(state.excess, NEAR), np.zeros(0)
         count, in_vain, least = 0, 0, np.inf
         if self.barrier is None:
             self.barrier = min(BARRIER, ABOVE * tolerance)
         while True:
-            run = Run(self, objective, rows, state, count, self.barrier, tolerance)
+            run = IpoptRun(self, objective, rows, state, count, self.barrier, tolerance)
             multipliers = run.solve(multipliers, iterations - count)
             count += max(run.count, 1)
             lacking = c.peaks(run.last.excess, KEPT).without(rows)
@@ -91,14 +96,14 @@ class Ipopt:
         return state.z
 
 
-class Run:
+class IpoptRun:
     """One run of Ipopt, with fixed rows; a `Program`.
 
     Attributes
     ----------
-    state : State
+    state : Iterate
         The last iterate worth going on from.
-    last : State
+    last : Iterate
         The last iterate.
     count : int
         Iterations made.
@@ -108,8 +113,8 @@ class Run:
         self,
         solver: Ipopt,
         objective: Objective,
-        rows: Rows,
-        state: State,
+        rows: ConstraintRows,
+        state: Iterate,
         before: int,
         barrier: float,
         tolerance: float,
@@ -189,16 +194,16 @@ class Run:
         ended = self._still >= (STUCK if outside else STILL)
         return overlooked or ended
 
-    def _at(self, z: Array) -> State:
+    def _at(self, z: Array) -> Iterate:
         if not np.array_equal(self._here.z, z):
-            self._here = state_at(self.solver.constraints, self.objective, z.copy())
+            self._here = evaluate_iterate(self.solver.constraints, self.objective, z.copy())
         return self._here
 
-    def _limits(self, state: State) -> Array:
+    def _limits(self, state: Iterate) -> Array:
         mine = self.solver.constraints.at(state.excess, self.rows)
         return np.concatenate([mine, state.outcome.excess])
 
-    def _slopes_at(self, state: State) -> Array:
+    def _slopes_at(self, state: Iterate) -> Array:
         if self._slopes[0] is not state:
             slopes = self._fixed
             if self._nonlinear.any():

@@ -11,31 +11,31 @@ from dataclasses import dataclass
 
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import NoSolution
-from lieid_casadi.excitation.design_problem import Design, Problem
-from lieid_casadi.excitation.solvers.staged_solve import Solution, solve
+from lieid_casadi.excitation.design_problem import ExcitationDesign, ExcitationProblem
+from lieid_casadi.excitation.solvers.staged_solve import OptimizedStart, solve
 
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Attempt:
+class StartAttempt:
     """What one start came to: a solution, or the reason why there is none."""
 
     seed: int
     seconds: float
-    solution: Solution | None = None
+    solution: OptimizedStart | None = None
     reason: str = ""
     interrupted: bool = False
 
 
 def solve_all(
-    problem: Problem,
+    problem: ExcitationProblem,
     seeds: Sequence[int],
     *,
     progress: Progress = lambda stage, fraction: None,
     executor: Executor | None = None,
     max_iterations: int | None = None,
-) -> list[Attempt]:
+) -> list[StartAttempt]:
     """Return one attempt per seed; the result does not depend on the executor.
 
     Ctrl-C ends the search; attempts that are complete, and the best iterate of the current one,
@@ -66,7 +66,7 @@ def solve_all(
         except KeyboardInterrupt:
             if not any(a.solution for a in attempts):
                 raise
-            attempts[-1] = Attempt(
+            attempts[-1] = StartAttempt(
                 attempts[-1].seed, attempts[-1].seconds, attempts[-1].solution,
                 attempts[-1].reason, interrupted=True,
             )  # fmt: skip
@@ -77,23 +77,23 @@ def solve_all(
 
 
 def attempt(
-    problem: Problem,
+    problem: ExcitationProblem,
     seed: int,
     *,
     progress: Progress = lambda stage, fraction: None,
     max_iterations: int | None = None,
-) -> Attempt:
+) -> StartAttempt:
     """Solve from one start; a start without a solution is no error."""
     began = time.monotonic()
     try:
         solution = solve(problem, seed, progress=progress, max_iterations=max_iterations)
     except NoSolution as failure:
-        return Attempt(seed, time.monotonic() - began, reason=str(failure))
-    return Attempt(seed, time.monotonic() - began, solution, interrupted=solution.interrupted)
+        return StartAttempt(seed, time.monotonic() - began, reason=str(failure))
+    return StartAttempt(seed, time.monotonic() - began, solution, interrupted=solution.interrupted)
 
 
 @blas_on_one_thread
-def attempt_design(design: Design, seed: int, max_iterations: int | None) -> Attempt:
+def attempt_design(design: ExcitationDesign, seed: int, max_iterations: int | None) -> StartAttempt:
     """Solve from one start on an executor; compiled code comes from the cache there."""
     return attempt(_problem(design), seed, max_iterations=max_iterations)
 
@@ -101,9 +101,9 @@ def attempt_design(design: Design, seed: int, max_iterations: int | None) -> Att
 _last = threading.local()  # the problem that this thread solved last: a problem is not shared
 
 
-def _problem(design: Design) -> Problem:
+def _problem(design: ExcitationDesign) -> ExcitationProblem:
     key = pickle.dumps(design)
     if getattr(_last, "key", None) != key:
-        _last.key, _last.problem = key, Problem(design)
-    problem: Problem = _last.problem
+        _last.key, _last.problem = key, ExcitationProblem(design)
+    problem: ExcitationProblem = _last.problem
     return problem

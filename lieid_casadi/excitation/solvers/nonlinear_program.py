@@ -17,7 +17,7 @@ CONVERGED = 1e-6  # optimality error; what uses Ipopt stops it earlier
 SILENT = {"print_level": 0, "sb": "yes"}
 
 
-class Program(Protocol):
+class NonlinearProgram(Protocol):
     """min f(z) with g(z) ≤ 0; every method takes z (m,)."""
 
     pattern: NDArray[np.bool_]
@@ -45,7 +45,7 @@ class Program(Protocol):
 
 
 @dataclass(eq=False)
-class Failure:
+class CallbackFailure:
     """What our functions raised; C++ between them and us would print it and go on.
 
     From then on all of them are not a number, and Ipopt gives up.
@@ -55,7 +55,13 @@ class Failure:
 
 
 def run_ipopt(
-    program: Program, z: Array, multipliers: Array, *, reach: float, barrier: float, iterations: int
+    program: NonlinearProgram,
+    z: Array,
+    multipliers: Array,
+    *,
+    reach: float,
+    barrier: float,
+    iterations: int,
 ) -> Array:
     """Run Ipopt from z; return the multipliers (rows,). The iterates go to ``program.done``.
 
@@ -73,7 +79,7 @@ def run_ipopt(
     BaseException
         Whatever the program's methods raise, Ctrl-C among it.
     """
-    failure = Failure()
+    failure = CallbackFailure()
     try:
         found = _run(program, z, multipliers, failure, reach, barrier, iterations)
     except RuntimeError as error:
@@ -87,10 +93,10 @@ def run_ipopt(
 
 
 def _run(
-    program: Program,
+    program: NonlinearProgram,
     z: Array,
     multipliers: Array,
-    failure: Failure,
+    failure: CallbackFailure,
     reach: float,
     barrier: float,
     iterations: int,
@@ -119,7 +125,9 @@ def _run(
     return np.asarray(result["lam_g"].full().ravel())
 
 
-def _functions(program: Program, size: int, failure: Failure) -> dict[str, _Function]:
+def _functions(
+    program: NonlinearProgram, size: int, failure: CallbackFailure
+) -> dict[str, _Function]:
     """Return the functions in CasADi's names and signatures."""
     rows = len(program.pattern)
     slopes = ca.DM(program.pattern.astype(float))
@@ -173,7 +181,7 @@ class _Function(ca.Callback):
         inputs: list[ca.Sparsity],
         outputs: list[ca.Sparsity],
         rule: Rule,
-        failure: Failure,
+        failure: CallbackFailure,
     ) -> None:
         ca.Callback.__init__(self)
         self._inputs, self._outputs, self._rule, self._failure = inputs, outputs, rule, failure

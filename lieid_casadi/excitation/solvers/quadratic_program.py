@@ -18,14 +18,14 @@ INCOMPATIBLE = 1e-14  # least squared distance of the multipliers' problem
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class QuadraticSolution:
     """The solution d (m,) and its multipliers (rows,) ≥ 0."""
 
     step: Array
     multipliers: Array
 
 
-def solve(hessian: Array, gradient: Array, matrix: Array, limit: Array) -> Step | None:
+def solve(hessian: Array, gradient: Array, matrix: Array, limit: Array) -> QuadraticSolution | None:
     """Return the solution of min ½dᵀHd + gᵀd with A·d ≤ b; None if there is none.
 
     None too where rounding has taken the Hessian's definiteness.
@@ -46,7 +46,7 @@ def solve(hessian: Array, gradient: Array, matrix: Array, limit: Array) -> Step 
         return None
     free = solve_triangular(factor, gradient, lower=True)
     if not len(limit):
-        return Step(-solve_triangular(factor, free, lower=True, trans=1), np.zeros(0))
+        return QuadraticSolution(-solve_triangular(factor, free, lower=True, trans=1), np.zeros(0))
     across = -solve_triangular(factor, matrix.T, lower=True)
     least = free @ across - limit
     target = np.zeros(len(free) + 1)
@@ -61,4 +61,4 @@ def solve(hessian: Array, gradient: Array, matrix: Array, limit: Array) -> Step 
         return None
     distance = residual[:-1] / -residual[-1]
     step = solve_triangular(factor, distance - free, lower=True, trans=1)
-    return Step(step, weights / -residual[-1])
+    return QuadraticSolution(step, weights / -residual[-1])

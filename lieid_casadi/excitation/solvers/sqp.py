@@ -14,11 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.excitation.limits.constraint_sets import Rows, SampledConstraints
+from lieid_casadi.excitation.limits.constraint_sets import ConstraintRows, SampledConstraints
 from lieid_casadi.excitation.solvers import quadratic_program
-from lieid_casadi.excitation.solvers.quadratic_program import Step
+from lieid_casadi.excitation.solvers.quadratic_program import QuadraticSolution
 from lieid_casadi.excitation.solvers.quasi_newton import damped_bfgs, first_hessian
-from lieid_casadi.excitation.solvers.solver import Iteration, Objective, State, state_at
+from lieid_casadi.excitation.solvers.solver_interface import (
+    Iterate,
+    Iteration,
+    Objective,
+    evaluate_iterate,
+)
 
 Array = NDArray[np.float64]
 NEAR = -0.3  # scaled excess from which a peak is a row
@@ -69,13 +74,13 @@ class Sqp:
         self.stage += 1
         return state.z
 
-    def _state(self, objective: Objective, z: Array) -> State:
-        return state_at(self.constraints, objective, z)
+    def _state(self, objective: Objective, z: Array) -> Iterate:
+        return evaluate_iterate(self.constraints, objective, z)
 
-    def _merit(self, state: State) -> float:
+    def _merit(self, state: Iterate) -> float:
         return state.outcome.value + self.penalty * max(state.violation, 0.0)
 
-    def _direction(self, state: State) -> tuple[Rows, Step, float]:
+    def _direction(self, state: Iterate) -> tuple[ConstraintRows, QuadraticSolution, float]:
         """Return the rows, the step and the excess that the quadratic program leaves."""
         c = self.constraints
         rows = c.peaks(state.excess, NEAR)
@@ -92,8 +97,8 @@ class Sqp:
         return rows, step, slack
 
     def _solve(
-        self, state: State, matrix: Array, values: Array, further: Array
-    ) -> tuple[Step, float]:
+        self, state: Iterate, matrix: Array, values: Array, further: Array
+    ) -> tuple[QuadraticSolution, float]:
         """Return the step, multipliers of the given rows first, and the excess it leaves."""
         gradient = state.outcome.gradient
         if self.hessian is None:
@@ -109,7 +114,7 @@ class Sqp:
 
     def _elastic(
         self, gradient: Array, matrix: Array, values: Array, worst: float
-    ) -> tuple[Step, float]:
+    ) -> tuple[QuadraticSolution, float]:
         """Return the step of the program whose rows may be exceeded at the penalty's price."""
         hessian = np.zeros((self.size + 1, self.size + 1))
         hessian[:-1, :-1] = self.hessian
@@ -121,11 +126,11 @@ class Sqp:
         )
         if step is None:
             self.hessian = None
-            return Step(np.zeros(self.size), np.zeros(len(values))), worst
+            return QuadraticSolution(np.zeros(self.size), np.zeros(len(values))), worst
         slack = max(float(step.step[-1]), 0.0)
-        return _shortened(Step(step.step[:-1], step.multipliers[:-1])), slack
+        return _shortened(QuadraticSolution(step.step[:-1], step.multipliers[:-1])), slack
 
-    def _raise_penalty(self, step: Step, violation: float, slack: float) -> None:
+    def _raise_penalty(self, step: QuadraticSolution, violation: float, slack: float) -> None:
         needed = 1.5 * float(step.multipliers.sum())
         if slack > 0.5 * violation > 1e-9:
             needed = max(needed, 4.0 * self.penalty)
@@ -133,8 +138,13 @@ class Sqp:
             self.penalty = min(needed, 1e5)
 
     def _search(
-        self, objective: Objective, state: State, step: Step, rows: Rows, promise: float
-    ) -> State:
+        self,
+        objective: Objective,
+        state: Iterate,
+        step: QuadraticSolution,
+        rows: ConstraintRows,
+        promise: float,
+    ) -> Iterate:
         """Return the state after the step, shortened until the penalty function falls."""
         start, length = self._merit(state), 1.0
         direction = step.step
@@ -155,7 +165,9 @@ class Sqp:
             curvature = length * promise - gained
             length *= min(0.5, max(0.1, 0.5 * length * promise / max(curvature, 1e-300)))
 
-    def _corrected(self, state: State, after: State, step: Step, rows: Rows) -> Array | None:
+    def _corrected(
+        self, state: Iterate, after: Iterate, step: QuadraticSolution, rows: ConstraintRows
+    ) -> Array | None:
         """Return the step with the excess that linear rows overlooked (second-order correction)."""
         c = self.constraints
         every = rows.joined(c.peaks(after.excess, 0.0))
@@ -165,7 +177,9 @@ class Sqp:
         again, slack = self._solve(state, matrix, values, further)
         return again.step if slack < after.violation else None
 
-    def _update_hessian(self, before: State, after: State, rows: Rows, multipliers: Array) -> None:
+    def _update_hessian(
+        self, before: Iterate, after: Iterate, rows: ConstraintRows, multipliers: Array
+    ) -> None:
         """Damped BFGS (Powell) on the Lagrangian."""
         if self.hessian is None:
             return
@@ -183,9 +197,9 @@ class Sqp:
         self.hessian = damped_bfgs(self.hessian, move, change)
 
 
-def _shortened(step: Step) -> Step:
+def _shortened(step: QuadraticSolution) -> QuadraticSolution:
     """Return the step within the longest allowed; what it promises holds for a part of it too."""
     longest = float(np.abs(step.step).max(initial=0.0))
     if longest <= LONGEST:
         return step
-    return Step(step.step * (LONGEST / longest), step.multipliers)
+    return QuadraticSolution(step.step * (LONGEST / longest), step.multipliers)

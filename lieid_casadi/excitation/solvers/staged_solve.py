@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.design_problem import COARSE, FINE, MARGIN, Problem
+from lieid_casadi.excitation.design_problem import COARSE, FINE, MARGIN, ExcitationProblem
 from lieid_casadi.excitation.solvers.ipopt import Ipopt
-from lieid_casadi.excitation.solvers.solver import Iteration, Solver, State
+from lieid_casadi.excitation.solvers.solver_interface import Iterate, Iteration, Solver
 from lieid_casadi.excitation.solvers.sqp import Sqp
-from lieid_casadi.excitation.solvers.stages import Plan, make_plan, volume_of
+from lieid_casadi.excitation.solvers.stages import StagePlan, make_plan, volume_of
 
 Array = NDArray[np.float64]
 FEASIBLE = 0.5 * MARGIN  # scaled excess, margin included, that a kept iterate may have
@@ -29,7 +29,7 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class Step:
+class IterationRecord:
     """One iteration, as the criterion's history shows it."""
 
     stage: str
@@ -40,7 +40,7 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class OptimizedStart:
     """The best trajectory of one start.
 
     Attributes
@@ -57,7 +57,7 @@ class Solution:
     rank: float
     condition_number: float
     neg_log_det: float
-    history: tuple[Step, ...]
+    history: tuple[IterationRecord, ...]
     seconds: float
     seed: int
     interrupted: bool = False
@@ -70,16 +70,16 @@ class Tracker:
     ``kept`` are all that were the best once; the last of them need not hold between the samples.
     """
 
-    problem: Problem
-    rank: Callable[[State], float]
+    problem: ExcitationProblem
+    rank: Callable[[Iterate], float]
     names: list[str]
     progress: Progress
     total: int
-    best: State | None = None
+    best: Iterate | None = None
     best_rank: float = np.inf
-    kept: list[State] = field(default_factory=list)
-    last: State | None = None
-    history: list[Step] = field(default_factory=list)
+    kept: list[Iterate] = field(default_factory=list)
+    last: Iterate | None = None
+    history: list[IterationRecord] = field(default_factory=list)
     started: float = field(default_factory=time.monotonic)
 
     def __call__(self, iteration: Iteration) -> None:
@@ -90,7 +90,9 @@ class Tracker:
         name = self.names[min(iteration.stage, len(self.names) - 1)]
         seconds = time.monotonic() - self.started
         self.history.append(
-            Step(name, seconds, state.outcome.value, condition, max(state.violation, 0.0))
+            IterationRecord(
+                name, seconds, state.outcome.value, condition, max(state.violation, 0.0)
+            )
         )
         if state.violation <= FEASIBLE and self.rank(state) < self.best_rank:
             self.best, self.best_rank = state, self.rank(state)
@@ -102,17 +104,17 @@ class Tracker:
 
 
 def solve(
-    problem: Problem,
+    problem: ExcitationProblem,
     seed: int,
     *,
     progress: Progress = lambda stage, fraction: None,
     max_iterations: int | None = None,
-) -> Solution:
+) -> OptimizedStart:
     """Optimize from one random start and verify on the fine grid.
 
     Parameters
     ----------
-    problem : Problem
+    problem : ExcitationProblem
     seed : int
         Of the random start.
     progress : callable, optional
@@ -152,14 +154,14 @@ def solve(
             )  # fmt: skip
         z = verified(problem, solver, tracker, plan, ceiling)
     except KeyboardInterrupt:
-        held = last_that_holds(problem, tracker)
+        held = last_feasible(problem, tracker)
         if held is None:
             raise
         tracker.best, stopped, z = held, True, held.z
     assert tracker.best is not None
     gram = problem.gram(z)
     volume = float(np.linalg.slogdet(gram)[1])
-    return Solution(
+    return OptimizedStart(
         z, plan.rank(tracker.best), problem.condition_number(gram), -volume,
         tuple(tracker.history), time.monotonic() - tracker.started, seed, stopped,
     )  # fmt: skip
@@ -176,7 +178,7 @@ def ceiling_of(tracker: Tracker) -> float:
     return volume_of(reached) + VOLUME_SLACK
 
 
-def random_start(problem: Problem, seed: int) -> Array:
+def random_start(problem: ExcitationProblem, seed: int) -> Array:
     """Return free variables that fill 90 % of some joint limit of every joint.
 
     Where that breaks other limits badly, all joints move less.
@@ -210,10 +212,10 @@ def random_start(problem: Problem, seed: int) -> Array:
 
 
 def verified(
-    problem: Problem,
+    problem: ExcitationProblem,
     solver: Solver,
     tracker: Tracker,
-    plan: Plan,
+    plan: StagePlan,
     ceiling: float | None,
 ) -> Array:
     """Return the best iterate once the fine grid holds; solve on that grid as long as it does not.
@@ -234,10 +236,10 @@ def verified(
         tracker.best, tracker.best_rank = None, np.inf
         solver.constraints = problem.constraints(FINE)
         solver.minimize(objective, reached.z, iterations=POLISH, tolerance=1e-5)
-    raise NoSolution(why_not(problem, tracker))
+    raise NoSolution(infeasibility_reason(problem, tracker))
 
 
-def last_that_holds(problem: Problem, tracker: Tracker) -> State | None:
+def last_feasible(problem: ExcitationProblem, tracker: Tracker) -> Iterate | None:
     """Return the last of the best iterates so far that holds on the fine grid."""
     exact = problem.constraints(FINE, margin=0.0)
     for state in reversed(tracker.kept):
@@ -246,7 +248,7 @@ def last_that_holds(problem: Problem, tracker: Tracker) -> State | None:
     return None
 
 
-def why_not(problem: Problem, tracker: Tracker) -> str:
+def infeasibility_reason(problem: ExcitationProblem, tracker: Tracker) -> str:
     """Return which limit the last iterate breaks most, where, by how much, and what to relax."""
     state = tracker.last
     if state is None:

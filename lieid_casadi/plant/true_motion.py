@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class Trajectory(Protocol):
+class ReferenceTrajectory(Protocol):
     """A motion to track: at rest before 0 and after ``duration`` (s)."""
 
     @property
@@ -25,7 +25,7 @@ class Trajectory(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class TrueMotion:
     """True signals at N instants; (N, n) but for t (N,). SI units.
 
     τ = rigid + smooth + dry + armature·motor_ddq holds sample by sample.

@@ -9,36 +9,23 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
+from lieid_casadi.excitation.criteria.objective_value import ObjectiveValue
 from lieid_casadi.excitation.limits.constraint_sets import SampledConstraints
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """An objective at z: value, gradient (m,), G (p, p) and further limits excess ≤ 0.
-
-    ``excess`` (s,) has the slopes (s, m); most objectives have none.
-    """
-
-    value: float
-    gradient: Array
-    gram: Array
-    excess: Array
-    slopes: Array
-
-
-Objective = Callable[[Array], Outcome]
+Objective = Callable[[Array], ObjectiveValue]
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class Iterate:
     """An iterate: everything known at z."""
 
     z: Array
-    outcome: Outcome
-    motion: Motion
+    outcome: ObjectiveValue
+    motion: MotionSamples
     excess: list[tuple[Array, Array]]
     violation: float
 
@@ -49,7 +36,7 @@ class Iteration:
 
     stage: int
     number: int
-    state: State
+    state: Iterate
 
 
 class Solver(Protocol):
@@ -76,10 +63,10 @@ class Solver(Protocol):
         """
 
 
-def state_at(constraints: SampledConstraints, objective: Objective, z: Array) -> State:
+def evaluate_iterate(constraints: SampledConstraints, objective: Objective, z: Array) -> Iterate:
     """Evaluate objective and limits at z (m,)."""
     outcome = objective(z)
     motion = constraints.sampled.motion(z)
     excess = constraints.excess(motion)
     violation = max(constraints.largest(excess), float(outcome.excess.max(initial=-1.0)))
-    return State(z, outcome, motion, excess, violation)
+    return Iterate(z, outcome, motion, excess, violation)

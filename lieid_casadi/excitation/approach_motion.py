@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import NoSolution
-from lieid_casadi.excitation.basis.trajectory import Motion
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
 from lieid_casadi.excitation.limits.joint_limits import MotionRange
 
@@ -21,14 +21,14 @@ GRID = 400
 
 
 @dataclass(frozen=True, eq=False)
-class RunIn:
+class RestToRest:
     """A quintic from rest to rest between two poses (n,)."""
 
     start: Array
     end: Array
     duration: float
 
-    def at(self, t: Array) -> Motion:
+    def at(self, t: Array) -> MotionSamples:
         """Return the motion at times 0 … duration."""
         if self.duration <= 0.0:
             raise ValueError("a run-in without duration has no motion")
@@ -37,17 +37,17 @@ class RunIn:
         shape = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
         first = 30.0 * u**2 * (1.0 - u) ** 2 * rate
         second = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) * rate**2
-        return Motion(np.asarray(t), self.start + shape * way, first * way, second * way)
+        return MotionSamples(np.asarray(t), self.start + shape * way, first * way, second * way)
 
 
-def run_in(
+def approach_motion(
     rest: Array,
     start: Array,
     limits: MotionRange,
     sets: Sequence[ConstraintSet],
     *,
     step: float = 1e-3,
-) -> RunIn:
+) -> RestToRest:
     """Return the way from the rest pose to the trajectory's start, within all limits.
 
     Its duration is a multiple of ``step`` (s), so that samples end at rest.
@@ -59,14 +59,14 @@ def run_in(
     """
     way = np.abs(start - rest)
     if not way.max() > 1e-9:
-        return RunIn(rest, start, 0.0)
+        return RestToRest(rest, start, 0.0)
     quickest = SPARE * max(
         float(np.max(PEAK_VELOCITY * way / limits.velocity)),
         float(np.max(np.sqrt(PEAK_ACCELERATION * way / limits.acceleration))),
     )
     broken = ""
     for factor in SLOWER:
-        path = RunIn(rest, start, float(np.ceil(factor * quickest / step)) * step)
+        path = RestToRest(rest, start, float(np.ceil(factor * quickest / step)) * step)
         broken = _broken(path, sets)
         if not broken:
             return path
@@ -76,7 +76,7 @@ def run_in(
     )
 
 
-def _broken(path: RunIn, sets: Sequence[ConstraintSet]) -> str:
+def _broken(path: RestToRest, sets: Sequence[ConstraintSet]) -> str:
     motion = path.at(np.linspace(0.0, path.duration, GRID))
     for limits in sets:
         excess = limits.excess(limits.values(motion))

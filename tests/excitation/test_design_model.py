@@ -1,4 +1,4 @@
-"""Which of a model's effects count in a design."""
+"""The effects of a model that a design evaluates."""
 
 import numpy as np
 import pytest
@@ -6,42 +6,42 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi.errors import NotCountedWarning
 from lieid_casadi.excitation import excite
-from lieid_casadi.excitation.basis.trajectory import Motion
-from lieid_casadi.excitation.criteria.design_model import seen_by_design
-from lieid_casadi.excitation.criteria.information_matrix import Information
+from lieid_casadi.excitation.basis.trajectory import MotionSamples
+from lieid_casadi.excitation.criteria.design_model import design_model
+from lieid_casadi.excitation.criteria.information_matrix import InformationMatrix
 
 ROBOT = lieid.robots.two_link()
 
 
 @pytest.mark.parametrize(
-    ("effects", "counted", "told"),
+    ("effects", "expected", "messages"),
     [
         ("coulomb,viscous", ["coulomb", "viscous"], []),
-        ("presliding,viscous", ["coulomb", "viscous"], ["counted in the regressor as coulomb"]),
-        ("presliding/load:2", ["coulomb:2", "load_friction:2"], ["as coulomb and load_friction"]),
+        ("presliding,viscous", ["coulomb", "viscous"], ["replaced by coulomb in the regressor"]),
+        ("presliding/load:2", ["coulomb:2", "load_friction:2"], ["by coulomb and load_friction"]),
         ("coulomb,presliding:1", ["coulomb"], ["presliding:1"]),
         ("viscous,temperature_friction", ["viscous"], ["temperature_friction:1"]),
-        ("temperature_friction/exponential", ["viscous"], ["as viscous"]),
+        ("temperature_friction/exponential", ["viscous"], ["by viscous"]),
         ("viscous,base_tilt,torque_delay:2", ["viscous"], ["base_tilt, torque_delay:2"]),
         ("warm_up", ["warm_up"], []),
     ],
 )
-def test_what_counts(effects, counted, told):
-    seen, warnings = seen_by_design(lieid.Model(ROBOT, effects=effects))
-    assert seen.effects == counted
-    assert len(warnings) == len(told)
-    for warning, words in zip(warnings, told, strict=True):
+def test_effects_of_the_design_model(effects, expected, messages):
+    reduced, warnings = design_model(lieid.Model(ROBOT, effects=effects))
+    assert reduced.effects == expected
+    assert len(warnings) == len(messages)
+    for warning, message in zip(warnings, messages, strict=True):
         assert isinstance(warning, NotCountedWarning)
-        assert words in str(warning)
+        assert message in str(warning)
 
 
 def test_time_comes_from_the_trajectory():
     """Columns of `warm_up` by their formula, and the gradient by differences."""
     model = lieid.Model(ROBOT, effects="coulomb,viscous,warm_up")
-    information = Information(model, sign_width=np.full(2, 0.05))
+    information = InformationMatrix(model, sign_width=np.full(2, 0.05))
     rng = np.random.default_rng(2)
     t = np.linspace(0.0, 40.0, 12)
-    motion = Motion(t, *(rng.normal(size=(12, 2)) for _ in range(3)))
+    motion = MotionSamples(t, *(rng.normal(size=(12, 2)) for _ in range(3)))
     rows = information.at(motion).rows.reshape(-1, 2, 12)
     names = [model.base.names[k] for k in model.base.kept]
     column = rows[names.index("warm_up.f_tv:2")]
@@ -57,12 +57,12 @@ def test_time_comes_from_the_trajectory():
         for sign in (1.0, -1.0):
             dq = motion.dq.copy()
             dq[k, j] += sign * step
-            moved = information.at(Motion(t, motion.q, dq, motion.ddq))
+            moved = information.at(MotionSamples(t, motion.q, dq, motion.ddq))
             values.append(np.sum(weights * moved.gram()))
         assert np.isclose(gradient[j, 1, k], (values[0] - values[1]) / (2 * step), rtol=1e-5)
 
 
-def test_a_design_for_effects_that_do_not_count_says_so():
+def test_a_design_warns_of_effects_that_it_leaves_out():
     model = lieid.Model(ROBOT, effects="presliding,viscous,warm_up:1,temperature_friction:2")
     found = excite(model, duration=8.0, starts=1)
     plain = excite(lieid.Model(ROBOT, effects="coulomb,viscous,warm_up:1"), duration=8.0, starts=1)
