@@ -27,6 +27,7 @@ __all__ = [
     "Robot",
     "Shape",
     "Signals",
+    "SymbolicDynamics",
     "__version__",
     "compare",
     "compile",
@@ -39,6 +40,7 @@ __all__ = [
     "identify_payload",
     "register",
     "robots",
+    "symbolic",
 ]
 
 # where each name is defined; imported on first use, so that importing the package is quick
@@ -62,6 +64,7 @@ _HOME = {
     "Robot": "lieid_casadi.robot",
     "Shape": "lieid_casadi.effects",
     "Signals": "lieid_casadi.effects",
+    "SymbolicDynamics": "lieid_casadi.expressions.symbolic",
     "compare": "lieid_casadi.comparison",
     "compile": "lieid_casadi.compiled",
     "diagnose": "lieid_casadi.diagnosis",
@@ -72,6 +75,7 @@ _HOME = {
     "identify": "lieid_casadi.identification",
     "identify_payload": "lieid_casadi.payload",
     "register": "lieid_casadi.effects",
+    "symbolic": "lieid_casadi.expressions.symbolic",
 }
 
 if TYPE_CHECKING:
@@ -86,6 +90,7 @@ if TYPE_CHECKING:
     from lieid_casadi.errors import LieidError, LieidWarning
     from lieid_casadi.excitation.excitation import Excitation
     from lieid_casadi.excitation.excite import excite
+    from lieid_casadi.expressions.symbolic import SymbolicDynamics, symbolic
     from lieid_casadi.gains.estimate import DriveGains
     from lieid_casadi.gains.identify import drive_gains
     from lieid_casadi.identification.fit import Fit

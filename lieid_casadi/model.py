@@ -240,6 +240,14 @@ class Model:
                 after += p.effect.next_states(past, now.of(p.joint, p.source), shape)
         return ca.vertcat(*after)
 
+    def state_rates(self, signals: EffectSignals, shapes: ca.SX, states: ca.SX) -> ca.SX:
+        """Return the time derivatives (S,) of the states of effects with memory."""
+        rates: list[ca.SX] = []
+        for p, shape, state in self._named(shapes, states):
+            if state:
+                rates += p.effect.state_rates(signals.of(p.joint, p.source, state), shape)
+        return ca.vertcat(*rates)
+
     def _named(
         self, shapes: ca.SX, states: ca.SX | None
     ) -> Iterator[tuple[Placement, dict[str, ca.SX], dict[str, ca.SX]]]:

@@ -163,11 +163,24 @@ def _point_moments(link: ca.SX, velocity: ca.SX) -> tuple[ca.SX, ca.SX]:
     return link[0] * v + cross(omega, moment), turning
 
 
-def gravity(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
-    """Return G(q) = ξᵀBᵀEBΓ_{V0}A₀ (n,): the torque at rest."""
+def gravity(
+    robot: Robot, motion: Motion, parameters: ca.SX, *, gravity: ca.SX | None = None
+) -> ca.SX:
+    """Return G(q) = ξᵀBᵀEBΓ_{V0}A₀ (n,): the torque at rest.
+
+    Parameters
+    ----------
+    robot : Robot
+    motion : Motion
+        Its positions are used.
+    parameters : (10 n,)
+        Link parameters.
+    gravity : (3,), optional
+        Gravity in the base frame in place of the robot's, m/s².
+    """
     zero = ca.SX(robot.n, 1)
     still = Motion(motion.q, motion.sin, motion.cos, zero, zero)
-    return inverse_dynamics(robot, still, parameters)
+    return inverse_dynamics(robot, still, parameters, gravity=gravity)
 
 
 def jacobian(robot: Robot, motion: Motion) -> ca.SX:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
+from operator import matmul
 
 import casadi as ca
 
@@ -45,7 +47,11 @@ class BodyMotion:
 
 
 def body_motions(
-    robot: Robot, motion: Motion, *, reference: Reference | None = None
+    robot: Robot,
+    motion: Motion,
+    *,
+    reference: Reference | None = None,
+    gravity: ca.SX | None = None,
 ) -> list[BodyMotion]:
     """Forward recursion, Eq. 2, on the accelerations of points instead of twists.
 
@@ -58,7 +64,8 @@ def body_motions(
     rates = [motion.dq] if reference is None else [motion.dq, reference.dq]
     ddq = motion.ddq if reference is None else reference.ddq
     omega = [ca.SX(3, 1)] * len(rates)
-    body = BodyMotion(ca.SX(3, 1), ca.SX(3, 3), constant(-robot.gravity))
+    free_fall = constant(-robot.gravity) if gravity is None else -gravity
+    body = BodyMotion(ca.SX(3, 1), ca.SX(3, 3), free_fall)
     bodies = []
     for i, (g, xi) in enumerate(zip(relative_poses(robot, motion), axes(robot), strict=True)):
         back = g.rotation.T
@@ -122,7 +129,12 @@ def inertia_moments(body: BodyMotion) -> ca.SX:
 
 
 def inverse_dynamics(
-    robot: Robot, motion: Motion, parameters: ca.SX, *, tool_wrench: ca.SX | None = None
+    robot: Robot,
+    motion: Motion,
+    parameters: ca.SX,
+    *,
+    tool_wrench: ca.SX | None = None,
+    gravity: ca.SX | None = None,
 ) -> ca.SX:
     """Return the rigid torque (n,) by the backward recursion, Eq. 3.
 
@@ -132,13 +144,15 @@ def inverse_dynamics(
         Link parameters.
     tool_wrench : (6,), optional
         [m; f] that the tool exerts on its surroundings, at the tool's origin, in tool axes.
+    gravity : (3,), optional
+        Gravity in the base frame in place of the robot's, m/s².
     """
     poses, xi = relative_poses(robot, motion), axes(robot)
     wrench = ca.SX(6, 1)
     if tool_wrench is not None:
         wrench = inverse_adjoint_transpose_times(tool_pose(robot), tool_wrench)
     torque = [ca.SX(1, 1)] * robot.n
-    bodies = body_motions(robot, motion)
+    bodies = body_motions(robot, motion, gravity=gravity)
     for i in reversed(range(robot.n)):
         wrench = wrench + body_wrench(parameters[10 * i : 10 * i + 10], bodies[i])
         torque[i] = ca.mtimes(xi[i].T, wrench)
@@ -154,8 +168,9 @@ def tool_in_base(robot: Robot, motion: Motion) -> Pose:
 
 def pose_of_last_link(robot: Robot, motion: Motion) -> Pose:
     """Return the last link frame in the base frame."""
-    poses = relative_poses(robot, motion)
-    here = poses[0]
-    for g in poses[1:]:
-        here = here @ g
-    return here
+    return link_poses(robot, motion)[-1]
+
+
+def link_poses(robot: Robot, motion: Motion) -> list[Pose]:
+    """Return each link frame in the base frame."""
+    return list(accumulate(relative_poses(robot, motion), matmul))

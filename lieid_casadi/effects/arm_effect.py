@@ -73,14 +73,14 @@ class InstantModel(Protocol):
     def torque(self) -> ca.SX:
         """Torque (n,) of the rigid arm and all effects on single joints, N·m."""
 
-    def rigid_beside(self, offset: Array) -> ca.SX:
+    def rigid_beside(self, offset: ca.SX) -> ca.SX:
         """Return the rigid torque (n,) at q + offset (n,)."""
 
     @property
     def gravity(self) -> Array:
         """Gravity (3,) in the base frame, m/s²."""
 
-    def gravity_torque(self, gravity: Array) -> ca.SX:
+    def gravity_torque(self, gravity: ca.SX) -> ca.SX:
         """Return the torque (n,) at rest in another gravity (3,)."""
 
     def jacobian(self) -> ca.SX:
@@ -100,12 +100,16 @@ class ArmEffect(Effect):
     trial_values : tuple
         Coefficients other than zero at which a diagnosis tries the columns, because the column
         at a likely value differs from the derivative at zero.
+    needs_past : bool
+        Whether the torque at an instant depends on the motion before it, so that no function of
+        one instant reproduces the effect.
     export_note : str
         What generated code does instead if it does not reproduce the effect.
     """
 
     reach: ClassVar[Literal["arm", "joint"]] = "arm"
     trial_values: ClassVar[tuple[tuple[float, ...], ...]] = ()
+    needs_past: ClassVar[bool] = False
     export_note: ClassVar[str] = ""
     signals: tuple[str, ...] = ()
 
@@ -127,7 +131,7 @@ class ArmEffect(Effect):
             Current coefficients, about which the columns are taken.
         """
 
-    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX | None:
+    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX | None:
         """Return the columns (n, c) at one instant, None if they depend on more than one.
 
         Parameters
@@ -137,7 +141,18 @@ class ArmEffect(Effect):
         joint : int
             The joint (from 0) on which the effect is placed.
         values : (c,)
-            Coefficients of the fit.
+            Coefficients, numbers or symbols: the columns times the coefficients are the whole
+            change that these make.
+        """
+        return None
+
+    def tool_body(self, values: ca.SX) -> ca.SX | None:
+        """Return the link parameters (10,) that the effect adds in the tool frame, if it does.
+
+        Parameters
+        ----------
+        values : (c,)
+            Coefficients, numbers or symbols.
         """
         return None
 

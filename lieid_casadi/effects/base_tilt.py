@@ -37,26 +37,29 @@ class BaseTilt(ArmEffect):
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns of the formula."""
-        return arm.gravity_by_axis() @ _changes(arm.gravity, values)
+        changes = ca.evalf(_changes(arm.gravity, ca.SX(ca.DM(values))))
+        return np.asarray(arm.gravity_by_axis() @ changes.full())
 
-    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
         """Return the columns of the formula."""
-        return ca.horzcat(*(arm.gravity_torque(g) for g in _changes(arm.gravity, values).T))
+        changes = ca.horzsplit(_changes(arm.gravity, values))
+        return ca.horzcat(*(arm.gravity_torque(change) for change in changes))
 
 
-def _changes(gravity: Array, values: Array) -> Array:
-    """Return how gravity changes with each angle (3, 2)."""
-    alpha, beta = (float(v) if abs(v) > LEAST else LEAST for v in values)
-    now = abs(float(values[0])) > LEAST
-    about_x = _turned(0, alpha) @ gravity
-    before = about_x if now else gravity
-    about_y = _turned(1, beta) @ before
-    return np.column_stack([(about_x - gravity) / alpha, (about_y - before) / beta])
+def _changes(gravity: Array, values: ca.SX) -> ca.SX:
+    """Return the change of gravity per angle (3, 2), as a difference quotient."""
+    alpha, beta = (ca.if_else(ca.fabs(v) > LEAST, v, LEAST) for v in ca.vertsplit(values))
+    about_x = _rotated_about_x(ca.SX(ca.DM(gravity)), alpha)
+    before = ca.if_else(ca.fabs(values[0]) > LEAST, about_x, gravity)
+    about_y = _rotated_about_y(before, beta)
+    return ca.horzcat((about_x - gravity) / alpha, (about_y - before) / beta)
 
 
-def _turned(axis: int, angle: float) -> Array:
-    """Return the rotation about the x (0) or y (1) axis."""
-    c, s = np.cos(angle), np.sin(angle)
-    if axis == 0:
-        return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+def _rotated_about_x(v: ca.SX, angle: ca.SX) -> ca.SX:
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(v[0], c * v[1] - s * v[2], s * v[1] + c * v[2])
+
+
+def _rotated_about_y(v: ca.SX, angle: ca.SX) -> ca.SX:
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(c * v[0] + s * v[2], v[1], c * v[2] - s * v[0])

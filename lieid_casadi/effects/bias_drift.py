@@ -37,6 +37,6 @@ class BiasDrift(ArmEffect):
         drift = arm.t - arm.t.mean() if arm.fitted else np.zeros_like(arm.t)
         return on_joint(drift, joint, arm.torque.shape[1])
 
-    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
         """Return zeros, as along any recording that was not fitted."""
         return ca.SX(arm.load.shape[0], 1)

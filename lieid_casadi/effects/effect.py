@@ -230,6 +230,18 @@ class Effect(ABC):
             for x, state in zip(after, self.states, strict=True)
         ]
 
+    def state_rates(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+        """Return the time derivatives of the states, for integration in continuous time.
+
+        Parameters
+        ----------
+        s : Signals
+            Signals at an instant, with the states in ``s.state``.
+        shape : mapping
+            Shape parameters by name.
+        """
+        raise NotImplementedError(f"effect {self.name} has states but no state_rates")
+
     @property
     def label(self) -> str:
         """Name with its option, as written on the command line: ``stribeck/two_width``."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import ClassVar
 
 import casadi as ca
-import numpy as np
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
 from lieid_casadi.effects.effect import Coefficient, register
@@ -36,19 +35,19 @@ class EncoderOffset(ArmEffect):
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns of the formula."""
         q, dq, ddq = arm.motion
-        step = _step(values)
+        step = float(_step(ca.SX(ca.DM(values))))
         moved = q.copy()
         moved[:, joint] += step
         change = arm.rigid(moved, dq, ddq) - arm.load
         return change[:, :, None] / step
 
-    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
         """Return the columns of the formula."""
-        offset, step = np.zeros(arm.load.shape[0]), _step(values)
+        offset, step = ca.SX(arm.load.shape[0], 1), _step(values)
         offset[joint] = step
         return (arm.rigid_beside(offset) - arm.load) / step
 
 
-def _step(values: Array) -> float:
+def _step(values: ca.SX) -> ca.SX:
     """Return the offset over which the difference is taken, rad."""
-    return float(values[0]) if abs(values[0]) > LEAST else LEAST
+    return ca.if_else(ca.fabs(values[0]) > LEAST, values[0], LEAST)

@@ -37,6 +37,6 @@ class ExternalWrench(ArmEffect):
         """Return the columns of the formula."""
         return arm.jacobian().transpose(0, 2, 1)
 
-    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
         """Return the columns of the formula."""
         return arm.jacobian().T

@@ -38,6 +38,10 @@ class Payload(ArmEffect):
         """Return the columns of the formula."""
         return arm.tool_regressor()[:, :, :4]
 
-    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
         """Return the columns of the formula."""
         return arm.tool_regressor()[:, :4]
+
+    def tool_body(self, values: ca.SX) -> ca.SX:
+        """Return mass and first moments, with an inertia of zero."""
+        return ca.vertcat(values, ca.SX(6, 1))

@@ -87,7 +87,7 @@ class Presliding(Effect):
         if self.option == "square":
             return [built, built * s.load**2]
         if self.option == "lugre":
-            return [built, s.dq - ca.fabs(s.dq) * s.state["z"] / self._width(s.dq, shape)]
+            return [built, *self.state_rates(s, shape)]
         return [built]
 
     def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
@@ -95,6 +95,10 @@ class Presliding(Effect):
         moved, width = now.q - before.q, self._width((before.dq + now.dq) / 2, shape)
         first = _until_reversal(before, now)
         return [_slide(_slide(before.state["z"], first, width), moved - first, width)]
+
+    def state_rates(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+        """Return ż = q̇ − |q̇|·z/w."""
+        return [s.dq - ca.fabs(s.dq) * s.state["z"] / self._width(s.dq, shape)]
 
     def _width(self, dq: ca.SX, shape: Mapping[str, ca.SX]) -> ca.SX:
         if self.option != "lugre":

@@ -26,6 +26,7 @@ class TorqueDelay(ArmEffect):
     formula = "τ_measured(t) = τ(t − δ)"
     coefficients = (Coefficient("delta", "s", meaning="delay", resolved_by="sample_time"),)
     reach = "joint"
+    needs_past = True
     export_note = "omitted: the torque is that of the instant, without the delay of its measurement"
     trial_values = ((-0.02,), (-0.005,), (0.005,), (0.01,), (0.02,), (0.04,), (0.08,))
     revealed_by = "fast changes of torque: high accelerations, reversals, rates above 100 Hz"
@@ -46,6 +47,6 @@ class TorqueDelay(ArmEffect):
             change = (np.interp(arm.t - delay, arm.t, torque) - torque) / delay
         return on_joint(change, joint, arm.torque.shape[1])
 
-    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
         """Return zeros: a controller needs the torque at the instant."""
         return ca.SX(arm.load.shape[0], 1)

@@ -34,7 +34,7 @@ class TorqueGain(ArmEffect):
         """Return the columns of the formula."""
         return on_joint(arm.torque[:, joint], joint, arm.torque.shape[1])
 
-    def instant_columns(self, arm: InstantModel, joint: int, values: Array) -> ca.SX:
+    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
         """Return the columns of the formula."""
         column = ca.SX(arm.torque.shape[0], 1)
         column[joint] = arm.torque[joint]

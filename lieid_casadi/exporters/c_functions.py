@@ -13,8 +13,9 @@ from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
 from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.dynamics.regressor import regressor, slotine_li_regressor
-from lieid_casadi.exporters.c_arm_effects import OneInstant, with_arm_effects
+from lieid_casadi.exporters.c_arm_effects import with_arm_effects
 from lieid_casadi.exporters.c_statements import Body, Input, body, each, number
+from lieid_casadi.expressions.instant import ArmInstant
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import EffectSignals
 
@@ -125,7 +126,7 @@ class Expressions:
         s = self._symbols
         columns = self._model.effect_columns(s.signals, self._shapes, s.states)
         torque = s.load + ca.mtimes(columns, self._coefficients)
-        arm = OneInstant(self._model.robot, s.motion, self._links, self._all_links, s.load, torque)
+        arm = ArmInstant(self._model.robot, s.motion, self._links, self._all_links, s.load, torque)
         return with_arm_effects(columns, self._model, arm, self._fit.effect_coefficients)
 
     @cached_property

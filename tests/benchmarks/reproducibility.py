@@ -59,7 +59,7 @@ def main() -> None:
     args = parser.parse_args()
     settings = [(0, kernels, threads) for kernels, threads in itertools.product(KERNELS, (1, 2))]
     settings += [(seed, KERNELS[0], 1) for seed in range(1, args.seeds)]
-    results = [demo(*each) for each in track(settings, "lieid demo", Console(stderr=True))]
+    results = [demo(*each) for each in track(settings, "lieid demo", console=Console(stderr=True))]
     table = Table(title=f"lieid demo, joint {JOINT + 1}: error on the test motion, N·m")
     for heading in ("seed", "OpenBLAS", "threads", *results[0]):
         table.add_column(heading)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from export.c_arms import ARMS, WARNINGS, run
+from exporters.c_arms import ARMS, WARNINGS, run
 
 from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.exporters.c_export import export_c

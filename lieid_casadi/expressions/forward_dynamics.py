@@ -1,0 +1,119 @@
+"""Acceleration of an arm from its torque, and its derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from lieid_casadi.expressions.torque import TorqueExpressions
+
+NEWTON_STEPS = 4  # of the unrolled solution; tests/expressions bounds its residual by 1e-9
+POSES = 1000  # at which the mass matrix is tried
+
+
+def acceleration(torque: TorqueExpressions) -> ca.SX:
+    """Return q̈ (n,) that the torque ``tau`` gives.
+
+    For a given load L the torque is affine in q̈: τ = A·q̈ + b(L). Without friction that depends on
+    the load, A is the mass matrix and is factorized as L·D·Lᵀ. Otherwise the load depends on q̈,
+    and the equation r(q̈) = ID(q, q̇, q̈) − τ = 0 is solved by Newton's method from the solution of
+    the arm without that dependence. It is piecewise linear in q̈ for friction in proportion to
+    |L|, where the method ends after as many steps as pieces are crossed. A solution exists and is
+    unique if friction changes by less than the load does, as it does for any drive that moves.
+    """
+    m = torque.motion
+    rigid = torque.mass_matrix
+    at_zero = _bias(torque, ca.SX.zeros(torque.n))
+    if not _depends_on_load(torque):
+        return _solve_symmetric(rigid, torque.tau - at_zero)
+    ddq = _solve_symmetric(rigid, torque.tau - at_zero)
+    slope = inertia(torque)
+    for _ in range(NEWTON_STEPS):
+        residual, matrix = ca.substitute(
+            [torque.inverse_dynamics - torque.tau, slope], [m.ddq], [ddq]
+        )
+        ddq = ddq - ca.solve(matrix, residual)
+    return ca.densify(ddq)
+
+
+def _bias(torque: TorqueExpressions, ddq: ca.SX) -> ca.SX:
+    return ca.substitute(torque.inverse_dynamics, torque.motion.ddq, ddq)
+
+
+def _depends_on_load(torque: TorqueExpressions) -> bool:
+    """Whether the torque depends on the acceleration by more than the mass matrix."""
+    return (
+        torque.uses_load
+        or bool(ca.depends_on(torque.measurement_torque, torque.motion.ddq))
+        or (bool(ca.depends_on(torque.measurement_torque, torque.load)))
+    )
+
+
+def inertia(torque: TorqueExpressions) -> ca.SX:
+    """Return ∂ID/∂q̈ (n, n): the mass matrix, with the share that friction adds by the load."""
+    if not _depends_on_load(torque):
+        return torque.mass_matrix
+    m = torque.motion
+    effects = torque.joint_torque + torque.measurement_torque
+    direct = ca.jacobian(torque.measurement_torque, m.ddq)
+    by_load = ca.mtimes(
+        ca.jacobian(effects, torque.load),
+        torque_of_links(torque),
+    )
+    by_load = ca.substitute(by_load, torque.load, torque.rigid_torque)
+    direct = ca.substitute(direct, torque.load, torque.rigid_torque)
+    return torque.mass_matrix + direct + by_load
+
+
+def torque_of_links(torque: TorqueExpressions) -> ca.SX:
+    """Return ∂load/∂q̈ (n, n), the mass matrix of the links alone."""
+    from lieid_casadi.dynamics import closed_form
+
+    return closed_form.mass_matrix(torque.model.robot, torque.motion, torque.links)
+
+
+def derivatives(torque: TorqueExpressions, symbols: Sequence[ca.SX]) -> list[ca.SX]:
+    """Return ∂q̈/∂x for each symbol x, then ∂q̈/∂τ, at a solution in the symbol ``ddq``.
+
+    With r = ID − τ = 0: ∂q̈/∂x = −(∂ID/∂q̈)⁻¹·∂ID/∂x and ∂q̈/∂τ = (∂ID/∂q̈)⁻¹.
+    """
+    matrix = inertia(torque)
+    slopes = [ca.jacobian(torque.inverse_dynamics, symbol) for symbol in symbols]
+    right = ca.horzcat(*(-slope for slope in slopes), ca.SX.eye(torque.n))
+    if _depends_on_load(torque):
+        solution = ca.solve(matrix, ca.densify(right))
+    else:
+        solution = _solve_symmetric(matrix, ca.densify(right))
+    edges = np.cumsum([0, *(symbol.size1() for symbol in symbols), torque.n])
+    return list(ca.horzsplit(solution, [int(edge) for edge in edges]))
+
+
+def _solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """Return M⁻¹·b by M = L·D·Lᵀ without pivoting."""
+    diagonal, lower, order = ca.ldl(ca.densify(matrix), False)
+    return ca.ldl_solve(right, diagonal, lower, order)
+
+
+def indefinite_share(torque: TorqueExpressions) -> float:
+    """Return the share of poses within the limits whose mass matrix is not positive definite.
+
+    Tried are poses that are spread evenly over the joints' ranges (Sobol points); ±π rad and ±1 m
+    where a robot states no range. A symbolic payload counts as none.
+    """
+    from scipy.stats import qmc
+
+    robot = torque.model.robot
+    revolute = np.array([joint.revolute for joint in robot.joints])
+    limits = np.stack([robot.limit("position_lower"), robot.limit("position_upper")], axis=1)
+    reach = np.where(revolute, np.pi, 1.0)[:, None] * np.array([-1.0, 1.0])
+    limits = np.where(np.isfinite(limits), limits, reach)
+    points = qmc.Sobol(robot.n, seed=0).random(POSES + (-POSES) % 1024)
+    q = limits[:, 0] + points * (limits[:, 1] - limits[:, 0])
+    expression = torque.mass_matrix
+    if torque.payload is not None:
+        expression = ca.substitute(expression, torque.payload, ca.SX.zeros(10))
+    mass = ca.Function("mass_matrix", [torque.motion.q], [ca.densify(expression)])
+    matrices = mass(q.T).full().reshape(robot.n, len(q), robot.n).transpose(1, 0, 2)
+    return float(np.mean(np.linalg.eigvalsh(matrices)[:, 0] <= 0.0))

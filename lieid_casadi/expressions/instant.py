@@ -1,0 +1,66 @@
+"""A model at one instant in symbols, as effects on the whole arm or on the measurement use it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.dynamics import closed_form, recursion
+from lieid_casadi.dynamics.base_parameters import parameter_transport
+from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ArmInstant:
+    """A model at one instant; implements `lieid_casadi.effects.arm_effect.InstantModel`.
+
+    Attributes
+    ----------
+    robot : Robot
+    motion : Motion
+        Symbols q, q̇, q̈ (n,).
+    links, all_links : (10 n,)
+        Link parameters; the second set holds in any gravity.
+    load, torque : (n,)
+        Rigid torque, and rigid torque with all effects on single joints, N·m.
+    """
+
+    robot: Robot
+    motion: Motion
+    links: ca.SX
+    all_links: ca.SX
+    load: ca.SX
+    torque: ca.SX
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity (3,) in the base frame, m/s²."""
+        return np.asarray(self.robot.gravity)
+
+    def rigid_beside(self, offset: ca.SX) -> ca.SX:
+        """Return the rigid torque (n,) at q + offset (n,), by the addition theorem."""
+        m, sin, cos = self.motion, ca.sin(offset), ca.cos(offset)
+        moved = Motion(
+            m.q + offset, m.sin * cos + m.cos * sin, m.cos * cos - m.sin * sin, m.dq, m.ddq
+        )
+        return recursion.inverse_dynamics(self.robot, moved, self.links)
+
+    def gravity_torque(self, gravity: ca.SX) -> ca.SX:
+        """Return the torque (n,) at rest in another gravity (3,), m/s²."""
+        return closed_form.gravity(self.robot, self.motion, self.all_links, gravity=gravity)
+
+    def jacobian(self) -> ca.SX:
+        """Return the tool's Jacobian (6, n), [ω; v], base axes."""
+        return closed_form.jacobian(self.robot, self.motion)
+
+    def tool_regressor(self) -> ca.SX:
+        """Return the rigid torque (n, 10) per link parameter of a body in the tool frame."""
+        last = regressor(self.robot, self.motion)[:, -10:]
+        return ca.mtimes(last, ca.sparsify(ca.DM(parameter_transport(self.robot.tool))))

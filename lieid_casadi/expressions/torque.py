@@ -1,0 +1,288 @@
+"""The torque of a model and its parts as expressions of one set of symbols."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.dynamics import closed_form, recursion
+from lieid_casadi.dynamics.base_parameters import parameter_transport
+from lieid_casadi.dynamics.lie import constant
+from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.effects import ArmEffect
+from lieid_casadi.errors import ModelError
+from lieid_casadi.expressions.instant import ArmInstant
+from lieid_casadi.expressions.model_functions import ramp
+from lieid_casadi.model import EffectSignals, Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Link parameters (10 n,), effect coefficients (m,) and shapes (s,): numbers or symbols.
+
+    ``temperature_mean`` (n,) in °C is subtracted from the temperature; None: it is relative.
+    """
+
+    parameters: ca.SX
+    effects: ca.SX
+    shapes: ca.SX
+    numeric: bool
+    temperature_mean: Array | None = None
+
+    @classmethod
+    def numbers(
+        cls,
+        parameters: Array,
+        effects: Array,
+        shapes: Array,
+        temperature_mean: Array | None = None,
+    ) -> Values:
+        """Return constants."""
+        links, coefficients, shape = (ca.SX(ca.DM(x)) for x in (parameters, effects, shapes))
+        return cls(links, coefficients, shape, True, temperature_mean)
+
+    @classmethod
+    def symbols(cls, model: Model, temperature_mean: Array | None = None) -> Values:
+        """Return symbols in the sizes of a model."""
+        links = ca.SX.sym("parameters", 10 * model.n)
+        coefficients = ca.SX.sym("effects", len(model.columns))
+        shapes = ca.SX.sym("shapes", len(model.shapes))
+        return cls(links, coefficients, shapes, False, temperature_mean)
+
+    @property
+    def inputs(self) -> dict[str, ca.SX]:
+        """The symbols among them by name, those of size 0 left out."""
+        if self.numeric:
+            return {}
+        named = {"parameters": self.parameters, "effects": self.effects, "shapes": self.shapes}
+        return {name: symbol for name, symbol in named.items() if symbol.size1()}
+
+
+class TorqueExpressions:
+    """Torque of a model and its parts, in symbols that this object holds.
+
+    Parameters
+    ----------
+    model : Model
+    values : Values
+    smooth_velocity : (n,) or None
+        Half widths in rad/s of the smooth sign of the velocity; None is the sign itself.
+    as_measured : bool
+        Whether effects of the measurement are part of the torque.
+    payload : bool
+        Whether ten link parameters of a body at the tool are a further symbol.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        values: Values,
+        smooth_velocity: Array | None,
+        *,
+        as_measured: bool,
+        payload: bool,
+    ) -> None:
+        self.model, self.values = model, values
+        self.n = n = model.n
+        q, dq, ddq = (ca.SX.sym(name, n) for name in ("q", "dq", "ddq"))
+        self.motion = Motion.of(q, dq, ddq)
+        self.tau = ca.SX.sym("tau", n)
+        self.load = ca.SX.sym("load", n)
+        self.states = ca.SX.sym("states", len(model.states))
+        self.temperature = ca.SX.sym("temperature", n)
+        self.time = ca.SX.sym("time")
+        self.payload = ca.SX.sym("payload", 10) if payload else None
+        self._smooth_velocity = smooth_velocity
+        if as_measured:
+            _require_one_instant(model)
+        self._as_measured = as_measured
+
+    @property
+    def leading_symbols(self) -> dict[str, ca.SX]:
+        """Symbols of the motion and the torque by name."""
+        m = self.motion
+        return {"q": m.q, "dq": m.dq, "ddq": m.ddq, "tau": self.tau, "load": self.load}
+
+    def further_inputs(self, *, static: bool = False) -> dict[str, ca.SX]:
+        """Return the inputs that the model adds; ``static`` without states, temperature, time."""
+        inputs = {} if static else dict(self._signal_inputs)
+        if self.payload is not None:
+            inputs["payload"] = self.payload
+        return inputs | self.values.inputs
+
+    @cached_property
+    def _signal_inputs(self) -> dict[str, ca.SX]:
+        """States, temperature and time, where the torque depends on them."""
+        torque = ca.vertcat(self.inverse_dynamics, self.state_rates)
+        states = {"states": self.states} if self.states.size1() else {}
+        signals = {"temperature": self.temperature, "time": self.time}
+        return states | {k: v for k, v in signals.items() if ca.depends_on(torque, v)}
+
+    @cached_property
+    def links(self) -> ca.SX:
+        """Link parameters (10 n,), with the body of the input ``payload``."""
+        if self.payload is None:
+            return self.values.parameters
+        return _with_body(self.values.parameters, self.payload, self.model)
+
+    @cached_property
+    def all_links(self) -> ca.SX:
+        """Link parameters (10 n,), with bodies that effects on the whole arm add at the tool."""
+        links, first = self.links, 0
+        for p in self.model.placements:
+            last = first + len(p.effect.coefficients)
+            if isinstance(p.effect, ArmEffect):
+                body = p.effect.tool_body(self.values.effects[first:last])
+                if body is not None:
+                    links = _with_body(links, body, self.model)
+            first = last
+        return links
+
+    @cached_property
+    def rigid_torque(self) -> ca.SX:
+        """Torque (n,) of the links: the load that friction depends on."""
+        return recursion.inverse_dynamics(self.model.robot, self.motion, self.links)
+
+    @cached_property
+    def _signals(self) -> EffectSignals:
+        m, width = self.motion, self._smooth_velocity
+        sign = ca.sign(m.dq) if width is None else ramp(m.dq, ca.SX(ca.DM(width)))
+        mean = self.values.temperature_mean
+        temperature = self.temperature if mean is None else self.temperature - ca.SX(ca.DM(mean))
+        return EffectSignals(m.q, m.dq, m.ddq, sign, self.load, temperature, self.time)
+
+    @cached_property
+    def joint_columns(self) -> ca.SX:
+        """Columns (n, m) of effects on single joints, of the symbol ``load``."""
+        return self.model.effect_columns(self._signals, self.values.shapes, self.states)
+
+    @cached_property
+    def joint_torque(self) -> ca.SX:
+        """Torque (n,) of effects on single joints, of the symbol ``load``."""
+        return ca.densify(ca.mtimes(self.joint_columns, self.values.effects))
+
+    @cached_property
+    def arm_columns(self) -> dict[str, ca.SX]:
+        """Columns (n, m) of effects on the whole arm, and of those on the measurement."""
+        torque = self.load + self.joint_torque
+        arm = ArmInstant(self.model.robot, self.motion, self.links, self.links, self.load, torque)
+        columns = {name: ca.SX(self.n, len(self.model.columns)) for name in ("arm", "measurement")}
+        first = 0
+        for p in self.model.placements:
+            last = first + len(p.effect.coefficients)
+            if isinstance(p.effect, ArmEffect):
+                now = p.effect.instant_columns(arm, p.joint, self.values.effects[first:last])
+                if now is not None:
+                    kind = "arm" if p.effect.whole_arm else "measurement"
+                    columns[kind][:, first:last] = now
+            first = last
+        return columns
+
+    @cached_property
+    def arm_torque(self) -> ca.SX:
+        """Torque (n,) of effects on the whole arm."""
+        return ca.densify(ca.mtimes(self.arm_columns["arm"], self.values.effects))
+
+    @cached_property
+    def measurement_torque(self) -> ca.SX:
+        """What effects on the measurement add to the torque (n,); zero unless asked for."""
+        if not self._as_measured:
+            return ca.SX.zeros(self.n)
+        return ca.densify(ca.mtimes(self.arm_columns["measurement"], self.values.effects))
+
+    @cached_property
+    def loaded_torque(self) -> ca.SX:
+        """Torque (n,) as a function of the motion and of the symbol ``load`` in friction."""
+        return self.rigid_torque + self.joint_torque + self.arm_torque + self.measurement_torque
+
+    @cached_property
+    def inverse_dynamics(self) -> ca.SX:
+        """Torque (n,) with all effects."""
+        return ca.substitute(self.loaded_torque, self.load, self.rigid_torque)
+
+    @cached_property
+    def uses_load(self) -> bool:
+        """Whether the torque of effects on single joints depends on the load."""
+        return bool(ca.depends_on(self.joint_torque, self.load))
+
+    @cached_property
+    def armature(self) -> ca.SX:
+        """Derivative (n, n) of the torque of effects on single joints by the acceleration."""
+        return ca.jacobian(self.joint_torque, self.motion.ddq)
+
+    @cached_property
+    def mass_matrix(self) -> ca.SX:
+        """M (n, n), armature included."""
+        rigid = closed_form.mass_matrix(self.model.robot, self.motion, self.all_links)
+        return rigid + self.armature
+
+    @cached_property
+    def coriolis(self) -> ca.SX:
+        """C (n, n) with Ṁ − 2C skew-symmetric."""
+        return closed_form.coriolis_matrix(self.model.robot, self.motion, self.all_links)
+
+    @cached_property
+    def gravity(self) -> ca.SX:
+        """Torque (n,) at rest: gravity, and effects on the whole arm."""
+        at_rest = ca.substitute(
+            [self.rigid_torque + self.arm_torque],
+            [self.motion.dq, self.motion.ddq],
+            [ca.SX.zeros(self.n), ca.SX.zeros(self.n)],
+        )
+        return at_rest[0]
+
+    @cached_property
+    def friction(self) -> ca.SX:
+        """Torque (n,) of effects on single joints, armature left out; of the symbol ``load``."""
+        return ca.substitute(self.joint_torque, self.motion.ddq, ca.SX.zeros(self.n))
+
+    @cached_property
+    def base_regressor(self) -> ca.SX:
+        """Torque per base parameter (n, p), of the symbol ``load``."""
+        columns = self.joint_columns + self.arm_columns["arm"]
+        if self._as_measured:
+            columns = columns + self.arm_columns["measurement"]
+        kept = [int(k) for k in self.model.base.kept]
+        return ca.horzcat(regressor(self.model.robot, self.motion), columns)[:, kept]
+
+    @cached_property
+    def state_rates(self) -> ca.SX:
+        """Time derivatives (S,) of the states of effects with memory, in continuous time."""
+        return self.model.state_rates(self._signals, self.values.shapes, self.states)
+
+    @cached_property
+    def energy(self) -> tuple[ca.SX, ca.SX]:
+        """Kinetic energy, armature included, and potential energy of the links, J."""
+        m, links = self.motion, self.all_links
+        kinetic = ca.mtimes([m.dq.T, self.mass_matrix, m.dq]) / 2
+        potential = ca.SX(0)
+        for i, pose in enumerate(recursion.link_poses(self.model.robot, m)):
+            link = links[10 * i : 10 * i + 10]
+            moment = link[0] * pose.translation + ca.mtimes(pose.rotation, link[1:4])
+            potential -= ca.dot(constant(self.model.robot.gravity), moment)
+        return kinetic, potential
+
+
+def _with_body(links: ca.SX, body: ca.SX, model: Model) -> ca.SX:
+    """Return link parameters with those (10,) of a body in the tool frame added to the last."""
+    transport = ca.sparsify(ca.DM(parameter_transport(model.robot.tool)))
+    return ca.vertcat(links[:-10], links[-10:] + ca.mtimes(transport, body))
+
+
+def _require_one_instant(model: Model) -> None:
+    """Refuse effects of the measurement that depend on more than one instant."""
+    past = [
+        p.label for p in model.placements if isinstance(p.effect, ArmEffect) and p.effect.needs_past
+    ]
+    if past:
+        raise ModelError(
+            f"{', '.join(past)}: the measured torque depends on the motion along time, of which "
+            "a function of one instant has no knowledge; expected as_measured=False"
+        )
