@@ -7,6 +7,8 @@ numbers it produced.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 class LieidError(ValueError):
     """Base of every error that the package raises on purpose."""
@@ -174,3 +176,16 @@ class NotCountedWarning(LieidWarning):
 
 class FrictionChangedWarning(LieidWarning):
     """Friction that is no longer that of the fit."""
+
+
+def warning_list(warnings: Sequence[LieidWarning]) -> list[dict[str, str]]:
+    """Return warnings as JSON holds them: ``[{name, message}]``."""
+    return [{"name": type(w).__name__, "message": str(w)} for w in warnings]
+
+
+def unique_warnings(warnings: Sequence[LieidWarning]) -> tuple[LieidWarning, ...]:
+    """Return warnings in their order, without repetitions of class and message."""
+    kept: dict[tuple[type, str], LieidWarning] = {}
+    for warning in warnings:
+        kept.setdefault((type(warning), str(warning)), warning)
+    return tuple(kept.values())

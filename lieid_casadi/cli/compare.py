@@ -50,19 +50,20 @@ def run(args: argparse.Namespace) -> None:
 
 
 def print_comparison(fit: Fit, comparison: Comparison) -> None:
-    """Print errors per joint and the worst moments."""
+    """Print errors per joint and the largest errors."""
+    from lieid_casadi.comparison.noise_floor import SOURCES
     from lieid_casadi.comparison.table import HEADINGS, table_rows
     from lieid_casadi.comparison.verdict import verdict
 
     output.say(verdict(comparison))
     output.table(
-        f"Error, measured − predicted (low-pass {fit.processing.cutoff:.3g} Hz on both; noise: "
-        f"{comparison.noise_source.replace('_', ' ')})",
+        f"Error, measured − predicted (low-pass {fit.processing.cutoff:.3g} Hz on both; "
+        f"noise floor: {SOURCES[comparison.noise_source]})",
         HEADINGS,
         table_rows(comparison),
     )
     output.table(
-        "Worst moments",
+        "Largest errors",
         ["recording", "time, s", "joint", "error, N·m"],
         [[w.recording, float(w.time), w.joint + 1, float(w.error)] for w in comparison.worst],
     )

@@ -1,8 +1,8 @@
-"""A fit against recordings it has not seen: how large the error is, and where."""
+"""Comparison of a fit with recordings: size of the error, and where it is large."""
 
 from lieid_casadi.comparison.compare import compare
 from lieid_casadi.comparison.comparison import Comparison
+from lieid_casadi.comparison.largest_errors import LargeError
 from lieid_casadi.comparison.time_series import Series
-from lieid_casadi.comparison.worst_moments import Moment
 
-__all__ = ["Comparison", "Moment", "Series", "compare"]
+__all__ = ["Comparison", "LargeError", "Series", "compare"]

@@ -9,18 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison.comparison import Comparison
-from lieid_casadi.comparison.comparison_warnings import findings
+from lieid_casadi.comparison.comparison_warnings import comparison_warnings
+from lieid_casadi.comparison.largest_errors import largest_errors
 from lieid_casadi.comparison.noise_floor import noise_floor
 from lieid_casadi.comparison.time_series import series_along
-from lieid_casadi.comparison.worst_moments import worst_moments
-from lieid_casadi.identification.fit import Fit, Source
-from lieid_casadi.identification.identify import (
-    center_temperature,
-    check_recordings,
-    check_with_model,
-    root_mean_square,
-    unique_warnings,
-)
+from lieid_casadi.errors import unique_warnings
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.recording_checks import check_recordings, check_with_model
+from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.recording import Recording, process
 
 Array = NDArray[np.float64]
@@ -33,7 +30,7 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
     ----------
     fit : Fit
     recordings : Recording or sequence of Recording
-        With torques, best of motion that the fit has not seen. All of them together give one
+        With torques, preferably not used to fit the model. All recordings together give one
         number per joint.
 
     Returns
@@ -51,7 +48,7 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     check_recordings(fit.model, given)
     found = [w for recording in given for w in check_with_model(fit.compiled, recording)]
-    # Averaging periods would hide what the model cannot do: a test is taken as it is.
+    # Averaging over periods would reduce the error of the test.
     options = replace(fit.processing, average_periods=False)
     segments, _ = center_temperature(process(given, options), fit.temperature_mean)
     both = [series_along(fit, segment) for segment in segments]
@@ -61,13 +58,13 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
     predicted = np.concatenate([s.predicted for s in series])
     moving = np.concatenate([s.moving for s in series])
     error = measured - predicted
-    rms, torque_rms = root_mean_square(error), root_mean_square(measured)
+    rms, torque_rms = _rms(error), _rms(measured)
     floor, source = noise_floor(given, segments, raw_errors)
     comparison = Comparison(
         joint_names=tuple(joint.name for joint in fit.model.robot.joints),
         units=tuple("N·m" if joint.revolute else "N" for joint in fit.model.robot.joints),
         rms=rms,
-        rms_raw=root_mean_square(np.concatenate(raw_errors)),
+        rms_raw=_rms(np.concatenate(raw_errors)),
         rms_moving=_rms_where(error, moving),
         rms_at_rest=_rms_where(error, ~moving),
         at_rest=1.0 - moving.mean(axis=0),
@@ -77,7 +74,7 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
         bias=error.mean(axis=0),
         noise_floor=floor,
         noise_source=source,
-        worst=worst_moments(series),
+        worst=largest_errors(series),
         series=series,
         cutoff=segments[0].cutoff,
         recordings=tuple(Source(r.name, r.source_hash) for r in given),
@@ -85,8 +82,13 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
         warnings=(),
     )
     found += [w for segment in segments for w in segment.warnings]
-    found += findings(fit, comparison)
+    found += comparison_warnings(fit, comparison)
     return replace(comparison, warnings=unique_warnings(found))
+
+
+def _rms(error: Array) -> Array:
+    """Return the RMS of each column."""
+    return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
 
 def _rms_where(error: Array, use: NDArray[np.bool_]) -> Array:

@@ -1,68 +1,69 @@
-"""Result of a comparison: errors per joint, worst moments, and the series behind them."""
+"""Result of a comparison: errors per joint, largest errors, and the time series."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.comparison.largest_errors import LargeError
 from lieid_casadi.comparison.time_series import Series
-from lieid_casadi.comparison.worst_moments import Moment
-from lieid_casadi.errors import LieidWarning
-from lieid_casadi.identification.fit import Source, warning_list
+from lieid_casadi.errors import LieidWarning, warning_list
+from lieid_casadi.identification.provenance import Source
+from lieid_casadi.json_numbers import numbers_or_none
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-REST_MATTERS = 0.25  # of a joint's squared error
+REST_MATTERS = 0.25  # of a joint's squared error: from this on, rest is reported
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """Result of :func:`lieid_casadi.compare`; errors are measured − predicted.
 
-    All of it is of processed signals, measured and predicted through the fit's filter, unless
-    called raw. NaN where there is nothing to compute a number from; None in JSON.
+    Numbers refer to processed signals, measured and predicted through the fit's filter, unless
+    called raw. They are NaN, in JSON None, if there are no samples to compute them from.
 
     Attributes
     ----------
     joint_names : tuple of str
     units : tuple of str
-        Of each joint's torque: N·m, or N where it slides.
+        Of each joint's torque: N·m, or N for prismatic joints.
     rms : (n,)
-        Of the error, N·m.
+        RMS error, N·m.
     rms_raw : (n,)
-        Of the error on the uniform grid, resampled but not filtered.
+        RMS error on the uniform grid, resampled but not filtered.
     rms_moving, rms_at_rest : (n,)
-        Where the joint moves and where it rests.
+        RMS error of joints in motion, and at rest.
     at_rest : (n,)
         Fraction of the samples at rest.
     torque_rms : (n,)
-        Of the measured torque itself.
+        RMS of the measured torque.
     relative_rms : (n,)
         ``rms / torque_rms``.
     correlation : (n,)
-        Of measured and predicted, each joint by itself.
+        Of measured and predicted torque, per joint.
     bias : (n,)
         Mean error.
     noise_floor : (n,)
-        Error that a perfect model would have.
+        RMS error that a perfect model would have; see `noise_floor`.
     noise_source : str
-        ``period_to_period``, ``high_frequency`` (a lower bound) or ``none``.
-    worst : tuple of Moment
-        Each joint's largest errors, worst first.
+        ``period_to_period``, ``high_frequency`` (a lower bound) or ``none``; see
+        `lieid_casadi.comparison.noise_floor.SOURCES`.
+    worst : tuple of LargeError
+        Largest errors of each joint, largest first.
     series : tuple of Series
         One per segment.
     cutoff : float
         Of the filter, Hz.
     recordings : tuple of Source
     duration : float
-        Of what was compared, s.
+        Compared time, s.
     warnings : tuple of LieidWarning
     """
 
@@ -79,7 +80,7 @@ class Comparison:
     bias: Array
     noise_floor: Array
     noise_source: str
-    worst: tuple[Moment, ...]
+    worst: tuple[LargeError, ...]
     series: tuple[Series, ...]
     cutoff: float
     recordings: tuple[Source, ...]
@@ -93,39 +94,39 @@ class Comparison:
 
     @property
     def over_noise(self) -> Array:
-        """How many times the noise floor the error is (n,)."""
+        """RMS error in multiples of the noise floor (n,)."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(self.rms / self.noise_floor)
 
     @property
     def error_at_rest(self) -> Array:
-        """Fraction of the squared error that samples at rest make (n,)."""
+        """Fraction of the squared error at samples at rest (n,)."""
         at_rest = self.at_rest * np.nan_to_num(self.rms_at_rest) ** 2
         squares = self.rms**2
         return np.divide(at_rest, squares, out=np.zeros_like(squares), where=squares > 0.0)
 
     @property
-    def rest_weighs(self) -> NDArray[np.bool_]:
-        """Joints (n,) whose RMS says more about rest than about motion."""
+    def rest_dominates(self) -> NDArray[np.bool_]:
+        """Joints (n,) whose RMS is determined by rest more than by motion."""
         larger = np.nan_to_num(self.rms_at_rest) > np.nan_to_num(self.rms_moving)
         return np.asarray(larger & (self.error_at_rest > REST_MATTERS))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid compare --json`` writes; one number per joint, None for NaN."""
         return {
-            "rms": numbers(self.rms),
-            "rms_raw": numbers(self.rms_raw),
-            "rms_moving": numbers(self.rms_moving),
-            "rms_at_rest": numbers(self.rms_at_rest),
-            "at_rest": numbers(self.at_rest),
-            "error_at_rest": numbers(self.error_at_rest),
-            "torque_rms": numbers(self.torque_rms),
-            "relative_rms": numbers(self.relative_rms),
-            "correlation": numbers(self.correlation),
-            "bias": numbers(self.bias),
-            "noise_floor": numbers(self.noise_floor),
+            "rms": numbers_or_none(self.rms),
+            "rms_raw": numbers_or_none(self.rms_raw),
+            "rms_moving": numbers_or_none(self.rms_moving),
+            "rms_at_rest": numbers_or_none(self.rms_at_rest),
+            "at_rest": numbers_or_none(self.at_rest),
+            "error_at_rest": numbers_or_none(self.error_at_rest),
+            "torque_rms": numbers_or_none(self.torque_rms),
+            "relative_rms": numbers_or_none(self.relative_rms),
+            "correlation": numbers_or_none(self.correlation),
+            "bias": numbers_or_none(self.bias),
+            "noise_floor": numbers_or_none(self.noise_floor),
             "noise_source": self.noise_source,
-            "worst": [moment.to_dict() for moment in self.worst],
+            "worst": [error.to_dict() for error in self.worst],
             "warnings": warning_list(self.warnings),
             "cutoff": self.cutoff,
             "duration": self.duration,
@@ -133,38 +134,34 @@ class Comparison:
         }
 
     def plot(self, ax: Axes | None = None, *, joint: int | None = None) -> Figure:
-        """Draw measured, predicted and error over time; return the figure, not shown.
+        """Plot measured torque, predicted torque and error over time; the figure is not shown.
 
         Parameters
         ----------
         ax : Axes, optional
-            Draw one joint into it; without, all joints in a new figure.
+            Axes for one joint; without, all joints are drawn in a new figure.
         joint : int, optional
-            From 0; for ``ax``, the joint with the largest relative error if left out.
+            Number of the joint, from 0; the one with the largest relative error if left out and
+            ``ax`` is given.
         """
-        from lieid_casadi.comparison.plots import plot_joint, plot_torques
+        from lieid_casadi.comparison.torque_plots import plot_joint, plot_torques
 
         if ax is None and joint is None:
             return plot_torques(self)
         return plot_joint(self, self.worst_joint if joint is None else joint, ax)
 
     def plot_errors(self) -> Figure:
-        """Draw every joint's error against q, q̇, direction, load and time."""
+        """Plot every joint's error over q, q̇, direction, load and time."""
         from lieid_casadi.comparison.error_plots import plot_errors
 
         return plot_errors(self)
 
     @property
     def worst_joint(self) -> int:
-        """Joint, from 0, with the largest relative error."""
+        """Number, from 0, of the joint with the largest relative error."""
         return int(np.argmax(np.nan_to_num(self.relative_rms, nan=-1.0)))
 
     def _repr_html_(self) -> str:
-        from lieid_casadi.comparison.table import html_table
+        from lieid_casadi.comparison.table import html_view
 
-        return html_table(self)
-
-
-def numbers(values: Sequence[float] | Array) -> list[float | None]:
-    """Return numbers as JSON knows them: None for what is not finite."""
-    return [float(value) if np.isfinite(value) else None for value in values]
+        return html_view(self)

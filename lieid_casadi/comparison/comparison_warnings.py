@@ -1,4 +1,4 @@
-"""What a reader of a comparison must be told before the numbers are believed."""
+"""Warnings of a comparison: training data among the tests, and errors at rest."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ import numpy as np
 
 from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.errors import FrictionAtRestWarning, LieidWarning, SameRecordingWarning
-from lieid_casadi.identification.fit import Fit, Source
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.regression.design_matrix import has_dry_friction
 
 _NUMBER = r"(?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?"
 _PART = re.compile(rf"@(?P<start>{_NUMBER}):(?P<end>{_NUMBER})$")
 
 
-def findings(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
-    """Return warnings about the comparison itself, beside those of its recordings."""
+def comparison_warnings(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
+    """Return warnings about the comparison, without those of its recordings."""
     return [*_trained_on(fit, comparison), *_rest(fit, comparison)]
 
 
@@ -30,14 +31,14 @@ def _trained_on(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
         return []
     return [
         SameRecordingWarning(
-            f"the fit was made from {', '.join(again)}: the errors are of training, "
-            "and smaller than on other motion"
+            f"{', '.join(again)} was used to fit the model: errors are training errors and smaller "
+            "than on other recordings; compare with a recording that was not used"
         )
     ]
 
 
 def _overlap(a: Source, b: Source) -> bool:
-    """Whether two recordings share samples: same data, and parts of it that overlap."""
+    """Return whether two recordings share samples: the same data with overlapping parts."""
     if not a.sha256 or a.sha256 != b.sha256:
         return False
     (start, end), (other_start, other_end) = _part(a.name), _part(b.name)
@@ -45,7 +46,7 @@ def _overlap(a: Source, b: Source) -> bool:
 
 
 def _part(name: str) -> tuple[float, float]:
-    """Return the ends, s, of a part ``…@T0:T1``; everything if the name states none."""
+    """Return start and end of a part ``…@T0:T1``, s; infinite if the name states none."""
     match = _PART.search(name)
     if match is None:
         return -np.inf, np.inf
@@ -53,19 +54,19 @@ def _part(name: str) -> tuple[float, float]:
 
 
 def _rest(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
-    """Tell joints whose error at rest, where dry friction is anyone's guess, weighs in the RMS."""
-    told = np.flatnonzero(has_dry_friction(fit.model) & comparison.rest_weighs)
-    if not told.size:
+    """Return a warning that names joints whose RMS is dominated by rest with dry friction."""
+    resting = np.flatnonzero(has_dry_friction(fit.model) & comparison.rest_dominates)
+    if not resting.size:
         return []
     details = ", ".join(
         f"joint {j + 1} (RMS {comparison.rms_at_rest[j]:.3g} at rest, "
-        f"{comparison.rms_moving[j]:.3g} {comparison.units[j]} moving; "
+        f"{comparison.rms_moving[j]:.3g} {comparison.units[j]} in motion; "
         f"{comparison.at_rest[j]:.0%} of the time at rest)"
-        for j in told
+        for j in resting
     )
     return [
         FrictionAtRestWarning(
-            f"friction at rest is undetermined and weighs in the error of {details}: "
-            "judge these joints by the RMS moving"
+            f"friction is undetermined at rest and dominates the error of {details}: "
+            "use the RMS in motion for these joints"
         )
     ]

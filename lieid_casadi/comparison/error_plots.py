@@ -1,4 +1,4 @@
-"""The error against what it may depend on: position, speed, direction, load, time."""
+"""Plots of the error over position, speed, direction, load and time."""
 
 from __future__ import annotations
 
@@ -8,29 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import plot_style
-from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.comparison.table import joint_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from lieid_casadi.comparison.comparison import Comparison
+
 Array = NDArray[np.float64]
-FEWEST_STRETCHES, MOST_STRETCHES = 6, 16
-PER_STRETCH = 40  # samples, as long as there are more stretches than the fewest
-FEWEST = 5  # samples of a stretch that has a mean
-FEW_POINTS = 600  # are drawn larger
-SHOWN = 99.5  # per cent of the errors lie inside the axes
+FEWEST_INTERVALS, MOST_INTERVALS = 6, 16
+PER_INTERVAL = 40  # samples, if that gives more than the fewest intervals
+FEWEST_SAMPLES = 5  # of an interval with a mean
+FEW_POINTS = 600  # up to this number, points are drawn larger
+SHOWN = 99.5  # per cent of the errors that are inside the axes
 DIRECTIONS = ((1.0, plot_style.FORWARD), (-1.0, plot_style.BACKWARD), (0.0, plot_style.REST))
 
 
 def plot_errors(comparison: Comparison) -> Figure:
-    """Draw one row per joint and one column per signal.
+    """Plot one row per joint and one column per signal.
 
-    Points are samples, coloured by the direction of motion; thick lines are their means over
-    stretches of the signal (over time, of both directions); the band is the noise floor.
-    Friction that grows with load opens the two lines over τ_load like scissors; a wrong inertia
-    or gravity bends both alike.
+    Points are samples, coloured by the direction of motion; thick lines are means over intervals
+    of the signal (over time, of both directions); the band is the noise floor. If friction grows
+    with load, the distance between the two lines grows with the load; an error of inertia or
+    gravity changes both lines in the same way.
     """
     n = comparison.n
     figure = plot_style.new_figure(15.0, 0.9 + 1.9 * n)
@@ -53,23 +54,23 @@ _HEADINGS = ("position q", "speed q̇", "direction", "load τ_load (rigid torque
 
 def _draw_row(comparison: Comparison, joint: int, axes: Array, time: Array) -> None:
     series, unit = comparison.series, comparison.units[joint]
-    slides = unit == "N"
+    prismatic = unit == "N"
     error, sign, q, dq, load = (
         np.concatenate([getattr(s, name)[:, joint] for s in series])
         for name in ("error", "sign", "q", "dq", "load")
     )
     position, speed, direction, over_load, over_time = axes
     for ax, signal in ((position, q), (speed, dq), (over_load, load), (over_time, time)):
-        _draw_cloud(ax, signal, error, sign)
+        _draw_samples(ax, signal, error, sign)
     for ax, signal, edges in (
-        (position, q, stretches(q)),
-        (speed, dq, stretches(dq, around_zero=True)),
-        (over_load, load, stretches(load)),
+        (position, q, intervals(q)),
+        (speed, dq, intervals(dq, around_zero=True)),
+        (over_load, load, intervals(load)),
     ):
         for way, colour in DIRECTIONS[:2]:
             here = sign == way
             _draw_mean(ax, signal[here], error[here], edges, colour)
-    _draw_mean(over_time, time, error, stretches(time), plot_style.TEXT)
+    _draw_mean(over_time, time, error, intervals(time), plot_style.TEXT)
     _draw_directions(direction, error, sign)
     floor = comparison.noise_floor[joint]
     limit = max(float(np.percentile(np.abs(error), SHOWN)), 0.0) or 1.0
@@ -80,12 +81,12 @@ def _draw_row(comparison: Comparison, joint: int, axes: Array, time: Array) -> N
         ax.axhline(0.0, color=plot_style.TEXT, linewidth=0.6, zorder=0.6)
     position.set_ylim(-1.1 * limit, 1.1 * limit)
     name = plot_style.shortened(joint_title(comparison, joint))
-    plot_style.label(position, x="m" if slides else "rad", y=f"joint {name}\nerror [{unit}]")
-    plot_style.label(speed, x="m/s" if slides else "rad/s")
+    plot_style.label(position, x="m" if prismatic else "rad", y=f"joint {name}\nerror [{unit}]")
+    plot_style.label(speed, x="m/s" if prismatic else "rad/s")
     plot_style.label(over_load, x=unit)
 
 
-def _draw_cloud(ax: Axes, signal: Array, error: Array, sign: Array) -> None:
+def _draw_samples(ax: Axes, signal: Array, error: Array, sign: Array) -> None:
     size = 3.0 if len(error) > FEW_POINTS else 5.0
     for direction, colour in reversed(DIRECTIONS):
         use = plot_style.thin(sign == direction)
@@ -103,13 +104,13 @@ def _draw_mean(ax: Axes, signal: Array, error: Array, edges: Array, colour: str)
     line.set_path_effects([Stroke(linewidth=3.4, foreground="white"), Normal()])
 
 
-def stretches(signal: Array, *, around_zero: bool = False) -> Array:
-    """Return the limits (B + 1,) of equal stretches of a signal's usual range.
+def intervals(signal: Array, *, around_zero: bool = False) -> Array:
+    """Return the limits (B + 1,) of equal intervals over 99 % of a signal's values.
 
-    Around zero they start anew on either side, so that no stretch mixes both directions.
+    With ``around_zero``, zero is a limit, so that no interval contains both directions.
     """
     low, high = (float(x) for x in np.percentile(signal, [0.5, 99.5]))
-    count = int(np.clip(len(signal) // PER_STRETCH, FEWEST_STRETCHES, MOST_STRETCHES))
+    count = int(np.clip(len(signal) // PER_INTERVAL, FEWEST_INTERVALS, MOST_INTERVALS))
     if not (around_zero and low < 0.0 < high):
         return np.linspace(low, high, count + 1)
     below = max(1, round(count * -low / (high - low)))
@@ -118,10 +119,17 @@ def stretches(signal: Array, *, around_zero: bool = False) -> Array:
 
 
 def binned_mean(x: Array, y: Array, edges: Array) -> tuple[Array, Array]:
-    """Return the middle of each stretch (B,) and the mean of y there, NaN where x is rare."""
+    """Return the centre of each interval (B,) and the mean of y in it, NaN with few samples.
+
+    Parameters
+    ----------
+    x, y : (N,)
+    edges : (B + 1,)
+        Limits of the intervals.
+    """
     count, _ = np.histogram(x, edges)
     total, _ = np.histogram(x, edges, weights=y)
-    mean = np.where(count >= FEWEST, total / np.maximum(count, 1), np.nan)
+    mean = np.where(count >= FEWEST_SAMPLES, total / np.maximum(count, 1), np.nan)
     return (edges[1:] + edges[:-1]) / 2.0, mean
 
 
@@ -129,7 +137,7 @@ def _draw_directions(ax: Axes, error: Array, sign: Array) -> None:
     places, names = {-1.0: 0, 0.0: 1, 1.0: 2}, ("−", "rest", "+")
     for direction, colour in DIRECTIONS:
         here = error[sign == direction]
-        if len(here) < FEWEST:
+        if len(here) < FEWEST_SAMPLES:
             continue
         ax.boxplot(
             here, positions=[places[direction]], widths=0.6, whis=(5, 95), showfliers=False,
@@ -158,7 +166,7 @@ def _legend(figure: Figure, comparison: Comparison) -> None:
         handles.append(Patch(color=plot_style.NOISE, label="± noise floor"))
     figure.legend(
         handles=handles,
-        title="error = measured − predicted; lines: mean of each stretch",
+        title="error = measured − predicted; lines: mean of each interval",
         title_fontsize=plot_style.NORMAL,
         loc="outside upper left",
         alignment="left",

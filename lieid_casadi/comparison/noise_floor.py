@@ -1,4 +1,9 @@
-"""How large the error of a perfect model would be: the noise of the measured torque."""
+"""Noise floor: the RMS error that a perfect model would have after the fit's filter.
+
+This is the definition for comparisons and diagnoses. The noise is estimated from the difference
+between periods if a recording is periodic (`period_noise`), otherwise from the spectrum of the
+error above the cut-off.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +18,17 @@ from lieid_casadi.recording import Recording, period_noise
 from lieid_casadi.recording.processing.process import Processed
 
 Array = NDArray[np.float64]
-# Band that shows noise and nothing else: above what the filter lets through, below where
-# resampling and decimation weaken it. Parts of the cut-off and of the rate.
+# Band with noise alone: above the pass band of the filter, below the frequencies that resampling
+# and decimation attenuate. In units of the cut-off and of the sampling rate.
 FROM_CUTOFF, FROM_RATE, TO_RATE = 1.5, 0.25, 0.35
+FEWEST_FREQUENCIES = 3  # in that band
+SEGMENT_LENGTH = 1024  # samples, of Welch's method
+
+SOURCES = {
+    "period_to_period": "differences between periods of the motion",
+    "high_frequency": "spectrum of the error above the cut-off, a lower bound",
+    "none": "not available",
+}
 
 
 def noise_floor(
@@ -23,66 +36,75 @@ def noise_floor(
     segments: Sequence[Processed],
     raw_errors: Sequence[Array],
 ) -> tuple[Array, str]:
-    """Estimate the noise (n,) that the fit's filter leaves of the torque, N·m.
+    """Return the noise of the torque after the fit's filter (n,), N·m, and its source.
 
     Parameters
     ----------
-    recordings
-        Where the motion of one is periodic, periods are compared: ``period_to_period``.
-    segments, raw_errors
-        Measured − predicted torque (K, n) on each segment's grid. Without periods, its
-        density above the cut-off is taken to continue below, as it does for white noise:
-        ``high_frequency``. Noise that is stronger at low frequencies is underestimated, often
-        several times.
+    recordings : sequence of Recording
+        If the motion of at least one is periodic, its periods are compared with each other.
+    segments : sequence of Processed
+        Of the recordings.
+    raw_errors : sequence of (K, n)
+        Measured − predicted torque of each segment, not filtered, N·m. Without periods its
+        spectral density above the cut-off is extrapolated to the pass band as for white noise.
+        Noise with more power at low frequencies is underestimated, often several times.
 
     Returns
     -------
-    (n,) float
-        NaN where neither is possible.
+    (n,) ndarray
+        NaN if neither estimate is possible.
     str
-        ``period_to_period``, ``high_frequency`` or ``none``.
+        Key of `SOURCES`.
     """
     cutoff = segments[0].cutoff
     repeated = [(period_noise(r, cutoff=cutoff), r.duration) for r in recordings]
     periodic = [(noise, duration) for noise, duration in repeated if noise is not None]
     if periodic:
-        return _mean_square([n for n, _ in periodic], [d for _, d in periodic]), "period_to_period"
+        return _pooled(periodic), "period_to_period"
     floors = [
-        _high_frequency(segment, error) for segment, error in zip(segments, raw_errors, strict=True)
+        (_high_frequency_noise(segment, error), float(segment.t[-1] - segment.t[0]))
+        for segment, error in zip(segments, raw_errors, strict=True)
     ]
-    lengths = [segment.t[-1] - segment.t[0] for segment in segments]
-    usable = [k for k, floor in enumerate(floors) if floor is not None]
+    usable = [(floor, duration) for floor, duration in floors if floor is not None]
     if not usable:
         return np.full(segments[0].n, np.nan), "none"
-    kept = [floor for floor in floors if floor is not None]
-    return _mean_square(kept, [lengths[k] for k in usable]), "high_frequency"
+    return _pooled(usable), "high_frequency"
 
 
-def _mean_square(values: Sequence[Array], weights: Sequence[float]) -> Array:
-    squares = np.average(np.square(values), axis=0, weights=np.asarray(weights))
-    return np.asarray(np.sqrt(squares))
+def _pooled(parts: Sequence[tuple[Array, float]]) -> Array:
+    """Return the root of the mean square (n,), weighted by duration."""
+    squares = [values**2 for values, _ in parts]
+    durations = [duration for _, duration in parts]
+    return np.asarray(np.sqrt(np.average(squares, axis=0, weights=durations)))
 
 
-def _high_frequency(segment: Processed, error: Array) -> Array | None:
-    """White noise of the density above the cut-off, through the filter (n,)."""
+def _high_frequency_noise(segment: Processed, error: Array) -> Array | None:
+    """Return the noise (n,) of white noise with the density above the cut-off; None if unknown."""
     if segment.options.smoother != "butterworth":
-        return None  # robust smoothing has taken the high frequencies away
+        return None  # robust smoothing has removed the high frequencies
     low = min(FROM_CUTOFF * segment.cutoff, FROM_RATE * segment.rate)
     high = TO_RATE * segment.rate
     if low < segment.cutoff:
         return None
-    length = min(len(error), 1024)
-    frequency, density = welch(error, segment.rate, nperseg=length, axis=0)
+    frequency, density = welch(error, segment.rate, nperseg=min(len(error), SEGMENT_LENGTH), axis=0)
     band = (frequency >= low) & (frequency <= high)
-    if band.sum() < 3:
+    if band.sum() < FEWEST_FREQUENCIES:
         return None
-    level = np.median(density[band], axis=0)  # drive harmonics are lines, noise is not
-    variance = level * passed_bandwidth(segment.rate, segment.cutoff, segment.options.order)
+    level = np.median(density[band], axis=0)  # not sensitive to lines of drive harmonics
+    variance = level * noise_bandwidth(segment.rate, segment.cutoff, segment.options.order)
     return np.asarray(np.sqrt(variance))
 
 
-def passed_bandwidth(rate: float, cutoff: float, order: int) -> float:
-    """Noise bandwidth, Hz, of the low-pass forward and backward: ∫|H|⁴ df."""
+def noise_bandwidth(rate: float, cutoff: float, order: int) -> float:
+    """Return the noise bandwidth of the zero-phase low-pass, ∫|H|⁴ df, Hz.
+
+    Parameters
+    ----------
+    rate, cutoff : float
+        Hz.
+    order : int
+        Of the Butterworth filter, which is applied forward and backward.
+    """
     sections = butter(order, cutoff, fs=rate, output="sos")
     frequency, response = sosfreqz(sections, worN=4096, fs=rate)
     return float(trapezoid(np.abs(response) ** 4, frequency))

@@ -1,4 +1,4 @@
-"""One look for all pictures: colours, axes, thinning; Matplotlib's settings stay untouched."""
+"""Common style of all plots: colours, axes, decimation; Matplotlib's settings are not changed."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Okabe and Ito's colours: told apart by colour-blind readers too
+# Okabe and Ito's colours, distinguishable for colour-blind readers
 MEASURED, PREDICTED, ERROR = "#a3a9ae", "#0b4f8a", "#c44e00"
 FORWARD, BACKWARD, REST = "#0072b2", "#d55e00", "#8a8a8a"
 NOISE, GRID, TEXT = "#cfd8dc", "#e3e6e8", "#333333"
 SMALL, NORMAL, LARGE = 8.0, 9.0, 11.0  # pt
 
-MOST_COLUMNS = 1500  # of a line, in pixels: more cannot be seen
-MOST_POINTS = 2500  # of one colour in a cloud
+MOST_COLUMNS = 1500  # of a line, pixels
+MOST_POINTS = 2500  # of one colour in a scatter plot
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure, inches, that belongs to no window."""
+    """Return an empty figure without a window; width and height in inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained", facecolor="white")
 
 
 def root_figure(ax: Axes) -> Figure:
-    """Return the figure that axes belong to, also when they lie in a part of it."""
+    """Return the figure that contains the axes, also if they are in a subfigure."""
     from matplotlib.figure import Figure
 
     figure = ax.figure
@@ -42,7 +42,7 @@ def root_figure(ax: Axes) -> Figure:
 
 
 def style(ax: Axes) -> None:
-    """Give axes the project's look."""
+    """Apply the common style to axes."""
     ax.set_facecolor("white")
     ax.grid(True, color=GRID, linewidth=0.6)
     ax.set_axisbelow(True)
@@ -56,12 +56,12 @@ def style(ax: Axes) -> None:
 
 
 def title(ax: Axes, text: str) -> None:
-    """Write a heading above axes, on the left."""
+    """Set the title of axes, aligned left."""
     ax.set_title(plain(text), loc="left", fontsize=NORMAL, color=TEXT, pad=3.0)
 
 
 def label(ax: Axes, *, x: str = "", y: str = "") -> None:
-    """Name the axes' quantities."""
+    """Set the labels of the axes."""
     if x:
         ax.set_xlabel(x, fontsize=SMALL, color=TEXT)
     if y:
@@ -69,17 +69,24 @@ def label(ax: Axes, *, x: str = "", y: str = "") -> None:
 
 
 def plain(text: str) -> str:
-    """Return text that Matplotlib does not take for mathematics: names come from files."""
+    """Return text with ``$`` escaped: names from files are not mathematical expressions."""
     return text.replace("$", r"\$")
 
 
 def shortened(text: str, most: int = 22) -> str:
-    """Return text that fits beside axes."""
+    """Return text of at most ``most`` characters."""
     return plain(text if len(text) <= most else text[: most - 1] + "…")
 
 
 def envelope(x: Array, y: Array, columns: int = MOST_COLUMNS) -> tuple[Array, Array]:
-    """Thin a line for drawing: the least and the largest value of each stretch stay."""
+    """Decimate a line for drawing; keep the smallest and largest value of each interval.
+
+    Parameters
+    ----------
+    x, y : (N,)
+    columns : int
+        Number of intervals.
+    """
     if len(x) <= 2 * columns:
         return x, y
     length = -(-len(x) // columns)
@@ -91,15 +98,22 @@ def envelope(x: Array, y: Array, columns: int = MOST_COLUMNS) -> tuple[Array, Ar
 
 
 def thin(marked: NDArray[np.bool_], most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Return positions of marked samples, evenly fewer than ``most``."""
+    """Return positions of marked samples, evenly decimated to at most ``most``."""
     found = np.flatnonzero(marked)
     return found[:: max(1, -(-len(found) // most))]
 
 
 def axis_times(recordings: Sequence[str], times: Sequence[Array]) -> tuple[list[Array], str]:
-    """Return each segment's times on one axis, and what the axis shows.
+    """Return the times of each segment on one axis, and the label of the axis.
 
-    One recording keeps its own clock; several are put one after the other, a little apart.
+    One recording keeps its own clock; several are drawn one after another with small gaps.
+
+    Parameters
+    ----------
+    recordings : sequence of str
+        Name of each segment's recording.
+    times : sequence of (M,)
+        s.
     """
     if len(set(recordings)) <= 1:
         return list(times), "time [s]"
@@ -112,4 +126,4 @@ def axis_times(recordings: Sequence[str], times: Sequence[Array]) -> tuple[list[
             start += 0.02 * span
         shifted.append(t - t[0] + start)
         start, previous = float(shifted[-1][-1]), (name, float(t[-1]))
-    return shifted, "time, recordings one after the other [s]"
+    return shifted, "time, recordings one after another [s]"

@@ -1,28 +1,33 @@
-"""The errors per joint as a table: rows for the terminal, HTML for notebooks."""
+"""Table of the errors per joint: rows for the terminal, HTML for notebooks."""
 
 from __future__ import annotations
 
 import math
 from html import escape
+from typing import TYPE_CHECKING
 
-from lieid_casadi.comparison.comparison import Comparison
+from lieid_casadi.comparison.noise_floor import SOURCES
+from lieid_casadi.html_table import html_table
+
+if TYPE_CHECKING:
+    from lieid_casadi.comparison.comparison import Comparison
 
 HEADINGS = (
     "joint",
     "RMS",
-    "moving",
+    "in motion",
     "at rest",
     "raw",
     "of torque",
     "correlation",
     "bias",
-    "noise",
+    "noise floor",
     "unit",
 )
 
 
 def table_rows(comparison: Comparison) -> list[tuple[str, ...]]:
-    """Return one row of text per joint, as `HEADINGS`."""
+    """Return one row of text per joint, with the columns `HEADINGS`."""
     c = comparison
     return [
         (
@@ -42,7 +47,7 @@ def table_rows(comparison: Comparison) -> list[tuple[str, ...]]:
 
 
 def joint_title(comparison: Comparison, joint: int) -> str:
-    """Return a joint's number from 1, and its name where that says more."""
+    """Return a joint's number, from 1, and its name unless it is that number."""
     name = comparison.joint_names[joint]
     return f"{joint + 1} {name}" if name and name != str(joint + 1) else f"{joint + 1}"
 
@@ -53,24 +58,19 @@ def digits(value: float, *, sign: str = "") -> str:
 
 
 def percent(value: float) -> str:
-    """Return a part of one in percent, an en dash for NaN."""
+    """Return a fraction in percent, an en dash for NaN."""
     return "–" if math.isnan(value) else f"{100.0 * value:#.2g}".rstrip(".") + " %"
 
 
-def html_table(comparison: Comparison) -> str:
-    """Return the table and the warnings as HTML; text from outside is escaped."""
+def html_view(comparison: Comparison) -> str:
+    """Return the table and the warnings as HTML; names and messages are escaped."""
     names = ", ".join(source.name or "recording" for source in comparison.recordings)
-    head = "".join(f"<th>{escape(title)}</th>" for title in HEADINGS)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
-        for row in table_rows(comparison)
-    )
-    told = "".join(
+    warnings = "".join(
         f"<li><b>{escape(type(w).__name__)}</b>: {escape(str(w))}</li>" for w in comparison.warnings
     )
     return (
         f"<p>{escape(names)}, {comparison.duration:.4g} s, low-pass {comparison.cutoff:.3g} Hz, "
-        f"noise from {escape(comparison.noise_source.replace('_', ' '))}</p>"
-        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-        + (f"<ul>{told}</ul>" if told else "")
+        f"noise floor: {escape(SOURCES[comparison.noise_source])}</p>"
+        + html_table(HEADINGS, table_rows(comparison))
+        + (f"<ul>{warnings}</ul>" if warnings else "")
     )

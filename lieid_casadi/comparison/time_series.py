@@ -1,4 +1,4 @@
-"""Measured and predicted torque along a segment, with the signals an error may depend on."""
+"""Measured and predicted torque along a segment, with signals that an error can depend on."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One segment of a test at M instants, everything through the fit's filter.
+    """One segment of a test at M instants; all signals are filtered as in the fit.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Series:
     sign : (M, n)
         Direction of motion: −1, 1, or 0 at rest.
     load : (M, n)
-        τ_load, the model's rigid torque, N·m.
+        τ_load, rigid torque of the model, N·m.
     temperature : (M, n) or None
         °C.
     """
@@ -59,15 +59,15 @@ class Series:
 
 
 def series_along(fit: Fit, segment: Processed) -> tuple[Series, Array]:
-    """Return a segment's series, and its error (K, n) on the segment's grid, not filtered."""
-    assert segment.tau is not None  # checked where recordings enter a comparison
+    """Return the series of a segment, and its error (K, n) on the grid, not filtered, N·m."""
+    assert segment.tau is not None  # checked by compare
     torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes)
     load = fit.compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, fit.link_parameters)
     dq = segment.filter(segment.dq)
     temperature = segment.temperature
     if temperature is not None:
         temperature = segment.filter(temperature)
-        if fit.temperature_mean is not None:  # the segment's are relative to it
+        if fit.temperature_mean is not None:  # temperatures of the segment are relative to it
             temperature = temperature + fit.temperature_mean
     series = Series(
         recording=segment.recording.name,

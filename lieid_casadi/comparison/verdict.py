@@ -1,4 +1,4 @@
-"""A comparison in a sentence or two, for the head of a report."""
+"""Summary of a comparison in a few sentences."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from lieid_casadi.comparison.table import digits, percent
 from lieid_casadi.errors import FrictionAtRestWarning, SameRecordingWarning
 from lieid_casadi.recording.joint_names import joints_text
 
-AS_NOISE = 1.3  # times the noise floor: an error that is nothing but noise
-BEYOND_NOISE = 2.0
+AS_NOISE = 1.3  # times the noise floor, up to which an error is explained by noise
+BEYOND_NOISE = 2.0  # times the noise floor, from which an error is certainly systematic
 
 
 def verdict(comparison: Comparison) -> str:
-    """Say how large the error is, and whether more than noise is left."""
+    """Return how large the error is, and whether it exceeds the noise of the measurement."""
     c = comparison
     names = ", ".join(source.name or "the recording" for source in c.recordings)
-    seen = any(isinstance(warning, SameRecordingWarning) for warning in c.warnings)
-    trained = ", the motion that it was fitted to," if seen else ""
-    sentences = [f"On {names} ({c.duration:.3g} s){trained} {_size(c)}."]
+    trained = any(isinstance(warning, SameRecordingWarning) for warning in c.warnings)
+    training = ", used to fit the model" if trained else ""
+    sentences = [f"{names} ({c.duration:.3g} s{training}): {_size(c)}."]
     if np.isfinite(c.noise_floor).any():
         sentences.append(_noise(c))
     if any(isinstance(warning, FrictionAtRestWarning) for warning in c.warnings):
-        moving = ", ".join(digits(rms) for rms in c.rms_moving[c.rest_weighs])
+        moving = ", ".join(digits(rms) for rms in c.rms_moving[c.rest_dominates])
         sentences.append(
-            f"On {joints_text(c.rest_weighs)} much of the error is at rest, where friction is "
-            f"undetermined (RMS moving: {moving})."
+            f"On {joints_text(c.rest_dominates)} much of the error occurs at rest, where friction "
+            f"is undetermined (RMS in motion: {moving})."
         )
     return " ".join(sentences)
 
@@ -34,14 +34,14 @@ def verdict(comparison: Comparison) -> str:
 def _size(c: Comparison) -> str:
     relative = c.relative_rms[np.isfinite(c.relative_rms)]
     if not relative.size:
-        return "no torque was measured"
+        return "the measured torque is zero"
     worst = c.worst_joint
     where = f"joint {worst + 1} (RMS {digits(c.rms[worst])} {c.units[worst]})"
     if relative.size == 1 or relative.max() - relative.min() < 5e-4:
         return f"the error is {percent(relative.max())} of the torque"
     return (
         f"the error is {percent(relative.min())} to {percent(relative.max())} of the torque, "
-        f"most on {where}"
+        f"largest on {where}"
     )
 
 
@@ -50,20 +50,22 @@ def _noise(c: Comparison) -> str:
     size = np.where(np.isfinite(c.rms_moving), c.rms_moving, c.rms)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.nan_to_num(size / c.noise_floor, nan=0.0, posinf=0.0)
-    lower = "" if c.noise_source == "period_to_period" else ", itself a lower bound"
+    floor = "the noise floor"
+    if c.noise_source != "period_to_period":
+        floor += " (a lower bound of the noise)"
     if ratio.max() <= AS_NOISE:
-        return "That is the noise of the measurement: nothing systematic is left to explain."
+        return f"It is at most {ratio.max():.2g} times {floor}: no systematic error is detectable."
     beyond = ratio > BEYOND_NOISE
     if not beyond.any():
-        return f"It is {ratio.max():.2g} times the noise floor at most{lower}."
+        return f"It is at most {ratio.max():.2g} times {floor}."
     most = int(np.argmax(ratio))
     if beyond.sum() == 1:
         return (
-            f"On joint {most + 1} it is {ratio[most]:.2g} times the noise floor{lower}: "
-            "something systematic is left there."
+            f"On joint {most + 1} it is {ratio[most]:.2g} times {floor}: "
+            "there is a systematic error."
         )
     where = "every joint" if beyond.all() else joints_text(beyond)
     return (
-        f"On {where} it is more than {BEYOND_NOISE:g} times the noise floor{lower} "
-        f"(joint {most + 1}: {ratio[most]:.2g} times): something systematic is left there."
+        f"On {where} it is more than {BEYOND_NOISE:g} times {floor}, most on joint {most + 1} "
+        f"({ratio[most]:.2g} times): there are systematic errors."
     )

@@ -22,11 +22,16 @@ from lieid_casadi.diagnosis.search.missing_effects import Search
 from lieid_casadi.diagnosis.search.pruning import STOOD_IN, stand_ins
 from lieid_casadi.diagnosis.search.rivals import FOLDS
 from lieid_casadi.diagnosis.search.search_results import Found, Proposal
-from lieid_casadi.errors import IdentificationError, LieidWarning, SameRecordingWarning
+from lieid_casadi.errors import (
+    IdentificationError,
+    LieidWarning,
+    SameRecordingWarning,
+    unique_warnings,
+)
 from lieid_casadi.identification import Fit, identify
-from lieid_casadi.identification.fit import Source
-from lieid_casadi.identification.identify import center_temperature, unique_warnings
+from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
+from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, period_noise, process
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 from lieid_casadi.diagnosis.screening.aliases import Aliases
 from lieid_casadi.diagnosis.screening.candidates import Candidate
-from lieid_casadi.errors import LieidWarning
-from lieid_casadi.identification.fit import Fit, Source, warning_list
+from lieid_casadi.errors import LieidWarning, warning_list
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.identification.provenance import Source
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import LieidWarning
+from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.friction_curves.curve_data import CurveData
-from lieid_casadi.identification.fit import Source, warning_list
+from lieid_casadi.identification.provenance import Source
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

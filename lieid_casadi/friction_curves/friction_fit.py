@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.errors import LieidWarning
+from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.friction_curves.constant_speed import steady_columns
 from lieid_casadi.friction_curves.curve import FrictionCurve
-from lieid_casadi.identification.fit import warning_list
 from lieid_casadi.model import Model, Parameter
 
 if TYPE_CHECKING:

@@ -20,7 +20,8 @@ from lieid_casadi.friction_curves.fit_curve import fit_friction
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.identify import identify
-from lieid_casadi.identification.prediction import relative_temperature, torque_along
+from lieid_casadi.identification.prediction import torque_along
+from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, process
 

@@ -17,13 +17,14 @@ from lieid_casadi.errors import (
     IdentificationError,
     LieidWarning,
     ModelError,
+    unique_warnings,
 )
 from lieid_casadi.gains.estimate import DriveGains, GainNotIdentified
 from lieid_casadi.gains.regression import BODY, GainProblem, GainSolution
-from lieid_casadi.identification.fit import Source
-from lieid_casadi.identification.identify import center_temperature, unique_warnings
+from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
+from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.model import Model
 from lieid_casadi.payload.identify import require_one_load
 from lieid_casadi.recording import Processing, Recording, check, process

@@ -16,7 +16,7 @@ from lieid_casadi.identification.regression.design_matrix import (
     Rows,
     varying_columns,
 )
-from lieid_casadi.identification.regression.fixed_point import prior
+from lieid_casadi.identification.regression.fixed_point import nominal_parameters
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
     combine,
@@ -135,7 +135,7 @@ class GainProblem:
             values = found.others[: self.model.base.count]
             body = self.known.copy()
             body[self.unknown] = found.others[self.model.base.count :]
-            parameters = self.model.base.lift(values, prior(self.model))
+            parameters = self.model.base.lift(values, nominal_parameters(self.model))
             if change.max() <= CONVERGED:
                 converged = True
                 break
@@ -163,7 +163,7 @@ class GainProblem:
             values=found.others[: self.model.base.count],
             body=body,
             covariance=hac_covariance(exact, weights, residuals, least.unit_covariance),
-            hidden=np.array(least.hidden).reshape(-1, self.width),
+            hidden=np.array(least.unexcited).reshape(-1, self.width),
             residuals=tuple(residuals),
             currents=tuple(j.matrix[:, k] for k, j in enumerate(rows.joints[:n])),
             converged=converged,

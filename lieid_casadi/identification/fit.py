@@ -1,8 +1,7 @@
-"""A fitted model: numbers, their covariance, and where they came from."""
+"""Result of an identification: parameters, their covariance, errors and origin."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,10 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.errors import EffectError, LieidWarning, ModelError
+from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification.feasible.certificate import Certificate
+from lieid_casadi.identification.prediction import predict_recording, torque_along
+from lieid_casadi.identification.provenance import Provenance
+from lieid_casadi.identification.recording_checks import check_joints
 from lieid_casadi.identification.regression.conditioning import Conditioning
+from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.identification.uncertainty.noise_model import Noise
+from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording.processing.process import Processed, Processing
 from lieid_casadi.recording.recording import Recording
@@ -28,22 +32,6 @@ if TYPE_CHECKING:
     from lieid_casadi.identification.uncertainty.prediction_band import PredictionBand
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Source:
-    """One recording that went into a fit."""
-
-    name: str
-    sha256: str
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """What made a fit: the package's version and the data."""
-
-    version: str
-    recordings: tuple[Source, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,30 +48,31 @@ class Fit:
     shapes : (s,)
         Shape parameters, as ``model.shapes``.
     covariance : (p + s, p + s)
-        Of values and shapes, allowing for residuals correlated in time. For ``feasible`` it is
-        that of weighted least squares: constraints and the pull towards the nominal bodies only
-        make the scatter smaller, in exchange for a bias that no covariance shows.
+        Of values and shapes, with the correlation of the residuals in time accounted for. For
+        ``feasible`` it is that of weighted least squares: constraints and regularization towards
+        the nominal bodies reduce the variance and add a bias, which a covariance does not show.
     parameters : (10 n + m,)
-        Link parameters and effect coefficients that give ``values``: physically possible ones
-        for ``feasible``, else those nearest to the robot's nominal ones.
+        Link parameters and effect coefficients that give ``values``: physically consistent for
+        ``feasible``, otherwise those nearest to the robot's nominal ones.
     noise : (n,)
         Standard deviation of the residual per joint, N·m.
     residual_noise : tuple of Noise
-        Of each joint: the residual's size and memory, where dry friction is not in doubt.
+        Of each joint: size and correlation in time of the residual, without the uncertainty of
+        dry friction near velocity reversals.
     rms_train, rms_train_raw : (n,)
-        Error on the training recordings, N·m: measured and predicted through the same filter,
-        and raw, that is resampled to a uniform grid but not filtered.
+        RMS error on the training recordings, N·m: of measured and predicted torque through the
+        same filter, and raw (resampled to a uniform grid, not filtered).
     rms_cv : (n,)
-        Error on held-out blocks of the training recordings, joints in motion, N·m.
+        RMS error on held-out blocks of the training recordings, joints in motion, N·m.
     processing : Processing
-        With the cut-off filled in.
+        Filter options, with the cut-off that was used.
     conditioning : Conditioning
     warnings : tuple of LieidWarning
     provenance : Provenance
     temperature_mean : (n,) or None
-        °C of the training recordings, which temperature effects refer to.
+        Mean temperatures of the training recordings, °C, to which temperature effects refer.
     certificate : Certificate or None
-        Of the method ``feasible``: what is certain of its parameters, and what they cost.
+        Of the method ``feasible``: checks of physical consistency, and the increase in error.
     """
 
     model: Model
@@ -116,12 +105,12 @@ class Fit:
 
     @property
     def link_parameters(self) -> Array:
-        """Link parameters (10 n,), nearest to the nominal ones among those that fit alike."""
+        """Link parameters (10 n,): of all that fit equally well, those nearest to the nominal."""
         return self.parameters[: 10 * self.model.n]
 
     @property
     def effect_coefficients(self) -> Array:
-        """Linear coefficients of the effects (m,), dropped ones included."""
+        """Linear coefficients of the effects (m,), including those that are not base parameters."""
         return self.parameters[10 * self.model.n :]
 
     @property
@@ -132,7 +121,7 @@ class Fit:
 
     @property
     def fitted(self) -> tuple[Parameter, ...]:
-        """Base parameters, then shapes: what ``values`` and ``shapes`` are."""
+        """Base parameters, then shape parameters: the entries of ``values`` and ``shapes``."""
         return (*self.model.base_columns, *self.model.shapes)
 
     def predict(self, recording: Recording) -> Array:
@@ -145,8 +134,6 @@ class Fit:
         EffectError
             If an effect needs a temperature that the recording lacks.
         """
-        from lieid_casadi.identification.prediction import predict_recording
-
         self.check_joints(recording)
         return predict_recording(
             self.compiled,
@@ -158,7 +145,7 @@ class Fit:
         )
 
     def predict_band(self, recording: Recording, *, level: float = 0.95) -> PredictionBand:
-        """Return the torque with the band that holds a measured sample with probability ``level``.
+        """Return the torque with bounds that contain a measured sample with probability ``level``.
 
         See `lieid_casadi.identification.uncertainty.prediction_band.predict_band`.
         """
@@ -168,28 +155,16 @@ class Fit:
 
     def predict_processed(self, segment: Processed) -> Array:
         """Return the filtered torque (M, n) of a segment as `process` returns it."""
-        from lieid_casadi.identification.prediction import relative_temperature, torque_along
-
         segment = relative_temperature(segment, self.temperature_mean)
         torque = torque_along(self.compiled, segment, self.parameters, self.shapes)
         return segment.filter(torque)
 
     def check_joints(self, recording: Recording) -> None:
         """Raise `ModelError` or `EffectError` if a recording lacks joints or temperatures."""
-        if recording.n != self.model.n:
-            raise ModelError(
-                f"{recording.name or 'recording'}: {recording.n} joints; "
-                f"the fit of {self.model.robot.name!r} has {self.model.n}"
-            )
-        warm = [p.label for p in self.model.placements if "temperature" in p.effect.signals]
-        if warm and recording.temperature is None:
-            raise EffectError(
-                f"{recording.name or 'recording'}: {warm[0]} needs temperature; expected columns "
-                f"temp1…temp{self.model.n}"
-            )
+        check_joints(self.model, recording)
 
     def save(self, path: str | Path) -> None:
-        """Write the fit as JSON, atomically; it embeds the robot and stands alone."""
+        """Write the fit as JSON, atomically. The file contains the robot."""
         from lieid_casadi.identification.fit_file import save
 
         save(self, path)
@@ -201,13 +176,13 @@ class Fit:
         Raises
         ------
         FitFileError
-            Missing, truncated, not finite, or of a newer schema.
+            Missing, truncated, not a fit, of a newer schema, or with an entry that is not valid.
         EffectError
             It names an effect that is not registered.
         """
-        from lieid_casadi.identification.fit_file import load
+        from lieid_casadi.identification.fit_file import read_fields
 
-        return load(path)
+        return cls(**read_fields(path))
 
     def parameter_table(self) -> list[dict[str, Any]]:
         """Return one row per fitted number: name, joint (from 1), value, std, unit.
@@ -222,7 +197,7 @@ class Fit:
                 "name": parameter.name,
                 "joint": parameter.joint + 1,
                 "value": float(value),
-                "std": float(std) if np.isfinite(std) else None,
+                "std": number_or_none(std),
                 "relative_std": float(std / abs(value)) if value and np.isfinite(std) else None,
                 "unit": parameter.unit,
                 "expression": expression,
@@ -233,9 +208,9 @@ class Fit:
         ]
 
     def ranking(self) -> list[dict[str, Any]]:
-        """Return the rows of `parameter_table`, the parameter that the data knows best first.
+        """Return the rows of `parameter_table` in the order of their relative standard deviation.
 
-        By relative standard deviation; above about 0.3 a value says little more than its sign.
+        Above about 0.3, little more than the sign of a value is determined.
         """
         last = float("inf")
 
@@ -245,15 +220,15 @@ class Fit:
         return sorted(self.parameter_table(), key=key)
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw how well each parameter is known; return the figure, not shown."""
-        from lieid_casadi.identification.fit_view import plot
+        """Draw each parameter relative to its standard deviation; the figure is not shown."""
+        from lieid_casadi.identification.fit_view import plot_parameters
 
-        return plot(self, ax)
+        return plot_parameters(self, ax)
 
     def _repr_html_(self) -> str:
-        from lieid_casadi.identification.fit_view import html
+        from lieid_casadi.identification.fit_view import html_view
 
-        return html(self)
+        return html_view(self)
 
     def __repr__(self) -> str:
         return (
@@ -270,11 +245,11 @@ class Fit:
             "method": self.method,
             "rms_train": self.rms_train.tolist(),
             "rms_train_raw": self.rms_train_raw.tolist(),
-            "rms_cv": [float(x) if np.isfinite(x) else None for x in self.rms_cv],
+            "rms_cv": numbers_or_none(self.rms_cv),
             "cutoff": self.processing.cutoff,
             "warnings": warning_list(self.warnings),
             "base_parameter_count": self.model.base.count,
-            "condition_number": condition if np.isfinite(condition) else None,
+            "condition_number": number_or_none(condition),
             "singular_values": {
                 "largest": self.conditioning.largest,
                 "smallest": self.conditioning.smallest,
@@ -284,8 +259,3 @@ class Fit:
             "certificate": None if self.certificate is None else self.certificate.to_dict(),
             "parameters": self.parameter_table(),
         }
-
-
-def warning_list(warnings: Sequence[LieidWarning]) -> list[dict[str, str]]:
-    """Return warnings as they stand in JSON: ``[{name, message}]``."""
-    return [{"name": type(w).__name__, "message": str(w)} for w in warnings]

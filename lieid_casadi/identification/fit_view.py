@@ -1,11 +1,12 @@
-"""How a fit looks: a table for notebooks, a picture of how well each parameter is known."""
+"""Views of a fit: an HTML table for notebooks, and a plot of the parameters' uncertainty."""
 
 from __future__ import annotations
 
-from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from lieid_casadi.html_table import html_table, number_cell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -14,32 +15,40 @@ if TYPE_CHECKING:
     from lieid_casadi.identification.fit import Fit
 
 
-def html(fit: Fit) -> str:
+def html_view(fit: Fit) -> str:
     """Return the parameters as an HTML table."""
-    cells = [
-        f"<tr><td>{escape(row['expression'])}</td><td>{row['value']:.4g}</td>"
-        f"<td>{'–' if row['std'] is None else format(row['std'], '.2g')}</td>"
-        f"<td>{escape(row['unit'])}</td></tr>"
+    rows = [
+        (row["expression"], f"{row['value']:.4g}", number_cell(row["std"], 2), row["unit"])
         for row in fit.parameter_table()
     ]
-    head = "<tr><th>parameter</th><th>value</th><th>std</th><th>unit</th></tr>"
-    title = escape(f"{fit.model.robot.name}: {', '.join(fit.model.effects)}")
-    return f"<table><caption>{title}</caption>{head}{''.join(cells)}</table>"
+    caption = f"{fit.model.robot.name}: {', '.join(fit.model.effects)}"
+    return html_table(("parameter", "value", "std", "unit"), rows, caption=caption)
 
 
-def plot(fit: Fit, ax: Axes | None = None) -> Figure:
-    """Draw each parameter's |value| in standard deviations, best known first."""
+def plot_parameters(fit: Fit, ax: Axes | None = None) -> Figure:
+    """Draw each parameter's |value| in standard deviations, largest first.
+
+    Parameters
+    ----------
+    fit : Fit
+    ax : Axes, optional
+        Axes to draw into; a new figure without a window if left out.
+
+    Returns
+    -------
+    Figure
+    """
     from matplotlib.figure import Figure
 
     numbers = np.concatenate([fit.values, fit.shapes])
     with np.errstate(divide="ignore", invalid="ignore"):
-        known = np.nan_to_num(np.abs(numbers) / fit.std, nan=0.0, posinf=0.0)
-    order = np.argsort(-known)
+        significance = np.nan_to_num(np.abs(numbers) / fit.std, nan=0.0, posinf=0.0)
+    order = np.argsort(-significance)
     if ax is None:
         figure = Figure(figsize=(7.0, 0.18 * len(order) + 1.2), layout="constrained")
         ax = figure.subplots()
     places = np.arange(len(order))
-    ax.barh(places, known[order], color="tab:blue")
+    ax.barh(places, significance[order], color="tab:blue")
     ax.axvline(3.0, color="0.4", linewidth=1.0, linestyle="--")
     ax.set_yticks(places, [fit.fitted[k].label for k in order], fontsize=6)
     ax.set_xscale("symlog", linthresh=1.0)

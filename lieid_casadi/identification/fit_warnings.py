@@ -1,4 +1,4 @@
-"""What a fit has to say about its own parameters: aliases, bounds, unseen directions, rest."""
+"""Warnings of a fit about its own parameters."""
 
 from __future__ import annotations
 
@@ -10,50 +10,102 @@ from numpy.typing import NDArray
 from lieid_casadi.errors import (
     AliasWarning,
     BoundWarning,
+    ConvergenceWarning,
     FrictionAtRestWarning,
     LieidWarning,
     UnidentifiableWarning,
 )
 from lieid_casadi.identification.regression.design_matrix import has_dry_friction
-from lieid_casadi.identification.regression.fixed_point import State
-from lieid_casadi.identification.regression.least_squares import Solution, name_direction
+from lieid_casadi.identification.regression.fixed_point import ROUNDS, FitState
+from lieid_casadi.identification.regression.least_squares import (
+    Factor,
+    LeastSquaresSolution,
+    independent_fraction,
+    name_direction,
+)
 from lieid_casadi.identification.regression.shape_range import ShapeRange
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
-WEAK = 0.05  # of a column's norm left beside the others: told, and fitted with care
+WEAK = 0.05  # of a column's norm that the other columns do not span: below it, a warning
+SHARE_AT_REST = 0.01  # of the samples, above which rest is reported
 
 
-def aliases(model: Model, remaining: Array) -> list[LieidWarning]:
-    """Tell effects that the other columns absorb by structure, or almost by this data."""
+def of_regression(
+    model: Model,
+    segments: Sequence[Processed],
+    state: FitState,
+    unweighted: Factor,
+    *,
+    settled: bool,
+) -> list[LieidWarning]:
+    """Return the warnings of a regression: aliases, unexcited directions, rest, convergence.
+
+    Parameters
+    ----------
+    model : Model
+    segments : sequence of Processed
+        Of the training recordings.
+    state : FitState
+        Of the last iteration.
+    unweighted : Factor
+        Of all rows, not weighted.
+    settled : bool
+        Whether load and shape parameters converged.
+    """
+    found = aliases(model, independent_fraction(unweighted))
+    found += unexcited(model, state.solution) + at_rest(model, segments)
+    if not settled:
+        found.append(
+            ConvergenceWarning(
+                f"load and shape parameters had not converged after {ROUNDS} iterations; "
+                "remove an effect with shape parameters, or record more data"
+            )
+        )
+    return found
+
+
+def aliases(model: Model, independent: Array) -> list[LieidWarning]:
+    """Return warnings about effects that other columns absorb exactly, or nearly on this data.
+
+    Parameters
+    ----------
+    model : Model
+    independent : (p,)
+        Part of each base column's norm that the other columns do not span.
+    """
     found: list[LieidWarning] = []
     base, first = model.base, 10 * model.n
     for k in base.dropped[base.dropped >= first]:
         users = [base.names[base.kept[i]] for i in np.flatnonzero(base.combination[:, k])]
-        inside = f"part of {', '.join(users)}" if users else "without any torque"
-        found.append(AliasWarning(f"{base.names[k]} is absorbed: {inside}; no data can tell"))
+        reason = (
+            f"absorbed by {', '.join(users)}: no recording can separate them"
+            if users
+            else "without effect on any torque of this robot"
+        )
+        found.append(AliasWarning(f"{base.names[k]} is {reason}"))
     for position, k in enumerate(base.kept):
-        if k >= first and 0.0 < remaining[position] < WEAK:
+        if k >= first and 0.0 < independent[position] < WEAK:
             found.append(
                 AliasWarning(
                     f"{base.names[k]} is weak: the other columns explain all but "
-                    f"{remaining[position]:.1%} of its column on this data"
+                    f"{independent[position]:.1%} of its column on this recording"
                 )
             )
     return found
 
 
-def bounds(model: Model, state: State) -> list[LieidWarning]:
-    """Tell coefficients beyond the physics' bounds and shapes at the end of their range."""
+def bounds(model: Model, state: FitState) -> list[LieidWarning]:
+    """Return warnings about coefficients beyond their bounds and shapes at the end of a range."""
     found: list[LieidWarning] = []
     for parameter, value in zip(model.base_columns, state.solution.values, strict=True):
         if not parameter.lower <= value <= parameter.upper:
             found.append(
                 BoundWarning(
-                    f"{parameter.label} = {value:.3g} {parameter.unit} is beyond its bound "
-                    f"[{parameter.lower:g}, {parameter.upper:g}]: the model lacks something, or "
-                    "the effect is not there"
+                    f"{parameter.label} = {value:.3g} {parameter.unit} is outside its physical "
+                    f"bounds [{parameter.lower:g}, {parameter.upper:g}]: another effect is "
+                    "missing from the model, or this effect is not present"
                 )
             )
     if len(state.shapes):
@@ -61,35 +113,37 @@ def bounds(model: Model, state: State) -> list[LieidWarning]:
             shape = model.shapes[k]
             found.append(
                 BoundWarning(
-                    f"{shape.label} ran to its bound {state.shapes[k]:.3g} {shape.unit} "
-                    f"(range {shape.lower:g} to {shape.upper:g}); its effect is hardly there"
+                    f"{shape.label} reached its bound {state.shapes[k]:.3g} {shape.unit} "
+                    f"(range {shape.lower:g} to {shape.upper:g}); the effect is probably not "
+                    "present on this joint"
                 )
             )
     return found
 
 
-def hidden(model: Model, solution: Solution) -> list[LieidWarning]:
-    """Tell directions that the data does not excite."""
+def unexcited(model: Model, solution: LeastSquaresSolution) -> list[LieidWarning]:
+    """Return warnings about directions of the parameters that the recordings do not excite."""
     labels = [p.label for p in model.base_columns]
     return [
         UnidentifiableWarning(
-            f"not excited by this data: {name_direction(direction, labels)}; "
-            "the smallest value was taken"
+            f"not excited by this recording: {name_direction(direction, labels)}; "
+            "the minimum-norm value was used"
         )
-        for direction in solution.hidden
+        for direction in solution.unexcited
     ]
 
 
-def rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
-    """Tell which joints rested for a part of the recordings."""
+def at_rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
+    """Return a warning that names the joints with dry friction that rested."""
     moving = np.concatenate([segment.filtered_moving for segment in segments])
     share = 1.0 - moving.mean(axis=0)
-    dry = has_dry_friction(model)
-    still = [f"joint {j + 1} {share[j]:.0%}" for j in range(model.n) if dry[j] and share[j] > 0.01]
-    if not still:
+    resting = has_dry_friction(model) & (share > SHARE_AT_REST)
+    if not resting.any():
         return []
+    joints = ", ".join(f"joint {j + 1} {share[j]:.0%}" for j in np.flatnonzero(resting))
     return [
         FrictionAtRestWarning(
-            f"at rest friction is undetermined; samples left out of the fit: {', '.join(still)}"
+            "friction is undetermined at rest; samples at rest were excluded from the fit: "
+            + joints
         )
     ]

@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.effects import ArmEffect
+from lieid_casadi.errors import ModelError
 from lieid_casadi.identification.regression.segment_columns import effect_signals, effects_along
+from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.recording.processing.process import Processed, Processing, process
 from lieid_casadi.recording.recording import Recording
 
 Array = NDArray[np.float64]
 HIGHEST_CUTOFF = 0.4  # of the recording's rate
+FEWEST_SAMPLES = 5  # of a segment that can be filtered
 
 
 def torque_along(
@@ -26,15 +29,19 @@ def torque_along(
     *,
     fitted: bool = False,
 ) -> Array:
-    """Return the model's torque (K, n) on a segment's grid, not filtered.
+    """Return the model's torque (K, n) on a segment's grid, not filtered, N·m.
 
     Parameters
     ----------
+    compiled : Compiled
+    segment : Processed
+        With temperatures relative to those of the training recordings.
     parameters : (10 n + m,)
         Link parameters and the effects' coefficients.
     shapes : (s,)
+        Shape parameters of the effects.
     fitted : bool
-        Whether the parameters come from this segment: drift does not carry over to others.
+        Whether the parameters were fitted to this segment. Drift is predicted only then.
     """
     links = parameters[: 10 * compiled.n]
     rigid = compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, links)
@@ -47,11 +54,24 @@ def torque_along(
 def training_errors(
     compiled: Compiled, segment: Processed, parameters: Array, shapes: Array
 ) -> Iterator[tuple[Array, Array]]:
-    """Yield measured − predicted torque of a segment that was fitted: not filtered, filtered.
+    """Yield measured − predicted torque of a training segment, N·m, part by part.
 
-    Window by window, (k, n) and (m, n), where the model allows it: every instant once.
+    Parameters
+    ----------
+    compiled : Compiled
+    segment : Processed
+        With torque.
+    parameters : (10 n + m,)
+        Link parameters and the effects' coefficients.
+    shapes : (s,)
+        Shape parameters of the effects.
+
+    Yields
+    ------
+    (k, n) and (m, n)
+        Errors on the segment's grid and filtered errors. Each instant is in one part.
     """
-    assert segment.tau is not None
+    assert segment.tau is not None  # checked before identification
     whole = None
     if compiled.model.states or _needs_whole_segment(compiled):
         whole = segment.tau - torque_along(compiled, segment, parameters, shapes, fitted=True)
@@ -64,8 +84,8 @@ def training_errors(
             rigid = compiled.inverse_dynamics(segment.q[at], segment.dq[at], segment.ddq[at], links)
             friction = _effect_torque(compiled, segment, parameters, shapes, rigid, at)
             error = segment.tau[at] - rigid - friction
-        following = window.rows.stop == len(segment.filtered_time)
-        first, last = last, at.stop if following else at.start + window.inside.stop
+        is_last = window.rows.stop == len(segment.filtered_time)
+        first, last = last, at.stop if is_last else at.start + window.inside.stop
         yield error[first - at.start : last - at.start], segment.filter_window(error, window)
 
 
@@ -81,7 +101,7 @@ def _effect_torque(
     rigid: Array,
     at: slice,
 ) -> Array:
-    """Return the torque (k, n) of effects that follow from the signals of each instant."""
+    """Return the torque (k, n) of effects on single joints, at the instants ``at``."""
     signals = effect_signals(segment, shapes, None)
     time, temperature = signals["time"][at], signals.get("temperature")
     return compiled.friction(
@@ -105,28 +125,75 @@ def predict_recording(
     shapes: Array,
     temperature_mean: Array | None = None,
 ) -> Array:
-    """Return the torque (N, n) at the recording's own times, finite in every row.
+    """Return the torque (N, n) at the recording's own times, N·m, finite in every row.
 
-    Temperatures are referred to ``temperature_mean`` (n,), °C.
+    Parameters
+    ----------
+    compiled : Compiled
+    recording : Recording
+    processing : Processing
+        With a cut-off.
+    parameters : (10 n + m,)
+        Link parameters and the effects' coefficients.
+    shapes : (s,)
+        Shape parameters of the effects.
+    temperature_mean : (n,), optional
+        Mean temperatures of the training recordings, °C.
+
+    Raises
+    ------
+    ModelError
+        A torque that is not finite.
     """
 
     def torque(segment: Processed) -> Array:
-        return torque_along(compiled, segment, parameters, shapes)
+        with np.errstate(over="ignore", invalid="ignore"):  # checked below
+            return torque_along(compiled, segment, parameters, shapes)
 
-    return along_recording(recording, processing, temperature_mean, torque, compiled.n)
+    found = on_recording_times(recording, processing, temperature_mean, torque, compiled.n)
+    finite = np.isfinite(found)
+    if not finite.all():
+        row, joint = np.argwhere(~finite)[0]
+        raise ModelError(
+            f"{recording.name or 'recording'}: the predicted torque of joint {joint + 1} at "
+            f"t = {recording.t[row]:g} s is {found[row, joint]}; expected a finite number: check "
+            "the parameters of the model and the units of the recording"
+        )
+    return found
 
 
-def along_recording(
+def on_recording_times(
     recording: Recording,
     processing: Processing,
     temperature_mean: Array | None,
     function: Callable[[Processed], Array],
     width: int,
 ) -> Array:
-    """Return what a function of processed segments (K, width) says at the recording's times."""
+    """Evaluate a function on processed segments; return its values at the recording's own times.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of N samples.
+    processing : Processing
+        With a cut-off.
+    temperature_mean : (n,) or None
+        Mean temperatures of the training recordings, °C.
+    function : callable
+        Segment of K instants to values (K, width).
+    width : int
+        Number of values per instant.
+
+    Returns
+    -------
+    (N, width) ndarray
+        Interpolated linearly between the instants of the grid.
+    """
     values = np.zeros((len(recording.t), width))
-    for first, segment in _segments_with_start(recording):
+    first = 0
+    for segment in recording.segments():
         here = slice(first, first + len(segment.t))
+        first = here.stop
         for grid in _on_grid(segment, processing):
             found = function(relative_temperature(grid, temperature_mean))
             values[here] = np.column_stack(
@@ -135,38 +202,26 @@ def along_recording(
     return values
 
 
-def relative_temperature(segment: Processed, mean: Array | None) -> Processed:
-    """Return a segment whose temperatures are relative to a mean (n,), °C."""
-    if segment.temperature is None or mean is None:
-        return segment
-    return replace(segment, temperature=segment.temperature - mean)
-
-
-def _segments_with_start(recording: Recording) -> list[tuple[int, Recording]]:
-    found, first = [], 0
-    for segment in recording.segments():
-        found.append((first, segment))
-        first += len(segment.t)
-    return found
-
-
 def _on_grid(segment: Recording, processing: Processing) -> tuple[Processed, ...]:
-    """Process one segment whole; one too short for the filter is used as it was measured."""
+    """Process one segment without trimming; use one too short for the filter as measured."""
     assert processing.cutoff is not None
     rate = segment.rate if len(segment.t) > 1 else 0.0
     cutoff = min(processing.cutoff, HIGHEST_CUTOFF * rate)
-    if len(segment.t) >= 5 and segment.duration * cutoff >= 1.0:
+    if len(segment.t) >= FEWEST_SAMPLES and segment.duration * cutoff >= 1.0:
         options = replace(processing, cutoff=cutoff, trim=0.0, average_periods=False)
         return process(segment, options)
     return (_as_measured(segment, processing),)
 
 
 def _as_measured(segment: Recording, processing: Processing) -> Processed:
+    """Return a segment at its own times; missing velocities and accelerations by differences."""
     t, q = segment.t, segment.q
-    still = np.zeros_like(q)
-    slope = (lambda x: np.gradient(x, t, axis=0)) if len(t) > 1 else (lambda x: still)
-    dq = segment.dq if segment.dq is not None else slope(q)
-    ddq = segment.ddq if segment.ddq is not None else slope(dq)
+
+    def derivative(x: Array) -> Array:
+        return np.gradient(x, t, axis=0) if len(t) > 1 else np.zeros_like(x)
+
+    dq = segment.dq if segment.dq is not None else derivative(q)
+    ddq = segment.ddq if segment.ddq is not None else derivative(dq)
     return Processed(
         t=t,
         q=q,

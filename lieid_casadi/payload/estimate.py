@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning
-from lieid_casadi.identification.fit import Source, warning_list
+from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning, warning_list
+from lieid_casadi.identification.provenance import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.payload.body import NAMES, UNITS, FeasibleBody, physical_quantities
 

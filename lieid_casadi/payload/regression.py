@@ -31,7 +31,7 @@ from lieid_casadi.identification.regression.least_squares import (
     joint_factors,
     solve,
 )
-from lieid_casadi.identification.regression.variable_projection import shape_columns
+from lieid_casadi.identification.regression.shape_fit import shape_columns
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 
 Array = NDArray[np.float64]
@@ -139,7 +139,7 @@ class LoadedRun:
         return LoadedRunEstimate(
             body,
             covariance[:BODY, :BODY],
-            np.array([h[:BODY] for h in solution.hidden]).reshape(-1, BODY),
+            np.array([h[:BODY] for h in solution.unexcited]).reshape(-1, BODY),
             chosen,
             np.sqrt(np.diag(covariance)[BODY + self.root.shape[1] :]),
             tuple(before),

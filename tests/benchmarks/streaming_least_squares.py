@@ -40,8 +40,8 @@ def by_blocks(model, cores):
     import numpy as np
 
     import lieid_casadi as lieid
+    from lieid_casadi.identification.regression.array_factors import factors
     from lieid_casadi.identification.regression.least_squares import combine, solve
-    from lieid_casadi.identification.regression.streaming import factors
 
     arm = lieid.compile(model, threads=cores)
 

@@ -83,7 +83,7 @@ def test_predict_and_compare(runs, tmp_path, capsys):
     capsys.readouterr()
     arguments = ["compare", str(fit), runs[1], "--json", str(out), "--plot", str(picture)]
     assert main(arguments) == 0
-    assert "Worst moments" in capsys.readouterr().out
+    assert "Largest errors" in capsys.readouterr().out
     assert len(json.loads(out.read_text())["rms"]) == 2
     assert picture.read_bytes().startswith(b"\x89PNG")
 

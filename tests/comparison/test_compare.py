@@ -1,4 +1,4 @@
-"""The numbers of a comparison, each computed a second time by hand."""
+"""Results of a comparison against independent computations."""
 
 import json
 
@@ -23,7 +23,7 @@ def fit():
 
 
 def white_through_filter(sigma, cutoff, *, samples=200_000):
-    """Standard deviation of white noise behind the low-pass, by simulation."""
+    """Standard deviation of white noise after the low-pass, by simulation."""
     noise = sigma * np.random.default_rng(5).standard_normal(samples)
     return sosfiltfilt(butter(4, cutoff, fs=arm.RATE, output="sos"), noise).std()
 
@@ -62,7 +62,7 @@ def test_raw_error_is_of_torques_without_filter(fit):
     assert np.all(comparison.rms_raw > 2.0 * comparison.rms)
 
 
-def test_on_its_own_training_data_a_fit_has_its_training_error():
+def test_training_recordings_give_the_training_error():
     train = [arm.recording(20.0, seed=s, noise=0.2, name=f"run {s}") for s in (3, 4)]
     fit = arm.fit(*train)
     comparison = lieid.compare(fit, train)
@@ -96,7 +96,7 @@ def test_a_missing_effect_raises_the_error_and_not_the_noise(fit):
     assert comparison.over_noise[1] < 1.5
 
 
-def test_noise_is_not_invented_where_the_filter_passes_everything():
+def test_no_noise_floor_if_the_filter_passes_all_frequencies():
     fit = arm.fit(cutoff=80.0)
     comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.2))
     assert comparison.noise_source == "none"
@@ -104,7 +104,7 @@ def test_noise_is_not_invented_where_the_filter_passes_everything():
     assert comparison.to_dict()["noise_floor"] == [None, None]
 
 
-def test_worst_moments_are_where_the_torque_was_disturbed(fit):
+def test_largest_errors_are_at_the_disturbances(fit):
     t = arm.motion(14.0)[0]
     pulse = np.zeros((len(t), 2))
     for joint, instant, size in ((0, 4.0, -30.0), (0, 9.0, 20.0), (1, 6.0, 15.0)):
@@ -133,14 +133,14 @@ def test_several_recordings_count_by_their_samples(fit):
     assert both.worst[0].recording == "loud"
 
 
-def test_friction_at_rest_is_told_for_the_joint_that_rests(fit):
+def test_error_at_rest_is_reported_for_the_joint_that_rests(fit):
     t = arm.motion(14.0)[0]
     stuck = np.where((t >= 7.0)[:, None], [0.0, 1.4], 0.0)  # static friction holds joint 2
     test = arm.recording(14.0, seed=2, noise=0.1, still_after=7.0, extra=stuck)
     comparison = lieid.compare(fit, test)
-    (told,) = (w for w in comparison.warnings if isinstance(w, FrictionAtRestWarning))
-    assert "joint 2 (RMS 1.4" in str(told)
-    assert "joint 1" not in str(told)
+    (warning,) = (w for w in comparison.warnings if isinstance(w, FrictionAtRestWarning))
+    assert "joint 2 (RMS 1.4" in str(warning)
+    assert "joint 1" not in str(warning)
     assert comparison.rms_moving[1] < 0.3
 
 
@@ -150,7 +150,7 @@ def test_a_joint_that_never_rests_has_no_error_at_rest(fit):
     assert not any(isinstance(w, FrictionAtRestWarning) for w in comparison.warnings)
 
 
-def test_rest_is_nothing_special_without_dry_friction():
+def test_rest_is_not_reported_without_dry_friction():
     fit = arm.fit(effects="viscous,offset")
     t = arm.motion(14.0)[0]
     stuck = np.where((t >= 7.0)[:, None], [0.0, 8.0], 0.0)
@@ -159,7 +159,7 @@ def test_rest_is_nothing_special_without_dry_friction():
 
 
 @pytest.mark.parametrize(
-    ("train", "test", "told"),
+    ("train", "test", "reported"),
     [
         ((0.0, 12.0), (12.0, 24.0), False),
         ((0.0, 12.0), (8.0, 20.0), True),
@@ -167,22 +167,22 @@ def test_rest_is_nothing_special_without_dry_friction():
         ((None, 12.0), (11.0, None), True),
     ],
 )
-def test_testing_on_training_data_is_told(tmp_path, train, test, told):
+def test_testing_on_training_data_is_reported(tmp_path, train, test, reported):
     arm.recording(24.0, seed=3, noise=0.2).save(tmp_path / "run.npz")
     whole = lieid.Recording.load(tmp_path / "run.npz")
     part = whole if test == (None, None) else whole.cut(*test)
     comparison = lieid.compare(arm.fit(whole.cut(*train)), part)
-    assert any(isinstance(w, SameRecordingWarning) for w in comparison.warnings) is told
+    assert any(isinstance(w, SameRecordingWarning) for w in comparison.warnings) is reported
 
 
-def test_suspicious_recordings_are_told(fit):
+def test_warnings_of_recordings_are_kept(fit):
     t, q, dq, ddq = arm.motion(12.0, seed=2)
     test = lieid.Recording.from_arrays(t, q, -dq, arm.torque(q, dq, ddq))
     names = {type(w).__name__ for w in lieid.compare(fit, test).warnings}
     assert "VelocityMismatchWarning" in names
 
 
-def test_what_cannot_be_compared_is_refused(fit):
+def test_recordings_that_cannot_be_compared_are_refused(fit):
     t, q, dq, ddq = arm.motion(12.0)
     with pytest.raises(ModelError, match="no torque; expected columns tau1…tau2"):
         lieid.compare(fit, lieid.Recording.from_arrays(t, q, dq))
@@ -211,7 +211,7 @@ def test_to_dict_is_strict_json_with_one_number_per_joint(fit):
     assert content["cutoff"] == 6.0
 
 
-def test_series_hold_what_an_error_may_depend_on(fit):
+def test_series_contain_the_signals_of_the_plots(fit):
     test = arm.recording(12.0, seed=2, name="run")
     (series,) = lieid.compare(fit, test).series
     inside = slice(5, -5)
@@ -222,7 +222,7 @@ def test_series_hold_what_an_error_may_depend_on(fit):
     assert set(np.unique(series.sign)) <= {-1.0, 0.0, 1.0}
     fast = np.abs(series.dq) > 0.2
     np.testing.assert_array_equal(series.sign[fast], np.sign(series.dq[fast]))
-    # at slow speed the load of this arm is gravity: what the links weigh
+    # the load is the torque without friction
     _, q, dq, ddq = arm.motion(12.0, seed=2)
     rigid = arm.torque(q, dq, ddq) - np.sign(dq) * [3.0, 1.5] - dq * [2.0, 0.8]
     np.testing.assert_allclose(series.load[inside, 1], at(rigid[:, 1]), atol=0.25)

@@ -1,4 +1,4 @@
-"""Pictures show the numbers of the comparison, and leave Matplotlib as it was."""
+"""Plots show the numbers of the comparison and do not change Matplotlib's settings."""
 
 import io
 from dataclasses import replace
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 import lieid_casadi as lieid
 from lieid_casadi.comparison import plot_style
-from lieid_casadi.comparison.error_plots import binned_mean, stretches
+from lieid_casadi.comparison.error_plots import binned_mean, intervals
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def comparison():
     return lieid.compare(arm.fit(), test)
 
 
-def drawn(figure):
+def png(figure):
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=50)
     return buffer.getvalue()
@@ -33,7 +33,7 @@ def test_plots_are_figures_and_change_no_setting(comparison):
     figures = [comparison.plot(), comparison.plot(joint=1), comparison.plot_errors()]
     for figure in figures:
         assert type(figure) is Figure
-        assert drawn(figure).startswith(b"\x89PNG")
+        assert png(figure).startswith(b"\x89PNG")
     assert dict(matplotlib.rcParams) == before
     assert pyplot.get_fignums() == windows
 
@@ -57,14 +57,14 @@ def test_plot_draws_one_joint_into_given_axes(comparison):
     np.testing.assert_array_equal(measured, comparison.series[0].measured[:, 1])
 
 
-def test_without_a_joint_the_worst_one_is_drawn(comparison):
+def test_the_joint_with_the_largest_error_is_drawn_by_default(comparison):
     ax = Figure().subplots()
     comparison.plot(ax)
     worst = int(np.argmax(comparison.relative_rms))
     assert ax.get_title("left").startswith(f"joint {worst + 1} ")
 
 
-def test_axes_of_a_part_of_a_figure_are_good_too(comparison):
+def test_axes_of_a_subfigure_are_accepted(comparison):
     figure = Figure()
     ax = figure.subfigures(1, 2)[0].subplots()
     assert comparison.plot(ax, joint=0) is figure
@@ -82,20 +82,20 @@ def test_errors_are_drawn_against_each_signal(comparison):
 
 
 @pytest.mark.parametrize("name", ["$x^2", "a_b", "\\frac", "{}", "ü" * 200, ""])
-def test_any_name_can_be_drawn(comparison, name):
+def test_any_name_can_be_png(comparison, name):
     named = replace(comparison, joint_names=(name, "elbow"))
-    drawn(named.plot())
-    drawn(named.plot_errors())
+    png(named.plot())
+    png(named.plot_errors())
 
 
-def test_noise_that_is_not_known_is_not_drawn(comparison):
+def test_an_unknown_noise_floor_is_not_png(comparison):
     unknown = replace(comparison, noise_floor=np.full(2, np.nan), noise_source="none")
     for figure in (unknown.plot(), unknown.plot_errors()):
-        drawn(figure)
+        png(figure)
         assert "noise" not in " ".join(t.get_text() for t in figure.legends[0].get_texts())
 
 
-def test_several_recordings_lie_one_after_the_other():
+def test_several_recordings_are_drawn_one_after_another():
     fit = arm.fit()
     given = [arm.recording(8.0, seed=s, noise=0.1, name=f"run {s}") for s in (2, 3)]
     comparison = lieid.compare(fit, given)
@@ -103,8 +103,8 @@ def test_several_recordings_lie_one_after_the_other():
     lines = figure.axes[0].get_lines()
     first, second = lines[0].get_xdata(), lines[2].get_xdata()
     assert first[-1] < second[0]
-    assert "recordings one after the other" in figure.axes[-1].get_xlabel()
-    drawn(comparison.plot_errors())
+    assert "recordings one after another" in figure.axes[-1].get_xlabel()
+    png(comparison.plot_errors())
 
 
 def test_segments_of_one_recording_keep_its_clock():
@@ -114,7 +114,7 @@ def test_segments_of_one_recording_keep_its_clock():
     assert text == "time [s]"
 
 
-def test_thinned_lines_keep_their_peaks():
+def test_decimated_lines_keep_their_peaks():
     x = np.arange(200_000.0)
     y = np.sin(x / 900.0)
     y[123_456], y[77_777] = 9.0, -7.0
@@ -126,7 +126,7 @@ def test_thinned_lines_keep_their_peaks():
     np.testing.assert_array_equal(y[thin_x.astype(int)], thin_y)
 
 
-def test_clouds_are_thinned_evenly():
+def test_scatter_plots_are_decimated_evenly():
     marked = np.ones(100_000, dtype=bool)
     marked[:1000] = False
     kept = plot_style.thin(marked)
@@ -135,7 +135,7 @@ def test_clouds_are_thinned_evenly():
     assert np.unique(np.diff(kept)).size == 1
 
 
-def test_means_of_stretches():
+def test_means_of_intervals():
     x = np.array([0.1] * 6 + [1.5] * 3 + [2.5] * 8)
     y = np.array([1.0] * 3 + [2.0] * 3 + [9.0] * 3 + [4.0] * 8)
     centre, mean = binned_mean(x, y, np.array([0.0, 1.0, 2.0, 3.0]))
@@ -143,9 +143,9 @@ def test_means_of_stretches():
     np.testing.assert_allclose(mean, [1.5, np.nan, 4.0])
 
 
-def test_stretches_of_speed_part_at_zero():
+def test_zero_speed_separates_intervals():
     signal = np.linspace(-1.0, 3.0, 4001)
-    edges = stretches(signal, around_zero=True)
+    edges = intervals(signal, around_zero=True)
     assert 0.0 in edges
     assert np.all(np.diff(edges) > 0.0)
     assert edges[0] == pytest.approx(-0.98, abs=0.01)

@@ -1,4 +1,4 @@
-"""Comparisons on recordings of a UR10e, beside what plain least squares reaches there."""
+"""Comparisons on recordings of a UR10e, against reference results of ordinary least squares."""
 
 import numpy as np
 import pytest
@@ -40,20 +40,20 @@ def test_excitation_is_as_good_as_the_reference(plain):
     assert np.all(comparison.noise_floor < comparison.rms)
 
 
-def test_dwells_of_the_wrist_are_told_apart(plain):
+def test_dwells_of_the_wrist_are_reported(plain):
     comparison = lieid.compare(plain, load("point_to_point"))
     reference = np.array([2.58, 3.21, 1.38, 0.23, 1.09, 1.42])
     assert np.all(comparison.rms < 1.07 * reference)
-    assert np.flatnonzero(comparison.rest_weighs).tolist() == [4, 5]
-    (told,) = (w for w in comparison.warnings if isinstance(w, FrictionAtRestWarning))
-    assert "joint 5 (RMS" in str(told)
-    assert "joint 6 (RMS" in str(told)
+    assert np.flatnonzero(comparison.rest_dominates).tolist() == [4, 5]
+    (warning,) = (w for w in comparison.warnings if isinstance(w, FrictionAtRestWarning))
+    assert "joint 5 (RMS" in str(warning)
+    assert "joint 6 (RMS" in str(warning)
     assert np.all(comparison.rms_moving[4:] < 0.4)
     assert np.all(comparison.rms_at_rest[4:] > 1.5)
 
 
-def opening(comparison, joint):
-    """How far the error's means of both directions lie apart, by |load|: small, large, N·m."""
+def direction_difference(comparison, joint):
+    """Difference of the mean errors of both directions at small and at large |load|, N·m."""
     (series,) = comparison.series
     sign, load = series.sign[:, joint], np.abs(series.load[:, joint])
     edges = np.percentile(load, [0.0, 25.0, 75.0, 100.0])
@@ -65,14 +65,14 @@ def opening(comparison, joint):
 
 
 @pytest.mark.parametrize("motion", ["excitation_14_harmonics", "point_to_point"])
-def test_error_opens_over_load_until_friction_grows_with_load(plain, motion):
+def test_error_depends_on_load_until_friction_grows_with_load(plain, motion):
     better = fitted(f"{PLAIN},load_friction:2+3")
     test = load(motion)
     before, after = lieid.compare(plain, test), lieid.compare(better, test)
     for joint in (1, 2):
-        small, large = opening(before, joint)
+        small, large = direction_difference(before, joint)
         assert small < 0.0 < large
         assert large - small > 1.5 * before.rms[joint]
-        closed_small, closed_large = opening(after, joint)
+        closed_small, closed_large = direction_difference(after, joint)
         assert abs(closed_large - closed_small) < 0.3 * (large - small)
         assert after.rms[joint] < 0.75 * before.rms[joint]

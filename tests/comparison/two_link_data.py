@@ -1,4 +1,4 @@
-"""Recordings of a two-link arm whose torque, noise and faults are known."""
+"""Recordings of a two-link arm with known torque, noise and disturbances."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from identification.log_cholesky import solve_log_cholesky
 from robot.random_arms import random_link, random_pose
 
 import lieid_casadi as lieid
@@ -10,7 +11,6 @@ from lieid_casadi.errors import NoSolution
 from lieid_casadi.identification import FeasibleOptions
 from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
 from lieid_casadi.identification.feasible.dissipation import dissipation_rows
-from lieid_casadi.identification.feasible.log_cholesky import solve_log_cholesky
 from lieid_casadi.identification.feasible.problem import FeasibleProblem
 from lieid_casadi.identification.regression.least_squares import Factor, triangular
 from lieid_casadi.robot.inertia import pseudo_inertia
@@ -66,7 +66,7 @@ def test_clarabel_and_ipopt_agree(weight, options):
     np.testing.assert_allclose(base[0], base[1], rtol=0.0, atol=1e-4 * np.abs(base[1]).max())
 
 
-def test_repeats_of_a_compiled_problem_are_those_of_a_new_one():
+def test_a_reused_solver_gives_the_same_solution():
     rng = np.random.default_rng(4)
     model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous")
     first, second = rows_of(model, rng), rows_of(model, rng)
@@ -111,7 +111,7 @@ def test_the_divergence_does_not_depend_on_the_frame():
     np.testing.assert_allclose(moved.divergences(seen_from_there), expected, rtol=1e-8)
 
 
-def test_nonlinear_additions_to_the_smooth_problem_are_heeded():
+def test_nonlinear_additions_to_the_smooth_problem_are_satisfied():
     """A constraint that is not convex: the two links' masses have a product of 2 kg²."""
     rng = np.random.default_rng(7)
     model = lieid.Model(lieid.robots.two_link(), "viscous")
@@ -128,7 +128,7 @@ def test_nonlinear_additions_to_the_smooth_problem_are_heeded():
     assert abs(nudged[20] - 5.0) < abs(free[20] - 5.0)
 
 
-def test_ipopt_without_a_solution_says_so():
+def test_ipopt_without_a_solution_raises():
     rng = np.random.default_rng(8)
     model = lieid.Model(lieid.robots.two_link(), "viscous")
     factor = rows_of(model, rng)
@@ -198,7 +198,7 @@ def test_coupled_joints_dissipate_together():
     assert (rows @ [1.0, 1.0, 0.0, 0.5]).min() < 0.0
 
 
-def test_friction_with_load_and_memory_is_seen_fully_slid():
+def test_friction_with_load_and_states_reaches_full_sliding():
     model = lieid.Model(lieid.robots.two_link(), "presliding/load:1,viscous:1")
     rows = dissipation_rows(
         lieid.compile(model),

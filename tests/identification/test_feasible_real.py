@@ -1,4 +1,4 @@
-"""Physically possible parameters on recordings of real arms."""
+"""Physically consistent parameters on recordings of real arms."""
 
 import numpy as np
 import pytest
@@ -48,13 +48,13 @@ def rms_on(fit, recordings):
     [
         pytest.param(ur10e, True, marks=needs(UR10E / "ur10e.urdf")),
         pytest.param(tx40, True, marks=needs(TX40 / "tx40.urdf")),
-        # 16 s at 29 Hz: on joints 4, 6 and 7 least squares asks for friction that drives the arm
-        # and for bodies that cannot be; those joints lose, the others win
+        # 16 s at 29 Hz: on joints 4, 6 and 7 least squares gives friction that drives the arm and
+        # impossible inertias; the error increases on those joints and decreases on the others
         pytest.param(panda, False, marks=needs(PANDA / "panda.urdf")),
     ],
 )
 def test_feasible_costs_little_on_new_data(arm, each):
-    """RMS over all joints, each in units of its own noise, and joint by joint where that holds."""
+    """RMS over all joints, each in units of its own noise, and where ``each`` of every joint."""
     robot, train, test, processing = arm()
     model = lieid.Model(robot, EFFECTS)
     least = lieid.identify(model, train, processing=processing)
@@ -67,13 +67,13 @@ def test_feasible_costs_little_on_new_data(arm, each):
 
 
 @needs(PANDA / "panda.urdf")
-def test_friction_that_would_drive_a_joint_is_told():
-    """The Panda's fourth joint slows less the faster it turns; 2.2 rad/s are permitted."""
+def test_friction_that_would_drive_a_joint_is_reported():
+    """Friction of the Panda's fourth joint falls with speed; up to 2.2 rad/s is permitted."""
     robot, train, _, processing = panda()
     model = lieid.Model(robot, "coulomb,viscous,offset")
     fit = lieid.identify(model, train, method="feasible", processing=processing)
-    told = [str(w) for w in fit.warnings if isinstance(w, NotDissipativeWarning)]
-    assert any(text.startswith("joint 4:") for text in told)
-    assert all("it is held to dissipate" in text for text in told)
+    messages = [str(w) for w in fit.warnings if isinstance(w, NotDissipativeWarning)]
+    assert any(text.startswith("joint 4:") for text in messages)
+    assert all("it is constrained to dissipate" in text for text in messages)
     fast = dict(zip([c.label for c in model.columns], fit.effect_coefficients, strict=True))
     assert fast["coulomb.f_c:4"] + 2.175 * fast["viscous.f_v:4"] >= 0.0

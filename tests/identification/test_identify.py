@@ -1,4 +1,4 @@
-"""Identification on the plant, whose dynamics and effects are written out apart from the model."""
+"""Identification on the simulated arm, whose dynamics and effects are implemented separately."""
 
 import json
 import re
@@ -47,12 +47,12 @@ def test_base_parameters_are_recovered(method):
     fit = lieid.identify(model, recording, method=method, processing=CUTOFF)
     error = fit.values - true_base(model, arm)
     assert np.abs(error / fit.std).max() < 4.0
-    # 0.05 N·m of white noise at 200 Hz through a low-pass of 8 Hz leaves 0.05·√(16/200)
+    # 0.05 N·m of white noise at 200 Hz through a low-pass of 8 Hz gives 0.05·√(16/200)
     np.testing.assert_allclose(fit.noise, 0.0141, rtol=0.4)
     assert np.all(fit.std > 0.0)
 
 
-def test_without_noise_the_error_is_that_of_the_filter_alone():
+def test_without_noise_only_the_error_of_the_filter_remains():
     model = lieid.Model(ROBOT, "coulomb,viscous,offset")
     arm, recording = measured()
     fit = lieid.identify(model, recording, processing=CUTOFF)
@@ -77,7 +77,7 @@ def test_the_fit_is_the_least_squares_solution_of_filtered_columns():
     np.testing.assert_allclose(fit.values, expected, rtol=1e-6, atol=1e-8)
 
 
-def test_joint_noise_sets_the_weights():
+def test_weights_are_inverse_joint_noise():
     model = lieid.Model(ROBOT, "coulomb,viscous,offset")
     _, recording = measured(torque_noise=(1.0, 0.01))
     fit = lieid.identify(model, recording, processing=CUTOFF)
@@ -88,7 +88,7 @@ def test_joint_noise_sets_the_weights():
     assert np.all(fit.std[elbow] < ols.std[elbow])
 
 
-def test_outliers_move_robust_less_than_wls():
+def test_outliers_affect_robust_less_than_wls():
     model = lieid.Model(ROBOT, "coulomb,viscous,offset")
     arm, recording = measured(torque_noise=0.05)
     tau = recording.tau.copy()
@@ -117,13 +117,13 @@ def test_shape_parameters_are_found():
     assert np.isfinite(fit.std).all()
 
 
-def test_a_shape_that_runs_to_its_bound_is_told():
+def test_a_shape_at_its_bound_is_reported():
     """A parabola is the limit of ever wider Stribeck curves."""
     model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1")
     _, recording = measured(plant.ViscousPolynomial(0, quadratic=-0.3), torque_noise=0.0)
     fit = lieid.identify(model, recording, processing=CUTOFF)
-    (told,) = [w for w in fit.warnings if isinstance(w, BoundWarning)]
-    assert "stribeck.v_s:1 ran to its bound" in str(told)
+    (warning,) = [w for w in fit.warnings if isinstance(w, BoundWarning)]
+    assert "stribeck.v_s:1 reached its bound" in str(warning)
 
 
 def test_load_friction_reaches_its_fixed_point():
@@ -135,18 +135,18 @@ def test_load_friction_reaches_its_fixed_point():
     np.testing.assert_allclose(fit.effect_coefficients[-2:], [0.06, 0.09], rtol=0.05)
 
 
-def test_armature_of_the_first_joint_is_absorbed_and_said():
+def test_absorbed_armature_of_the_first_joint_is_reported():
     model = lieid.Model(ROBOT, "coulomb,viscous,offset,armature")
     _, recording = measured(torque_noise=0.02)
     fit = lieid.identify(model, recording, processing=CUTOFF)
-    (told,) = [
+    (warning,) = [
         w for w in fit.warnings if isinstance(w, AliasWarning) and "armature.I_a:1" in str(w)
     ]
-    assert "Izz1" in str(told)
+    assert "Izz1" in str(warning)
     assert "armature.I_a:1" not in {p.label for p in model.base_columns}
 
 
-def test_samples_at_rest_leave_the_fit_and_are_counted():
+def test_samples_at_rest_are_excluded_and_reported():
     model = lieid.Model(ROBOT, "coulomb,viscous,offset")
     arm, moving = measured(torque_noise=0.02)
     rest = np.full((1000, 2), 1.0)
@@ -159,11 +159,11 @@ def test_samples_at_rest_leave_the_fit_and_are_counted():
     )
     fit = lieid.identify(model, recording, processing=CUTOFF)
     assert np.abs((fit.values - true_base(model, arm)) / fit.std).max() < 5.0
-    (told,) = [w for w in fit.warnings if isinstance(w, FrictionAtRestWarning)]
-    assert re.search("joint 1 (19|20)%", str(told))
+    (warning,) = [w for w in fit.warnings if isinstance(w, FrictionAtRestWarning)]
+    assert re.search("joint 1 (19|20)%", str(warning))
 
 
-def test_what_is_not_excited_is_named():
+def test_directions_that_are_not_excited_are_reported():
     model = lieid.Model(ROBOT, "viscous")
     arm, recording = measured()
     q, dq = recording.q.copy(), recording.dq.copy()
@@ -226,7 +226,7 @@ def test_prediction_is_finite_in_every_row_at_its_own_times():
     assert np.sqrt(np.mean(error**2)) < 0.2
 
 
-def test_a_fit_survives_its_file(tmp_path):
+def test_a_saved_fit_loads_identically(tmp_path):
     model = lieid.Model(lieid.robots.panda(), "coulomb,viscous,offset,armature,stribeck:4")
     robot = model.robot
     size = plant.torque_scale(robot)
@@ -245,7 +245,7 @@ def test_a_fit_survives_its_file(tmp_path):
     assert [path.name] == [p.name for p in path.parent.iterdir()]
 
 
-def test_errors_name_the_remedy():
+def test_invalid_requests_are_refused():
     model = lieid.Model(ROBOT, "coulomb")
     _, recording = measured(duration=5.0)
     with pytest.raises(IdentificationError, match="unknown method 'magic'"):
@@ -259,7 +259,7 @@ def test_errors_name_the_remedy():
         lieid.identify(lieid.Model(lieid.robots.panda()), recording)
 
 
-def test_cross_validation_sees_overfitting():
+def test_cross_validation_detects_overfitting():
     """With noise alone the held-out error is above the training error, by as much as it should."""
     model = lieid.Model(ROBOT, "coulomb,viscous,offset,viscous_polynomial,viscous_asymmetric")
     _, recording = measured(torque_noise=0.3, duration=6.0)

@@ -1,4 +1,4 @@
-"""Noise in the motion: least squares is biased, instruments are not, and a test tells."""
+"""Noise in the motion biases least squares, not instrumental variables; the test detects it."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def noisy_runs():
     ]
 
 
-def test_instruments_take_the_bias_away(noisy_runs):
+def test_instruments_remove_the_bias(noisy_runs):
     """Mean error over runs: of Izz2, whose columns are accelerations, and of all parameters."""
     truth = true_base()
     names = [p.label for p in MODEL.base_columns]
@@ -70,7 +70,7 @@ def test_intervals_of_instrumental_values_cover(noisy_runs):
     assert np.mean(held) > 0.85
 
 
-def test_the_test_tells_when_least_squares_is_biased(noisy_runs):
+def test_bias_of_least_squares_is_detected(noisy_runs):
     for fit, own, commanded in noisy_runs:
         assert own.test.biased
         assert commanded.test.biased
@@ -78,14 +78,14 @@ def test_the_test_tells_when_least_squares_is_biased(noisy_runs):
         np.testing.assert_array_equal(commanded.bias, fit.values - commanded.fit.values)
 
 
-def test_a_clean_motion_is_not_called_biased():
-    told = 0
+def test_a_motion_without_noise_is_not_reported_as_biased():
+    detected = 0
     for seed in range(12):
         fit, recording = fitted(seed, 0.0)
         result = instrumental(fit, recording, reference=COMMANDED)
-        told += result.test.biased
+        detected += result.test.biased
         np.testing.assert_array_less(np.abs(result.bias), 1.5 * fit.std)
-    assert told <= 1
+    assert detected <= 1
 
 
 def test_references_must_match():

@@ -32,7 +32,7 @@ def errors():
     return error / fit.std, error
 
 
-def test_the_encoder_takes_the_place_of_a_noisy_velocity(monkeypatch):
+def test_a_noisy_velocity_is_replaced_by_the_derivative(monkeypatch):
     standard, error = errors()
     monkeypatch.setattr(velocity, "MUCH_QUIETER", np.inf)  # the recorded one, whatever its noise
     monkeypatch.setattr(velocity, "QUIETER", np.inf)

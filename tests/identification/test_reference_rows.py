@@ -28,7 +28,7 @@ def rms(x):
 
 
 @needs(PANDA / "panda.urdf")
-def test_panda_whose_sensors_see_no_rotor_and_whose_friction_slides_in():
+def test_panda_without_rotor_inertia_and_with_presliding():
     fingers = ("panda_finger_joint1", "panda_finger_joint2")
     robot = lieid.Robot.from_urdf(PANDA / "panda.urdf", lock=fingers)
     run = lieid.Recording.load(PANDA / "excitation.csv.gz")
@@ -45,7 +45,7 @@ def test_panda_whose_sensors_see_no_rotor_and_whose_friction_slides_in():
 
 
 @needs(TX40 / "tx40.urdf")
-def test_tx40_whose_fifth_joint_turns_the_sixth_ones_rotor():
+def test_tx40_with_coupled_wrist_joints():
     """Every third block of 0.6 s is held out, with what the filter mixes into it."""
     robot = lieid.Robot.from_urdf(TX40 / "tx40.urdf")
     run = lieid.Recording.load(TX40 / "excitation.csv.gz").cut(None, 7.8)

@@ -98,7 +98,7 @@ def test_covariance_against_the_exact_one(memory, cross):
     assert np.all(ratio < 1.25)
 
 
-def test_residuals_that_grow_with_the_motion_are_allowed_for():
+def test_residuals_that_grow_with_the_motion_are_accounted_for():
     """Noise in proportion to a column: the white formula's variance is three times too small."""
     rng = np.random.default_rng(1)
     samples = 2000
@@ -131,7 +131,7 @@ def test_gaps_between_segments_are_not_bridged():
     assert residual_memory(parts, parts.residuals(values)) < 10
 
 
-def test_no_noise_has_no_spread():
+def test_no_noise_has_no_variance():
     rows = regression(np.random.default_rng(3))
     matrix = stacked(rows)
     unit = np.linalg.inv(matrix.T @ matrix)
@@ -140,7 +140,7 @@ def test_no_noise_has_no_spread():
     assert np.all(hac_covariance(rows, ones, zeros, unit) == 0.0)
 
 
-def test_a_band_holds_the_share_of_new_samples_that_it_states():
+def test_a_band_contains_its_stated_share_of_new_samples():
     fit = lieid.identify(lieid.Model(ROBOT, EFFECTS), run(torque_noise=0.3), processing=CUTOFF)
     fresh = run(motion_seed=9, noise_seed=5, torque_noise=0.3)
     for level in (0.8, 0.95):
@@ -152,7 +152,7 @@ def test_a_band_holds_the_share_of_new_samples_that_it_states():
         fit.predict_band(fresh, level=95)
 
 
-def test_the_parameters_part_of_a_band_is_that_of_repeated_fits():
+def test_parameter_std_of_a_band_is_that_of_repeated_fits():
     """Std of the predicted torque over fits to other noise, shape parameters included."""
     model = lieid.Model(ROBOT, EFFECTS + ",stribeck:1")
     arm = ARM.with_effects(plant.Stribeck(0, extra=0.8, velocity=0.15))
@@ -199,7 +199,7 @@ def test_bootstrap_of_too_little_data_is_refused():
         bootstrap(fit, recording, resamples=1)
 
 
-def test_parameters_are_ranked_by_how_well_they_are_known():
+def test_parameters_are_ranked_by_relative_standard_deviation():
     fit = lieid.identify(lieid.Model(ROBOT, EFFECTS), run(torque_noise=0.3), processing=CUTOFF)
     ranked = fit.ranking()
     assert len(ranked) == len(fit.values)

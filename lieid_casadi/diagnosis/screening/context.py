@@ -17,8 +17,8 @@ from lieid_casadi.diagnosis.screening.screen import Baseline
 from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.design_matrix import Design, Rows
-from lieid_casadi.identification.regression.friction_uncertainty import doubt_along
-from lieid_casadi.identification.regression.variable_projection import shape_columns
+from lieid_casadi.identification.regression.friction_uncertainty import friction_torque_std
+from lieid_casadi.identification.regression.shape_fit import shape_columns
 from lieid_casadi.identification.uncertainty.noise_model import Noise, Runs, runs_of, spread_of
 from lieid_casadi.recording import Processed
 
@@ -134,7 +134,7 @@ class Scene:
     def plain(self) -> tuple[Noise, ...]:
         """White noise of the size of the fit's residuals."""
         return tuple(
-            Noise.white(spread_of(residual, runs.doubt))
+            Noise.white(spread_of(residual, runs.friction_std))
             for residual, runs in zip(self.residual, self.runs, strict=True)
         )
 
@@ -146,7 +146,7 @@ class Scene:
 
 
 def _runs(fit: Fit, rows: Rows, segments: Sequence[Processed]) -> tuple[Runs, ...]:
-    doubt = [doubt_along(fit.compiled, s, fit.shapes, fit.parameters) for s in segments]
+    doubt = [friction_torque_std(fit.compiled, s, fit.shapes, fit.parameters) for s in segments]
     usable = np.zeros((int(rows.segments[-1]), fit.model.n), dtype=bool)
     for j, joint in enumerate(rows.joints):
         usable[joint.instant, j] = True

@@ -15,7 +15,7 @@ from lieid_casadi.diagnosis.screening.numpy_evaluation import Vectorized
 from lieid_casadi.effects import Effect, Placement, Signals
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.regression.segment_columns import Along, effects_along
+from lieid_casadi.identification.regression.segment_columns import ModelAlongSegment, effects_along
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
@@ -31,13 +31,13 @@ class SegmentSignals:
 
     segment: Processed
     values: dict[str, Array]
-    arm: Along
+    arm: ModelAlongSegment
 
     @classmethod
     def of(cls, fit: Fit, segment: Processed) -> SegmentSignals:
         """Return the signals of a segment as a fit has them."""
         effects = effects_along(fit.compiled, segment, fit.shapes, fit.parameters)
-        arm = Along(fit.compiled, segment, fit.parameters, effects, True)
+        arm = ModelAlongSegment(fit.compiled, segment, fit.parameters, effects, True)
         load = arm.load
         shape = segment.q.shape
         warmth = segment.temperature

@@ -18,8 +18,9 @@ from lieid_casadi.diagnosis.residual.residual_description import described
 from lieid_casadi.diagnosis.screening.aliases import aliases
 from lieid_casadi.diagnosis.screening.context import Scene
 from lieid_casadi.diagnosis.search.changed_effects import ChangeSearch
+from lieid_casadi.errors import unique_warnings
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.identify import center_temperature, unique_warnings
+from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.recording import Recording, process
 

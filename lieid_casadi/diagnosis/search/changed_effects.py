@@ -186,7 +186,7 @@ class ChangeSearch:
 
     def _high(self) -> NDArray[np.bool_]:
         """Mark the joints (n,) whose error is larger than another motion makes it."""
-        rises = np.array([each.rises for each in self.noise])
+        rises = np.array([each.motion_ratio for each in self.noise])
         return np.asarray(self._misfit(self.chosen) > MISFIT * rises)
 
     def _misfit(self, groups: Sequence[int]) -> Array:

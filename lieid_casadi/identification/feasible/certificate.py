@@ -1,4 +1,4 @@
-"""What is certain of physically possible parameters, and what it costs to have them."""
+"""Checks of physical consistency, and the increase in error that it costs."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from lieid_casadi.robot.inertia import pseudo_inertia
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
-ROUNDING = 1e-8  # of the largest friction: what a solver's tolerance can leave below zero
+ROUNDING = 1e-8  # of the largest friction: the solver's tolerance
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """Checks made on the parameters themselves, after the solver.
+    """Checks of identified parameters, independent of the solver.
 
     Attributes
     ----------
     regularization : float
-        λ that was used.
+        Weight λ of the divergence from the reference bodies.
     regularization_source : str
         ``cross-validation`` or ``given``.
     pseudo_inertia_eigenvalue : (n,)
         Smallest eigenvalue of each link's pseudo-inertia (kg·m², kg·m and kg mixed).
     mass_matrix_eigenvalue : float
-        Smallest eigenvalue of the rigid M(q), armature left out, over the poses.
+        Smallest eigenvalue of the rigid mass matrix M(q), without armature, over the poses.
     poses : int
-        Random poses within the joint limits.
+        Number of random poses within the joint limits.
     least_dissipation : float
-        Least sgn(q̇)·τ_f on the grid of speeds, N·m; infinite without friction.
+        Smallest sgn(q̇)·τ_f on the grid of speeds, N·m; infinite without friction.
     divergence : (n,)
-        How far each link is from its reference body (entropic divergence, 0: the same).
+        Entropic divergence of each link from its reference body; 0 if they are equal.
     rms, rms_wls : (n,)
         Training error of these parameters and of weighted least squares, N·m.
     """
@@ -52,7 +52,7 @@ class Certificate:
 
     @property
     def holds(self) -> bool:
-        """Whether bodies can exist, M(q) is positive definite and friction dissipates."""
+        """Whether inertias and M(q) are positive definite and friction is dissipative."""
         return bool(
             self.pseudo_inertia_eigenvalue.min() > 0.0
             and self.mass_matrix_eigenvalue > 0.0
@@ -61,26 +61,26 @@ class Certificate:
 
     @property
     def cost(self) -> Array:
-        """Relative increase of each joint's training error (n,) over weighted least squares."""
+        """Relative increase of the training error per joint (n,) over weighted least squares."""
         return np.asarray(self.rms / self.rms_wls - 1.0)
 
     def summary(self) -> str:
-        """Return in words what is certain, and what it costs."""
+        """Return the result of the checks and the increase in error as text."""
         costs = " ".join(f"{100.0 * x:+.1f}" for x in self.cost)
-        friction = "" if np.isinf(self.least_dissipation) else ", friction dissipates"
+        friction = "" if np.isinf(self.least_dissipation) else ", friction is dissipative"
         found = (
             f"every link's pseudo-inertia is positive definite (smallest eigenvalue "
-            f"{self.pseudo_inertia_eigenvalue.min():.2g}), M(q) too over {self.poses} random poses "
-            f"({self.mass_matrix_eigenvalue:.2g}){friction}"
+            f"{self.pseudo_inertia_eigenvalue.min():.2g}), M(q) is positive definite at "
+            f"{self.poses} random poses ({self.mass_matrix_eigenvalue:.2g}){friction}"
         )
         return (
-            f"Physically possible: {found if self.holds else 'NO'}. RMS error against wls on the "
-            f"training data, joint by joint: {costs} %. Regularization {self.regularization:.2g} "
-            f"({self.regularization_source})."
+            f"Physically consistent: {found if self.holds else 'no'}. Change of the RMS training "
+            f"error against weighted least squares, per joint: {costs} %. Regularization "
+            f"{self.regularization:.2g} ({self.regularization_source})."
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain data."""
+        """Return plain data for JSON."""
         return {
             "regularization": self.regularization,
             "regularization_source": self.regularization_source,
@@ -97,7 +97,7 @@ class Certificate:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Certificate:
-        """Return the certificate of `to_dict`'s data; `KeyError` or `TypeError` if it is none."""
+        """Return the certificate of `to_dict`'s data; see `fit_schema.CertificateFile`."""
         least = data["least_dissipation"]
         return cls(
             regularization=float(data["regularization"]),
@@ -121,7 +121,16 @@ def pseudo_inertia_eigenvalues(links: Array) -> Array:
 def least_mass_matrix_eigenvalue(
     compiled: Compiled, links: Array, *, poses: int, seed: int
 ) -> float:
-    """Return the smallest eigenvalue of the rigid M(q) over random poses."""
+    """Return the smallest eigenvalue of the rigid M(q) over random poses within the limits.
+
+    Parameters
+    ----------
+    compiled : Compiled
+    links : (10 n,)
+        Link parameters.
+    poses : int
+    seed : int
+    """
     random = np.random.default_rng(seed)
     lower, upper = position_range(compiled.model.robot)
     q = random.uniform(lower, upper, (poses, compiled.n))
@@ -129,7 +138,14 @@ def least_mass_matrix_eigenvalue(
 
 
 def least_dissipation(friction: Array, coefficients: Array) -> float:
-    """Return the least of the rows' friction, N·m; rounding below zero counts as zero."""
+    """Return the smallest friction of the rows, N·m; 0 if negative by rounding only.
+
+    Parameters
+    ----------
+    friction : (K, m)
+        See `dissipation_rows`.
+    coefficients : (m,)
+    """
     torque = friction @ coefficients
     if not len(torque):
         return float("inf")

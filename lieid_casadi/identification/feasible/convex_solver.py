@@ -1,4 +1,4 @@
-"""The convex problem of physically possible parameters in CVXPY, solved by Clarabel."""
+"""Solver of the convex problem of physically consistent parameters: CVXPY with Clarabel."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lieid_casadi.identification.regression.least_squares import Factor
 Array = NDArray[np.float64]
 log = logging.getLogger("lieid_casadi")
 TOLERANCE = 1e-8
-FRICTION_MARGIN = 1e-6  # of the joint's noise: friction dissipates in spite of the tolerance
+FRICTION_MARGIN = 1e-6  # of the joint's noise: keeps friction dissipative within the tolerance
 
 RELAX = (
     "relax the bounds on masses and centres of mass, or give a larger regularization "
@@ -24,25 +24,25 @@ RELAX = (
 )
 STATUS = {
     "infeasible": (
-        "no parameters meet all constraints together (the solver has a proof of it); relax the "
-        "bounds on masses and centres of mass"
+        "no parameters satisfy all constraints (proved by the solver); relax the bounds on masses "
+        "and centres of mass"
     ),
-    "infeasible_inaccurate": f"no parameters seem to meet all constraints together; {RELAX}",
-    "unbounded": "the cost has no minimum; give a larger regularization, or data that moves more",
+    "infeasible_inaccurate": f"probably no parameters satisfy all constraints; {RELAX}",
+    "unbounded": "the cost has no minimum; give a larger regularization, or record more excitation",
     "unbounded_inaccurate": (
-        "the cost seems to have no minimum; give a larger regularization, or data that moves more"
+        "the cost has probably no minimum; give a larger regularization, or record more excitation"
     ),
-    "optimal_inaccurate": f"the solver stopped short of its accuracy; {RELAX}",
+    "optimal_inaccurate": f"the solver did not reach its accuracy; {RELAX}",
     "user_limit": (
         "the solver reached its limit of iterations; raise max_iterations, or give a larger "
         "regularization"
     ),
-    "solver_error": f"the solver broke down numerically; {RELAX}",
+    "solver_error": f"the solver failed numerically; {RELAX}",
 }
 
 
 class ConvexSolver:
-    """One problem, compiled at the first call; then data and λ change at little cost.
+    """Solver of one problem; compiled at the first call, reused for other data and other λ.
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ class ConvexSolver:
         rows, bounds = linear_constraints(problem)
         if len(rows):
             constraints.append((rows @ problem.scaling) @ self._unknowns >= bounds)
-        hidden = links + np.flatnonzero(~problem.seen)
-        if len(hidden):
-            constraints.append(self._unknowns[hidden] == 0.0)
+        inactive = links + np.flatnonzero(~problem.active)
+        if len(inactive):
+            constraints.append(self._unknowns[inactive] == 0.0)
         cost = cp.sum_squares(residual) + self._weight * divergence
         self._program = cp.Problem(cp.Minimize(cost), constraints)
 
@@ -113,32 +113,35 @@ class ConvexSolver:
         log.debug("feasible: λ %.3g, %s in %.3f s", weight, status, time.perf_counter() - began)
         if status != cp.OPTIMAL or self._unknowns.value is None:
             reason = STATUS.get(status, f"the solver stopped with status {status}; {RELAX}")
-            raise NoSolution(f"physically possible parameters: {reason}")
+            raise NoSolution(f"physically consistent parameters: {reason}")
         return self.problem.within_bounds(self.problem.scaling @ self._unknowns.value)
 
 
 def linear_constraints(problem: FeasibleProblem) -> tuple[Array, Array]:
-    """Return rows and bounds of row @ parameters ≥ bound, rows of unit size in scaled unknowns."""
+    """Return rows (K, 10 n + m) and bounds (K,) of the constraints row @ parameters ≥ bound.
+
+    Rows have unit norm in scaled unknowns.
+    """
     links, total = 10 * problem.n, problem.combination.shape[1]
     rows, bounds = [np.zeros((0, total))], [np.zeros(0)]
     unit = np.eye(total)[links:]
     for side, sign in ((problem.lower, 1.0), (-problem.upper, -1.0)):
-        finite = np.isfinite(side) & problem.seen
+        finite = np.isfinite(side) & problem.active
         rows.append(sign * unit[finite])
         bounds.append(side[finite])
-    for row, bound in problem.known_bodies:
+    for row, bound in problem.body_bounds:
         rows.append(np.concatenate([row, np.zeros(total - links)])[None])
         bounds.append(np.array([bound]))
-    known, limits = _unit_size(problem, np.vstack(rows), np.concatenate(bounds))
-    seen = problem.friction * problem.seen
-    friction = np.zeros((len(seen), total))
-    friction[:, links:] = seen
-    friction = friction[np.any(seen != 0.0, axis=1)]
-    friction, zeros = _unit_size(problem, friction, np.zeros(len(friction)))
-    return np.vstack([known, friction]), np.concatenate([limits, zeros + FRICTION_MARGIN])
+    bodies, limits = _unit_norm(problem, np.vstack(rows), np.concatenate(bounds))
+    active = problem.friction * problem.active
+    friction = np.zeros((len(active), total))
+    friction[:, links:] = active
+    friction = friction[np.any(active != 0.0, axis=1)]
+    friction, zeros = _unit_norm(problem, friction, np.zeros(len(friction)))
+    return np.vstack([bodies, friction]), np.concatenate([limits, zeros + FRICTION_MARGIN])
 
 
-def _unit_size(problem: FeasibleProblem, rows: Array, bounds: Array) -> tuple[Array, Array]:
+def _unit_norm(problem: FeasibleProblem, rows: Array, bounds: Array) -> tuple[Array, Array]:
     size = np.linalg.norm(rows @ problem.scaling, axis=1)
     size[size == 0.0] = 1.0
     return rows / size[:, None], bounds / size

@@ -1,4 +1,4 @@
-"""Friction takes energy out: rows on the effects' coefficients, from their own columns."""
+"""Constraints on effect coefficients that make friction dissipative."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
-# of the greatest speed: dense towards rest, where Coulomb friction alone is left
+# fractions of the largest speed, dense near rest where only Coulomb friction acts
 SPEEDS = np.array([1e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, *np.linspace(0.1, 1.0, 19)])
 COUPLED_SPEEDS = np.array([-1.0, -0.5, -0.1, -0.01, 0.0, 0.01, 0.1, 0.5, 1.0])
-LEVELS = np.array([0.0, 0.5, -0.5, 1.0, -1.0])  # of the greatest load or temperature seen
-POSITIONS = 24  # where friction depends on the position
-LATE = 1e6  # s, when everything has warmed up
-FAR = 100.0  # turns and seconds between samples: friction with memory slides fully
+LEVELS = np.array([0.0, 0.5, -0.5, 1.0, -1.0])  # of the largest load or temperature deviation
+POSITIONS = 24  # on a grid, for friction that depends on the position
+LATE = 1e6  # s, after warm-up
+FAR = 100.0  # turns and seconds between samples: friction with states reaches full sliding
 
 
 def friction_columns(model: Model) -> NDArray[np.bool_]:
-    """Mark the effect columns (m,) that are friction: they depend on q̇, its sign, or have memory.
+    """Mark the effect columns (m,) that are friction: of effects with q̇, its sign, or states.
 
-    The constant offset, armature, springs and the like neither dissipate nor have to.
+    Offset, armature and springs are not friction and are not constrained.
     """
     return np.array(
         [
@@ -46,20 +46,21 @@ def dissipation_rows(
     lower: Array,
     upper: Array,
 ) -> Array:
-    """Return rows (K, m): friction dissipates on the grid iff rows @ coefficients ≥ 0.
+    """Return rows (K, m): friction dissipates on a grid of motions iff rows @ coefficients ≥ 0.
 
-    A row is the friction's power over the speed, ``sgn(q̇)·τ_f(q̇)`` in N·m. Joints that
-    couplings join are taken together, their powers added.
+    A row is the power of friction over the speed, ``sgn(q̇)·τ_f(q̇)`` in N·m. For joints with
+    couplings the powers of all coupled joints are added.
 
     Parameters
     ----------
+    compiled : Compiled
     shapes : (s,)
     velocity : (n,)
-        Greatest speed per joint, rad/s.
+        Largest speed per joint, rad/s.
     load : (n,)
-        Greatest load per joint, N·m, for friction that depends on it.
+        Largest load per joint, N·m, for friction that depends on it.
     temperature : (n,)
-        Greatest deviation from the mean per joint, °C.
+        Largest deviation from the mean temperature per joint, °C.
     lower, upper : (n,)
         Range of positions, for friction that depends on them.
     """
@@ -79,7 +80,7 @@ def dissipation_rows(
 
 
 def coupled_joints(model: Model) -> list[list[int]]:
-    """Return the joints in groups, those of one coupling together."""
+    """Return groups of joints that couplings connect."""
     groups = [{j} for j in range(model.n)]
     for p in model.placements:
         if p.source is not None:
@@ -90,10 +91,19 @@ def coupled_joints(model: Model) -> list[list[int]]:
     return [sorted(group) for group in groups]
 
 
-def greatest_speed(
+def largest_speed(
     model: Model, segments: Sequence[Processed], stated: Sequence[float] | None
 ) -> Array:
-    """Return the speed (n,) up to which friction must dissipate, rad/s."""
+    """Return the speed (n,) up to which friction is constrained to dissipate, rad/s.
+
+    Parameters
+    ----------
+    model : Model
+    segments : sequence of Processed
+        Of the training recordings.
+    stated : sequence of float, optional
+        Speeds given by the user.
+    """
     if stated is not None:
         return np.asarray(stated, dtype=float)
     recorded = np.max([np.abs(s.dq).max(axis=0) for s in segments], axis=0)
@@ -101,7 +111,7 @@ def greatest_speed(
 
 
 def _speeds(group: list[int], n: int) -> Array:
-    """Return speeds (G, n) as a part of the greatest; joints beyond the group rest."""
+    """Return speeds (G, n) as fractions of the largest; other joints are at rest."""
     if len(group) == 1:
         alone = np.concatenate([SPEEDS, -SPEEDS])[:, None]
     else:
@@ -122,7 +132,21 @@ def _columns(
     temperature: Array,
     positions: tuple[Array, Array],
 ) -> tuple[Array, Array]:
-    """Return columns (G', n, m) and speeds (G', n) at all levels of load, temperature and q."""
+    """Return columns (G', n, m) and speeds (G', n) at all levels of load, temperature and q.
+
+    Parameters
+    ----------
+    compiled : Compiled
+    group : list of int
+        Coupled joints.
+    speeds : (G, n)
+        rad/s.
+    shapes : (s,)
+    load, temperature : (n,)
+        Largest absolute values, N·m and °C.
+    positions : pair of (n,)
+        Lower and upper positions.
+    """
     model = compiled.model
     here = [p for p in model.placements if p.joint in group]
     needs = {signal for p in here for signal in p.effect.signals}
@@ -137,7 +161,7 @@ def _columns(
     )
     dq, (low, high) = speeds[k], positions
     q = low + c[:, None] * (high - low)
-    if memory:  # one long motion; its first sample, where nothing has slid yet, is left out
+    if memory:  # one long motion; its first sample, before any sliding, is left out
         dq, q, a, b, time = (np.concatenate([x[:1], x]) for x in (dq, q, a, b, time))
         q = q + 2.0 * np.pi * FAR * np.cumsum(np.sign(dq), axis=0)
         time = time + FAR * np.arange(len(time))
@@ -155,7 +179,7 @@ def _columns(
 
 
 def _distinct(rows: Array) -> Array:
-    """Leave out rows that repeat others (odd friction asks the same in both directions)."""
+    """Remove rows that repeat others (odd friction gives the same row in both directions)."""
     if not len(rows):
         return rows
     keys = np.round(rows / np.abs(rows).max(axis=1, keepdims=True), 9)

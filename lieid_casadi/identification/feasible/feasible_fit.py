@@ -1,4 +1,4 @@
-"""Physically possible parameters: the step from weighted least squares to ``feasible``."""
+"""Physically consistent parameters from the result of weighted least squares."""
 
 from __future__ import annotations
 
@@ -23,31 +23,40 @@ from lieid_casadi.identification.feasible.certificate import (
     pseudo_inertia_eigenvalues,
 )
 from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
-from lieid_casadi.identification.feasible.dissipation import dissipation_rows, greatest_speed
+from lieid_casadi.identification.feasible.dissipation import dissipation_rows, largest_speed
 from lieid_casadi.identification.feasible.options import FeasibleOptions
 from lieid_casadi.identification.feasible.problem import FeasibleProblem
 from lieid_casadi.identification.feasible.reference_bodies import reference_bodies
+from lieid_casadi.identification.regression.cross_validation import Fold, cross_validated_rms
 from lieid_casadi.identification.regression.design_matrix import Design, varying_columns
-from lieid_casadi.identification.regression.fixed_point import State, has_settled
+from lieid_casadi.identification.regression.fixed_point import FitState, has_settled
 from lieid_casadi.identification.regression.least_squares import Factor, combine, joint_factors
 from lieid_casadi.identification.regression.rows import Rows
-from lieid_casadi.identification.uncertainty.cross_validation import Fold, cross_validated_rms
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
-WEIGHTS = tuple(10.0**k for k in range(-5, 2))  # λ that cross-validation tries
-ROUNDS = 10  # of the fixed point over the load
-DRIVING = 0.1  # of a joint's noise: friction that drives it by more is told
+WEIGHTS = tuple(10.0**k for k in range(-5, 2))  # values of λ tried by cross-validation
+ROUNDS = 10  # largest number of iterations over the load
+DRIVING = 0.1  # of a joint's noise: a warning is given if friction drives the joint by more
 
 
 @dataclass(frozen=True, eq=False)
-class Feasible:
-    """Result: the state at physically possible parameters and how it was reached.
+class ConsistentFit:
+    """Result of the method ``feasible``.
 
-    ``estimate`` maps the weighted factor of other rows to base values, at the same λ.
+    Attributes
+    ----------
+    state : FitState
+        At the physically consistent parameters.
+    problem : FeasibleProblem
+    regularization : float
+        λ.
+    estimate : callable
+        Weighted factor of other rows to base values (p,), at the same λ.
+    warnings : tuple of LieidWarning
     """
 
-    state: State
+    state: FitState
     problem: FeasibleProblem
     regularization: float
     estimate: Callable[[Factor], Array]
@@ -56,27 +65,32 @@ class Feasible:
 
 def make_feasible(
     design: Design,
-    start: State,
+    start: FitState,
     folds: Sequence[Fold],
     options: FeasibleOptions,
     report: Callable[[str, float], None],
-) -> Feasible:
-    """Return the physically possible parameters nearest to what the data says.
+) -> ConsistentFit:
+    """Return the best physically consistent parameters.
 
-    Weights and shape parameters are those of ``start``, found by weighted least squares.
+    Weights and shape parameters are those of ``start``.
 
     Parameters
     ----------
-    start : State
+    design : Design
+    start : FitState
+        By weighted least squares.
     folds : sequence of Fold
-        To choose λ with, where the options do not give it.
+        Of cross-validation, which chooses λ unless the options state it.
+    options : FeasibleOptions
+    report : callable
+        Called with a stage's name and the fraction done.
 
     Raises
     ------
     NoSolution
-        The solver did not finish.
+        The solver did not converge.
     IdentificationError
-        A nominal mass that is negative, an option for a link that is not there.
+        A nominal mass that is negative, an option for a link that does not exist.
     """
     options.check_links(design.model.n)
     problem, found = feasible_problem(
@@ -92,7 +106,8 @@ def make_feasible(
         found = (
             *found,
             ConvergenceWarning(
-                f"the load had not settled after {ROUNDS} rounds of method feasible"
+                f"the load had not converged after {ROUNDS} iterations of method feasible; "
+                "use method wls, or remove load-dependent effects"
             ),
         )
     found = (*found, *_at_bounds(design, start, state), *_driving(design, start, problem))
@@ -100,21 +115,23 @@ def make_feasible(
     def estimate(factor: Factor) -> Array:
         return np.asarray(problem.combination @ solver.solve(factor, weight))
 
-    return Feasible(state, problem, weight, estimate, found)
+    return ConsistentFit(state, problem, weight, estimate, found)
 
 
-def certify(design: Design, feasible: Feasible, rms: Array, rms_wls: Array) -> Certificate:
-    """Check the result by means other than the solver's.
+def certify(design: Design, consistent: ConsistentFit, rms: Array, rms_wls: Array) -> Certificate:
+    """Check the result independently of the solver.
 
     Parameters
     ----------
+    design : Design
+    consistent : ConsistentFit
     rms, rms_wls : (n,)
         Training error of the result and of weighted least squares, N·m.
     """
-    problem, parameters = feasible.problem, feasible.state.parameters
+    problem, parameters = consistent.problem, consistent.state.parameters
     links, options = parameters[: 10 * problem.n], problem.options
     return Certificate(
-        regularization=feasible.regularization,
+        regularization=consistent.regularization,
         regularization_source="given" if options.regularization else "cross-validation",
         pseudo_inertia_eigenvalue=pseudo_inertia_eigenvalues(links),
         mass_matrix_eigenvalue=least_mass_matrix_eigenvalue(
@@ -131,15 +148,17 @@ def certify(design: Design, feasible: Feasible, rms: Array, rms_wls: Array) -> C
 def feasible_problem(
     design: Design, factor: Factor, shapes: Array, parameters: Array, options: FeasibleOptions
 ) -> tuple[FeasibleProblem, tuple[LieidWarning, ...]]:
-    """Return the problem of a model and what there is to say about its nominal bodies.
+    """Return the convex problem of a model, and warnings about its nominal inertias.
 
     Parameters
     ----------
+    design : Design
     factor : Factor
-        Of the weighted rows, or of rows like them.
+        Of the weighted rows, or of similar rows.
     shapes : (s,)
     parameters : (10 n + m,)
-        That give the greatest load.
+        Determine the largest load.
+    options : FeasibleOptions
     """
     model = design.model
     references, found = reference_bodies(model, factor)
@@ -147,9 +166,9 @@ def feasible_problem(
     friction = dissipation_rows(
         design.compiled,
         shapes,
-        velocity=greatest_speed(model, design.segments, options.velocity),
-        load=_greatest_load(design, parameters),
-        temperature=_greatest_temperature(design.segments),
+        velocity=largest_speed(model, design.segments, options.velocity),
+        load=_largest_load(design, parameters),
+        temperature=_largest_temperature(design.segments),
         lower=lower,
         upper=upper,
     )
@@ -171,12 +190,21 @@ def choose_regularization(
     noise: Array,
     report: Callable[[str, float], None] | None = None,
 ) -> float:
-    """Return the λ whose held-out error, in units of the joints' noise, is least.
+    """Return the λ with the smallest held-out error in units of the joints' noise.
+
+    Parameters
+    ----------
+    solver : ConvexSolver
+    folds : sequence of Fold
+    noise : (n,)
+        Standard deviation of the residual per joint, N·m.
+    report : callable, optional
+        Called with a stage's name and the fraction done.
 
     Raises
     ------
     NoSolution
-        The solver finished at no λ at all.
+        The solver converged for no λ.
     """
     best, least, failure = None, np.inf, None
     for k, weight in enumerate(WEIGHTS):
@@ -184,7 +212,7 @@ def choose_regularization(
             report("regularization", k / len(WEIGHTS))
         try:
             score = _score(solver, folds, noise, weight)
-        except NoSolution as error:  # small λ on little data: a larger one may do
+        except NoSolution as error:  # small λ on little data; a larger one may converge
             failure = error
             continue
         if score < least:
@@ -202,24 +230,24 @@ def _score(solver: ConvexSolver, folds: Sequence[Fold], noise: Array, weight: fl
 
 
 def _follow_load(
-    design: Design, start: State, solver: ConvexSolver, weight: float
-) -> tuple[State, bool]:
-    """Solve, and again with the load of the solution until the predicted torque settles."""
+    design: Design, start: FitState, solver: ConvexSolver, weight: float
+) -> tuple[FitState, bool]:
+    """Solve repeatedly with the load of the preceding solution until the torque converges."""
     model = design.model
-    moving = bool(varying_columns(model).any())
+    iterate = bool(varying_columns(model).any())
     rows, weighting = start.rows, start.weighting
     before: Array | None = None
     for _ in range(ROUNDS):
         parameters = solver.solve(weighting.factor, weight)
         values = model.base.combination @ parameters
-        state = State(
+        state = FitState(
             shapes=start.shapes,
             rows=rows,
             weighting=weighting,
             solution=replace(start.solution, values=values),
             parameters=parameters,
         )
-        if not moving:
+        if not iterate:
             return state, True
         predicted = rows.predicted(values)
         if before is not None and has_settled(predicted, before):
@@ -231,28 +259,28 @@ def _follow_load(
     return state, False
 
 
-def _at_bounds(design: Design, start: State, state: State) -> list[LieidWarning]:
-    """Tell coefficients that a bound holds back from what least squares asks for."""
+def _at_bounds(design: Design, start: FitState, state: FitState) -> list[LieidWarning]:
+    """Return warnings about coefficients that a bound keeps from the least-squares value."""
     found: list[LieidWarning] = []
     before, after = start.solution.values, state.solution.values
     for parameter, free, held in zip(design.model.base_columns, before, after, strict=True):
         if not parameter.lower <= free <= parameter.upper:
             found.append(
                 BoundWarning(
-                    f"{parameter.label} = {held:.3g} {parameter.unit} is held by its bound "
-                    f"[{parameter.lower:g}, {parameter.upper:g}]; least squares asks for "
-                    f"{free:.3g}: the model lacks something, or the effect is not there"
+                    f"{parameter.label} = {held:.3g} {parameter.unit} is limited by its bound "
+                    f"[{parameter.lower:g}, {parameter.upper:g}]; least squares gives {free:.3g}: "
+                    "another effect is missing from the model, or this effect is not present"
                 )
             )
     return found
 
 
-def _driving(design: Design, start: State, problem: FeasibleProblem) -> list[LieidWarning]:
-    """Tell joints whose friction, by least squares, would drive them at some permitted speed."""
+def _driving(design: Design, start: FitState, problem: FeasibleProblem) -> list[LieidWarning]:
+    """Return warnings about joints that least-squares friction would drive at a permitted speed."""
     columns = design.model.columns
     friction = start.parameters[10 * problem.n :]
     recorded = np.max([np.abs(s.dq).max(axis=0) for s in design.segments], axis=0)
-    permitted = greatest_speed(design.model, design.segments, problem.options.velocity)
+    permitted = largest_speed(design.model, design.segments, problem.options.velocity)
     found: list[LieidWarning] = []
     for joint in range(problem.n):
         own = np.array([c.joint == joint for c in columns], dtype=bool)
@@ -262,8 +290,8 @@ def _driving(design: Design, start: State, problem: FeasibleProblem) -> list[Lie
                 NotDissipativeWarning(
                     f"joint {joint + 1}: friction by least squares would drive the joint at some "
                     f"speed up to {permitted[joint]:.3g} rad/s (recorded: up to "
-                    f"{recorded[joint]:.3g}); it is held to dissipate, which costs this joint "
-                    "accuracy; add the friction that is missing, or state a lower speed"
+                    f"{recorded[joint]:.3g}); it is constrained to dissipate, which increases the "
+                    "error of this joint: add the missing friction effect, or state a lower speed"
                 )
             )
     return found
@@ -273,7 +301,7 @@ def _weighted(rows: Rows, weights: Sequence[Array]) -> Factor:
     return combine(joint_factors(rows, weights), np.ones(len(rows.columns)))
 
 
-def _greatest_load(design: Design, parameters: Array) -> Array:
+def _largest_load(design: Design, parameters: Array) -> Array:
     links = parameters[: 10 * design.model.n]
     loads = [
         np.abs(design.compiled.inverse_dynamics(s.q, s.dq, s.ddq, links)).max(axis=0)
@@ -282,6 +310,6 @@ def _greatest_load(design: Design, parameters: Array) -> Array:
     return np.asarray(np.max(loads, axis=0))
 
 
-def _greatest_temperature(segments: Sequence[Processed]) -> Array:
-    seen = [np.abs(s.temperature).max(axis=0) for s in segments if s.temperature is not None]
-    return np.asarray(np.max(seen, axis=0)) if seen else np.zeros(segments[0].n)
+def _largest_temperature(segments: Sequence[Processed]) -> Array:
+    largest = [np.abs(s.temperature).max(axis=0) for s in segments if s.temperature is not None]
+    return np.asarray(np.max(largest, axis=0)) if largest else np.zeros(segments[0].n)

@@ -1,4 +1,4 @@
-"""What a user may demand of physically possible parameters."""
+"""Options of the method ``feasible``."""
 
 from __future__ import annotations
 
@@ -20,28 +20,29 @@ class FeasibleOptions:
     Attributes
     ----------
     total_mass
-        Least and greatest mass of all moving links together, kg; equal numbers are exact.
+        Bounds of the total mass of the moving links, kg; equal numbers fix it.
     link_mass
-        Link to its least and greatest mass, kg.
+        Bounds of the mass of a link, by its number, kg.
     com_box
-        Link to two corners (3,) of a box, in the link frame, that holds its centre of mass, m.
+        Two corners (3,) of a box in the link frame that contains the centre of mass of a link,
+        by its number, m.
     regularization
-        λ, the weight of the divergence from the nominal bodies against the mean squared error
-        in units of the joints' noise; None chooses it by blocked cross-validation.
+        Weight λ of the divergence from the nominal bodies, relative to the mean squared error in
+        units of the joints' noise; None chooses it by blocked cross-validation.
     margin
-        Each pseudo-inertia exceeds ``margin`` times that of its reference body.
+        Each pseudo-inertia is at least ``margin`` times that of its reference body.
     velocity
-        Per joint, how fast friction must dissipate, rad/s; None: the robot's limits, or the
-        fastest motion recorded where that is faster or no limit is stated.
+        Speed per joint up to which friction is constrained to dissipate, rad/s. None: the
+        velocity limit, or the fastest recorded motion if that is faster or no limit is stated.
     max_iterations
-        Of the conic solver.
+        Of the convex solver.
     poses, seed
-        Random poses at which the mass matrix is checked.
+        Number of random poses at which the mass matrix is checked, and their seed.
 
     Raises
     ------
     IdentificationError
-        Bounds that contradict themselves.
+        Bounds that contradict each other.
     """
 
     total_mass: Range | None = None
@@ -74,7 +75,7 @@ class FeasibleOptions:
             raise IdentificationError(f"margin is {self.margin}, expected above 0 and below 0.5")
 
     def check_links(self, n: int) -> None:
-        """Raise `IdentificationError` where an option names a link beyond the n there are."""
+        """Raise `IdentificationError` if an option names a link that does not exist."""
         for name, links in (("link_mass", self.link_mass), ("com_box", self.com_box)):
             for link in links:
                 if not 0 <= link < n:
@@ -89,5 +90,5 @@ def _check_masses(name: str, masses: Range) -> None:
     low, high = masses
     if not 0.0 <= low <= high or high <= 0.0:
         raise IdentificationError(
-            f"{name}: {low:g} to {high:g} kg, expected 0 ≤ least ≤ greatest, greatest above 0"
+            f"{name}: {low:g} to {high:g} kg, expected 0 ≤ lower ≤ upper, upper above 0"
         )

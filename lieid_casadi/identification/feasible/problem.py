@@ -1,12 +1,12 @@
-"""The convex problem of physically possible parameters, apart from what solves it.
+"""Convex problem of physically consistent parameters.
 
 Minimize over link pseudo-inertias P_i and effect coefficients c
 
     ‖R·(combination·[π(P); c]) − z‖² / rows + λ·Σ_i D(P_i ‖ P̄_i),
     D(P ‖ P̄) = tr(P̄⁻¹P) − log det(P̄⁻¹P) − 4,
 
-subject to P_i ⪰ margin·P̄_i, bounds of the coefficients, dissipative friction, and what the user
-knows of masses and centres of mass. [R | z] is the triangular factor of the weighted rows: the
+subject to P_i ⪰ margin·P̄_i, bounds of the coefficients, dissipative friction, and given bounds
+on masses and centres of mass. [R | z] is the triangular factor of the weighted rows: the
 size of the problem does not depend on the number of samples. D is the entropic (Bregman)
 divergence of Lee, Wensing, Park, "Geometric robot dynamic identification: a convex programming
 approach", IEEE T-RO 2020; it does not depend on the choice of frames or units.
@@ -26,27 +26,27 @@ from lieid_casadi.identification.regression.least_squares import Factor
 from lieid_casadi.robot.inertia import pseudo_inertia
 
 Array = NDArray[np.float64]
-UNSEEN = 1e-10  # of the largest column: a coefficient without torque stays at zero
-#: π ↦ its pseudo-inertia as 16 numbers, row after row
+NEGLIGIBLE = 1e-10  # of the largest column: coefficients without torque are set to zero
+#: link parameters (10,) to the pseudo-inertia as 16 numbers, row by row
 PSEUDO = np.array([pseudo_inertia(unit).ravel() for unit in np.eye(10)]).T
 
 
 @dataclass(frozen=True, eq=False)
 class FeasibleProblem:
-    """What stays the same while data and λ change.
+    """Constraints and references of the problem, independent of data and λ.
 
     Attributes
     ----------
     combination : (p, 10 n + m)
         β = combination @ [link parameters; coefficients].
     references : (n, 4, 4)
-        P̄, positive definite.
+        Pseudo-inertias P̄, positive definite.
     lower, upper : (m,)
         Bounds of the coefficients, infinite where there are none.
     friction : (K, m)
-        Rows whose product with the coefficients must not be negative.
+        Rows whose product with the coefficients is constrained to be not negative.
     typical : Factor
-        Of the data, or of data like it; for scaling alone.
+        Of the data, or of similar data; used for scaling only.
     options : FeasibleOptions
     """
 
@@ -71,10 +71,10 @@ class FeasibleProblem:
 
     @cached_property
     def scaling(self) -> Array:
-        """Matrix (10 n + m, 10 n + m): scaled unknowns to parameters.
+        """Matrix (10 n + m, 10 n + m) from scaled unknowns to parameters.
 
-        Ten scaled unknowns of a link are the link parameters of Q with P = U·Q·Uᵀ, so that
-        the reference is the unit matrix; coefficients are in units of their column's size.
+        The ten scaled unknowns of a link are the link parameters of Q with P = U·Q·Uᵀ, so that
+        the reference is the unit matrix; coefficients are multiplied by their column's norm.
         """
         links = 10 * self.n
         matrix = np.zeros((self.combination.shape[1],) * 2)
@@ -83,7 +83,7 @@ class FeasibleProblem:
             block = np.linalg.lstsq(np.kron(back, back) @ PSEUDO, PSEUDO, rcond=None)[0]
             matrix[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = block
         size = self._column_sizes
-        matrix[links:, links:] = np.diag(1.0 / np.where(self.seen, size, 1.0))
+        matrix[links:, links:] = np.diag(1.0 / np.where(self.active, size, 1.0))
         return matrix
 
     @cached_property
@@ -92,14 +92,14 @@ class FeasibleProblem:
         return np.asarray(np.linalg.norm(r @ self.combination[:, 10 * self.n :], axis=0))
 
     @cached_property
-    def seen(self) -> NDArray[np.bool_]:
-        """Coefficients (m,) that some torque in the data depends on."""
+    def active(self) -> NDArray[np.bool_]:
+        """Coefficients (m,) with an influence on some torque in the data."""
         size = self._column_sizes
-        return np.asarray(size > UNSEEN * size.max(initial=0.0))
+        return np.asarray(size > NEGLIGIBLE * size.max(initial=0.0))
 
     @cached_property
-    def known_bodies(self) -> list[tuple[Array, float]]:
-        """Rows (10 n,) and bounds b, row @ link parameters ≥ b, of what the user knows."""
+    def body_bounds(self) -> list[tuple[Array, float]]:
+        """Rows (10 n,) and bounds b of the given constraints row @ link parameters ≥ b."""
         found: list[tuple[Array, float]] = []
         mass = np.zeros(10 * self.n)
         if self.options.total_mass is not None:
@@ -117,7 +117,7 @@ class FeasibleProblem:
         return found
 
     def reduced(self, factor: Factor) -> Array:
-        """Return [R | z] (p + 1, p + 1) per square root of a row, zero rows added if need be."""
+        """Return [R | z] (p + 1, p + 1) divided by √rows, padded with zero rows."""
         width = self.combination.shape[0] + 1
         padded = np.zeros((width, width))
         r = factor.r if len(factor.r) <= width else triangular(factor.r)
@@ -125,7 +125,7 @@ class FeasibleProblem:
         return padded
 
     def divergences(self, parameters: Array) -> Array:
-        """Return each link's divergence (n,) from its reference."""
+        """Return the divergence of each link from its reference (n,), at parameters (10 n + m,)."""
         found = []
         for link, root in zip(parameters[: 10 * self.n].reshape(-1, 10), self.roots, strict=True):
             back = np.linalg.inv(root)
@@ -134,14 +134,23 @@ class FeasibleProblem:
         return np.array(found)
 
     def cost(self, factor: Factor, weight: float, parameters: Array) -> float:
-        """Return the objective at given parameters (10 n + m,)."""
+        """Return the objective.
+
+        Parameters
+        ----------
+        factor : Factor
+            Of the weighted rows.
+        weight : float
+            λ.
+        parameters : (10 n + m,)
+        """
         misfit = factor.misfit(self.combination @ parameters) / max(factor.rows, 1)
         return float(misfit + weight * np.sum(self.divergences(parameters)))
 
     def within_bounds(self, parameters: Array) -> Array:
-        """Return parameters with coefficients moved onto bounds that rounding crossed."""
+        """Return parameters (10 n + m,) with coefficients clipped to their bounds."""
         moved = parameters.copy()
         links = 10 * self.n
         moved[links:] = np.clip(moved[links:], self.lower, self.upper)
-        moved[links:][~self.seen] = np.clip(0.0, self.lower, self.upper)[~self.seen]
+        moved[links:][~self.active] = np.clip(0.0, self.lower, self.upper)[~self.active]
         return moved

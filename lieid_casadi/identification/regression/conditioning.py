@@ -15,7 +15,7 @@ class Conditioning:
     """Singular values of the stacked full regressor [Y, effect columns] (SI, unscaled).
 
     ``condition_number`` is σ₁/σ_r with r the structural rank; ``beyond`` is σ_{r+1}, zero up
-    to rounding.
+    to rounding errors.
     """
 
     largest: float
@@ -24,12 +24,19 @@ class Conditioning:
 
     @property
     def condition_number(self) -> float:
-        """σ₁/σ_r, infinite if the data does not excite a structural direction."""
+        """σ₁/σ_r, infinite if the recording does not excite a structural direction."""
         return self.largest / self.smallest if self.smallest > 0.0 else float("inf")
 
 
 def conditioning(unweighted: Factor, base: BaseParameters) -> Conditioning:
-    """Return it from the factor of the base columns: full = base columns · combination."""
+    """Return the conditioning of the full regressor, which is base columns · combination.
+
+    Parameters
+    ----------
+    unweighted : Factor
+        Of the base columns.
+    base : BaseParameters
+    """
     full = unweighted.r[:, :-1] @ base.combination
     sizes = np.linalg.svd(full, compute_uv=False)
     rank = base.count

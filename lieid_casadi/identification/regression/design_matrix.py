@@ -1,20 +1,19 @@
-"""The regression behind a fit: filtered columns and torque, one stack of rows per joint."""
+"""Regression of a fit: filtered columns and torque, one stack of rows per joint."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.identification.regression.motion_columns import PlainColumns
+from lieid_casadi.identification.regression.motion_columns import MotionColumns
+from lieid_casadi.identification.regression.rows import ChunkedRows
 from lieid_casadi.identification.regression.rows import JointRows as JointRows
-from lieid_casadi.identification.regression.rows import LongRows
 from lieid_casadi.identification.regression.rows import Rows as Rows
 from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.model import Model
@@ -23,17 +22,18 @@ from lieid_casadi.recording.processing.process import Processed
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-Stretch = list[tuple[int, Window]]  # number of a segment, and a window of its rows
+Chunk = list[tuple[int, Window]]  # numbers of segments, and windows of their rows
 HELD_BYTES = 128 << 20
-STRETCH_BYTES = 32 << 20
+CHUNK_BYTES = 32 << 20
 
 
 class Design:
     """Columns of one model along processed segments.
 
-    Rigid columns and plain effects are evaluated and filtered once, window by window; effects
-    with shape parameters or load dependence anew for each call of `rows`. Beyond ``held`` bytes
-    nothing is kept: rows are made in stretches, anew for every pass over them.
+    Columns that depend on the motion alone are evaluated and filtered once, window by window;
+    columns that depend on shape parameters or the load (``varying``) at each call of `rows`.
+    Columns of more than ``held`` bytes are not kept: rows are computed in chunks, again for every
+    pass over them.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Design:
     segments : sequence of Processed
         Each with a torque.
     held : int, optional
-        Bytes of columns that may be kept; 128 MB if left out.
+        Largest size of columns that are kept, bytes; 128 MB if left out.
     """
 
     def __init__(
@@ -57,37 +57,41 @@ class Design:
         self._active = _active_columns(compiled)
         self._use = [_fit_rows(self.model, segment) for segment in self.segments]
         self._torque = [s.filter(_torque(s)) for s in self.segments]
-        self._plain = [PlainColumns(compiled, s, self.varying) for s in self.segments]
+        self._constant = [MotionColumns(compiled, s, self.varying) for s in self.segments]
         windows = [(k, w) for k, s in enumerate(self.segments) for w in s.windows]
         width = 8 * sum(len(active) for active in self._active)
-        self._stretches = _stretches(windows, width, HELD_BYTES if held is None else held)
+        self._chunks = _chunks(windows, width, HELD_BYTES if held is None else held)
         self._kept: list[list[Array]] | None = None
         self._rows: Rows | None = None
-        if len(self._stretches) == 1:
-            self._kept = self._filtered(self._stretches[0])
+        if len(self._chunks) == 1:
+            self._kept = self._filtered(self._chunks[0])
             if not self._varying.any():
-                self._rows, self._kept = self._stack(self._stretches[0], self._kept, []), None
+                self._rows, self._kept = self._stack(self._chunks[0], self._kept, []), None
 
     def rows(self, shapes: Array, link_parameters: Array | None) -> Rows:
-        """Return the equations for given shape parameters and link parameters (10 n,).
+        """Return the equations at given shape parameters and load.
 
-        Link parameters, with the effects' coefficients after them (10 n + m,) where effects on
-        the whole arm need those, give the load of load-dependent effects; None means no load yet.
+        Parameters
+        ----------
+        shapes : (s,)
+        link_parameters : (10 n,) or (10 n + m,) or None
+            Determine the load of load-dependent effects; with effect coefficients where effects
+            on the whole arm need them. None means no load.
         """
         if self._rows is not None:
             return self._rows
-        fresh: list[Array] = []
+        varying: list[Array] = []
         if self._varying.any():
-            fresh = [self._fresh(s, shapes, link_parameters) for s in self.segments]
+            varying = [self._varying_columns(s, shapes, link_parameters) for s in self.segments]
         if self._kept is not None:
-            return self._stack(self._stretches[0], self._kept, fresh)
+            return self._stack(self._chunks[0], self._kept, varying)
 
         def make(k: int) -> Rows:
-            return self._stack(self._stretches[k], self._filtered(self._stretches[k]), fresh)
+            return self._stack(self._chunks[k], self._filtered(self._chunks[k]), varying)
 
-        lengths = [[self._use[k][w.rows].sum(axis=0) for k, w in s] for s in self._stretches]
-        instants = [sum(w.rows.stop - w.rows.start for _, w in s) for s in self._stretches]
-        return LongRows(
+        lengths = [[self._use[k][w.rows].sum(axis=0) for k, w in s] for s in self._chunks]
+        instants = [sum(w.rows.stop - w.rows.start for _, w in s) for s in self._chunks]
+        return ChunkedRows(
             make,
             np.array([np.sum(part, axis=0) for part in lengths], dtype=np.intp),
             np.array(instants, dtype=np.intp),
@@ -102,15 +106,15 @@ class Design:
         return self._effects[self._varying[self._effect_index]]
 
     def varying_rows(self, shapes: Array, link_parameters: Array | None) -> list[Array]:
-        """Return the varying columns alone, per joint (R, v), rows as in `rows`."""
-        blocks = [self._fresh(s, shapes, link_parameters) for s in self.segments]
+        """Return the varying columns per joint (R, v), with the rows of `rows`."""
+        blocks = [self._varying_columns(s, shapes, link_parameters) for s in self.segments]
         return [
             np.concatenate([b[m[:, j], j] for b, m in zip(blocks, self._use, strict=True)])
             for j in range(self.model.n)
         ]
 
     def columns_of_shape(self, k: int) -> NDArray[np.intp]:
-        """Return which varying columns belong to the effect of shape k."""
+        """Return the positions, among the varying columns, of those of the effect with shape k."""
         owners = [
             number for number, p in enumerate(self.model.placements) for _ in p.effect.coefficients
         ]
@@ -120,82 +124,105 @@ class Design:
         columns = self._effect_index[self._varying[self._effect_index]]
         return np.flatnonzero([owners[column] == shape_owners[k] for column in columns])
 
-    def _fresh(self, segment: Processed, shapes: Array, links: Array | None) -> Array:
+    def _varying_columns(self, segment: Processed, shapes: Array, links: Array | None) -> Array:
         """Return the filtered varying columns (M, n, v)."""
         effects = effects_along(self.compiled, segment, shapes, links)
         joints, places = self._varying_pairs
         wanted = self._effect_index[self._varying[self._effect_index]]
         filtered = segment.filter(effects[:, joints, wanted[places]])
-        fresh = np.zeros((len(filtered), self.model.n, len(wanted)))
-        fresh[:, joints, places] = filtered
-        return fresh
+        columns = np.zeros((len(filtered), self.model.n, len(wanted)))
+        columns[:, joints, places] = filtered
+        return columns
 
     @cached_property
     def _varying_pairs(self) -> tuple[Indices, Indices]:
-        """Joints, and which of the varying columns act on them."""
+        """Pairs of a joint and the position of a varying column that acts on it."""
         acts = np.array([np.isin(self.varying, active) for active in self._active])
         joints, places = np.nonzero(acts)
         return joints, places
 
-    def _filtered(self, stretch: Stretch) -> list[list[Array]]:
-        """Return the plain columns of each window, per joint (c, m)."""
-        threads = min(self.compiled.threads, len(stretch))
+    def _filtered(self, chunk: Chunk) -> list[list[Array]]:
+        """Return the columns that do not vary, for each window and joint (c, m)."""
+        threads = min(self.compiled.threads, len(chunk))
         if threads <= 1:
-            return [self._plain[k].filtered(window) for k, window in stretch]
+            return [self._constant[k].filtered(window) for k, window in chunk]
         with ThreadPoolExecutor(threads) as pool:
-            return list(pool.map(lambda part: self._plain[part[0]].filtered(part[1]), stretch))
+            return list(pool.map(lambda part: self._constant[part[0]].filtered(part[1]), chunk))
 
     def _stack(
-        self, stretch: Stretch, plain: Sequence[Sequence[Array]], fresh: Sequence[Array]
+        self, chunk: Chunk, constant: Sequence[Sequence[Array]], varying: Sequence[Array]
     ) -> Rows:
-        use = [self._use[k][w.rows] for k, w in stretch]
-        torque = [self._torque[k][w.rows] for k, w in stretch]
-        firsts = _starts([len(mask) for mask in use])
-        joints = []
-        for j, active in enumerate(self._active):
-            own, varying = self._plain[0].columns[j], np.flatnonzero(np.isin(active, self.varying))
-            place = np.searchsorted(active, own)
-            chosen = np.flatnonzero(np.isin(self.varying, active))
-            rows = [mask[:, j] for mask in use]
-            matrix = np.zeros((sum(int(mask.sum()) for mask in rows), len(active)))
-            last = 0
-            for (k, window), mask, values in zip(stretch, rows, plain, strict=True):
-                first, last = last, last + int(mask.sum())
-                matrix[first:last, place] = values[j].T[mask]
-                if fresh:
-                    part = fresh[k][window.rows]
-                    matrix[first:last, varying] = part[mask, j][:, chosen]
-            instant = [a + np.flatnonzero(m) for a, m in zip(firsts[:-1], rows, strict=True)]
-            joints.append(
-                JointRows(
-                    active,
-                    matrix,
-                    np.concatenate([t[m, j] for t, m in zip(torque, rows, strict=True)]),
-                    np.concatenate(instant),
-                )
-            )
-        owner = [k for k, _ in stretch]
+        """Return the equations of a chunk from its columns.
+
+        Parameters
+        ----------
+        chunk : list of (int, Window)
+        constant : sequence of sequence of (c, m)
+            Columns that do not vary, for each window and joint.
+        varying : sequence of (M, n, v)
+            Varying columns of each segment; empty if there are none.
+        """
+        firsts = _starts([w.rows.stop - w.rows.start for _, w in chunk])
+        joints = [
+            self._joint_rows(j, chunk, [values[j] for values in constant], varying, firsts)
+            for j in range(self.model.n)
+        ]
+        owner = [k for k, _ in chunk]
         new = [k for k in range(len(owner)) if k == 0 or owner[k] != owner[k - 1]]
         return Rows(joints, self.model.base.count, firsts[[*new, len(owner)]])
 
+    def _joint_rows(
+        self,
+        j: int,
+        chunk: Chunk,
+        constant: Sequence[Array],
+        varying: Sequence[Array],
+        firsts: Indices,
+    ) -> JointRows:
+        """Return the equations of joint j; see `_stack`."""
+        active = self._active[j]
+        constant_at = np.searchsorted(active, self._constant[0].columns[j])
+        varying_at = np.flatnonzero(np.isin(active, self.varying))
+        chosen = np.flatnonzero(np.isin(self.varying, active))
+        use = [self._use[k][w.rows, j] for k, w in chunk]
+        matrix = np.zeros((sum(int(mask.sum()) for mask in use), len(active)))
+        last = 0
+        for (k, window), mask, values in zip(chunk, use, constant, strict=True):
+            first, last = last, last + int(mask.sum())
+            matrix[first:last, constant_at] = values.T[mask]
+            if varying:
+                matrix[first:last, varying_at] = varying[k][window.rows][mask, j][:, chosen]
+        torque = [self._torque[k][w.rows, j][mask] for (k, w), mask in zip(chunk, use, strict=True)]
+        instant = [a + np.flatnonzero(mask) for a, mask in zip(firsts[:-1], use, strict=True)]
+        return JointRows(active, matrix, np.concatenate(torque), np.concatenate(instant))
 
-def _stretches(windows: Sequence[tuple[int, Window]], width: int, held: int) -> list[Stretch]:
-    """Gather windows (segment, window): one stretch if all rows are within ``held`` bytes."""
+
+def _chunks(windows: Sequence[tuple[int, Window]], width: int, held: int) -> list[Chunk]:
+    """Group windows into chunks: one if all rows take at most ``held`` bytes.
+
+    Parameters
+    ----------
+    windows : sequence of (int, Window)
+        Number of a segment, and a window.
+    width : int
+        Bytes per row.
+    held : int
+    """
     sizes = [width * (w.rows.stop - w.rows.start) for _, w in windows]
-    most = held if sum(sizes) <= held else STRETCH_BYTES
-    stretches: list[Stretch] = []
-    room = 0
+    most = held if sum(sizes) <= held else CHUNK_BYTES
+    chunks: list[Chunk] = []
+    free = 0
     for window, size in zip(windows, sizes, strict=True):
-        if not stretches or size > room:
-            stretches.append([])
-            room = most
-        stretches[-1].append(window)
-        room -= size
-    return stretches
+        if not chunks or size > free:
+            chunks.append([])
+            free = most
+        chunks[-1].append(window)
+        free -= size
+    return chunks
 
 
 def _starts(lengths: Sequence[int]) -> Indices:
-    """Return where parts of given lengths begin, and the last one's end."""
+    """Return the first positions of parts of given lengths, and the end of the last."""
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
 
 
@@ -212,7 +239,7 @@ def varying_columns(model: Model) -> NDArray[np.bool_]:
 
 
 def has_dry_friction(model: Model) -> NDArray[np.bool_]:
-    """Mark the joints (n,) with an effect that is undetermined at rest."""
+    """Mark the joints (n,) with an effect whose torque is undetermined at rest."""
     dry = np.zeros(model.n, dtype=bool)
     for placement in model.placements:
         if placement.effect.dry or "sign" in placement.effect.signals:
@@ -220,23 +247,13 @@ def has_dry_friction(model: Model) -> NDArray[np.bool_]:
     return dry
 
 
-class EffectArrays(TypedDict, total=False):
-    """Signals of effects along a segment, as keywords of `Compiled`."""
-
-    shapes: Array
-    dead_zone: Array
-    time: Array
-    load: Array
-    temperature: Array
-
-
 def _fit_rows(model: Model, segment: Processed) -> NDArray[np.bool_]:
-    """Mark the filtered rows (M, n) that may enter a fit: not at rest under dry friction."""
+    """Mark the filtered rows (M, n) that enter a fit: all but those at rest under dry friction."""
     return segment.filtered_moving | ~has_dry_friction(model)
 
 
 def _active_columns(compiled: Compiled) -> list[NDArray[np.intp]]:
-    """Return for each joint the base columns that can act on it."""
+    """Return the base columns that can act on each joint."""
     model, functions = compiled.model, compiled.functions
     acts = np.zeros((model.n, model.base.count), dtype=bool)
     rigid = functions.base_regressor
@@ -258,5 +275,5 @@ def _active_columns(compiled: Compiled) -> list[NDArray[np.intp]]:
 
 
 def _torque(segment: Processed) -> Array:
-    assert segment.tau is not None  # checked where recordings enter a fit
+    assert segment.tau is not None  # checked before identification
     return segment.tau

@@ -1,4 +1,4 @@
-"""Linear fit, shapes and load in turn, until the predicted torque settles."""
+"""Fixed-point iteration over linear parameters, shape parameters and load."""
 
 from __future__ import annotations
 
@@ -9,26 +9,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.identification.regression.design_matrix import Design, Rows, varying_columns
-from lieid_casadi.identification.regression.least_squares import Solution, solve
-from lieid_casadi.identification.regression.variable_projection import fit_shapes
+from lieid_casadi.identification.regression.least_squares import LeastSquaresSolution, solve
+from lieid_casadi.identification.regression.shape_fit import fit_shapes
 from lieid_casadi.identification.regression.weights import ESTIMATORS, Weighting
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
-ROUNDS = 30  # of the fixed point over load and shapes
-SETTLED = 1e-6  # relative change of the predicted torque
+ROUNDS = 30  # largest number of iterations
+SETTLED = 1e-6  # relative change of the predicted torque at convergence
 
 
 @dataclass(frozen=True, eq=False)
-class State:
-    """One round's result.
+class FitState:
+    """Result of one iteration.
 
     Attributes
     ----------
     shapes : (s,)
     rows : Rows
-        At these shapes, and at the load that the round before predicted.
+        At these shapes, and at the load predicted by the preceding iteration.
+    weighting : Weighting
+    solution : LeastSquaresSolution
     parameters : (10 n + m,)
         Link parameters and effect coefficients that give ``solution.values``.
     """
@@ -36,13 +38,13 @@ class State:
     shapes: Array
     rows: Rows
     weighting: Weighting
-    solution: Solution
+    solution: LeastSquaresSolution
     parameters: Array
 
 
 @dataclass(frozen=True, eq=False)
 class ShapeStart:
-    """Shape parameters (s,) to start from, near the solution; ``held`` leaves them there."""
+    """Shape parameters (s,) to start from, near the solution; with ``held`` they stay fixed."""
 
     values: Array
     held: bool = False
@@ -50,32 +52,46 @@ class ShapeStart:
 
 def fixed_point(
     design: Design, method: str, report: Progress, start: ShapeStart | None = None
-) -> tuple[State, bool]:
-    """Alternate linear fit, shapes and load until the predicted torque settles.
+) -> tuple[FitState, bool]:
+    """Alternate linear fit, shapes and load until the predicted torque converges.
 
-    Without a start, shapes are searched over their whole range.
+    Parameters
+    ----------
+    design : Design
+    method : {"ols", "wls", "robust"}
+    report : callable
+        Called with a stage's name and the fraction done.
+    start : ShapeStart, optional
+        Without it, shapes are searched over their whole range.
+
+    Returns
+    -------
+    FitState
+        Of the last iteration.
+    bool
+        Whether it converged.
     """
     model = design.model
     estimator = ESTIMATORS[method]
     shapes, links = model.initial_shapes if start is None else start.values, None
     held = start is not None and start.held
-    moving = bool(varying_columns(model).any())
+    iterate = bool(varying_columns(model).any())
     loaded = any("load" in p.effect.signals for p in model.placements)
     searched = start is not None
     before: Array | None = None
     for round_ in range(ROUNDS):
         rows = design.rows(shapes, links)
         weighting = estimator(rows)
-        # shapes of a load need one
+        # shapes of load-dependent effects need a load first
         if len(shapes) and not held and not (loaded and links is None):
             shapes = fit_shapes(design, shapes, links, weighting.noise, search=not searched)
             searched = True
             rows = design.rows(shapes, links)
             weighting = estimator(rows)
         solution = solve(weighting.factor)
-        parameters = model.base.lift(solution.values, prior(model))
-        state = State(shapes, rows, weighting, solution, parameters)
-        if not moving:
+        parameters = model.base.lift(solution.values, nominal_parameters(model))
+        state = FitState(shapes, rows, weighting, solution, parameters)
+        if not iterate:
             return state, weighting.converged
         links = parameters
         predicted = rows.predicted(solution.values)
@@ -86,12 +102,12 @@ def fixed_point(
     return state, False
 
 
-def prior(model: Model) -> Array:
-    """Return nominal link parameters (zero where none are stated) and no effects."""
+def nominal_parameters(model: Model) -> Array:
+    """Return nominal link parameters (zero if not stated) and zero coefficients (10 n + m,)."""
     links = model.robot.link_parameters if model.robot.has_inertia else np.zeros(10 * model.n)
     return np.concatenate([links, np.zeros(len(model.columns))])
 
 
 def has_settled(predicted: Array, before: Array) -> bool:
-    """Whether two rounds predict the same torque."""
+    """Return whether two iterations predict the same torque."""
     return bool(np.linalg.norm(predicted - before) <= SETTLED * np.linalg.norm(predicted))

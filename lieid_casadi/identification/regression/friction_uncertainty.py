@@ -1,8 +1,8 @@
-"""What nobody knows of dry friction near reversals and rests, as noise on the filtered rows.
+"""Torque uncertainty from dry friction near velocity reversals and at rest.
 
-A sample whose velocity is within its noise of zero, or within half a sample of a reversal, has
-either sign; at rest friction is anything up to its level. The filter spreads that over the rows
-around, where it would pass for an effect that lives at low speed.
+The sign of a velocity within its noise of zero, or within half a sample of a reversal, is not
+determined; at rest, friction has any value up to its level. The filter spreads this uncertainty
+over neighbouring rows, where it could be mistaken for an effect at low speed.
 """
 
 from __future__ import annotations
@@ -19,19 +19,25 @@ from lieid_casadi.recording.processing.filtering import lowpass
 from lieid_casadi.recording.processing.process import Processed
 
 Array = NDArray[np.float64]
-AT_REST = 1.0 / 3.0  # variance of what is anywhere between −1 and 1
-SLOWLY = 1e-9  # rad/s, on either side of a reversal
-RESPONSE = 2.0  # periods of the cut-off that the filter's response is followed for
+REST_VARIANCE = 1.0 / 3.0  # of a uniform distribution from −1 to 1
+SLOW = 1e-9  # rad/s, on either side of a reversal
+RESPONSE = 2.0  # periods of the cut-off, length of the filter's impulse response
 
 
-def doubt_along(compiled: Compiled, segment: Processed, shapes: Array, parameters: Array) -> Array:
-    """Return the standard deviation (M, n) of a segment's filtered torque, N·m.
+def friction_torque_std(
+    compiled: Compiled, segment: Processed, shapes: Array, parameters: Array
+) -> Array:
+    """Return the standard deviation (M, n) of filtered torque due to dry friction, N·m.
 
     Parameters
     ----------
+    compiled : Compiled
+    segment : Processed
+        With M filtered instants.
     shapes : (s,)
+        Shape parameters of the effects.
     parameters : (10 n + m,)
-        Link parameters and effect coefficients, which give the level of dry friction.
+        Link parameters and effect coefficients, which determine the level of dry friction.
     """
     reach = min(round(RESPONSE * segment.rate / segment.cutoff), len(segment) - 1)
     impulse = np.zeros(2 * reach + 1)
@@ -42,17 +48,17 @@ def doubt_along(compiled: Compiled, segment: Processed, shapes: Array, parameter
         at = window.instants
         level = dry_level(compiled, segment, at, shapes, parameters)
         moving = segment.moving[at]
-        unsure = np.where(moving, 1.0 - expected_sign(segment, at) ** 2, 0.0) * level**2
-        spread = oaconvolve(unsure, response[:, None] ** 2, mode="same", axes=0)[window.inside]
+        variance = np.where(moving, 1.0 - expected_sign(segment, at) ** 2, 0.0) * level**2
+        spread = oaconvolve(variance, response[:, None] ** 2, mode="same", axes=0)[window.inside]
         rest = segment.filter_window(np.where(moving, 0.0, level), window)
-        parts.append(np.sqrt(np.maximum(spread, 0.0) + AT_REST * rest**2))
+        parts.append(np.sqrt(np.maximum(spread, 0.0) + REST_VARIANCE * rest**2))
     return np.concatenate(parts)
 
 
 def expected_sign(segment: Processed, at: slice) -> Array:
-    """Return the mean (K, n) of what a sample's sign may be, −1 to 1.
+    """Return the expected sign of the velocity (k, n), −1 to 1, at the instants ``at``.
 
-    Torque and position are sampled within half a sample of each other at best.
+    Torque and position are synchronous to half a sample at best.
     """
     ahead = 0.5 * np.abs(segment.ddq[at]) / segment.rate
     return np.asarray(erf(3.0 / np.sqrt(2.0) * segment.dq[at] / np.hypot(segment.dead_zone, ahead)))
@@ -61,7 +67,18 @@ def expected_sign(segment: Processed, at: slice) -> Array:
 def dry_level(
     compiled: Compiled, segment: Processed, at: slice, shapes: Array, parameters: Array
 ) -> Array:
-    """Return half the jump of the effects' torque (K, n) at a reversal, N·m."""
+    """Return half the jump of the effects' torque at a velocity reversal (k, n), N·m.
+
+    Parameters
+    ----------
+    compiled : Compiled
+    segment : Processed
+    at : slice
+        k instants of the segment.
+    shapes : (s,)
+    parameters : (10 n + m,)
+        Link parameters and effect coefficients.
+    """
     n, q = compiled.n, segment.q[at]
     signals: dict[str, Any] = {"shapes": shapes, "time": segment.t[at] - segment.t[0]}
     if segment.temperature is not None:
@@ -71,6 +88,6 @@ def dry_level(
         signals["load"] = compiled.inverse_dynamics(*motion, parameters[: 10 * n])
     forward, back = (
         compiled.friction(q, np.full_like(q, dq), np.zeros_like(q), parameters[10 * n :], **signals)
-        for dq in (SLOWLY, -SLOWLY)
+        for dq in (SLOW, -SLOW)
     )
     return np.asarray(0.5 * np.abs(forward - back))

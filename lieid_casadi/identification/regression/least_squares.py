@@ -1,4 +1,4 @@
-"""Linear least squares on triangular factors: scaled columns, SVD, never a normal matrix."""
+"""Linear least squares on triangular factors: scaled columns and SVD, no normal matrix."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from lieid_casadi.compiled.triangular_factors import Triangle, triangular
 from lieid_casadi.identification.regression.rows import Rows
 
 Array = NDArray[np.float64]
-RANK_TOLERANCE = 1e-9  # of scaled columns; below it the data does not excite a direction
-STRONG = 0.3  # share in a direction's unit vector that earns a parameter its name there
+RANK_TOLERANCE = 1e-9  # of scaled columns; below it a direction is not excited
+NAMED_SHARE = 0.3  # of the largest component of a direction: smaller ones are not named
+MOST_NAMED = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """Triangular factor of [matrix | torque]: all that a fit needs of its rows.
+    """Triangular factor of [matrix | torque], sufficient for least squares.
 
     Attributes
     ----------
     r : (p + 1, p + 1)
         Upper triangular; ‖matrix·β − torque‖ = ‖r·[β; −1]‖ for every β.
     rows : int
-        How many rows went in.
+        Number of rows that it was computed from.
     """
 
     r: Array
@@ -38,24 +39,37 @@ class Factor:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """Least-squares values (p,), their unit covariance (p, p), and what was not excited.
+class LeastSquaresSolution:
+    """Result of a linear least-squares problem.
 
-    ``hidden`` lists the directions (p,) in which values could be changed freely; along them
-    the smallest values were taken.
+    Attributes
+    ----------
+    values : (p,)
+        Of minimum norm (in scaled columns) along directions that are not excited.
+    unit_covariance : (p, p)
+        (XᵀX)⁻¹ of the rows, without directions that are not excited.
+    unexcited : tuple of (p,)
+        Directions in which the values can be changed without changing the residual.
     """
 
     values: Array
     unit_covariance: Array
-    hidden: tuple[Array, ...]
+    unexcited: tuple[Array, ...]
 
 
 def joint_factors(rows: Rows, weights: Sequence[Array] | None = None) -> list[Factor]:
-    """Return one factor per joint, in all p columns; ``weights`` multiply the rows."""
+    """Return one factor per joint, in all p columns.
+
+    Parameters
+    ----------
+    rows : Rows
+    weights : sequence of (R,), optional
+        Multiply the rows of each joint; 1 if left out.
+    """
     if weights is None and rows.unweighted is not None:
         return rows.unweighted
     triangles = [Triangle(len(columns) + 1) for columns in rows.columns]
-    for part, where in rows.stretches():
+    for part, where in rows.chunks():
         for j, (joint, triangle) in enumerate(zip(part.joints, triangles, strict=True)):
             weight = None if weights is None else weights[j][where[j]]
             triangle.add(joint.matrix, joint.torque, weights=weight)
@@ -69,35 +83,45 @@ def joint_factors(rows: Rows, weights: Sequence[Array] | None = None) -> list[Fa
 
 
 def widened(small: Array, columns: NDArray[np.integer], p: int, rows: int) -> Factor:
-    """Return the factor (k, c + 1) of some columns and the torque as one of all p columns."""
+    """Return a factor of some columns and the torque as one of all p columns.
+
+    Parameters
+    ----------
+    small : (k, c + 1)
+    columns : (c,) int
+        Positions among the p columns.
+    p : int
+    rows : int
+        Number of rows that the factor was computed from.
+    """
     wide = np.zeros((len(small), p + 1))
     wide[:, [*columns, p]] = small
     return Factor(wide, rows)
 
 
 def combine(factors: Sequence[Factor], weights: Sequence[float] | Array) -> Factor:
-    """Return the factor of all rows, each joint's multiplied by its weight."""
+    """Return the factor of all factors' rows, each factor multiplied by its weight."""
     triangle = Triangle(factors[0].r.shape[1])
     for factor, weight in zip(factors, weights, strict=True):
         triangle.add(factor.r * weight)
     return Factor(triangle.r, sum(f.rows for f in factors))
 
 
-def solve(factor: Factor) -> Solution:
-    """Return the least-squares solution; directions that the rows do not show are set to 0."""
+def solve(factor: Factor) -> LeastSquaresSolution:
+    """Return the least-squares solution, of minimum norm where it is not unique."""
     r, z = factor.r[:, :-1], factor.r[:, -1]
     scale = np.linalg.norm(r, axis=0)
     scale[scale == 0.0] = 1.0
     u, sizes, vt = np.linalg.svd(r / scale, full_matrices=False)
-    seen = sizes > RANK_TOLERANCE * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), bool)
-    inverse = (vt[seen].T / sizes[seen]) / scale[:, None]
-    values = inverse @ (u[:, seen].T @ z)
-    hidden = tuple(direction / scale for direction in vt[~seen])
-    return Solution(values, inverse @ inverse.T, hidden)
+    excited = sizes > RANK_TOLERANCE * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), bool)
+    inverse = (vt[excited].T / sizes[excited]) / scale[:, None]
+    values = inverse @ (u[:, excited].T @ z)
+    unexcited = tuple(direction / scale for direction in vt[~excited])
+    return LeastSquaresSolution(values, inverse @ inverse.T, unexcited)
 
 
-def remaining_fraction(factor: Factor) -> Array:
-    """Return for each column (p,) the share of its norm that the other columns do not span.
+def independent_fraction(factor: Factor) -> Array:
+    """Return the part of each column's norm (p,) that the other columns do not span.
 
     Frisch-Waugh-Lovell: 1 / (‖column‖ · ‖row of the inverse factor‖).
     """
@@ -114,9 +138,16 @@ def remaining_fraction(factor: Factor) -> Array:
 
 
 def name_direction(direction: Array, labels: Sequence[str]) -> str:
-    """Return the parameters that dominate a direction: ``Ixx5 − Iyy5``."""
+    """Return the parameters that dominate a direction, as in ``+0.71 Ixx5 -0.71 Iyy5``.
+
+    Parameters
+    ----------
+    direction : (p,)
+    labels : sequence of str
+        Names of the p parameters.
+    """
     unit = direction / np.linalg.norm(direction)
     order = np.argsort(-np.abs(unit))
-    strong = [k for k in order if abs(unit[k]) >= STRONG * abs(unit[order[0]])][:4]
-    terms = [f"{unit[k]:+.2g} {labels[k]}" for k in strong]
+    large = [k for k in order if abs(unit[k]) >= NAMED_SHARE * abs(unit[order[0]])]
+    terms = [f"{unit[k]:+.2g} {labels[k]}" for k in large[:MOST_NAMED]]
     return " ".join(terms)

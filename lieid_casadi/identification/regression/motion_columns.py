@@ -1,4 +1,4 @@
-"""Filtered columns that depend on the motion alone, window by window: no dense regressor."""
+"""Filtered columns that depend on the motion alone, evaluated window by window."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
-class PlainColumns:
+class MotionColumns:
     """Base columns of one segment that depend neither on shapes nor on the load.
 
     Parameters
@@ -22,7 +22,7 @@ class PlainColumns:
     compiled : Compiled
     segment : Processed
     varying : (v,) int
-        Base columns to leave out.
+        Base columns to leave out: those that depend on shapes or load.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class PlainColumns:
         self._ends = np.cumsum([len(columns) for columns in self.columns])[:-1]
 
     def filtered(self, window: Window) -> list[Array]:
-        """Return the rows of one window (c_i, m) of each joint."""
+        """Return the filtered columns of one window, (c_i, m) per joint."""
         buffer = self._blocks.buffer()
         first, last = window.instants.start, window.instants.stop
         self._blocks.evaluate(first, last, buffer)

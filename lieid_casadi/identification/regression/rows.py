@@ -1,4 +1,4 @@
-"""The equations of a regression, per joint: in memory, or in stretches that are made anew."""
+"""Equations of a regression per joint: in memory, or in chunks that are computed on demand."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class JointRows:
     Attributes
     ----------
     columns : (c,) int
-        Base columns that act on this joint: links from it on, and its own effects.
+        Base columns that act on this joint: of the links from it on, and of its effects.
     matrix : (R, c)
     torque : (R,)
         N·m.
     instant : (R,) int
-        Row's position in the common time line of all segments.
+        Position of each row on the common time line of all segments.
     """
 
     columns: Indices
@@ -38,20 +38,26 @@ class JointRows:
 
 
 class Rows:
-    """All joints' equations.
+    """Equations of all joints.
 
-    ``segments`` holds the first instant of each segment and, last, the number of instants.
+    Parameters
+    ----------
+    joints : sequence of JointRows
+    count : int
+        Number of base columns p.
+    segments : (k + 1,) int
+        First instant of each segment, and the number of instants.
     """
 
     def __init__(self, joints: Sequence[JointRows], count: int, segments: Indices) -> None:
         self._joints: tuple[JointRows, ...] | None = tuple(joints)
         self.count = count
         self.segments = segments
-        self.unweighted: list[Factor] | None = None  # kept by `least_squares.joint_factors`
+        self.unweighted: list[Factor] | None = None  # cache of `least_squares.joint_factors`
 
     @property
     def joints(self) -> tuple[JointRows, ...]:
-        """Each joint's equations."""
+        """Equations of each joint."""
         assert self._joints is not None
         return self._joints
 
@@ -65,10 +71,10 @@ class Rows:
         """Base columns of each joint."""
         return tuple(joint.columns for joint in self.joints)
 
-    def stretches(self) -> Iterator[tuple[Rows, list[slice]]]:
-        """Yield parts that follow each other in time, and where their rows are, per joint.
+    def chunks(self) -> Iterator[tuple[Rows, list[slice]]]:
+        """Yield parts consecutive in time, with the slices of each joint's rows that they hold.
 
-        A part is complete in itself: its instants begin at 0. Ordinary recordings are one.
+        Instants of a part begin at 0. Recordings that fit into memory are one part.
         """
         yield self, [slice(0, length) for length in self.lengths]
 
@@ -77,10 +83,10 @@ class Rows:
         return self._collected(lambda joint: joint.torque - joint.matrix @ values[joint.columns])
 
     def on_time_line(self, values: Array) -> Array:
-        """Return the residuals on the common time line (instants, n); NaN where there is no row."""
+        """Return the residuals (instants, n) on the common time line, NaN where there is no row."""
         line = np.full((int(self.segments[-1]), len(self.columns)), np.nan)
         first = 0
-        for part, _ in self.stretches():
+        for part, _ in self.chunks():
             for j, joint in enumerate(part.joints):
                 residual = joint.torque - joint.matrix @ values[joint.columns]
                 line[first + joint.instant, j] = residual
@@ -88,24 +94,29 @@ class Rows:
         return line
 
     def predicted(self, values: Array) -> Array:
-        """Return the predicted torque of all rows, joint after joint."""
+        """Return the predicted torque of all rows, one joint after another."""
         return np.concatenate(self._collected(lambda joint: joint.matrix @ values[joint.columns]))
 
     def _collected(self, of: Callable[[JointRows], Array]) -> list[Array]:
-        parts = [[of(joint) for joint in part.joints] for part, _ in self.stretches()]
+        parts = [[of(joint) for joint in part.joints] for part, _ in self.chunks()]
         return [np.concatenate(joint) for joint in zip(*parts, strict=True)]
 
 
-class LongRows(Rows):
-    """Equations too many to keep: each stretch is made when it is asked for.
+class ChunkedRows(Rows):
+    """Equations that do not fit into memory: each chunk is computed when it is needed.
 
     Parameters
     ----------
     make : callable
-        Number of a stretch to its rows.
-    lengths : (stretches, n) int
-        Rows of each joint.
-    instants : (stretches,) int
+        Number of a chunk to its rows.
+    lengths : (chunks, n) int
+        Number of rows of each joint.
+    instants : (chunks,) int
+        Number of instants.
+    columns : sequence of (c,) int
+        Base columns of each joint.
+    count, segments
+        As for `Rows`.
     """
 
     def __init__(
@@ -124,10 +135,10 @@ class LongRows(Rows):
 
     @property
     def joints(self) -> tuple[JointRows, ...]:
-        """Each joint's equations, all of them in memory."""
+        """Equations of each joint, all in memory."""
         if self._joints is None:
             firsts = np.cumsum(self._instants) - self._instants
-            parts = [part.joints for part, _ in self.stretches()]
+            parts = [part.joints for part, _ in self.chunks()]
             self._joints = tuple(_joined(one, firsts) for one in zip(*parts, strict=True))
         return self._joints
 
@@ -141,8 +152,8 @@ class LongRows(Rows):
         """Base columns of each joint."""
         return self._columns
 
-    def stretches(self) -> Iterator[tuple[Rows, list[slice]]]:
-        """See `Rows`."""
+    def chunks(self) -> Iterator[tuple[Rows, list[slice]]]:
+        """Yield one chunk after another; see `Rows`."""
         ends = np.cumsum(self._lengths, axis=0)
         for k, (lengths, end) in enumerate(zip(self._lengths, ends, strict=True)):
             where = [slice(int(b - m), int(b)) for m, b in zip(lengths, end, strict=True)]

@@ -1,4 +1,4 @@
-"""Effect columns along a segment, with those that need the model along the whole of it."""
+"""Effect columns along a segment, including effects that need the model on all of it."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from lieid_casadi.recording.processing.filtering import lowpass
 from lieid_casadi.recording.processing.process import Processed
 
 Array = NDArray[np.float64]
-SMOOTH = 1.0 / 3.0  # of the cut-off, which is at least six times the band of the motion
+SMOOTH = 1.0 / 3.0  # of the cut-off, which is at least six times the bandwidth of the motion
 
 
 @dataclass(frozen=True, eq=False)
-class Along:
-    """A model with numbers along a segment.
+class ModelAlongSegment:
+    """A model with numerical parameters along a segment; `lieid_casadi.effects.ArmAlong`.
 
     Attributes
     ----------
     parameters : (10 n + m,)
         Link parameters and effect coefficients.
     joint_columns : (K, n, m)
-        Effect columns that follow from the signals of one instant; others are zero.
+        Columns of effects on single joints; those of effects on the whole arm are zero.
     fitted : bool
-        Whether the model is fitted to this segment.
+        Whether the model was fitted to this segment.
     """
 
     compiled: Compiled
@@ -74,9 +74,9 @@ class Along:
         return self.compiled.inverse_dynamics(q, dq, ddq, self._links)
 
     def smooth(self, x: Array) -> Array:
-        """Return a signal (K, …) below a third of the filter's cut-off.
+        """Return a signal (K, …) low-passed at a third of the filter's cut-off.
 
-        Deriving twice makes noise near the cut-off larger than all motion.
+        Noise near the cut-off would exceed the motion after two derivatives.
         """
         return lowpass(x, self.segment.rate, SMOOTH * self.segment.cutoff)
 
@@ -104,13 +104,21 @@ class Along:
 
 @lru_cache(maxsize=8)
 def _in_gravity(compiled: Compiled) -> list[Compiled]:
-    """Return the bare arm in a gravity of 1 m/s² along each axis of the base."""
+    """Return the arm without effects in a gravity of 1 m/s² along each axis of the base."""
     robot = compiled.model.robot
     return [compile(Model(replace(robot, gravity=axis))) for axis in np.eye(3)]
 
 
 def effect_signals(segment: Processed, shapes: Array, load: Array | None) -> dict[str, Array]:
-    """Return the signals that effects see along a segment, as keywords of `Compiled`."""
+    """Return the signals that effects depend on along a segment, as keywords of `Compiled`.
+
+    Parameters
+    ----------
+    segment : Processed
+    shapes : (s,)
+    load : (K, n) or None
+        Rigid torque, N·m.
+    """
     signals = {
         "shapes": shapes,
         "dead_zone": segment.dead_zone,
@@ -135,11 +143,13 @@ def effects_along(
 
     Parameters
     ----------
+    compiled : Compiled
+    segment : Processed
     shapes : (s,)
     parameters : (10 n + m,) or (10 n,) or None
-        Link parameters and coefficients so far; None means no load yet.
+        Link parameters, with or without effect coefficients; None means no load.
     fitted : bool
-        Whether the model is fitted to this segment: drift does not carry over to others.
+        Whether the model was fitted to this segment. Drift is zero on other segments.
     """
     n, width = compiled.n, len(compiled.model.columns)
     load = None
@@ -150,7 +160,7 @@ def effects_along(
     columns = compiled.effect_columns(segment.q, segment.dq, segment.ddq, **signals)
     if parameters is None:
         return columns
-    arm = Along(compiled, segment, parameters, columns, fitted)
+    arm = ModelAlongSegment(compiled, segment, parameters, columns, fitted)
     first, filled = 0, None
     for p in compiled.model.placements:
         last = first + len(p.effect.coefficients)

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-AT_BOUND = 1e-3  # nearer to an end of the range than this counts as having run to it
+AT_BOUND = 1e-3  # of the range: a shape nearer to its end counts as at the bound
 
 
 class Bounded(Protocol):
-    """Anything with finite bounds, such as a `Shape` or a `Parameter`."""
+    """A quantity with finite bounds, such as a `Shape` or a `Parameter`."""
 
     @property
     def lower(self) -> float:
@@ -45,7 +45,7 @@ class ShapeRange:
         )
 
     def place(self, shapes: Array) -> Array:
-        """Return where shapes (…, s) lie in their ranges."""
+        """Return the places (…, s) of shapes in their ranges."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.log(shapes / self.lower) / self._decades
         linear = (shapes - self.lower) / (self.upper - self.lower)
@@ -63,7 +63,7 @@ class ShapeRange:
         return np.where(self._logarithmic, shapes * self._decades, self.upper - self.lower)
 
     def at_bound(self, shapes: Array) -> NDArray[np.bool_]:
-        """Mark shapes that ran to an end of their range."""
+        """Mark the shapes (s,) at an end of their range."""
         place = self.place(shapes)
         return np.asarray(np.minimum(place, 1.0 - place) < AT_BOUND)
 

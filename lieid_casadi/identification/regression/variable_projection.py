@@ -1,179 +1,195 @@
-"""Shape parameters by variable projection with bounds.
+"""Least squares in coefficients and shape parameters by variable projection.
 
-For given shapes the linear parameters follow by least squares, so that only the shapes are
-searched: Golub & Pereyra, SIAM J. Numer. Anal. 1973, with Kaufman's Jacobian. The columns that
-do not depend on shapes are projected away once (Frisch-Waugh-Lovell).
+The model ``target ≈ fixed·a + columns(s)·c`` is linear in a and c and nonlinear in the shapes s.
+For given shapes the coefficients follow by linear least squares, so that only the shapes are
+searched: Golub & Pereyra, SIAM J. Numer. Anal. 1973, with the Jacobian of Kaufman, BIT 1975.
+Columns that do not depend on the shapes are projected out once (Frisch-Waugh-Lovell theorem).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
-from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.shape_range import ShapeRange
 
 Array = NDArray[np.float64]
-GRID = 17  # values tried over each shape's range
-DESCENTS = 3  # best values of the grid that a descent starts from
-STEP = 1e-5  # of a shape's range, for the columns' derivative
-
-
-def fit_shapes(
-    design: Design, start: Array, links: Array | None, noise: Array, *, search: bool
-) -> Array:
-    """Return the shapes (s,) that minimize the weighted residual.
-
-    Parameters
-    ----------
-    start : (s,)
-    links : (10 n,) or None
-        Link parameters that give the load.
-    noise : (n,)
-        Weights are 1/noise per joint.
-    search : bool
-        Whether to try values over the whole range first; the cost can have several minima.
-    """
-    ranges = ShapeRange.of(design.model.shapes)
-    problem = _Reduced(design, links, noise)
-    starts = _starts(problem, ranges) if search else [start]
-    descents = [_descend(problem, ranges, start) for start in starts]
-    return min(descents, key=lambda shapes: problem.cost(shapes))
-
-
-def shape_columns(design: Design, values: Array, shapes: Array, links: Array | None) -> list[Array]:
-    """Return ∂torque/∂shape per joint (R, s) at given linear values (p,)."""
-    coefficients = values[design.varying]
-    here = design.varying_rows(shapes, links)
-    steps = STEP * ShapeRange.of(design.model.shapes).slope(shapes)
-    derivatives = [np.zeros((len(rows), len(shapes))) for rows in here]
-    for members in _slots(design):
-        step = np.zeros(len(shapes))
-        step[members] = steps[members]
-        moved = design.varying_rows(shapes + step, links)
-        for k in members:
-            j = design.model.shapes[k].joint
-            own = design.columns_of_shape(k)
-            change = (moved[j] - here[j])[:, own] / step[k]
-            derivatives[j][:, k] = change @ coefficients[own]
-    return derivatives
+STEP = 1e-5  # of a shape's range, for finite differences
+RANK_TOLERANCE = 1e-10  # of scaled columns
+INSIDE = 1e-6  # of the range: a start at a bound is moved inside by this
 
 
 @dataclass(frozen=True, eq=False)
-class _Solved:
-    """Linear part at given shapes: coefficients of the varying columns and the residual."""
+class ProjectedSolution:
+    """Linear least-squares solution at given shapes.
+
+    Attributes
+    ----------
+    coefficients : (v,)
+        Of the columns that depend on the shapes.
+    residual : (R,)
+        Target minus fitted values.
+    basis : (R, k)
+        Orthonormal basis of those columns whose coefficients are not at a bound.
+    """
 
     coefficients: Array
     residual: Array
     basis: Array
 
 
-class _Reduced:
-    """The weighted regression with the columns that do not vary projected away."""
+@dataclass(frozen=True, eq=False)
+class SeparableProblem:
+    """Weighted least-squares problem that is linear in all parameters but the shapes.
 
-    def __init__(self, design: Design, links: Array | None, noise: Array) -> None:
-        self.design, self.links, self.noise = design, links, noise
-        rows = design.rows(design.model.initial_shapes, links)
-        self.ends = np.cumsum([len(joint.torque) for joint in rows.joints])[:-1]
-        matrix = np.zeros((sum(len(joint.torque) for joint in rows.joints), rows.count))
-        for block, joint in zip(np.split(matrix, self.ends), rows.joints, strict=True):
-            block[:, joint.columns] = joint.matrix
-        fixed = np.ones(rows.count, dtype=bool)
-        fixed[design.varying] = False
-        weighted = self._weighted([m[:, fixed] for m in np.split(matrix, self.ends)])
-        scale = np.linalg.norm(weighted, axis=0)
-        self.fixed, _ = np.linalg.qr(weighted / np.where(scale > 0.0, scale, 1.0))
-        torque = self._weighted([joint.torque for joint in rows.joints])
-        self.torque = torque - self.fixed @ (self.fixed.T @ torque)
+    Attributes
+    ----------
+    columns : callable
+        Shapes (s,) to weighted columns (R, v).
+    target : (R,)
+        Weighted.
+    ranges : ShapeRange
+        Of the s shapes.
+    fixed : (R, f), optional
+        Orthonormal basis of the columns that do not depend on the shapes. Their coefficients
+        have no bounds.
+    slopes : callable, optional
+        Shapes (s,) and coefficients (v,) to ∂(columns·coefficients)/∂shapes (R, s); by forward
+        differences if left out.
+    bounds : pair of (v,), optional
+        Lower and upper bounds of the coefficients.
+    negligible : float
+        Columns whose norm is at most this part of the largest get the coefficient zero.
+    """
 
-    def _weighted(self, per_joint: list[Array]) -> Array:
-        return np.concatenate([x / s for x, s in zip(per_joint, self.noise, strict=True)])
+    columns: Callable[[Array], Array]
+    target: Array
+    ranges: ShapeRange
+    fixed: Array | None = None
+    slopes: Callable[[Array, Array], Array] | None = None
+    bounds: tuple[Array, Array] | None = None
+    negligible: float = 0.0
 
-    def solve(self, shapes: Array) -> _Solved:
-        columns = self._weighted(self.design.varying_rows(shapes, self.links))
-        columns = columns - self.fixed @ (self.fixed.T @ columns)
+    def solve(self, shapes: Array) -> ProjectedSolution:
+        """Return the best coefficients at given shapes (s,)."""
+        target = self._projected(self.target)
+        columns = self._projected(self.columns(shapes))
         scale = np.linalg.norm(columns, axis=0)
-        scale[scale == 0.0] = 1.0
+        scale[scale <= self.negligible * scale.max(initial=0.0)] = np.inf
         basis, triangle = np.linalg.qr(columns / scale)
-        reduced = basis.T @ self.torque
-        coefficients = np.linalg.lstsq(triangle, reduced, rcond=1e-10)[0] / scale
-        return _Solved(coefficients, self.torque - basis @ reduced, basis)
+        reduced = basis.T @ target
+        free = np.linalg.lstsq(triangle, reduced, rcond=RANK_TOLERANCE)[0] / scale
+        if self._within_bounds(free):
+            return ProjectedSolution(free, target - basis @ reduced, basis)
+        return self._solve_bounded(columns, target, np.where(np.isinf(scale), 1.0, scale))
 
     def cost(self, shapes: Array) -> float:
+        """Return the sum of squared residuals at given shapes (s,)."""
         return float(np.sum(self.solve(shapes).residual ** 2))
 
-    def joint_costs(self, shapes: Array) -> Array:
-        parts = np.split(self.solve(shapes).residual, self.ends)
-        return np.array([np.sum(part**2) for part in parts])
+    def jacobian(self, shapes: Array, solution: ProjectedSolution) -> Array:
+        """Return ∂residual/∂shapes ≈ −(1 − QQᵀ)·(∂columns/∂shapes)·c (R, s), after Kaufman."""
+        slopes = self._projected(self._slopes(shapes, solution.coefficients))
+        return np.asarray(solution.basis @ (solution.basis.T @ slopes) - slopes)
 
-    def jacobian(self, shapes: Array) -> Array:
-        """Return ∂residual/∂shapes ≈ −(1 − QQᵀ)·(∂matrix/∂shape)·β (Kaufman)."""
-        solved = self.solve(shapes)
-        values = np.zeros(self.design.model.base.count)
-        values[self.design.varying] = solved.coefficients
-        slopes = self._weighted(shape_columns(self.design, values, shapes, self.links))
-        for q in (self.fixed, solved.basis):
-            slopes = slopes - q @ (q.T @ slopes)
-        return np.asarray(-slopes)
+    def _projected(self, values: Array) -> Array:
+        if self.fixed is None:
+            return values
+        return np.asarray(values - self.fixed @ (self.fixed.T @ values))
+
+    def _within_bounds(self, coefficients: Array) -> bool:
+        if self.bounds is None:
+            return True
+        lower, upper = self.bounds
+        return bool(np.all((coefficients >= lower) & (coefficients <= upper)))
+
+    def _solve_bounded(self, columns: Array, target: Array, scale: Array) -> ProjectedSolution:
+        assert self.bounds is not None
+        lower, upper = self.bounds
+        found = lsq_linear(columns / scale, target, (lower * scale, upper * scale))
+        coefficients = np.asarray(found.x) / scale
+        basis, _ = np.linalg.qr((columns / scale)[:, found.active_mask == 0])
+        return ProjectedSolution(coefficients, target - columns @ coefficients, basis)
+
+    def _slopes(self, shapes: Array, coefficients: Array) -> Array:
+        if self.slopes is not None:
+            return self.slopes(shapes, coefficients)
+        return forward_differences(self.columns, self.ranges, shapes, coefficients)
 
 
-def _descend(problem: _Reduced, ranges: ShapeRange, start: Array) -> Array:
+def minimize_shapes(
+    problem: SeparableProblem,
+    start: Array,
+    *,
+    xtol: float = 1e-6,
+    ftol: float = 1e-8,
+    max_evaluations: int = 40,
+) -> Array:
+    """Return shapes (s,) at a local minimum of the cost, within their ranges.
+
+    Trust-region least squares on the places of the shapes in their ranges.
+
+    Parameters
+    ----------
+    problem : SeparableProblem
+    start : (s,)
+        Shapes to start from.
+    xtol, ftol : float
+        Relative changes of the places and of the cost that end the search.
+    max_evaluations : int
+        Of the residual.
+    """
+    ranges = problem.ranges
+    latest: dict[bytes, ProjectedSolution] = {}  # residual and Jacobian share one solution
+
+    def solution(place: Array) -> ProjectedSolution:
+        key = place.tobytes()
+        if key not in latest:
+            latest.clear()
+            latest[key] = problem.solve(ranges.shapes(place))
+        return latest[key]
+
     def residual(place: Array) -> Array:
-        return problem.solve(ranges.shapes(place)).residual
+        return solution(place).residual
 
     def jacobian(place: Array) -> Array:
         shapes = ranges.shapes(place)
-        return problem.jacobian(shapes) * ranges.slope(shapes)
+        return problem.jacobian(shapes, solution(place)) * ranges.slope(shapes)
 
     result = least_squares(
         residual,
-        np.clip(ranges.place(start), 1e-6, 1.0 - 1e-6),
+        np.clip(ranges.place(start), INSIDE, 1.0 - INSIDE),
         jac=jacobian,
         bounds=(0.0, 1.0),
-        xtol=1e-6,
-        ftol=1e-8,
-        max_nfev=40,
+        xtol=xtol,
+        ftol=ftol,
+        max_nfev=max_evaluations,
     )
     return ranges.shapes(np.asarray(result.x))
 
 
-def _starts(problem: _Reduced, ranges: ShapeRange) -> list[Array]:
-    """Return starts from a grid over the ranges: first each joint's best values, then next best.
+def forward_differences(
+    columns: Callable[[Array], Array], ranges: ShapeRange, shapes: Array, coefficients: Array
+) -> Array:
+    """Return ∂(columns·coefficients)/∂shapes (R, s) by forward differences.
 
-    Shapes of one kind on several joints touch different rows and are tried at once.
+    Parameters
+    ----------
+    columns : callable
+        Shapes (s,) to columns (R, v).
+    ranges : ShapeRange
+        The step is a fixed part of each range.
+    shapes : (s,)
+    coefficients : (v,)
     """
-    design = problem.design
-    starts = np.tile(design.model.initial_shapes, (DESCENTS, 1))
-    places = (np.arange(GRID) + 0.5) / GRID
-    for members in _slots(design):
-        grid = []
-        for place in places:
-            trial = starts[0].copy()
-            trial[members] = ranges.shapes(np.full(len(trial), place))[members]
-            grid.append(problem.joint_costs(trial))
-        for k in members:
-            costs = np.array(grid)[:, design.model.shapes[k].joint]
-            for rank, index in enumerate(_minima(costs)[:DESCENTS]):
-                starts[rank:, k] = ranges.shapes(np.full(starts.shape[1], places[index]))[k]
-    return list(np.unique(starts, axis=0))
-
-
-def _minima(costs: Array) -> list[int]:
-    """Return the indices of local minima, lowest first."""
-    padded = np.concatenate([[np.inf], costs, [np.inf]])
-    lower = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:])
-    return sorted(np.flatnonzero(lower).tolist(), key=lambda k: float(costs[k]))
-
-
-def _slots(design: Design) -> list[list[int]]:
-    """Group shapes of one kind over joints."""
-    groups: dict[tuple[str, int], list[int]] = {}
-    k = 0
-    for p in design.model.placements:
-        for position in range(len(p.effect.shapes)):
-            groups.setdefault((p.effect.label, position), []).append(k)
-            k += 1
-    return list(groups.values())
+    here = columns(shapes) @ coefficients
+    steps = STEP * ranges.slope(shapes)
+    changes = [
+        (columns(shapes + step * unit) @ coefficients - here) / step
+        for step, unit in zip(steps, np.eye(len(shapes)), strict=True)
+    ]
+    return np.array(changes).reshape(len(shapes), len(here)).T

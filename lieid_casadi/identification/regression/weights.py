@@ -1,4 +1,4 @@
-"""How rows are weighted: ordinary, by joint noise, or against outliers."""
+"""Weights of the rows: none, by joint noise, or robust against outliers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SMALLEST_NOISE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Weighting:
-    """Result of an estimator: the weighted factor and what the weights were.
+    """Weighted rows of an estimator.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Weighting:
 
 
 def ols(rows: Rows) -> Weighting:
-    """Ordinary least squares: every row weighs the same, in N·m."""
+    """Ordinary least squares: the same weight for every row."""
     factors = joint_factors(rows)
     factor = combine(factors, np.ones(len(factors)))
     noise = _noise(factors, solve(factor).values, rows)
@@ -52,7 +52,7 @@ def ols(rows: Rows) -> Weighting:
 
 
 def wls(rows: Rows) -> Weighting:
-    """Weight each joint by the inverse of its residual's standard deviation, iterated."""
+    """Weighted least squares: rows divided by their joint's residual noise, iterated."""
     factors = joint_factors(rows)
     noise, converged = np.ones(len(factors)), False
     for _ in range(ITERATIONS):
@@ -68,14 +68,14 @@ def wls(rows: Rows) -> Weighting:
 
 
 def robust(rows: Rows) -> Weighting:
-    """Huber's M-estimator by iteratively reweighted least squares, joint noise by MAD."""
+    """Huber's M-estimator by iteratively reweighted least squares; joint noise from the MAD."""
     start = wls(rows)
     values, converged = solve(start.factor).values, False
     weights, noise, factor = list(start.rows), start.noise, start.factor
     for _ in range(ITERATIONS):
         residuals = rows.residuals(values)
         noise = np.array([max(_mad(e), SMALLEST_NOISE) if len(e) else 1.0 for e in residuals])
-        # a row's weight is the square root of Huber's, over the joint's noise
+        # rows are multiplied by the square root of Huber's weight over the joint's noise
         weights = [
             np.sqrt(np.minimum(1.0, HUBER * s / np.maximum(np.abs(e), SMALLEST_NOISE))) / s
             for e, s in zip(residuals, noise, strict=True)
@@ -97,7 +97,7 @@ def _noise(factors: list[Factor], values: Array, rows: Rows) -> Array:
     """Return each joint's residual standard deviation (n,); 1 where a joint has no rows."""
     noise = []
     for factor, columns in zip(factors, rows.columns, strict=True):
-        # parameters are shared between joints: charge each joint its part
+        # parameters are shared between joints: each joint has its part of their number
         share = len(columns) * factor.rows / max(_uses(rows, columns), 1)
         freedom = max(factor.rows - share, 1.0)
         size = np.sqrt(factor.misfit(values) / freedom) if factor.rows else 1.0
@@ -106,7 +106,7 @@ def _noise(factors: list[Factor], values: Array, rows: Rows) -> Array:
 
 
 def _uses(rows: Rows, columns: NDArray[np.intp]) -> float:
-    """Return in how many rows an average one of these columns appears."""
+    """Return the mean number of rows in which these columns appear."""
     total = np.zeros(rows.count)
     for own, length in zip(rows.columns, rows.lengths, strict=True):
         total[own] += length

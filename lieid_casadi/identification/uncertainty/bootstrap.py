@@ -1,15 +1,16 @@
 """Block bootstrap: the fit repeated on blocks of the recordings drawn with replacement.
 
-Each block of consecutive instants, many times longer than the residuals' memory, is reduced to
+Each block of consecutive instants, several correlation times of the residual long, is reduced to
 one triangular factor; a resample stacks factors, so that its cost does not depend on the number
-of samples. It asks nothing of the residuals but that blocks are alike, and also serves methods
-whose standard errors no formula gives (``feasible``).
+of samples. The only assumption on the residuals is that blocks are exchangeable. It also gives
+standard errors of the method ``feasible``, for which there is no formula.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,6 @@ from lieid_casadi.errors import IdentificationError, NoSolution
 from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
 from lieid_casadi.identification.feasible.feasible_fit import feasible_problem
 from lieid_casadi.identification.feasible.options import FeasibleOptions
-from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.prediction import relative_temperature
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.identification.regression.least_squares import (
@@ -29,14 +28,18 @@ from lieid_casadi.identification.regression.least_squares import (
     solve,
 )
 from lieid_casadi.identification.regression.rows import JointRows, Rows
+from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.identification.uncertainty.covariance import residual_memory
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Recording, process
 
+if TYPE_CHECKING:
+    from lieid_casadi.identification.fit import Fit
+
 Array = NDArray[np.float64]
-LENGTH = 4  # of a block, in memories of the residuals
-FEWEST = 10  # blocks: with fewer their spread says little
-MOST = 60  # blocks: with more a resample only takes longer
+LENGTH = 4  # of a block, in correlation times of the residuals
+FEWEST_BLOCKS = 10
+MOST_BLOCKS = 60  # more only make a resample slower
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +52,11 @@ class Bootstrap:
     values : (B, p)
         Base values of each resample.
     block_count : int
-        Blocks that were drawn from.
+        Number of blocks that resamples are drawn from.
     block_seconds : float
         Length of a block, s.
     failed : int
-        Resamples that the solver of method ``feasible`` did not finish; they are left out.
+        Number of resamples without a solution (method ``feasible``); they are left out.
     """
 
     model: Model
@@ -64,7 +67,7 @@ class Bootstrap:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What the columns of ``values`` are."""
+        """Parameters that the columns of ``values`` belong to."""
         return self.model.base_columns
 
     @property
@@ -78,7 +81,7 @@ class Bootstrap:
         return np.asarray(self.values.std(axis=0, ddof=1))
 
     def interval(self, level: float = 0.95) -> tuple[Array, Array]:
-        """Return the bounds (p,) that hold ``level`` of the resamples."""
+        """Return lower and upper bounds (p,) of the central ``level`` of the resamples."""
         tail = 0.5 * (1.0 - level)
         low, high = np.quantile(self.values, [tail, 1.0 - tail], axis=0)
         return low, high
@@ -93,14 +96,22 @@ def bootstrap(
     feasible: FeasibleOptions | None = None,
     progress: Progress | None = None,
 ) -> Bootstrap:
-    """Fit resamples of a fit's recordings, weights and shape parameters being the fit's.
+    """Repeat a fit on resampled blocks of its recordings.
+
+    Weights and shape parameters are those of the fit.
 
     Parameters
     ----------
+    fit : Fit
     recordings : Recording or sequence of Recording
-        Those that the fit was made from.
+        Training recordings of the fit.
+    resamples : int
+    seed : int
+        Of the random numbers.
     feasible : FeasibleOptions, optional
-        As given to `identify`; λ is that of the fit.
+        As given to `identify`; the regularization is that of the fit.
+    progress : callable, optional
+        Called with a stage's name and the fraction done.
 
     Raises
     ------
@@ -116,14 +127,15 @@ def bootstrap(
     design = Design(fit.compiled, segments)
     rows = design.rows(fit.shapes, fit.parameters)
     weights = np.ones(fit.model.n) if fit.method == "ols" else 1.0 / fit.noise
-    memory = residual_memory(rows, rows.residuals(fit.values))
-    length = max(LENGTH * memory, int(rows.segments[-1]) // MOST)
+    correlated = residual_memory(rows, rows.residuals(fit.values))
+    length = max(LENGTH * correlated, int(rows.segments[-1]) // MOST_BLOCKS)
     blocks = block_factors(rows, weights, block=length)
     step = float(np.median(np.diff(segments[0].filtered_time)))
-    if len(blocks) < FEWEST:
+    if len(blocks) < FEWEST_BLOCKS:
         raise IdentificationError(
-            f"{len(blocks)} blocks of {length * step:.3g} s, in which residuals are correlated; "
-            f"expected at least {FEWEST}: give longer recordings"
+            f"{len(blocks)} blocks of {length * step:.3g} s, the length over which residuals are "
+            "correlated; "
+            f"expected at least {FEWEST_BLOCKS}: give longer recordings"
         )
     estimate = _estimator(fit, design, blocks, feasible)
     random, found, failed = np.random.default_rng(seed), [], 0
@@ -136,14 +148,23 @@ def bootstrap(
         if progress is not None:
             progress("bootstrap", (k + 1) / resamples)
     if len(found) < 2:
-        raise NoSolution("no resample has physically possible parameters; fit again with wls")
+        raise NoSolution("no resample has physically consistent parameters; use method wls")
     return Bootstrap(fit.model, np.array(found), len(blocks), length * step, failed)
 
 
 def block_factors(rows: Rows, weights: Array, *, block: int) -> list[Factor]:
-    """Return one weighted factor of all joints per block of consecutive instants."""
+    """Return one weighted factor of all joints per block of consecutive instants.
+
+    Parameters
+    ----------
+    rows : Rows
+    weights : (n,)
+        Multiply the rows of each joint.
+    block : int
+        Instants per block.
+    """
     factors = []
-    for part, _ in rows.stretches():
+    for part, _ in rows.chunks():
         numbers = _block_numbers(part, block)
         for k in range(int(numbers.max(initial=-1)) + 1):
             own = combine(joint_factors(_select(part, numbers == k)), weights)
@@ -153,7 +174,7 @@ def block_factors(rows: Rows, weights: Array, *, block: int) -> list[Factor]:
 
 
 def _block_numbers(rows: Rows, block: int) -> NDArray[np.intp]:
-    """Return each instant's block of ``block`` instants; blocks start anew with each segment."""
+    """Return the block number of each instant; every segment begins with a new block."""
     numbers = np.empty(int(rows.segments[-1]), dtype=np.intp)
     first = 0
     for start, end in zip(rows.segments[:-1], rows.segments[1:], strict=True):

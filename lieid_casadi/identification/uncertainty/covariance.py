@@ -1,21 +1,22 @@
-"""Standard deviations that allow for residuals correlated in time and between joints.
+"""Covariance of least-squares values with residuals correlated in time and between joints.
 
-After a low-pass, neighbouring residuals are nearly the same number, so the white-noise formula
-is several times too small. Two estimates of the scores' covariance are made:
+Neighbouring low-passed residuals are strongly correlated, so that the formula for white noise
+gives standard deviations several times too small. The covariance of the scores is estimated
+twice:
 
-- from the spectrum of the residuals, taken to be stationary; precise, since it needs one
-  spectrum per pair of joints only;
+- from the spectrum of the residuals, assumed to be stationary; precise, since only one spectrum
+  per pair of joints is estimated;
 - from the scores x·e themselves (Newey & West, Econometrica 1987, with Parzen's kernel), which
-  allows for residuals that are larger in some motions than in others, and varies more.
+  is valid for residuals that are larger in some motions than in others, and has more variance.
 
 Each parameter gets the larger standard deviation of the two; correlations are those of the
-first. Both are raised by what the fit has taken out of the residuals.
+first. Both are corrected for the part of the noise that the fit has absorbed.
 
-Recordings too long to keep are taken in stretches, uncorrelated with each other: each is many
-times longer than the residual's memory.
+Recordings that do not fit into memory are treated in chunks, assumed to be uncorrelated: each is
+many times longer than the correlation time of the residual.
 
-Limits: they need many times more instants than the residual's memory, say nothing about errors
-in q, and treat model error as if it were noise.
+Limits: recordings must be many times longer than the correlation time of the residual; errors in
+q are not accounted for; model errors are treated as noise.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ from lieid_casadi.identification.uncertainty.residual_spectrum import (
 
 Array = NDArray[np.float64]
 COLUMNS = 8  # transformed at once; bounds the memory of long recordings
-LEAST_LEFT = 0.1  # of a residual's spectrum, however many parameters there are
-SEEN = 1e-4  # of the kernel's height; frequencies below it are left out
+LEAST_SPECTRUM = 0.1  # of a residual's spectrum that no number of parameters absorbs
+NEGLIGIBLE = 1e-4  # of the kernel's maximum; frequencies below it are left out
 
 
 def hac_covariance(
@@ -46,15 +47,16 @@ def hac_covariance(
 
     Parameters
     ----------
+    rows : Rows
     weights : sequence of (R,)
-        Of each joint's rows (multiplying them).
+        Multiply the rows of each joint.
     residuals : sequence of (R,)
         Unweighted, N·m.
     unit_covariance : (p, p)
         (XᵀX)⁻¹ of the weighted rows.
     """
     stationary, general = np.zeros((2, *unit_covariance.shape))
-    for part, where in rows.stretches():
+    for part, where in rows.chunks():
         weight, residual = (
             [values[own] for values, own in zip(of, where, strict=True)]
             for of in (weights, residuals)
@@ -73,15 +75,15 @@ def hac_covariance(
 def _score_covariances(
     rows: Rows, weights: Sequence[Array], residuals: Sequence[Array], unit_covariance: Array
 ) -> tuple[Array, Array]:
-    """Return the scores' covariance (p, p) by the residuals' spectrum, and by the scores."""
+    """Return the covariance of the scores (p, p) from the spectrum, and from the scores."""
     line = TimeLine.of(rows)
     noise = [w**2 * e for w, e in zip(weights, residuals, strict=True)]
     spectrum = residual_spectrum(line, rows, noise)
-    taken = _taken_by_the_fit(line, rows, spectrum, weights, unit_covariance)
-    size = np.sqrt(taken)
+    correction = _absorption_correction(line, rows, spectrum, weights, unit_covariance)
+    size = np.sqrt(correction)
     raised = spectrum.density * (size[:, :, None] * size[:, None, :])
     scores = [
-        line.back(joint.instant, taken[:, j] * line.transform(joint.instant, noise[j]))
+        line.back(joint.instant, correction[:, j] * line.transform(joint.instant, noise[j]))
         for j, joint in enumerate(rows.joints)
     ]
     products = _filtered_products(line, rows, raised)
@@ -89,7 +91,7 @@ def _score_covariances(
 
 
 def residual_memory(rows: Rows, residuals: Sequence[Array]) -> int:
-    """Return in how many instants residuals (R,) per joint are correlated."""
+    """Return the number of instants over which residuals (R,) per joint are correlated."""
     return residual_spectrum(TimeLine.of(rows), rows, residuals).memory
 
 
@@ -116,18 +118,27 @@ def _transform_columns(
     return line.transform(joint.instant, values)
 
 
-def _taken_by_the_fit(
+def _absorption_correction(
     line: TimeLine,
     rows: Rows,
     spectrum: ResidualSpectrum,
     weights: Sequence[Array],
     unit_covariance: Array,
 ) -> Array:
-    """Return the noise's spectrum over the residual's (F, n), at each frequency and joint.
+    """Return the ratio of the noise's spectrum to the residual's (F, n) per frequency and joint.
 
-    A fit takes out noise where its columns are, mostly at low frequencies. The residual's
-    spectrum is that of (1 − H)Ω(1 − H)ᵀ, evaluated with the estimated Ω; joints are taken to
-    be uncorrelated for it.
+    A fit absorbs noise at the frequencies of its columns, which are mostly low. The spectrum of
+    the residual is that of (1 − H)Ω(1 − H)ᵀ, evaluated with the estimated Ω; correlation between
+    joints is neglected.
+
+    Parameters
+    ----------
+    line : TimeLine
+    rows : Rows
+    spectrum : ResidualSpectrum
+    weights : sequence of (R,)
+        Of each joint's rows.
+    unit_covariance : (p, p)
     """
     own = [spectrum.density[:, j, j].real for j in range(len(rows.joints))]
     squares = [float(np.mean(w**2)) if len(w) else 1.0 for w in weights]
@@ -136,7 +147,7 @@ def _taken_by_the_fit(
         small = joint.matrix.T @ _filtered(line, joint, density)
         middle[np.ix_(joint.columns, joint.columns)] += small
     covariance = unit_covariance @ middle @ unit_covariance
-    taken = np.ones((line.size // 2 + 1, len(rows.joints)))
+    ratio = np.ones((line.size // 2 + 1, len(rows.joints)))
     for j, (joint, density, square) in enumerate(zip(rows.joints, own, squares, strict=True)):
         if spectrum.variance[j] <= 0.0:
             continue
@@ -146,9 +157,11 @@ def _taken_by_the_fit(
         power = -2.0 * _cross_power(line, joint, fitted, _filtered(line, joint, density))
         both = joint.matrix @ covariance[here] * square**2
         power += _cross_power(line, joint, both, joint.matrix)
-        left = density + spectrum.smoothed(line, joint, power)
-        taken[:, j] = density / np.maximum(left, LEAST_LEFT * density + np.finfo(float).tiny)
-    return np.asarray(np.maximum(taken, 1.0))
+        expected = density + spectrum.smoothed(line, joint, power)
+        ratio[:, j] = density / np.maximum(
+            expected, LEAST_SPECTRUM * density + np.finfo(float).tiny
+        )
+    return np.asarray(np.maximum(ratio, 1.0))
 
 
 def _filtered(line: TimeLine, joint: JointRows, density: Array) -> Array:
@@ -178,7 +191,7 @@ def _score_products(line: TimeLine, rows: Rows, noise: Sequence[Array], memory: 
         # each instant occurs at most once per joint
         scores[np.ix_(joint.instant, joint.columns)] += joint.matrix * e[:, None]
     kernel = _parzen(line.size, 2 * memory)
-    used = np.flatnonzero(kernel > SEEN * kernel.max())
+    used = np.flatnonzero(kernel > NEGLIGIBLE * kernel.max())
     total = np.zeros((rows.count, rows.count))
     everywhere = np.arange(len(scores), dtype=np.intp)
     spectra = [
@@ -186,14 +199,14 @@ def _score_products(line: TimeLine, rows: Rows, noise: Sequence[Array], memory: 
         for first in range(0, rows.count, COLUMNS)
     ]
     spectrum = np.hstack(spectra)
-    # every frequency but 0 and the highest stands for itself and its negative
+    # every frequency but 0 and the highest is counted twice, for its negative
     both = np.where((used == 0) | (2 * used == line.size), 1.0, 2.0)
     total = np.real((np.conj(spectrum) * (both * kernel[used])[:, None]).T @ spectrum)
     return np.asarray(total / line.size)
 
 
 def _parzen(size: int, lags: int) -> Array:
-    """Return the spectrum (F,) of Parzen's window, which is never negative."""
+    """Return the spectrum (F,) of Parzen's window, which is not negative."""
     lag = np.arange(size)
     x = np.minimum(lag, size - lag) / max(lags, 1)
     near, far = 1.0 - 6.0 * x**2 + 6.0 * x**3, 2.0 * np.clip(1.0 - x, 0.0, None) ** 3

@@ -1,21 +1,22 @@
-"""Instrumental variables: base parameters that noise in the measured motion does not bias.
+"""Instrumental variables: base parameters without bias from noise in the measured motion.
 
-Noise in q̇ and q̈ makes columns of the regression noisy, which pulls least squares towards zero
-however long the recording is, and no covariance shows it. Instruments are the same columns on a
-motion free of that noise: β = (ZᵀX)⁻¹Zᵀτ (Janot, Vandanjon, Gautier, "A generic instrumental
+Noise in q̇ and q̈ enters the columns of the regression and biases least squares towards zero, for
+recordings of any length and without effect on the covariance. Instruments are the same columns on
+a motion without that noise: β = (ZᵀX)⁻¹Zᵀτ (Janot, Vandanjon, Gautier, "A generic instrumental
 variable approach for industrial robot identification", IEEE TCST 2014, where the motion is that
 of the simulated arm).
 
-Whether it is needed tells a Durbin-Wu-Hausman test, revised as by the same authors (Control
-Engineering Practice 2016): the part V of the columns that instruments do not explain is
-factorized beside the columns; what is negligible there needs no test, the rest is tested for
-correlation with the residual, allowing for the residual's own correlation in time.
+A Durbin-Wu-Hausman test, revised as by the same authors (Control Engineering Practice 2016),
+shows whether instruments are needed: the part V of the columns that the instruments do not
+explain, projected off the columns, is tested for correlation with the residual, with the
+correlation of the residual in time accounted for. Negligible directions of V are not tested.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,25 +24,27 @@ from scipy.stats import chi2
 
 from lieid_casadi.compiled.triangular_factors import triangular
 from lieid_casadi.errors import IdentificationError, ModelError
-from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.prediction import relative_temperature
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import (
     RANK_TOLERANCE,
     Factor,
-    Solution,
+    LeastSquaresSolution,
     solve,
 )
 from lieid_casadi.identification.regression.rows import JointRows, Rows
+from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 from lieid_casadi.recording import Processed, Recording, process
 from lieid_casadi.recording.processing.filtering import central_difference, lowpass, smooth_at
 from lieid_casadi.recording.processing.spectrum import motion_band
 
+if TYPE_CHECKING:
+    from lieid_casadi.identification.fit import Fit
+
 Array = NDArray[np.float64]
-BAND = 3.0  # times the motion's own band: where the instruments' motion is cut off
-PART = 0.25  # of the fit's own cut-off, at most: noise can make the motion's band look wide
-NEGLIGIBLE = 1e-3  # of a column's norm: noise below it biases nothing
+BAND = 3.0  # cut-off of the instruments' motion, in bandwidths of the recorded motion
+PART = 0.25  # largest such cut-off, in cut-offs of the fit: noise can widen the estimated band
+NEGLIGIBLE = 1e-3  # of a column's norm: the bias from less noise is negligible
 DIRECTIONS = 10  # of V, the strongest, that are tested
 SIGNIFICANCE = 0.01
 
@@ -57,7 +60,7 @@ class ExogeneityTest:
     statistic : float
         Wald statistic, χ² with ``directions`` degrees of freedom under the null hypothesis.
     directions : int
-        0 if the noise is negligible and nothing was to be tested.
+        0 if the noise is negligible; nothing is tested then.
     p_value : float
     """
 
@@ -96,7 +99,7 @@ def instrumental(
     *,
     reference: Recording | Sequence[Recording] | None = None,
 ) -> Instrumental:
-    """Estimate a fit's base values anew with instruments, and test whether that was needed.
+    """Estimate the base values of a fit with instruments, and test whether they are needed.
 
     Weights and shape parameters are those of the fit.
 
@@ -105,11 +108,11 @@ def instrumental(
     fit : Fit
         By least squares.
     recordings : Recording or sequence of Recording
-        Those that the fit was made from.
+        Training recordings of the fit.
     reference : Recording or sequence of Recording, optional
         One per recording: the commanded motion with q, dq and ddq, on the same clock. Without
-        it, the recorded motion low-passed at three times its own band, which keeps next to
-        nothing of the noise in q̈, but a little of that in q.
+        it, the recorded motion is low-passed at three times its bandwidth, which removes nearly
+        all noise in q̈ and most of that in q.
 
     Raises
     ------
@@ -127,23 +130,23 @@ def instrumental(
         raise ModelError(
             f"{len(commanded)} reference motions for {len(given)} recordings; expected one each"
         )
-    measured, calm = [], []
+    measured, smooth = [], []
     for k, recording in enumerate(given):
         for segment in process(recording, fit.processing):
             own = relative_temperature(segment, fit.temperature_mean)
-            # a sign softened by its own noise would err on one side: no instrument mends that
+            # the smoothed sign of a noisy velocity is biased, and instruments do not correct it
             own = replace(own, dead_zone=np.zeros(own.n))
             measured.append(own)
-            calm.append(_band_limited(own) if commanded is None else _along(own, commanded[k]))
+            smooth.append(_band_limited(own) if commanded is None else _along(own, commanded[k]))
     rows, columns = (
-        Design(fit.compiled, of).rows(fit.shapes, fit.parameters) for of in (measured, calm)
+        Design(fit.compiled, of).rows(fit.shapes, fit.parameters) for of in (measured, smooth)
     )
     weights = np.ones(fit.model.n) if fit.method == "ols" else 1.0 / fit.noise
-    stack = _Stack(rows, columns, weights)
-    solution = stack.solution()
+    regression = _InstrumentalRows(rows, columns, weights)
+    solution = regression.solution()
     p = len(solution.values)
     covariance = fit.covariance.copy()
-    covariance[:p, :p] = stack.covariance(solution)
+    covariance[:p, :p] = regression.covariance(solution)
     changed = replace(
         fit,
         method="iv",
@@ -151,7 +154,7 @@ def instrumental(
         parameters=fit.model.base.lift(solution.values, fit.parameters),
         covariance=covariance,
     )
-    return Instrumental(changed, fit.values - solution.values, stack.test())
+    return Instrumental(changed, fit.values - solution.values, regression.test())
 
 
 def _as_list(recordings: Recording | Sequence[Recording]) -> list[Recording]:
@@ -159,17 +162,19 @@ def _as_list(recordings: Recording | Sequence[Recording]) -> list[Recording]:
 
 
 def _band_limited(segment: Processed) -> Processed:
-    """Return a segment with its motion low-passed at a few times its own band."""
+    """Return a segment with its motion low-passed at a few times its bandwidth."""
     band = motion_band(segment.recording)
     if band is None:
-        raise IdentificationError("nothing moves; expected a recording of a motion")
+        raise IdentificationError(
+            "no joint moves in the recording; expected a recording of a motion"
+        )
     q = lowpass(segment.q, segment.rate, min(BAND * band, PART * segment.cutoff))
     dq = central_difference(q, segment.rate)
     return replace(segment, q=q, dq=dq, ddq=central_difference(dq, segment.rate))
 
 
 def _along(segment: Processed, reference: Recording) -> Processed:
-    """Return a segment with the motion of a reference at its instants."""
+    """Return a segment with the motion of a reference recording at its instants."""
     t, name = segment.t, reference.name or "reference"
     if reference.n != segment.n:
         raise ModelError(f"{name}: {reference.n} joints, expected {segment.n}")
@@ -193,8 +198,8 @@ def _at(reference: Recording, values: Array | None, t: Array) -> Array | None:
     return smooth_at(reference.t, values, np.clip(t, reference.t[0], reference.t[-1]))
 
 
-class _Stack:
-    """All rows of measured columns X, instruments Z and torque, weighted, one joint after another.
+class _InstrumentalRows:
+    """Weighted rows of all joints: measured columns X, instruments Z, and torque.
 
     Attributes
     ----------
@@ -212,12 +217,12 @@ class _Stack:
         size[size == 0.0] = 1.0
         self.explained = z / size @ np.linalg.lstsq(z / size, self.x, rcond=1e-10)[0]
 
-    def solution(self) -> Solution:
+    def solution(self) -> LeastSquaresSolution:
         """Return the instrumental values, with (X̂ᵀX̂)⁻¹."""
         small = triangular(np.column_stack([self.explained, self.torque]))
         return solve(Factor(small, len(self.torque)))
 
-    def covariance(self, solution: Solution) -> Array:
+    def covariance(self, solution: LeastSquaresSolution) -> Array:
         """Return the covariance of the instrumental values (p, p)."""
         explained = self._rows(self.explained)
         ones = [np.ones(len(joint.torque)) for joint in explained.joints]

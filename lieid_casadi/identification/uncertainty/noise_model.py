@@ -1,9 +1,9 @@
-"""The noise of filtered rows: thinned to independent instants, whitened by an autoregression.
+"""Noise of filtered residuals: decimated instants and an autoregressive model.
 
-Low-passed residuals at the rate of a fit are nearly the same number from row to row; a test that
-counts them all finds everything significant. Thinned to twice the cut-off, little is lost, and
-what memory the noise has of its own is removed by an autoregressive filter on torque and columns
-alike (Cochrane, Orcutt, JASA 1949). Rows that dry friction leaves in doubt count for less.
+Low-passed residuals at the rate of a fit are strongly correlated from row to row, and tests that
+treat them as independent find every candidate significant. Rows are decimated to twice the
+cut-off, and the correlation of the noise itself is removed by an autoregressive filter on torque
+and columns (Cochrane & Orcutt, JASA 1949). Rows where dry friction is uncertain get less weight.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from lieid_casadi.compiled import Compiled
-from lieid_casadi.identification.regression.fixed_point import State
-from lieid_casadi.identification.regression.friction_uncertainty import doubt_along
-from lieid_casadi.identification.uncertainty.model_error import (
+from lieid_casadi.identification.regression.fixed_point import FitState
+from lieid_casadi.identification.regression.friction_uncertainty import friction_torque_std
+from lieid_casadi.identification.uncertainty.motion_dependence import (
     BLOCK,
+    common_effect_columns,
     explainable,
-    rise_of,
-    simple_columns,
+    motion_ratio_of,
 )
 from lieid_casadi.recording.processing.process import Processed
 
@@ -30,27 +30,27 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 RATE_OVER_CUTOFF = 2.0
 LARGEST_ORDER = 8
-ROWS_PER_LAG = 25  # of the autoregression: fewer rows than that make a shorter one
+ROWS_PER_LAG = 25  # of the autoregression; with fewer rows its order is lower
 SMALLEST_NOISE = 1e-12
 LEAST_FREEDOM = 0.1
 LAGS = 50
-LEAST_SPREAD = 0.1  # of the residual: all of it is never in doubt
+LEAST_SPREAD = 0.1  # of the residual: friction uncertainty never explains all of it
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """One joint's instants for tests, in runs without a gap or a rest.
+    """Instants of one joint for statistical tests, in runs without gaps or rests.
 
     Attributes
     ----------
     at : tuple of (L,) int
         Positions in the common time line of all filtered segments, run by run.
-    doubt : (N,)
-        Standard deviation that dry friction adds to each of them, N·m; see `doubt_along`.
+    friction_std : (N,)
+        Torque uncertainty from dry friction at each of them, N·m; see `friction_torque_std`.
     """
 
     at: tuple[Indices, ...]
-    doubt: Array
+    friction_std: Array
 
     @property
     def count(self) -> int:
@@ -63,35 +63,40 @@ class Runs:
         return np.concatenate(self.at) if self.at else np.zeros(0, dtype=np.intp)
 
     def weights(self, spread: float) -> Array:
-        """Return weights (N,) that make all rows as noisy as those without doubt."""
-        return np.asarray(spread / np.hypot(spread, self.doubt))
+        """Return weights (N,) that give all rows the standard deviation ``spread``, N·m."""
+        return np.asarray(spread / np.hypot(spread, self.friction_std))
 
 
 def runs_of(
-    usable: NDArray[np.bool_], segments: Sequence[Processed], doubt: Array
+    usable: NDArray[np.bool_], segments: Sequence[Processed], friction_std: Array
 ) -> tuple[Runs, ...]:
-    """Return each joint's runs of thinned instants among the usable ones.
+    """Return the runs of each joint: decimated instants among the usable ones.
 
     Parameters
     ----------
-    usable, doubt : (instants, n)
+    usable : (instants, n) bool
         On the common time line of all filtered segments.
+    segments : sequence of Processed
+    friction_std : (instants, n)
+        Torque uncertainty from dry friction on that time line, N·m.
     """
-    thin, first = [], 0
+    decimated, first = [], 0
     for segment in segments:
         count = len(segment.filtered_time)
-        thin.append(np.arange(first, first + count, _step(segment)))
+        decimated.append(np.arange(first, first + count, _step(segment)))
         first += count
-    return tuple(_runs(own, thin, sure) for own, sure in zip(usable.T, doubt.T, strict=True))
+    return tuple(
+        _runs(own, decimated, std) for own, std in zip(usable.T, friction_std.T, strict=True)
+    )
 
 
-def _runs(usable: NDArray[np.bool_], thin: Sequence[Indices], doubt: Array) -> Runs:
+def _runs(usable: NDArray[np.bool_], decimated: Sequence[Indices], friction_std: Array) -> Runs:
     runs: list[Indices] = []
-    for instants in thin:
+    for instants in decimated:
         breaks = np.flatnonzero(np.diff(usable[instants].astype(int))) + 1
         runs += [p for p in np.split(instants, breaks) if len(p) and usable[p[0]]]
     at = np.concatenate(runs) if runs else np.zeros(0, dtype=np.intp)
-    return Runs(tuple(runs), doubt[at])
+    return Runs(tuple(runs), friction_std[at])
 
 
 def _step(segment: Processed) -> int:
@@ -117,11 +122,11 @@ class Noise:
     filter: Array
     sigma: float
     spread: float
-    rises: float = 1.0
+    motion_ratio: float = 1.0
 
     @classmethod
     def white(cls, sigma: float) -> Noise:
-        """Return noise without memory."""
+        """Return white noise with standard deviation ``sigma``, N·m."""
         size = max(sigma, SMALLEST_NOISE)
         return cls(np.ones(1), size, size)
 
@@ -131,13 +136,22 @@ class Noise:
         return len(self.filter) - 1
 
     def times(self, factor: float) -> Noise:
-        """Return noise of the same colour, larger by a factor."""
+        """Return noise with the same correlation, larger by a factor."""
         return replace(self, sigma=factor * self.sigma, spread=factor * self.spread)
 
     def whiten(self, values: Array, runs: Runs) -> Array:
-        """Return signals (N, …) on a joint's runs, weighted and whitened, of unit noise.
+        """Return weighted and whitened signals, whose noise has unit variance.
 
-        The first p instants of each run only start the filter and are left out.
+        Parameters
+        ----------
+        values : (N, …)
+            Signals at the instants of the runs.
+        runs : Runs
+
+        Returns
+        -------
+        (N', …) ndarray
+            Without the first p instants of each run, which initialize the filter.
         """
         weights = runs.weights(self.spread)
         weighted = values * weights.reshape(-1, *[1] * (values.ndim - 1))
@@ -150,13 +164,13 @@ class Noise:
         return np.concatenate(parts) / self.sigma
 
     def instants(self, runs: Runs) -> Indices:
-        """Return the instants of the whitened rows."""
+        """Return the instants (N',) of the whitened rows."""
         parts = [run[self.order :] for run in runs.at if len(run) > self.order]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
 
 
 def _convolved(signal: Array, taps: Array) -> Array:
-    """Return Σ taps[i]·signal[k − i] for the instants that have all predecessors."""
+    """Return Σ taps[i]·signal[k − i] for all k with enough preceding samples."""
     order = len(taps) - 1
     result = taps[0] * signal[order:]
     for lag in range(1, order + 1):
@@ -165,30 +179,41 @@ def _convolved(signal: Array, taps: Array) -> Array:
 
 
 def residual_noise(
-    compiled: Compiled, segments: Sequence[Processed], state: State
+    compiled: Compiled, segments: Sequence[Processed], state: FitState
 ) -> tuple[Noise, ...]:
-    """Return the noise of each joint's residual in a fit, and how it depends on the motion."""
+    """Return the noise model of each joint's residual.
+
+    Parameters
+    ----------
+    compiled : Compiled
+    segments : sequence of Processed
+        Of the training recordings.
+    state : FitState
+        Of the fit.
+    """
     line = state.rows.on_time_line(state.solution.values)
-    doubt = [doubt_along(compiled, s, state.shapes, state.parameters) for s in segments]
-    runs = runs_of(np.isfinite(line), segments, np.concatenate(doubt))
+    friction_std = [
+        friction_torque_std(compiled, s, state.shapes, state.parameters) for s in segments
+    ]
+    runs = runs_of(np.isfinite(line), segments, np.concatenate(friction_std))
     links = state.parameters[: 10 * compiled.n]
-    simple = np.concatenate([simple_columns(compiled, s, links) for s in segments])
+    common = np.concatenate([common_effect_columns(compiled, s, links) for s in segments])
     block = round(BLOCK * RATE_OVER_CUTOFF * segments[0].cutoff) * _step(segments[0])
     found = []
-    for own, run, columns in zip(line.T, runs, np.moveaxis(simple, 1, 0), strict=True):
+    for own, run, columns in zip(line.T, runs, np.moveaxis(common, 1, 0), strict=True):
         at = run.all
         residual = own[at]
         noise = noise_of(residual, run)
         weights = run.weights(noise.spread)
-        memory = 1.0 + 2.0 * float(np.sum(_correlations(noise) ** 2))
-        rise = rise_of(weights * residual, at, memory, max(block, 1))
+        redundancy = 1.0 + 2.0 * float(np.sum(_correlations(noise) ** 2))
+        ratio = motion_ratio_of(weights * residual, at, redundancy, max(block, 1))
         part = explainable(weights * residual, weights[:, None] * columns[at])
-        found.append(replace(noise, rises=rise / float(np.sqrt(1.0 - part))))
+        found.append(replace(noise, motion_ratio=ratio / float(np.sqrt(1.0 - part))))
     return tuple(found)
 
 
 def _correlations(noise: Noise) -> Array:
-    """Return the autocorrelations of a joint's noise at the first lags."""
+    """Return the autocorrelations (LAGS − 1,) of a joint's noise."""
     response = np.zeros(LAGS)
     for k in range(LAGS):
         past = noise.filter[1 : k + 1] @ response[k - 1 :: -1][: noise.order] if k else 0.0
@@ -198,14 +223,17 @@ def _correlations(noise: Noise) -> Array:
 
 
 def noise_of(residual: Array, runs: Runs, freedom: float = 1.0) -> Noise:
-    """Fit an autoregression to a joint's residual (N,) on its runs; order by AIC.
+    """Fit an autoregression to a joint's residual; its order minimizes the AIC.
 
     Parameters
     ----------
+    residual : (N,)
+        At the instants of the runs, N·m.
+    runs : Runs
     freedom : float
-        Part of the rows that parameters have not used up, 0 to 1.
+        Degrees of freedom of the residual per row, 0 to 1.
     """
-    spread = spread_of(residual, runs.doubt, freedom)
+    spread = spread_of(residual, runs.friction_std, freedom)
     highest = min(LARGEST_ORDER, runs.count // ROWS_PER_LAG)
     lagged, now = _lags(residual * runs.weights(spread), runs, highest)
     if not len(now):
@@ -223,10 +251,19 @@ def noise_of(residual: Array, runs: Runs, freedom: float = 1.0) -> Noise:
     return best[1]
 
 
-def spread_of(residual: Array, doubt: Array, freedom: float = 1.0) -> float:
-    """Return the standard deviation of residuals (N,) beside what is in doubt (N,).
+def spread_of(residual: Array, friction_std: Array, freedom: float = 1.0) -> float:
+    """Return the standard deviation σ of residuals without the uncertainty of dry friction, N·m.
 
-    It makes the mean of e² / (σ² + doubt²) the part ``freedom`` of one.
+    It solves mean(e² / (σ² + s²)) = freedom, with s the torque uncertainty from dry friction.
+
+    Parameters
+    ----------
+    residual : (N,)
+        N·m.
+    friction_std : (N,)
+        s, N·m.
+    freedom : float
+        Degrees of freedom of the residual per row, 0 to 1.
     """
     total = float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
     if total <= SMALLEST_NOISE:
@@ -234,14 +271,14 @@ def spread_of(residual: Array, doubt: Array, freedom: float = 1.0) -> float:
     freedom = max(freedom, LEAST_FREEDOM)
 
     def excess(sigma: float) -> float:
-        return float(np.mean(residual**2 / (sigma**2 + doubt**2))) - freedom
+        return float(np.mean(residual**2 / (sigma**2 + friction_std**2))) - freedom
 
     least, most = LEAST_SPREAD * total, 2.0 * total / np.sqrt(freedom)
     return float(brentq(excess, least, most)) if excess(least) > 0.0 else least
 
 
 def _lags(residual: Array, runs: Runs, order: int) -> tuple[Array, Array]:
-    """Return each instant's ``order`` predecessors (N, order) and the instants (N,)."""
+    """Return the ``order`` preceding values (N', order) of each value (N',) within its run."""
     past, now, first = [], [], 0
     for run in runs.at:
         values = residual[first : first + len(run)]

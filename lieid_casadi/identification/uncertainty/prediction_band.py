@@ -1,4 +1,4 @@
-"""How far a prediction can be off: what the parameters' covariance and the noise leave open."""
+"""Uncertainty of a predicted torque, from the covariance of the parameters and the noise."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from lieid_casadi.errors import ModelError
-from lieid_casadi.identification.prediction import along_recording, torque_along
+from lieid_casadi.identification.prediction import on_recording_times, torque_along
 from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.recording.processing.process import Processed
 from lieid_casadi.recording.recording import Recording
@@ -31,9 +31,9 @@ class PredictionBand:
     torque
         As `Fit.predict` returns it.
     lower, upper
-        Where a measured sample lies with probability ``level``, as long as the model holds.
+        Bounds that contain a measured sample with probability ``level`` if the model is correct.
     parameter_std
-        Standard deviation of the torque by the parameters' alone.
+        Standard deviation of the torque due to that of the parameters alone.
     level
         Probability.
     """
@@ -46,15 +46,26 @@ class PredictionBand:
 
 
 def predict_band(fit: Fit, recording: Recording, *, level: float = 0.95) -> PredictionBand:
-    """Return the torque at the recording's own times with a band.
+    """Return the torque at the recording's own times with its bounds.
 
-    The band holds the uncertainty of base and shape parameters (to first order) and noise as
-    large as the training error of samples that were not filtered.
+    The bounds include the uncertainty of base and shape parameters (to first order) and noise of
+    the size of the unfiltered training error.
+
+    Parameters
+    ----------
+    fit : Fit
+    recording : Recording
+    level : float
+        Probability, between 0 and 1.
+
+    Returns
+    -------
+    PredictionBand
 
     Raises
     ------
     ModelError
-        A recording of other joints, or a level that is no probability.
+        A recording with another number of joints, or a level outside 0 to 1.
     """
     if not 0.0 < level < 1.0:
         raise ModelError(f"level is {level}, expected a probability between 0 and 1")
@@ -66,7 +77,7 @@ def predict_band(fit: Fit, recording: Recording, *, level: float = 0.95) -> Pred
         variance = np.einsum("knp,pq,knq->kn", slopes, fit.covariance, slopes, optimize=True)
         return np.hstack([torque, variance])
 
-    both = along_recording(
+    both = on_recording_times(
         recording, fit.processing, fit.temperature_mean, torque_and_variance, 2 * fit.model.n
     )
     torque, variance = np.hsplit(both, 2)

@@ -1,8 +1,8 @@
 """Correlation of residuals in time and between joints, as a spectrum.
 
-The autocovariance is estimated over all pairs of instants of one segment and cut off by a
-flat-top window where the correlogram has died out (Politis & Romano, J. Time Series Analysis
-1995; the rule for the cut-off is that of Politis & White, Econometric Reviews 2004).
+The autocovariance is estimated from all pairs of instants of one segment and truncated by a
+flat-top window where the correlogram is no longer significant (Politis & Romano, J. Time Series
+Analysis 1995; the rule for the cut-off is that of Politis & White, Econometric Reviews 2004).
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from scipy.fft import irfft, next_fast_len, rfft
 from lieid_casadi.identification.regression.rows import JointRows, Rows
 
 Array = NDArray[np.float64]
-QUIET = 5  # consecutive lags without significant correlation that end the memory
-SIGNIFICANT = 2.0  # times √(log₁₀N/N): correlation above it is not chance
+QUIET = 5  # consecutive lags without significant correlation that end the correlation
+SIGNIFICANT = 2.0  # times √(log₁₀N/N): threshold of significant correlation
 LONGEST = 2000  # lags
 
 
 @dataclass(frozen=True, eq=False)
 class TimeLine:
-    """All segments in one row with gaps that no lag considered reaches across.
+    """All segments on one time axis, with gaps longer than any lag that is used.
 
     Attributes
     ----------
     positions : (instants,) int
-        Where each instant stands.
+        Of each instant on the axis.
     size : int
         Length of the Fourier transforms.
     longest : int
@@ -72,9 +72,9 @@ class ResidualSpectrum:
     variance : (n,)
         Of each joint's residual.
     memory : int
-        Lags in which residuals are correlated.
+        Number of lags in which residuals are correlated.
     window : (size,)
-        On the lags.
+        Window on the lags.
     """
 
     density: NDArray[np.complex128]
@@ -83,13 +83,28 @@ class ResidualSpectrum:
     window: Array
 
     def smoothed(self, line: TimeLine, joint: JointRows, power: Array) -> Array:
-        """Return a density (F,) from a periodogram (F,), as the residuals' own was made."""
+        """Return a density (F,) from a periodogram (F,), smoothed as that of the residuals.
+
+        Parameters
+        ----------
+        line : TimeLine
+        joint : JointRows
+        power : (F,)
+        """
         covariance = irfft(power, line.size) / _pairs(line, joint, joint)
         return np.asarray(rfft(self.window * covariance).real)
 
 
 def residual_spectrum(line: TimeLine, rows: Rows, residuals: Sequence[Array]) -> ResidualSpectrum:
-    """Return the spectrum of residuals (R,) per joint, each at its rows' instants."""
+    """Return the spectrum of residuals.
+
+    Parameters
+    ----------
+    line : TimeLine
+    rows : Rows
+    residuals : sequence of (R,)
+        Per joint, at the instants of its rows.
+    """
     n = len(rows.joints)
     series = [
         line.transform(joint.instant, e) for joint, e in zip(rows.joints, residuals, strict=True)
@@ -114,7 +129,7 @@ def residual_spectrum(line: TimeLine, rows: Rows, residuals: Sequence[Array]) ->
 
 
 def _pairs(line: TimeLine, one: JointRows, other: JointRows) -> Array:
-    """Return how many pairs of instants have each lag (size,), at least 1."""
+    """Return the number of pairs of instants with each lag (size,), at least 1."""
     there = [line.transform(j.instant, np.ones(len(j.instant))) for j in (one, other)]
     counts = irfft(np.conj(there[0]) * there[1], line.size)
     return np.asarray(np.maximum(np.round(counts), 1.0))

@@ -5,15 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lieid_casadi.comparison import Comparison
+from lieid_casadi.comparison.noise_floor import SOURCES
 from lieid_casadi.comparison.table import HEADINGS, table_rows
 from lieid_casadi.report.section import Section
-
-_NOISE = {
-    "period_to_period": "from the difference between periods of the same motion",
-    "high_frequency": "from the error's content above the cut-off: a lower bound where noise is "
-    "stronger at low frequencies",
-    "none": "not to be had from these recordings",
-}
 
 
 def errors_section(comparison: Comparison) -> Section:
@@ -32,6 +26,6 @@ def errors_section(comparison: Comparison) -> Section:
             ],
             "bar_column": HEADINGS.index("of torque"),
             "cutoff": f"{c.cutoff:.3g}",
-            "noise": _NOISE[c.noise_source],
+            "noise": SOURCES[c.noise_source],
         },
     )

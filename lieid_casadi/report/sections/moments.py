@@ -8,7 +8,7 @@ from lieid_casadi.report.section import Section
 
 
 def moments_section(comparison: Comparison) -> Section:
-    """Return the worst moments of every joint."""
+    """Return the largest errors of every joint."""
     rows = [
         (
             joint_title(comparison, moment.joint),
@@ -24,4 +24,4 @@ def moments_section(comparison: Comparison) -> Section:
     ]
     headings = ("joint", "recording", "time, s", "error", "measured", "q", "q̇", "unit")
     data = {"headings": headings, "rows": rows}
-    return Section("Worst moments", "moments.html", data, folded=True)
+    return Section("Largest errors", "moments.html", data, folded=True)

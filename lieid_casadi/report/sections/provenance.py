@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.fit import Source
+from lieid_casadi.identification.provenance import Source
 from lieid_casadi.report.section import Section
 
 

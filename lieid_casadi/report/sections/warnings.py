@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lieid_casadi.errors import LieidWarning
-from lieid_casadi.identification.fit import warning_list
+from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.report.section import Section
 
 

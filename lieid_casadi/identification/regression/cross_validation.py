@@ -1,4 +1,4 @@
-"""Error on data that a fit has not seen, without a test recording: blocked cross-validation."""
+"""Blocked cross-validation: held-out error without a test recording."""
 
 from __future__ import annotations
 
@@ -15,15 +15,19 @@ from lieid_casadi.identification.regression.rows import Rows
 Array = NDArray[np.float64]
 Estimate = Callable[[Factor], Array]
 FOLDS = 3
-BLOCK_OVER_CUTOFF = 12.0  # block length in periods of the cut-off: many times the filter's memory
+BLOCK_OVER_CUTOFF = 12.0  # block length, periods of the cut-off: many times the filter's response
 
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """One held-out part of the rows: what the rest says, and its own rows per joint.
+    """One held-out part of the rows.
 
-    ``rest`` is the factor of all other rows, weighted; ``held`` holds one unweighted factor
-    per joint.
+    Attributes
+    ----------
+    rest : Factor
+        Of all other rows, weighted.
+    held : tuple of Factor
+        Of the held-out rows, one per joint, not weighted.
     """
 
     rest: Factor
@@ -35,18 +39,19 @@ class Fold:
 
 
 def fold_factors(rows: Rows, noise: Array, *, block: int) -> tuple[Fold, ...]:
-    """Return the folds: blocks of consecutive instants go to them in turn.
+    """Return the folds; blocks of consecutive instants are assigned to them in turn.
 
     Parameters
     ----------
+    rows : Rows
     noise : (n,)
-        Weights are 1/noise per joint.
+        Standard deviation of the residual per joint, N·m; rows are weighted by its inverse.
     block : int
         Instants per block.
     """
     triangles = [[Triangle(len(own) + 1) for own in rows.columns] for _ in range(FOLDS)]
     counts = np.zeros((FOLDS, len(rows.columns)), dtype=np.intp)
-    for part, _ in rows.stretches():
+    for part, _ in rows.chunks():
         fold = _folds(part, block)
         for j, joint in enumerate(part.joints):
             for held in range(FOLDS):
@@ -71,11 +76,12 @@ def fold_factors(rows: Rows, noise: Array, *, block: int) -> tuple[Fold, ...]:
 def cross_validated_rms(folds: Sequence[Fold], estimate: Estimate) -> Array:
     """Return the RMS (n,) of each joint's held-out rows, N·m; NaN for a joint without rows.
 
-    Each fold is predicted from the linear parameters of the others (weights, load and shape
-    parameters are those of the whole fit).
+    Each fold is predicted with the linear parameters of the others. Weights, load and shape
+    parameters are those of the whole fit.
 
     Parameters
     ----------
+    folds : sequence of Fold
     estimate : callable
         Weighted factor to base values (p,).
     """
@@ -86,7 +92,7 @@ def cross_validated_rms(folds: Sequence[Fold], estimate: Estimate) -> Array:
 
 
 def _folds(rows: Rows, block: int) -> NDArray[np.intp]:
-    """Return each instant's fold; blocks start anew with each segment."""
+    """Return the fold of each instant; every segment begins with a new block."""
     fold = np.empty(int(rows.segments[-1]), dtype=np.intp)
     first = 0
     for start, end in zip(rows.segments[:-1], rows.segments[1:], strict=True):

@@ -1,4 +1,4 @@
-"""How much a fit's misfit depends on the motion: noise does not, errors of the model do."""
+"""Dependence of the residual on the motion: model errors depend on it, noise does not."""
 
 from __future__ import annotations
 
@@ -11,40 +11,52 @@ from lieid_casadi.recording.processing.process import Processed
 
 Array = NDArray[np.float64]
 BLOCK = 2.0  # s
-FEWEST = 8  # rows of a block whose size says something
-SURE = 0.95  # level at which blocks differ more than chance has it
-HIGH = 1.28  # standard deviations: one block in ten is above
+FEWEST_ROWS = 8  # of a block whose mean square is used
+LEVEL = 0.95  # of the test that blocks differ more than by chance
+QUANTILE = 1.28  # standard deviations: one block in ten is above
 SLOW = 0.1  # of the top speed
-MOST = 0.9  # of the residual that is taken to be explainable
+MOST_EXPLAINABLE = 0.9  # of the residual
 
 
-def rise_of(residual: Array, at: NDArray[np.intp], memory: float, rows_per_block: int) -> float:
-    """Return the error of a bad stretch of motion over that of all, 1 where it is steady.
+def motion_ratio_of(
+    residual: Array, at: NDArray[np.intp], redundancy: float, rows_per_block: int
+) -> float:
+    """Return the RMS residual in the worst tenth of the motion over that of all of it.
+
+    It is 1 if blocks of the residual differ no more than by chance (χ² test at the 95 % level).
 
     Parameters
     ----------
     residual : (N,)
         Of one joint.
     at : (N,) int
-        Instants, of which a block has ``rows_per_block``.
-    memory : float
-        Rows that count for one, by the residual's correlation.
+        Instants.
+    redundancy : float
+        Number of rows per independent sample, from the correlation of the residual.
+    rows_per_block : int
+        Instants per block.
     """
     _, block, counts = np.unique(at // rows_per_block, return_inverse=True, return_counts=True)
     squares = np.bincount(block, weights=residual**2) / counts
-    squares, counts = squares[counts >= FEWEST], counts[counts >= FEWEST]
+    squares, counts = squares[counts >= FEWEST_ROWS], counts[counts >= FEWEST_ROWS]
     if len(squares) < 3 or not squares.any():
         return 1.0
     relative = squares / squares.mean()
-    chance = float(np.mean(2.0 * memory / counts))
-    most = chance * float(chi2.ppf(SURE, len(relative) - 1)) / (len(relative) - 1)
+    chance = float(np.mean(2.0 * redundancy / counts))
+    most = chance * float(chi2.ppf(LEVEL, len(relative) - 1)) / (len(relative) - 1)
     variance = float(np.var(relative, ddof=1))
     beyond = variance - chance if variance > most else 0.0
-    return float(np.sqrt(1.0 + HIGH * np.sqrt(beyond)))
+    return float(np.sqrt(1.0 + QUANTILE * np.sqrt(beyond)))
 
 
 def explainable(residual: Array, columns: Array) -> float:
-    """Return the part of a residual (N,) that columns (N, k) explain, less what chance does."""
+    """Return the part of the residual's variance that columns explain, adjusted for their number.
+
+    Parameters
+    ----------
+    residual : (N,)
+    columns : (N, k)
+    """
     total = float(np.sum(residual**2))
     count, width = columns.shape
     if count < 3 * width or total == 0.0:
@@ -53,14 +65,17 @@ def explainable(residual: Array, columns: Array) -> float:
     scaled = columns / np.where(norms > 0.0, norms, 1.0)
     rest = residual - scaled @ np.linalg.lstsq(scaled, residual, rcond=1e-6)[0]
     part = 1.0 - float(np.sum(rest**2)) / total * count / (count - width)
-    return float(np.clip(part, 0.0, MOST))
+    return float(np.clip(part, 0.0, MOST_EXPLAINABLE))
 
 
-def simple_columns(compiled: Compiled, segment: Processed, links: Array) -> Array:
-    """Return filtered columns (M, n, k) of what arms lack most often, on each joint's own motion.
+def common_effect_columns(compiled: Compiled, segment: Processed, links: Array) -> Array:
+    """Return filtered columns (M, n, k) of common effects that depend on a joint's own motion.
 
     Parameters
     ----------
+    compiled : Compiled
+    segment : Processed
+        With M filtered instants.
     links : (10 n,)
         Link parameters.
     """

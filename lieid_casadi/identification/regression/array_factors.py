@@ -1,4 +1,4 @@
-"""Least squares from processed arrays: blocks are evaluated and reduced at once, never stacked."""
+"""Triangular factors of processed arrays, block by block, without the full regressor."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ def factors(
 ) -> list[Factor]:
     """Return one triangular factor per joint of its equations ``tau = base regressor @ β``.
 
-    Memory is that of a few blocks, whatever N is. Each joint has only the columns that can act on
-    it; the factor is that of a Householder QR of all rows, so that small singular values keep
-    their digits (a Gram matrix would square the condition number).
+    Memory is that of a few blocks for any N. Each joint has only the columns that can act on it.
+    The factor is that of a Householder QR of all rows, which keeps small singular values accurate
+    (a Gram matrix would square the condition number).
 
     Parameters
     ----------
     compiled : Compiled
     q, dq, ddq, tau : (N, n)
-        Processed signals, N·m; nothing is filtered here.
+        Processed signals, rad, rad/s, rad/s², N·m; they are not filtered here.
     load, temperature, time, shapes, dead_zone
         As for `Compiled.base_regressor`.
     size : int
-        Samples per block; a block of all columns fits a second-level cache.
+        Samples per block; by default a block fits into the second-level cache.
     threads : int, optional
-        Each takes one stretch of the samples; those of ``compiled`` if left out.
+        Number of threads; that of ``compiled`` if left out.
 
     Returns
     -------
     list of Factor
-        ``combine(factors, weights)`` and ``solve`` of
-        `lieid_casadi.identification.regression.least_squares` go on from there.
+        For ``combine`` and ``solve`` of
+        `lieid_casadi.identification.regression.least_squares`.
 
     Raises
     ------

@@ -1,11 +1,14 @@
-"""What reversals and rests leave in doubt, against Monte Carlo with the sign drawn."""
+"""Torque uncertainty from dry friction, against Monte Carlo with random signs."""
 
 import numpy as np
 import pytest
 from scipy.special import erf
 
 import lieid_casadi as lieid
-from lieid_casadi.identification.regression.friction_uncertainty import doubt_along, dry_level
+from lieid_casadi.identification.regression.friction_uncertainty import (
+    dry_level,
+    friction_torque_std,
+)
 from lieid_casadi.recording import Processing, process
 
 MODEL = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,load_friction")
@@ -30,7 +33,7 @@ def numbers():
     return np.concatenate([MODEL.robot.link_parameters, coefficients])
 
 
-def test_the_level_is_what_friction_jumps_by(segment, numbers):
+def test_dry_level_is_half_the_jump_of_friction(segment, numbers):
     compiled = lieid.compile(MODEL)
     level = dry_level(compiled, segment, slice(None), np.zeros(0), numbers)
     load = compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, numbers[:20])
@@ -38,9 +41,9 @@ def test_the_level_is_what_friction_jumps_by(segment, numbers):
     np.testing.assert_allclose(level[:, 1], 0.5 + 0.1 * np.abs(load[:, 1]), atol=1e-7)
 
 
-def test_doubt_is_the_spread_of_drawn_signs(segment, numbers):
+def test_standard_deviation_is_that_of_random_signs(segment, numbers):
     compiled = lieid.compile(MODEL)
-    found = doubt_along(compiled, segment, np.zeros(0), numbers)
+    found = friction_torque_std(compiled, segment, np.zeros(0), numbers)
     level = dry_level(compiled, segment, slice(None), np.zeros(0), numbers)
     ahead = 0.5 * np.abs(segment.ddq) / segment.rate
     mean = erf(3.0 / np.sqrt(2.0) * segment.dq / np.hypot(segment.dead_zone, ahead))
@@ -48,7 +51,7 @@ def test_doubt_is_the_spread_of_drawn_signs(segment, numbers):
     drawn = []
     for _ in range(4000):
         sign = np.where(random.uniform(-1.0, 1.0, mean.shape) < mean, 1.0, -1.0)
-        rest = random.uniform(-1.0, 1.0, (1, 2))  # one number for all of a rest
+        rest = random.uniform(-1.0, 1.0, (1, 2))  # constant during a rest
         drawn.append(segment.filter(np.where(segment.moving, sign - mean, rest) * level))
     spread = np.sqrt(np.mean(np.square(drawn), axis=0))
     rows = found > 0.15 * found.max(axis=0)

@@ -1,4 +1,4 @@
-"""How much the misfit depends on the motion, and what older fit files say of it."""
+"""Dependence of the residual on the motion, and its place in fit files."""
 
 import json
 
@@ -7,23 +7,25 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.identification.uncertainty.model_error import explainable, rise_of
+from lieid_casadi.identification.uncertainty.motion_dependence import explainable, motion_ratio_of
 
 
-def test_steady_noise_does_not_rise():
+def test_stationary_noise_has_ratio_one():
     random = np.random.default_rng(0)
-    rises = [rise_of(random.standard_normal(900), np.arange(900), 1.0, 30) for _ in range(200)]
-    assert np.mean(np.array(rises) > 1.0) < 0.12  # the test's level is 5 %
-    assert np.max(rises) < 1.4
+    ratios = [
+        motion_ratio_of(random.standard_normal(900), np.arange(900), 1.0, 30) for _ in range(200)
+    ]
+    assert np.mean(np.array(ratios) > 1.0) < 0.12  # the test's level is 5 %
+    assert np.max(ratios) < 1.4
 
 
-def test_misfit_that_comes_and_goes_rises():
+def test_varying_residual_has_a_ratio_above_one():
     random = np.random.default_rng(1)
     size = np.where(np.arange(900) // 150 % 2, 0.3, 1.5)
-    assert rise_of(size * random.standard_normal(900), np.arange(900), 1.0, 30) > 1.3
+    assert motion_ratio_of(size * random.standard_normal(900), np.arange(900), 1.0, 30) > 1.3
 
 
-def test_the_explainable_part_is_what_columns_make_of_it():
+def test_explainable_part_is_that_of_the_columns():
     random = np.random.default_rng(2)
     columns = random.standard_normal((4000, 3))
     residual = columns @ np.array([1.0, 0.0, 0.0]) + random.standard_normal(4000)
@@ -42,7 +44,11 @@ def test_a_fit_file_of_schema_1_is_migrated(tmp_path):
     again = lieid.Fit.load(tmp_path / "fit.json")
     for kept, own in zip(again.residual_noise, fit.residual_noise, strict=True):
         np.testing.assert_array_equal(kept.filter, own.filter)
-        assert (kept.sigma, kept.spread, kept.rises) == (own.sigma, own.spread, own.rises)
+        assert (kept.sigma, kept.spread, kept.motion_ratio) == (
+            own.sigma,
+            own.spread,
+            own.motion_ratio,
+        )
     old = json.loads((tmp_path / "fit.json").read_text("utf-8"))
     old["schema"] = 1
     del old["residual_noise"]

@@ -1,4 +1,4 @@
-"""The moments at which a model is furthest from the measurement."""
+"""Largest errors of a model along recordings."""
 
 from __future__ import annotations
 
@@ -11,15 +11,25 @@ import numpy as np
 from lieid_casadi.comparison.time_series import Series
 
 PER_JOINT = 3
-APART = 1.0  # s between two moments of one joint
+APART = 1.0  # s, smallest time between two errors of one joint
 
 
 @dataclass(frozen=True)
-class Moment:
-    """One instant at which a joint's error is large.
+class LargeError:
+    """An instant at which a joint's error is large.
 
-    ``joint`` counts from 0; ``time`` in s on the recording's clock; torques in N·m, position
-    and speed in rad and rad/s (m and m/s for a sliding joint).
+    Attributes
+    ----------
+    recording : str
+    time : float
+        On the recording's clock, s.
+    joint : int
+        From 0.
+    error, measured : float
+        Measured − predicted torque, and measured torque, N·m (N for a prismatic joint).
+    q, dq : float
+        Position and velocity, rad and rad/s (m and m/s for a prismatic joint).
+    moving : bool
     """
 
     recording: str
@@ -32,7 +42,7 @@ class Moment:
     moving: bool
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the moment as it stands in JSON, joint from 1."""
+        """Return plain data for JSON, with joints from 1."""
         return {
             "recording": self.recording,
             "time": self.time,
@@ -45,27 +55,36 @@ class Moment:
         }
 
 
-def worst_moments(
+def largest_errors(
     series: Sequence[Series], *, per_joint: int = PER_JOINT, apart: float = APART
-) -> tuple[Moment, ...]:
-    """Return each joint's largest errors, worst first, at least ``apart`` seconds apart."""
-    found: list[Moment] = []
+) -> tuple[LargeError, ...]:
+    """Return the largest errors of each joint, largest first.
+
+    Parameters
+    ----------
+    series : sequence of Series
+    per_joint : int
+        Number of errors per joint.
+    apart : float
+        Smallest time between two of them, s.
+    """
+    found: list[LargeError] = []
     for joint in range(series[0].error.shape[1]):
         candidates = [m for each in series for m in _peaks(each, joint, per_joint, apart)]
-        candidates.sort(key=lambda moment: -abs(moment.error))
+        candidates.sort(key=lambda found: -abs(found.error))
         found += candidates[:per_joint]
     return tuple(found)
 
 
-def _peaks(series: Series, joint: int, count: int, apart: float) -> list[Moment]:
+def _peaks(series: Series, joint: int, count: int, apart: float) -> list[LargeError]:
     size = np.abs(series.error[:, joint])
-    free = np.ones(size.size, dtype=bool)
-    peaks: list[Moment] = []
-    while len(peaks) < count and free.any():
-        k = int(np.argmax(np.where(free, size, -1.0)))
-        free &= np.abs(series.time - series.time[k]) >= apart
+    allowed = np.ones(size.size, dtype=bool)
+    peaks: list[LargeError] = []
+    while len(peaks) < count and allowed.any():
+        k = int(np.argmax(np.where(allowed, size, -1.0)))
+        allowed &= np.abs(series.time - series.time[k]) >= apart
         peaks.append(
-            Moment(
+            LargeError(
                 recording=series.recording,
                 time=float(series.time[k]),
                 joint=joint,

@@ -11,9 +11,9 @@ from lieid_casadi.compiled import kernels, triangular_factors
 from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.errors import IdentificationError, ModelError
 from lieid_casadi.identification.regression import design_matrix
+from lieid_casadi.identification.regression.array_factors import factors
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
-from lieid_casadi.identification.regression.streaming import factors
 from lieid_casadi.recording import Processing, process
 from lieid_casadi.recording.processing import overlap_windows
 from lieid_casadi.recording.processing.overlap_windows import filter_memory, windows
@@ -40,7 +40,7 @@ def stacked(arm, q, dq, ddq, tau):
 
 
 def without_compiler(monkeypatch):
-    monkeypatch.setattr(kernels._Failure, "reason", "told before")
+    monkeypatch.setattr(kernels._Failure, "reason", "reported before")
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -83,7 +83,7 @@ def relative_errors(arm, q, dq, ddq):
     )
 
 
-def test_small_singular_values_keep_their_digits(panda):
+def test_small_singular_values_are_accurate(panda):
     """A motion of a few thousandths of a radian: the columns are nearly dependent."""
     condition, blocks, whole, gram = relative_errors(panda, *motion(7, 20_000, size=0.003))
     assert condition > 1e5
@@ -151,8 +151,8 @@ def test_triangular_is_at_most_square():
     assert triangular_factors.triangular(np.zeros((0, 2))).shape == (0, 2)
 
 
-def test_rows_made_in_stretches_are_the_same(monkeypatch):
-    """A design that may keep nothing, on several segments of several windows each."""
+def test_rows_in_chunks_are_the_same(monkeypatch):
+    """A design without kept columns, on several segments of several windows each."""
     model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset,stribeck:1")
     arm = lieid.compile(model)
     segments = process([recorded(30.0, 1), recorded(3.0, 2)], Processing(cutoff=2.0))
@@ -164,10 +164,10 @@ def test_rows_made_in_stretches_are_the_same(monkeypatch):
     assert len(segments[0].windows) > 3
     whole = Design(arm, segments).rows(model.initial_shapes, None)
     parts = Design(arm, segments, held=0).rows(model.initial_shapes, None)
-    assert len(list(parts.stretches())) == 1  # of 32 MB
-    monkeypatch.setattr(design_matrix, "STRETCH_BYTES", 4000)
+    assert len(list(parts.chunks())) == 1  # of 32 MB
+    monkeypatch.setattr(design_matrix, "CHUNK_BYTES", 4000)
     parts = Design(arm, segments, held=0).rows(model.initial_shapes, None)
-    assert len(list(parts.stretches())) > 3
+    assert len(list(parts.chunks())) > 3
     np.testing.assert_array_equal(parts.lengths, whole.lengths)
     for one, other in zip(joint_factors(parts), joint_factors(whole), strict=True):
         np.testing.assert_allclose(np.abs(one.r), np.abs(other.r), rtol=1e-9, atol=1e-9)
@@ -190,14 +190,14 @@ def recorded(duration, seed):
 
 
 def test_long_recordings_give_nearly_the_same_fit(monkeypatch):
-    """In stretches only the folds of cross-validation and the covariance differ, a little."""
+    """In chunks only the folds of cross-validation and the covariance differ, a little."""
     model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset")
     recording, options = recorded(120.0, 1), Processing(cutoff=4.0)
     noise = np.random.default_rng(0).normal(size=recording.tau.shape)
     recording = replace(recording, tau=recording.tau + 0.1 * noise)
     whole = lieid.identify(model, recording, processing=options)
     monkeypatch.setattr(design_matrix, "HELD_BYTES", 0)
-    monkeypatch.setattr(design_matrix, "STRETCH_BYTES", 200_000)
+    monkeypatch.setattr(design_matrix, "CHUNK_BYTES", 200_000)
     monkeypatch.setattr(overlap_windows, "WINDOW", 1000)
     parts = lieid.identify(model, recording, processing=options)
     np.testing.assert_allclose(parts.values, whole.values, rtol=1e-8, atol=1e-9)

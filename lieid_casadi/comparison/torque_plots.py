@@ -1,4 +1,4 @@
-"""Measured and predicted torque, and the error, over time."""
+"""Plots of measured torque, predicted torque and error over time."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lieid_casadi.comparison import plot_style
-from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.comparison.table import digits, joint_title, percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from lieid_casadi.comparison.comparison import Comparison
+
 
 def plot_torques(comparison: Comparison) -> Figure:
-    """Draw one row per joint: torques on the left, the error on its own scale on the right."""
+    """Plot one row per joint: torques on the left, the error on its own scale on the right."""
     n = comparison.n
     figure = plot_style.new_figure(13.0, 0.9 + 1.65 * n)
     axes = figure.subplots(n, 2, sharex=True, squeeze=False, width_ratios=(3, 2))
@@ -42,7 +43,16 @@ def plot_torques(comparison: Comparison) -> Figure:
 
 
 def plot_joint(comparison: Comparison, joint: int, ax: Axes | None = None) -> Figure:
-    """Draw one joint's measured and predicted torque and the error into one pair of axes."""
+    """Plot measured torque, predicted torque and error of one joint.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    joint : int
+        From 0.
+    ax : Axes, optional
+        Axes to draw into; a new figure without a window if left out.
+    """
     if ax is None:
         ax = plot_style.new_figure(9.0, 3.2).subplots()
     _draw_torque(comparison, joint, ax)
@@ -99,5 +109,5 @@ def _error_title(comparison: Comparison, joint: int) -> str:
     if np.isfinite(comparison.relative_rms[joint]):
         text += f", {percent(comparison.relative_rms[joint])} of the torque"
     if np.isfinite(comparison.noise_floor[joint]):
-        text += f"; noise {digits(comparison.noise_floor[joint])}"
+        text += f"; noise floor {digits(comparison.noise_floor[joint])}"
     return text

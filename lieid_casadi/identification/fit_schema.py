@@ -1,0 +1,206 @@
+"""Schema of fit files, and the migration of older ones.
+
+Every entry of a fit file has its type here, so that a file is either valid or refused with the
+path of the entry that is not.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta, Struct
+
+from lieid_casadi.errors import FitFileError
+
+SCHEMA = 2
+KIND = "lieid-fit"
+LARGEST_FILE = 64 << 20  # bytes; a fit of ten joints with all effects has less than 1 MB
+
+Positive = Annotated[float, Meta(gt=0.0)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
+
+
+class RobotText(Struct, forbid_unknown_fields=True):
+    """The robot's own file."""
+
+    kind: str
+    text: str
+    tip: str | None
+    lock: list[str]
+
+
+class NoiseFile(Struct, forbid_unknown_fields=True):
+    """Noise of one joint's residual; ``rises`` is `Noise.motion_ratio`."""
+
+    filter: Annotated[list[float], Meta(min_length=1, max_length=100)]
+    sigma: Positive
+    spread: Positive
+    rises: Annotated[float, Meta(ge=1.0)] = 1.0
+
+
+class ProcessingFile(Struct, forbid_unknown_fields=True):
+    """Filter options."""
+
+    cutoff: Positive
+    trim: NotNegative
+    order: Annotated[int, Meta(ge=1, le=100)]
+    average_periods: bool
+    smoother: str
+
+
+class ConditioningFile(Struct, forbid_unknown_fields=True):
+    """Singular values of the full regressor."""
+
+    largest: NotNegative
+    smallest: NotNegative
+    beyond: NotNegative
+
+
+class WarningFile(Struct, forbid_unknown_fields=True):
+    """A warning: its class and its text."""
+
+    name: str
+    message: str
+
+
+class SourceFile(Struct, forbid_unknown_fields=True):
+    """A training recording."""
+
+    name: str
+    sha256: str
+
+
+class ProvenanceFile(Struct, forbid_unknown_fields=True):
+    """Package version and training recordings."""
+
+    version: str
+    recordings: list[SourceFile]
+
+
+class CertificateFile(Struct, forbid_unknown_fields=True):
+    """Checks of physically consistent parameters."""
+
+    regularization: NotNegative
+    regularization_source: str
+    pseudo_inertia_eigenvalue: list[float]
+    mass_matrix_eigenvalue: float
+    poses: int
+    least_dissipation: float | None
+    divergence: list[float]
+    rms: list[NotNegative]
+    rms_wls: list[NotNegative]
+
+
+class Content(Struct, forbid_unknown_fields=True):
+    """Everything in a fit file."""
+
+    kind: str
+    schema: int
+    robot: RobotText
+    effects: list[str]
+    method: str
+    names: list[str]
+    values: list[float]
+    shapes: list[float]
+    std: list[float | None]
+    covariance: list[list[float | None]]
+    parameters: list[float]
+    noise: list[Positive]
+    residual_noise: list[NoiseFile]
+    rms_train: list[NotNegative]
+    rms_train_raw: list[NotNegative]
+    rms_cv: list[NotNegative | None]
+    processing: ProcessingFile
+    conditioning: ConditioningFile
+    warnings: list[WarningFile]
+    provenance: ProvenanceFile
+    temperature_mean: list[float] | None
+    certificate: CertificateFile | None = None
+
+
+def read_content(path: Path) -> Content:
+    """Return the content of a fit file, migrated to the present schema.
+
+    Raises
+    ------
+    FitFileError
+        Not readable, not JSON, not a fit, of a newer schema, or with an entry of another type.
+    """
+    data = _bytes(path)
+    try:
+        raw = msgspec.json.decode(data)
+    except RecursionError:
+        raise FitFileError(f"{path}: not a fit: nested too deeply") from None
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise FitFileError(f"{path}: {_not_json(data, error)}") from None
+    if not isinstance(raw, dict) or raw.get("kind") != KIND:
+        raise FitFileError(f"{path}: not a fit file; expected the output of lieid identify -o")
+    try:
+        return msgspec.convert(_migrated(raw, path), Content)
+    except msgspec.ValidationError as error:
+        raise FitFileError(f"{path}: not a usable fit: {error}; fit again") from None
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_FILE + 1)
+    except FileNotFoundError:
+        raise FitFileError(f"{path}: no such file") from None
+    except OSError as error:
+        raise FitFileError(f"{path}: cannot be read: {error.strerror}") from None
+    if len(data) > LARGEST_FILE:
+        raise FitFileError(
+            f"{path}: larger than {LARGEST_FILE >> 20} MB; expected the output of lieid identify -o"
+        )
+    return data
+
+
+def _not_json(data: bytes, error: Exception) -> str:
+    """Return what is wrong with a text that is not JSON, and where."""
+    if isinstance(error, UnicodeDecodeError):
+        return "not a fit: expected JSON text in UTF-8"
+    at = re.search(r"\(byte (\d+)\)", str(error))
+    if at is None:
+        truncated = "truncated" in str(error).lower()
+        return "not JSON: truncated; fit again" if truncated else f"not JSON: {error}; fit again"
+    position = int(at[1])
+    line = data.count(b"\n", 0, position) + 1
+    column = position - (data.rfind(b"\n", 0, position) + 1) + 1
+    found = data[position : position + 12].decode("utf-8", "replace").split()
+    return (
+        f"not JSON at line {line}, column {column}: found {(found or [''])[0]!r}; expected JSON "
+        "with finite numbers, fit again"
+    )
+
+
+def _migrated(raw: dict[str, Any], path: Path) -> dict[str, Any]:
+    schema = raw.get("schema")
+    if type(schema) is not int:
+        raise FitFileError(f"{path}: no schema number; expected a whole number up to {SCHEMA}")
+    if schema > SCHEMA:
+        raise FitFileError(
+            f"{path}: schema {schema} is newer than {SCHEMA}, the newest supported by this "
+            "version; update lieid-casadi"
+        )
+    while schema < SCHEMA:
+        if schema not in MIGRATIONS:
+            raise FitFileError(f"{path}: schema {schema} is unknown; expected 1 to {SCHEMA}")
+        raw = MIGRATIONS[schema](raw)
+        schema += 1
+    return raw
+
+
+def _with_residual_noise(raw: dict[str, Any]) -> dict[str, Any]:
+    """Schema 1 stored the residual's standard deviation without its correlation in time."""
+    noise = raw.get("noise")
+    sizes = noise if isinstance(noise, list) else []
+    residual_noise = [{"filter": [1.0], "sigma": s, "spread": s} for s in sizes]
+    return raw | {"schema": 2, "residual_noise": residual_noise}
+
+
+MIGRATIONS: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {1: _with_residual_noise}

@@ -1,0 +1,94 @@
+"""Checks of recordings against a model, before they enter a fit or a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from lieid_casadi.compiled import Compiled
+from lieid_casadi.errors import (
+    EffectError,
+    IdentificationError,
+    LieidWarning,
+    ModelError,
+    RecordingError,
+)
+from lieid_casadi.identification.prediction import predict_recording
+from lieid_casadi.model import Model
+from lieid_casadi.recording import Processed, Processing, Recording, check
+
+LARGEST = 1e12  # of any signal, SI; squares of larger numbers lose all meaning
+NOMINAL_CUTOFF = 5.0  # Hz, of the nominal torque that measured torque is checked against
+
+
+def check_recordings(model: Model, recordings: Sequence[Recording]) -> None:
+    """Raise if recordings lack what the model needs: joints, torque, temperature.
+
+    Raises
+    ------
+    IdentificationError
+        No recordings.
+    RecordingError
+        A signal of impossible magnitude.
+    ModelError
+        Another number of joints than the robot's, or no torque.
+    EffectError
+        No temperature although an effect depends on it.
+    """
+    if not recordings:
+        raise IdentificationError("no recordings given; expected at least one")
+    for recording in recordings:
+        name = recording.name or "recording"
+        check_joints(model, recording)
+        if recording.tau is None:
+            raise ModelError(
+                f"{name}: no torque; expected columns tau1…tau{model.n}, "
+                "or currents with --torque-constants"
+            )
+    check_magnitudes(recordings)
+
+
+def check_magnitudes(recordings: Iterable[Recording | Processed]) -> None:
+    """Raise `RecordingError` if a signal is larger than any arm can produce."""
+    for each in recordings:
+        name = (each.recording if isinstance(each, Processed) else each).name or "recording"
+        for signal in ("q", "dq", "ddq", "tau"):
+            values = getattr(each, signal)
+            if values is None or not len(values):
+                continue
+            sizes = np.maximum(values.max(axis=0), -values.min(axis=0))
+            joint = int(np.argmax(sizes))
+            if not sizes[joint] <= LARGEST:
+                raise RecordingError(
+                    f"{name}: {signal}{joint + 1} reaches {sizes[joint]:.3g} in SI units; "
+                    f"expected at most {LARGEST:g}, check the units of this column"
+                )
+
+
+def check_joints(model: Model, recording: Recording) -> None:
+    """Raise `ModelError` or `EffectError` if a recording lacks joints or temperatures."""
+    name = recording.name or "recording"
+    if recording.n != model.n:
+        raise ModelError(f"{name}: {recording.n} joints; robot {model.robot.name!r} has {model.n}")
+    warm = [p.label for p in model.placements if "temperature" in p.effect.signals]
+    if warm and recording.temperature is None:
+        raise EffectError(
+            f"{name}: {warm[0]} needs temperature; expected columns temp1…temp{model.n}"
+        )
+
+
+def check_with_model(compiled: Compiled, recording: Recording) -> tuple[LieidWarning, ...]:
+    """Return a recording's warnings; with inertias, torque is checked against the nominal one."""
+    robot = compiled.model.robot
+    nominal = None
+    if robot.has_inertia and recording.tau is not None:
+        parameters = np.concatenate([robot.link_parameters, np.zeros(len(compiled.model.columns))])
+        nominal = predict_recording(
+            compiled,
+            recording,
+            Processing(cutoff=NOMINAL_CUTOFF),
+            parameters,
+            compiled.model.initial_shapes,
+        )
+    return check(recording, robot, nominal_torque=nominal)
