@@ -1,4 +1,4 @@
-"""Recording: what was measured on an arm, and nothing derived from it."""
+"""Recording: a sound measurement on an arm, with its segments, parts and files."""
 
 from __future__ import annotations
 
@@ -11,84 +11,29 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieid_casadi.errors import LieidWarning, RecordingError
-from lieid_casadi.recording.arrays import Array, hash_of_arrays, read_only
-from lieid_casadi.recording.checks.faults import require_sound
-from lieid_casadi.recording.processing.sample_timing import gap_limit, sample_period
-from lieid_casadi.recording.readers.formats import reader_of, split_part, writer_of
-
-_SIGNALS = ("dq", "tau", "ddq", "temperature", "current")
+from lieid_casadi.errors import RecordingError
+from lieid_casadi.recording.arrays import Mask, hash_of_arrays, read_only
+from lieid_casadi.recording.faults import require_sound
+from lieid_casadi.recording.measurement import OPTIONAL_SIGNALS, Measurement
+from lieid_casadi.recording.readers.file_part import split_part
+from lieid_casadi.recording.readers.registry import (
+    INFLATE_LIMIT,
+    ReadOptions,
+    read_measurement,
+    write_measurement,
+)
+from lieid_casadi.recording.readers.tables import measurement_of_columns
+from lieid_casadi.recording.sample_timing import gap_limit, sample_period
+from lieid_casadi.recording.units import convert_units
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
-    """Signals of an arm with n joints at N instants, SI units; arrays are read-only.
+class Recording(Measurement):
+    """A sound measurement on an arm: loaded from a file or made from arrays, SI units.
 
-    Attributes
-    ----------
-    t
-        (N,) time, s, strictly increasing; stamps may be irregular.
-    q, dq, ddq
-        (N, n) position, velocity, acceleration, rad or m. None where not measured:
-        derived in :func:`lieid_casadi.recording.process`, never on loading.
-    tau
-        (N, n) joint torque, N·m or N.
-    temperature
-        (N, n) °C.
-    current
-        (N, n) motor current, A.
-    payload_label
-        Label of the payload for each row (column ``load``).
-    name
-        Where it comes from, for messages and tables.
-    source_hash
-        sha256 of the file's bytes, or of the arrays.
-    warnings
-        What was suspicious on loading.
+    The fields are those of `Measurement`: ``t`` (N,), ``q`` (N, n), and optionally ``dq``,
+    ``tau``, ``ddq``, ``temperature``, ``current`` (N, n) and ``payload_label``.
     """
-
-    t: Array
-    q: Array
-    dq: Array | None = None
-    tau: Array | None = None
-    ddq: Array | None = None
-    temperature: Array | None = None
-    current: Array | None = None
-    payload_label: tuple[str, ...] | None = None
-    name: str = ""
-    source_hash: str = ""
-    warnings: tuple[LieidWarning, ...] = ()
-
-    def __post_init__(self) -> None:
-        title = self.name or "recording"
-        t = read_only(self.t)
-        if t.ndim != 1:
-            raise RecordingError(f"{title}: t has shape {t.shape}, expected (N,)")
-        object.__setattr__(self, "t", t)
-        q = read_only(self.q)
-        if q.ndim != 2 or q.shape[0] != t.size or q.shape[1] == 0:
-            raise RecordingError(f"{title}: q has shape {q.shape}, expected ({t.size}, n)")
-        object.__setattr__(self, "q", q)
-        for field in _SIGNALS:
-            values = getattr(self, field)
-            if values is None:
-                continue
-            array = read_only(values)
-            if array.shape != q.shape:
-                raise RecordingError(
-                    f"{title}: {field} has shape {array.shape}, expected {q.shape} as q"
-                )
-            object.__setattr__(self, field, array)
-        if self.payload_label is not None:
-            labels = tuple(str(label) for label in self.payload_label)
-            if len(labels) != t.size:
-                raise RecordingError(f"{title}: {len(labels)} load labels for {t.size} rows")
-            object.__setattr__(self, "payload_label", labels)
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return int(self.q.shape[1])
 
     @property
     def duration(self) -> float:
@@ -99,9 +44,6 @@ class Recording:
     def rate(self) -> float:
         """Samples per second: one over the median time between rows, Hz."""
         return 1.0 / sample_period(self.t)
-
-    def __len__(self) -> int:
-        return int(self.t.size)
 
     @classmethod
     def from_arrays(
@@ -118,10 +60,24 @@ class Recording:
         name: str = "",
         torque_constants: ArrayLike | None = None,
     ) -> Self:
-        """Recording from arrays: t (N,), the others (N, n), load one label per row.
+        """Return a recording from arrays.
 
-        With ``torque_constants`` (n,), N·m/A, currents become torques where there is no
-        ``tau``.
+        Parameters
+        ----------
+        t
+            (N,) time, s, strictly increasing.
+        q, dq, ddq
+            (N, n) position, velocity, acceleration, rad or m.
+        tau
+            (N, n) torque, N·m or N.
+        temperature, current
+            (N, n) °C, A.
+        load
+            (N,) label of the payload.
+        name
+            For messages.
+        torque_constants
+            (n,) N·m/A: currents become torques where there is no ``tau``.
 
         Raises
         ------
@@ -148,18 +104,38 @@ class Recording:
 
     @classmethod
     def from_dataframe(
-        cls, frame: Any, *, name: str = "", torque_constants: ArrayLike | None = None
+        cls,
+        frame: Any,
+        *,
+        name: str = "",
+        torque_constants: ArrayLike | None = None,
+        units: str | Sequence[str] = (),
     ) -> Self:
-        """Recording from a pandas (or polars) data frame with the columns of a CSV."""
-        from lieid_casadi.recording.readers.tables import recording_from_columns
+        """Return a recording from a pandas or polars data frame with the columns of a CSV.
 
-        title = name or "data frame"
+        Parameters
+        ----------
+        frame
+            Columns ``t``, ``q1``…``qn`` and optionally ``dq*``, ``tau*``, ``ddq*``, ``temp*``,
+            ``i*``, ``load``; N rows.
+        name
+            For messages.
+        torque_constants
+            (n,) N·m/A: columns ``i*`` become torques where there are no ``tau*``.
+        units
+            As for :meth:`load`.
+
+        Raises
+        ------
+        RecordingError
+            A missing column, or values that no recording may contain.
+        """
         columns = {str(column): np.asarray(frame[column]) for column in frame.columns}
-        made = recording_from_columns(columns, title)
-        arrays = [made.t, made.q, *(getattr(made, f) for f in _SIGNALS), made.payload_label]
-        made = replace(made, name=name, source_hash=hash_of_arrays(arrays))
-        require_sound(made)
-        return cls._adopt(made)._with_constants_where_needed(torque_constants)
+        made = measurement_of_columns(columns, name or "data frame")
+        made = convert_units(made, units)
+        arrays = [made.t, made.q, *(getattr(made, f) for f in OPTIONAL_SIGNALS)]
+        made = replace(made, name=name, source_hash=hash_of_arrays([*arrays, made.payload_label]))
+        return cls.of_measurement(made)._with_constants_where_needed(torque_constants)
 
     @classmethod
     def load(
@@ -170,6 +146,9 @@ class Recording:
         n: int | None = None,
         joint_names: Sequence[str] | None = None,
         topic: str | None = None,
+        units: str | Sequence[str] = (),
+        revolute: Mask | None = None,
+        inflate_limit: int = INFLATE_LIMIT,
     ) -> Self:
         """Read ``.csv``, ``.csv.gz``, ``.npz``, ``.parquet``, ``.mcap``, ``.bag`` or a ROS 2 bag.
 
@@ -183,7 +162,14 @@ class Recording:
         n
             Number of joints that is expected.
         joint_names, topic
-            For bags: the joints in the robot's order, and which topic.
+            For bags: the joints in the robot's order, and the topic to read.
+        units
+            Units of the file that are not SI: ``"deg"`` (q, dq, ddq), and ``"ms"``, ``"us"``
+            or ``"ns"`` (t); several separated by commas or as a sequence.
+        revolute
+            (n,) True for joints that turn, to which ``"deg"`` applies; None: all of them.
+        inflate_limit
+            Bytes that a compressed file may inflate to.
 
         Raises
         ------
@@ -193,66 +179,31 @@ class Recording:
             The format needs an extra that is not installed.
         """
         file, start, end = split_part(path)
-        read = reader_of(file)
-        if not file.exists():
-            raise RecordingError(f"{file}: no such file, expected a recording")
-        try:
-            made = read(file, n=n, joint_names=joint_names, topic=topic)
-        except OSError as error:
-            raise RecordingError(f"{file}: cannot be read ({error.strerror or error})") from error
-        require_sound(made)
-        recording = cls._adopt(made)._with_constants_where_needed(torque_constants)
+        options = ReadOptions(
+            n=n,
+            joint_names=None if joint_names is None else tuple(joint_names),
+            topic=topic,
+            inflate_limit=inflate_limit,
+        )
+        made = convert_units(read_measurement(file, options), units, revolute)
+        recording = cls.of_measurement(made)._with_constants_where_needed(torque_constants)
         return recording if start is None and end is None else recording.cut(start, end)
 
     @classmethod
-    def join(cls, recordings: Sequence[Recording]) -> Self:
-        """One recording of several with the same joints; each keeps its own segments.
-
-        The clock of a recording is kept where it comes from the same source and follows
-        its predecessor; otherwise it is shifted so that a gap separates the two.
-        Signals that one of them lacks are left out.
+    def of_measurement(cls, measurement: Measurement) -> Self:
+        """Return a measurement as a recording.
 
         Raises
         ------
         RecordingError
-            No recording, or different numbers of joints.
+            Fewer than two rows, NaN or Inf, time that does not increase.
         """
-        if not recordings:
-            raise RecordingError("join: no recordings, expected at least one")
-        first = recordings[0]
-        for other in recordings[1:]:
-            if other.n != first.n:
-                raise RecordingError(
-                    f"join: {other.name or 'a recording'} has {other.n} joints, "
-                    f"expected {first.n} as {first.name or 'the first'}"
-                )
-        times = [first.t]
-        pause = 2.0 * max(gap_limit(r.t) for r in recordings)
-        for previous, following in pairwise(recordings):
-            continues = previous.source_hash == following.source_hash
-            earliest = times[-1][-1] + (0.0 if continues else pause)
-            follows = following.t[0] > earliest
-            times.append(following.t if follows else following.t - following.t[0]
-                         + times[-1][-1] + pause)  # fmt: skip
-        signals = {
-            field: np.concatenate([getattr(r, field) for r in recordings])
-            for field in ("q", *_SIGNALS)
-            if all(getattr(r, field) is not None for r in recordings)
-        }
-        labels: list[str] | None = None
-        if any(r.payload_label is not None for r in recordings):
-            labels = [label for r in recordings for label in r.payload_label or [""] * len(r)]
-        return cls(
-            t=np.concatenate(times),
-            payload_label=None if labels is None else tuple(labels),
-            name="+".join(r.name for r in recordings if r.name),
-            source_hash=hash_of_arrays([tuple(r.source_hash for r in recordings)]),
-            warnings=tuple(w for r in recordings for w in r.warnings),
-            **signals,
-        )
+        require_sound(measurement)
+        fields = cls.__dataclass_fields__
+        return cls(**{field: getattr(measurement, field) for field in fields})
 
     def cut(self, start: float | None = None, end: float | None = None) -> Self:
-        """Part with start ≤ t < end, s, on the recording's own clock.
+        """Return the part with start ≤ t < end, s, on the recording's own clock.
 
         Raises
         ------
@@ -273,7 +224,7 @@ class Recording:
         return replace(self.rows(int(first), int(last)), name=self.name + part)
 
     def segments(self) -> list[Self]:
-        """Stretches without a gap and with one payload label; nothing joins them.
+        """Return the stretches without a gap and with one payload label.
 
         A gap is a step in time above five median steps and 0.05 s.
         """
@@ -285,7 +236,7 @@ class Recording:
         return [self.rows(a, b) for a, b in pairwise(edges)]
 
     def with_torque_constants(self, constants: ArrayLike) -> Self:
-        """The same recording with tau = constants · current; constants (n,), N·m/A.
+        """Return the recording with tau = constants · current; constants (n,), N·m/A.
 
         Raises
         ------
@@ -293,7 +244,7 @@ class Recording:
             No currents, or not one finite constant per joint.
         """
         k = np.atleast_1d(np.asarray(constants, dtype=np.float64))
-        title = self.name or "recording"
+        title = self.title
         if self.current is None:
             raise RecordingError(f"{title}: no motor currents (columns i1…i{self.n})")
         if k.shape != (self.n,):
@@ -318,14 +269,12 @@ class Recording:
         OutputError
             The file cannot be written.
         """
-        file = Path(path)
-        write = writer_of(file)
-        write(self, file)
+        write_measurement(self, Path(path))
 
     def rows(self, first: int, last: int) -> Self:
-        """Rows first … last − 1 (from 0)."""
+        """Return rows first … last − 1 (from 0)."""
         rows = slice(first, last)
-        fields = ("t", "q", *_SIGNALS, "payload_label")
+        fields = ("t", "q", *OPTIONAL_SIGNALS, "payload_label")
         signals: dict[str, Any] = {field: getattr(self, field) for field in fields}
         for field, values in signals.items():
             signals[field] = None if values is None else values[rows]
@@ -335,14 +284,3 @@ class Recording:
         if constants is None or self.tau is not None:
             return self
         return self.with_torque_constants(constants)
-
-    @classmethod
-    def _adopt(cls, made: Recording) -> Self:
-        if isinstance(made, cls):
-            return made
-        return cls(**{field: getattr(made, field) for field in cls.__dataclass_fields__})
-
-
-def join(recordings: Sequence[Recording]) -> Recording:
-    """:meth:`Recording.join` as a function."""
-    return Recording.join(recordings)

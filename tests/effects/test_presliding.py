@@ -8,7 +8,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.expressions.memory import states_along
 from lieid_casadi.expressions.model_functions import STEPS, ModelFunctions
-from lieid_casadi.recording import Processing
+from lieid_casadi.recording import Processing, join
 
 ROBOT = lieid.robots.two_link()
 WIDTH = 0.02
@@ -178,7 +178,7 @@ def test_state_is_reset_at_each_segment(hysteretic):
     fit = lieid.identify(
         lieid.Model(ROBOT, "viscous,presliding"), whole, processing=Processing(cutoff=10.0)
     )
-    joined = fit.predict(lieid.Recording.join([first, second]))
+    joined = fit.predict(join([first, second]))
     apart = np.concatenate([fit.predict(first), fit.predict(second)])
     np.testing.assert_allclose(joined, apart, atol=1e-9)
     # the second part alone starts with z = 0, inside the whole it does not

@@ -10,11 +10,11 @@ from lieid_casadi.recording import (
     Recording,
     RecordingStream,
     load_or_stream,
-    on_grid,
     process,
+    recording_stream,
     stream,
-    streams,
 )
+from lieid_casadi.recording.processing import resampling
 
 pq = pytest.importorskip("pyarrow.parquet")
 
@@ -36,20 +36,22 @@ def recording(samples=20_000, *, gaps=(), labels=None, dq=1e-3, seed=0):
 
 @pytest.fixture
 def small_windows(monkeypatch):
-    monkeypatch.setattr(on_grid, "WINDOW", 3000)
+    monkeypatch.setattr(resampling, "WINDOW", 3000)
 
 
 @pytest.mark.parametrize("dq", [1e-2, 1e-6, None])
 @pytest.mark.parametrize("cutoff", [1.0, 4.0, 20.0])
 def test_a_long_segment_in_windows_is_that_of_the_whole(monkeypatch, dq, cutoff):
-    long, decided, decide = recording(dq=dq), [], on_grid.velocity_of
+    long, decided, decide = recording(dq=dq), [], resampling.velocity_of
     with monkeypatch.context() as patch:
-        patch.setattr(on_grid, "velocity_of", lambda *a: decided.append(decide(*a)) or decided[0])
+        patch.setattr(
+            resampling, "velocity_of", lambda *a: decided.append(decide(*a)) or decided[0]
+        )
         (whole,) = process(long, Processing(cutoff=cutoff))
     assert np.all(decided[0].derived == (dq != 1e-6))
-    monkeypatch.setattr(on_grid, "WINDOW", 3000)
+    monkeypatch.setattr(resampling, "WINDOW", 3000)
     # the noise is looked at in places; here they are the whole
-    monkeypatch.setattr(on_grid, "_sampled_velocity", lambda *_: decided[0])
+    monkeypatch.setattr(resampling, "_sampled_velocity", lambda *_: decided[0])
     (parts,) = process(long, Processing(cutoff=cutoff))
     assert parts.rate == whole.rate
     np.testing.assert_allclose(parts.t, whole.t, atol=1e-12)
@@ -63,8 +65,8 @@ def test_a_long_segment_in_windows_is_that_of_the_whole(monkeypatch, dq, cutoff)
 def test_noise_is_found_in_places(monkeypatch):
     long = recording()
     (whole,) = process(long, Processing(cutoff=4.0))
-    monkeypatch.setattr(on_grid, "WINDOW", 3000)
-    monkeypatch.setattr(on_grid, "NOISE_ROWS", 1000)
+    monkeypatch.setattr(resampling, "WINDOW", 3000)
+    monkeypatch.setattr(resampling, "NOISE_ROWS", 1000)
     (parts,) = process(long, Processing(cutoff=4.0))
     np.testing.assert_allclose(parts.dead_zone, whole.dead_zone, rtol=0.1)
 
@@ -158,6 +160,6 @@ def test_large_files_are_streamed(tmp_path, monkeypatch):
     path = tmp_path / "r.parquet"
     recording(2000).save(path)
     assert isinstance(load_or_stream(path), Recording)
-    monkeypatch.setattr(streams, "memory_bytes", lambda: 8 * 2000 * 6 * 8)
+    monkeypatch.setattr(recording_stream, "memory_bytes", lambda: 8 * 2000 * 6 * 8)
     assert isinstance(load_or_stream(path, n=2), RecordingStream)
     assert isinstance(load_or_stream(f"{path}@1:3"), RecordingStream)

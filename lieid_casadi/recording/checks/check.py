@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from lieid_casadi.errors import LieidWarning, RecordingError
 from lieid_casadi.recording.arrays import Array
 from lieid_casadi.recording.checks.block_means import block_means
-from lieid_casadi.recording.checks.faults import require_sound
 from lieid_casadi.recording.checks.motion import (
     check_rate,
     check_still,
@@ -19,6 +18,7 @@ from lieid_casadi.recording.checks.motion import (
 )
 from lieid_casadi.recording.checks.torque import check_torque
 from lieid_casadi.recording.checks.units import check_units
+from lieid_casadi.recording.faults import require_sound
 from lieid_casadi.recording.recording import Recording
 
 if TYPE_CHECKING:

@@ -17,9 +17,9 @@ from lieid_casadi.errors import (
 from lieid_casadi.recording.arrays import Array, Mask
 from lieid_casadi.recording.checks.block_means import Blocks
 from lieid_casadi.recording.joint_names import joints_text
-from lieid_casadi.recording.processing.sample_timing import dropout_limit, gap_limit, sample_period
 from lieid_casadi.recording.processing.spectrum import motion_band
 from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.sample_timing import dropout_limit, gap_limit, sample_period
 
 if TYPE_CHECKING:
     from lieid_casadi.robot.robot import Robot

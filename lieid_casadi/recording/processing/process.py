@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.errors import LieidWarning, RecordingError, ShortSegmentWarning
 from lieid_casadi.recording.arrays import Array, Mask, read_only
-from lieid_casadi.recording.checks.repeated_rows import without_repeats
 from lieid_casadi.recording.processing.filtering import HIGHEST_CUTOFF, lowpass
 from lieid_casadi.recording.processing.overlap_windows import Window, filter_memory, windows
 from lieid_casadi.recording.processing.periods import mean_period
+from lieid_casadi.recording.processing.repeated_rows import without_repeats
 from lieid_casadi.recording.processing.resampling import signals_on_grid
-from lieid_casadi.recording.processing.sample_timing import sample_period
 from lieid_casadi.recording.processing.spectrum import choose_cutoff
-from lieid_casadi.recording.readers.streams import RecordingStream, scratch
 from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.recording_stream import RecordingStream, scratch
+from lieid_casadi.recording.sample_timing import sample_period
 
 #: Weight of rest in a filtered sample that counts as moving.
 REST_LEFT = 0.1

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.signal import welch
 
 from lieid_casadi.recording.arrays import Array, Mask
-from lieid_casadi.recording.checks.repeated_rows import without_repeats
 from lieid_casadi.recording.processing.filtering import (
     central_difference,
     decimate,
@@ -17,6 +16,7 @@ from lieid_casadi.recording.processing.filtering import (
     straight_at,
     uniform_time,
 )
+from lieid_casadi.recording.processing.repeated_rows import without_repeats
 from lieid_casadi.recording.recording import Recording
 
 #: Least and most cut-off over the band of the motion.

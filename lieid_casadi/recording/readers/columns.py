@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lieid_casadi.errors import RecordingError
+from lieid_casadi.errors import LieidWarning, RecordingError, UnknownColumnWarning
+from lieid_casadi.recording.measurement import FIELDS
 
-#: Prefix in files -> field of Recording.
-FIELDS = {
-    "q": "q",
-    "dq": "dq",
-    "tau": "tau",
-    "ddq": "ddq",
-    "temp": "temperature",
-    "i": "current",
-}
 #: Column of the payload's label.
 LABEL = "load"
 EXPECTED = "t,q1…qn and optionally dq*, tau*, ddq*, temp*, i*, load"
 
-_JOINT_COLUMN = re.compile(r"(q|dq|ddq|tau|temp|i)(\d+)")
+_JOINT_COLUMN = re.compile(r"(q|dq|ddq|tau|temp|i)([0-9]{1,6})")
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Which column holds what: indices into the header."""
+class ColumnLayout:
+    """Indices into a header: the column of each signal.
+
+    Attributes
+    ----------
+    n
+        Number of joints.
+    time, label
+        Columns of t and of the payload's label (None without one).
+    fields
+        Field of a measurement -> its n columns, in the order of the joints.
+    unknown
+        Names of the columns that are not used.
+    """
 
     n: int
     time: int
@@ -34,13 +39,25 @@ class Layout:
     label: int | None
     unknown: tuple[str, ...]
 
+    def used(self, header: Sequence[str]) -> list[str]:
+        """Return the names, in the header, of the columns that hold signals."""
+        indices = [self.time, *(i for columns in self.fields.values() for i in columns)]
+        indices += [] if self.label is None else [self.label]
+        return [header[index] for index in indices]
+
 
 def shorten(text: str, length: int = 40) -> str:
     """Quoted text for a message, cut to a readable length."""
     return repr(text if len(text) <= length else text[: length - 1] + "…")
 
 
-def read_layout(header: Sequence[str], where: str, n: int | None = None) -> Layout:
+def listed(names: Sequence[str], most: int = 8) -> str:
+    """Return names for a message, separated by commas; the first eight of a long list."""
+    shown = [name if name.isprintable() else repr(name) for name in names[:most]]
+    return ", ".join(shown) + (", …" if len(names) > most else "")
+
+
+def read_layout(header: Sequence[str], where: str, n: int | None = None) -> ColumnLayout:
     """Find the columns of a recording in a header.
 
     Parameters
@@ -58,9 +75,9 @@ def read_layout(header: Sequence[str], where: str, n: int | None = None) -> Layo
         A column is missing or doubled, or the number of joints is not ``n``.
     """
     names = [name.strip() for name in header]
-    for name in names:
-        if name and names.count(name) > 1:
-            raise RecordingError(f"{where}: column {name!r} occurs twice, expected it once")
+    for name, count in Counter(names).items():
+        if name and count > 1:
+            raise RecordingError(f"{where}: column {shorten(name)} occurs twice, expected it once")
     if "t" not in names:
         found = shorten(",".join(names))
         raise RecordingError(
@@ -83,7 +100,7 @@ def read_layout(header: Sequence[str], where: str, n: int | None = None) -> Layo
         for prefix, indices in numbered.items()
     }
     label = names.index(LABEL) if LABEL in names else None
-    return Layout(joints, names.index("t"), fields, label, tuple(unknown))
+    return ColumnLayout(joints, names.index("t"), fields, label, tuple(unknown))
 
 
 def _count_joints(numbered: dict[str, dict[int, int]], where: str, n: int | None) -> int:
@@ -95,7 +112,7 @@ def _count_joints(numbered: dict[str, dict[int, int]], where: str, n: int | None
     for prefix, indices in numbered.items():
         for joint in range(1, count + 1):
             if joint not in indices:
-                found = ", ".join(f"{prefix}{j}" for j in sorted(indices))
+                found = listed([f"{prefix}{j}" for j in sorted(indices)])
                 raise RecordingError(
                     f"{where}: column {prefix}{joint} is missing (found {found}), "
                     f"expected {prefix}1…{prefix}{count}"
@@ -103,3 +120,14 @@ def _count_joints(numbered: dict[str, dict[int, int]], where: str, n: int | None
     if n is not None and count != n:
         raise RecordingError(f"{where}: found columns of {count} joints, expected {n}")
     return count
+
+
+def layout_warnings(layout: ColumnLayout, title: str) -> tuple[LieidWarning, ...]:
+    """Return a warning that names the columns that are not used, if any."""
+    if not layout.unknown:
+        return ()
+    return (
+        UnknownColumnWarning(
+            f"{title}: columns with unknown names ignored: {listed(layout.unknown)}"
+        ),
+    )

@@ -4,72 +4,72 @@ from __future__ import annotations
 
 import csv
 import gzip
-import hashlib
 import io
-import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from lieid_casadi.atomic_file import atomic_binary
-from lieid_casadi.errors import RecordingError
+from lieid_casadi.errors import LieidError, RecordingError
 from lieid_casadi.recording.arrays import Array
-from lieid_casadi.recording.checks.faults import first_fault
-from lieid_casadi.recording.readers.columns import EXPECTED, Layout, read_layout, shorten
-from lieid_casadi.recording.readers.tables import columns_of, layout_warnings
-from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.faults import first_fault
+from lieid_casadi.recording.measurement import Measurement
+from lieid_casadi.recording.readers.columns import (
+    EXPECTED,
+    ColumnLayout,
+    layout_warnings,
+    read_layout,
+    shorten,
+)
+from lieid_casadi.recording.readers.csv_lines import numbered_lines
+from lieid_casadi.recording.readers.registry import ReadOptions, RecordingFormat, hash_of_file
+from lieid_casadi.recording.readers.tables import columns_of
 
 
-def load_csv(
-    file: Path,
-    *,
-    n: int | None = None,
-    joint_names: Sequence[str] | None = None,
-    topic: str | None = None,
-) -> Recording:
-    """Read a CSV with a header; joint names and topic play no part here.
+def read_csv(file: Path, options: ReadOptions) -> Measurement:
+    """Read a CSV with a header.
 
     Raises
     ------
     RecordingError
         Names file, line and column, what was found and what was expected.
     """
-    content = file.read_bytes()
-    lines = _text(file, content).splitlines()
-    rows = [k for k, line in enumerate(lines) if line.strip()]
-    if not rows:
+    limit = options.inflate_limit
+    first = next(numbered_lines(file, limit), None)
+    if first is None:
         raise RecordingError(f"{file}: found an empty file, expected a header {EXPECTED}")
-    header = _header(file, lines[rows[0]], rows[0] + 1)
-    layout = read_layout(header, f"{file}: line {rows[0] + 1}", n)
-    body = rows[1:]
-    if len(body) < 2:
-        found = "one row" if body else "no rows"
+    number, line = first
+    header = _header(file, line, number)
+    layout = read_layout(header, f"{file}: line {number}", options.n)
+    matrix, labels = _parse(file, header, layout, limit)
+    if len(matrix) < 2:
+        found = "one row" if len(matrix) else "no rows"
         raise RecordingError(f"{file}: found {found} below the header, expected at least two")
-    matrix, labels = _parse(file, lines, body, header, layout)
-    order = [layout.time, *(i for indices in layout.fields.values() for i in indices)]
-    column = {index: place for place, index in enumerate(order)}
-    recording = Recording(
+    column = {index: place for place, index in enumerate(_numeric(layout))}
+    measurement = Measurement(
         t=matrix[:, 0],
         payload_label=labels,
         name=file.name,
-        source_hash=hashlib.sha256(content).hexdigest(),
+        source_hash=hash_of_file(file),
         warnings=layout_warnings(layout, file.name),
         **{
             field: matrix[:, [column[i] for i in indices]]
             for field, indices in layout.fields.items()
         },
     )
-    fault = first_fault(recording)
+    fault = first_fault(measurement)
     if fault is not None and fault.row is not None:
-        line = body[fault.row] + 1
-        raise RecordingError(f"{file}: line {line}, column {fault.column}: {fault}")
-    return recording
+        rows = (number for number, _ in numbered_lines(file, limit))
+        bad_line = [number for number, _ in zip(rows, range(fault.row + 2), strict=False)][-1]
+        raise RecordingError(f"{file}: line {bad_line}, column {fault.column}: {fault}")
+    return measurement
 
 
-def save_csv(recording: Recording, file: Path) -> None:
+def write_csv(measurement: Measurement, file: Path) -> None:
     """Write a CSV, or a gzipped one by suffix; numbers read back exactly."""
-    columns = columns_of(recording)
+    columns = columns_of(measurement)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -83,26 +83,17 @@ def save_csv(recording: Recording, file: Path) -> None:
         out.write(content)
 
 
-def _text(file: Path, content: bytes) -> str:
-    if file.name.lower().endswith(".gz"):
-        try:
-            content = gzip.decompress(content)
-        except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-            raise RecordingError(f"{file}: not a complete gzip file ({error})") from error
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = "\0"
-    if "\0" in text:
-        raise RecordingError(f"{file}: found binary data, expected a CSV")
-    return text
+FORMAT = RecordingFormat(suffixes=(".csv", ".csv.gz"), read=read_csv, write=write_csv)
 
 
 def _header(file: Path, line: str, number: int) -> list[str]:
-    names = [name.strip() for name in next(csv.reader([line]))]
+    where = f"{file}: line {number}"
+    names = _cells(line)
+    if names is None:
+        raise RecordingError(f"{where}: found {shorten(line)}, expected a header {EXPECTED}")
+    names = [name.strip() for name in names]
     if "t" in names:
         return names
-    where = f"{file}: line {number}"
     for separator, title in ((";", "semicolons"), ("\t", "tabs")):
         if "t" in [name.strip() for name in line.split(separator)]:
             raise RecordingError(f"{where}: found {title} between columns, expected commas")
@@ -111,41 +102,82 @@ def _header(file: Path, line: str, number: int) -> list[str]:
     return names
 
 
-def _parse(
-    file: Path, lines: list[str], body: list[int], header: list[str], layout: Layout
-) -> tuple[Array, tuple[str, ...] | None]:
-    order = [layout.time, *(i for indices in layout.fields.values() for i in indices)]
-    commas = lines[body[0]].count(",")
-    if layout.label is None and any(lines[k].count(",") != commas for k in body):
-        raise _locate(file, lines, body, header, set(order))
+def _cells(line: str) -> list[str] | None:
+    """Return the cells of a line; None where the quotes are damaged."""
     try:
+        return next(csv.reader([line]))
+    except csv.Error:
+        return None
+
+
+def _numeric(layout: ColumnLayout) -> list[int]:
+    """Return the columns that hold numbers, time first."""
+    return [layout.time, *(i for indices in layout.fields.values() for i in indices)]
+
+
+class _RowFault(LieidError):
+    """A row that does not fit the header; located by reading the file again."""
+
+
+def _parse(
+    file: Path, header: list[str], layout: ColumnLayout, limit: int
+) -> tuple[Array, tuple[str, ...] | None]:
+    """Return the numbers (N, columns) in the order of `_numeric`, and the payload's labels."""
+    labels: list[str] = []
+    count = 0
+
+    def rows() -> Iterator[str]:
+        nonlocal count
+        lines = numbered_lines(file, limit)
+        next(lines)  # the header
+        commas: int | None = None
+        for _, line in lines:
+            if layout.label is not None:
+                cells = _cells(line)
+                if cells is None or len(cells) != len(header):
+                    raise _RowFault
+                labels.append(cells[layout.label].strip())
+            else:
+                here = line.count(",")
+                commas = here if commas is None else commas
+                if here != commas:
+                    raise _RowFault
+            count += 1
+            yield line
+
+    try:
+        first = next(source := rows(), None)
+        if first is None:
+            return np.empty((0, len(_numeric(layout)))), None
         matrix = np.loadtxt(
-            (lines[k] for k in body),
+            chain([first], source),
             delimiter=",",
             comments=None,
             quotechar='"',
-            usecols=order,
+            usecols=_numeric(layout),
             ndmin=2,
         )
+    except _RowFault:
+        raise _locate(file, header, layout, limit) from None
+    except LieidError:
+        raise
     except ValueError:
-        raise _locate(file, lines, body, header, set(order)) from None
-    if matrix.shape[0] != len(body):
-        raise _locate(file, lines, body, header, set(order))
-    if layout.label is None:
-        return matrix, None
-    cells = list(csv.reader(lines[k] for k in body))
-    if any(len(row) != len(header) for row in cells):
-        raise _locate(file, lines, body, header, set(order))
-    return matrix, tuple(row[layout.label].strip() for row in cells)
+        raise _locate(file, header, layout, limit) from None
+    if len(matrix) != count:
+        raise _locate(file, header, layout, limit)
+    return matrix, tuple(labels) if layout.label is not None else None
 
 
-def _locate(
-    file: Path, lines: list[str], body: list[int], header: list[str], numeric: set[int]
-) -> RecordingError:
-    """The error of the first cell that is no number, or the first row of another length."""
-    for k in body:
-        cells = next(csv.reader([lines[k]]))
-        where = f"{file}: line {k + 1}"
+def _locate(file: Path, header: list[str], layout: ColumnLayout, limit: int) -> RecordingError:
+    """Return the error of the first cell that is no number, or the first row of another length."""
+    numeric = set(_numeric(layout))
+    lines = numbered_lines(file, limit)
+    next(lines)
+    for number, line in lines:
+        where = f"{file}: line {number}"
+        cells = _cells(line)
+        if cells is None:
+            return RecordingError(f"{where}: found damaged quotes, expected a CSV")
         for index, cell in enumerate(cells[: len(header)]):
             if index in numeric and not _is_number(cell):
                 found = shorten(cell.strip()) if cell.strip() else "an empty cell"
@@ -166,4 +198,4 @@ def _is_number(text: str) -> bool:
         float(text)
     except ValueError:
         return False
-    return "_" not in text
+    return "_" not in text and text.isascii()

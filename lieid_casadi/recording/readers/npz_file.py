@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
+import math
 import zipfile
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,78 +12,105 @@ import numpy as np
 
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LieidWarning, RecordingError, UnknownColumnWarning
-from lieid_casadi.recording.readers.columns import FIELDS, LABEL
-from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.measurement import FIELDS, Measurement
+from lieid_casadi.recording.readers.columns import LABEL, listed
+from lieid_casadi.recording.readers.registry import (
+    ReadOptions,
+    RecordingFormat,
+    beyond_limit,
+    hash_of_file,
+    library_errors,
+)
 
 EXPECTED = "arrays t (N,), q (N, n) and optionally dq, tau, ddq, temp, i (N, n), load (N,)"
+#: Readers of an array's header by the version of its format; others hold structured types.
+_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
 
 
-def load_npz(
-    file: Path,
-    *,
-    n: int | None = None,
-    joint_names: Sequence[str] | None = None,
-    topic: str | None = None,
-) -> Recording:
+def read_npz(file: Path, options: ReadOptions) -> Measurement:
     """Read an NPZ; pickled objects are refused, so that loading never runs code.
+
+    Members with other names than those of signals are not inflated.
 
     Raises
     ------
     RecordingError
         Not an archive, a missing array, or a shape that does not fit.
     """
-    content = file.read_bytes()
-    arrays = _arrays(file, content)
-    for name in ("t", "q"):
-        if name not in arrays:
-            found = ", ".join(arrays) or "nothing"
-            raise RecordingError(f"{file}: found {found}, expected {EXPECTED}")
-    for name, values in arrays.items():
-        if (name == "t" or name in FIELDS) and values.dtype.kind not in "iufb":
-            raise RecordingError(
-                f"{file}: array {name} holds {values.dtype}, expected real numbers"
-            )
+    if file.stat().st_size == 0:
+        raise RecordingError(f"{file}: found an empty file, expected {EXPECTED}")
+    with library_errors(file, "an NPZ of plain arrays"):
+        arrays, unknown = _arrays(file, options.inflate_limit)
     q = arrays["q"]
-    if n is not None and q.ndim == 2 and q.shape[1] != n:
-        raise RecordingError(f"{file}: found {q.shape[1]} joints in q, expected {n}")
+    if options.n is not None and q.ndim == 2 and q.shape[1] != options.n:
+        raise RecordingError(f"{file}: found {q.shape[1]} joints in q, expected {options.n}")
     label = arrays.get(LABEL)
-    unknown = [name for name in arrays if name not in ("t", LABEL, *FIELDS)]
     warnings: tuple[LieidWarning, ...] = ()
     if unknown:
-        names = ", ".join(unknown[:8])
-        warnings = (UnknownColumnWarning(f"{file.name}: arrays left aside: {names}"),)
-    return Recording(
+        warnings = (
+            UnknownColumnWarning(
+                f"{file.name}: arrays with unknown names ignored: {listed(unknown)}"
+            ),
+        )
+    return Measurement(
         t=arrays["t"],
         payload_label=None if label is None else tuple(str(x) for x in np.ravel(label)),
         name=file.name,
-        source_hash=hashlib.sha256(content).hexdigest(),
+        source_hash=hash_of_file(file),
         warnings=warnings,
         **{field: arrays[prefix] for prefix, field in FIELDS.items() if prefix in arrays},
     )
 
 
-def save_npz(recording: Recording, file: Path) -> None:
+def write_npz(measurement: Measurement, file: Path) -> None:
     """Write a compressed NPZ."""
-    arrays: dict[str, Any] = {"t": recording.t}
+    arrays: dict[str, Any] = {"t": measurement.t}
     for prefix, field in FIELDS.items():
-        if getattr(recording, field) is not None:
-            arrays[prefix] = getattr(recording, field)
-    if recording.payload_label is not None:
-        arrays[LABEL] = np.asarray(recording.payload_label, dtype=np.str_)
+        if getattr(measurement, field) is not None:
+            arrays[prefix] = getattr(measurement, field)
+    if measurement.payload_label is not None:
+        arrays[LABEL] = np.asarray(measurement.payload_label, dtype=np.str_)
     with atomic_binary(file) as out:
         np.savez_compressed(out, **arrays)
 
 
-def _arrays(file: Path, content: bytes) -> dict[str, Any]:
-    if not content:
-        raise RecordingError(f"{file}: found an empty file, expected {EXPECTED}")
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise RecordingError(f"{file}: found a single array, expected {EXPECTED}")
-            return {name: archive[name] for name in archive.files}
-    except RecordingError:
-        raise
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        reason = str(error).splitlines()[0]
-        raise RecordingError(f"{file}: not an NPZ of plain arrays ({reason})") from error
+FORMAT = RecordingFormat(suffixes=(".npz",), read=read_npz, write=write_npz)
+
+
+def _arrays(file: Path, limit: int) -> tuple[dict[str, Any], list[str]]:
+    """Return the arrays of the signals, and the names of the members that are not signals."""
+    with zipfile.ZipFile(file) as archive:
+        members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        wanted = [name for name in ("t", LABEL, *FIELDS) if name in members]
+        if "t" not in wanted or "q" not in wanted:
+            found = listed(list(members)) or "nothing"
+            raise RecordingError(f"{file}: found {found}, expected {EXPECTED}")
+        if sum(members[name].file_size for name in wanted) > limit:
+            raise beyond_limit(file, limit)
+        arrays = {}
+        for name in wanted:
+            # a member never yields more than the size in the archive's directory
+            with archive.open(members[name]) as content:
+                arrays[name] = _array(content.read(), f"{file}: array {name}", name == LABEL)
+    return arrays, [name for name in members if name not in wanted]
+
+
+def _array(content: bytes, where: str, label: bool) -> np.ndarray[Any, Any]:
+    """Return the array of a ``.npy`` member, whose header must fit the bytes that follow."""
+    stream = io.BytesIO(content)
+    version = np.lib.format.read_magic(stream)
+    if version not in _HEADERS:
+        raise RecordingError(f"{where}: found .npy version {version}, expected 1.0 or 2.0")
+    shape, fortran, dtype = _HEADERS[version](stream)
+    kinds = "iufbUS" if label else "iufb"
+    if dtype.kind not in kinds:
+        expected = "text or numbers" if label else "real numbers"
+        raise RecordingError(f"{where} holds {dtype}, expected {expected}")
+    size = len(content) - stream.tell()
+    if any(length < 0 for length in shape) or math.prod(shape) * dtype.itemsize != size:
+        raise RecordingError(f"{where}: found {size} bytes, expected those of shape {shape}")
+    flat = np.frombuffer(content, dtype=dtype, offset=stream.tell())
+    return flat.reshape(shape, order="F" if fortran else "C")

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from lieid_casadi.atomic_file import atomic_binary
-from lieid_casadi.errors import MissingDependency, RecordingError
-from lieid_casadi.recording.readers.tables import columns_of, recording_from_columns
-from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.measurement import Measurement
+from lieid_casadi.recording.readers.columns import layout_warnings, read_layout
+from lieid_casadi.recording.readers.parquet_parts import ParquetParts, decoded_bytes, import_pyarrow
+from lieid_casadi.recording.readers.registry import (
+    ReadOptions,
+    RecordingFormat,
+    hash_of_file,
+    library_errors,
+)
+from lieid_casadi.recording.readers.tables import columns_of, measurement_of_columns
 
 
-def load_parquet(
-    file: Path,
-    *,
-    n: int | None = None,
-    joint_names: Sequence[str] | None = None,
-    topic: str | None = None,
-) -> Recording:
-    """Read a Parquet file; nulls are refused as NaN.
+def read_parquet(file: Path, options: ReadOptions) -> Measurement:
+    """Read a Parquet file; nulls are refused as NaN, columns with other names are not read.
 
     Raises
     ------
@@ -32,37 +30,35 @@ def load_parquet(
     MissingDependency
         pyarrow is not installed.
     """
-    pyarrow, parquet = import_pyarrow(file)
-    with open(file, "rb") as binary:
-        digest = hashlib.file_digest(binary, "sha256").hexdigest()
-    try:
+    _, parquet = import_pyarrow(file)
+    with library_errors(file, "a Parquet file"):
         content = parquet.ParquetFile(file)
+        names = content.schema_arrow.names
+        layout = read_layout(names, str(file), options.n)
         columns = {}
-        for name in content.schema_arrow.names:  # one by one, or all are in memory twice
+        for name in layout.used(names):  # one by one, or all are in memory twice
             column = content.read(columns=[name]).column(0)
             columns[name] = np.asarray(column.to_numpy(zero_copy_only=False))
-    except (pyarrow.ArrowInvalid, OSError) as error:
-        reason = str(error).splitlines()[0]
-        raise RecordingError(f"{file}: not a Parquet file ({reason})") from error
-    recording = recording_from_columns(columns, str(file), n)
-    return replace(recording, name=file.name, source_hash=digest)
+    return replace(
+        measurement_of_columns(columns, str(file), options.n),
+        name=file.name,
+        source_hash=hash_of_file(file),
+        warnings=layout_warnings(layout, file.name),
+    )
 
 
-def save_parquet(recording: Recording, file: Path) -> None:
+def write_parquet(measurement: Measurement, file: Path) -> None:
     """Write a Parquet file."""
     pyarrow, parquet = import_pyarrow(file)
-    table = pyarrow.table({name: np.asarray(x) for name, x in columns_of(recording).items()})
+    table = pyarrow.table({name: np.asarray(x) for name, x in columns_of(measurement).items()})
     with atomic_binary(file) as out:
         parquet.write_table(table, out)
 
 
-def import_pyarrow(file: Path) -> tuple[Any, Any]:
-    """Return pyarrow and its reader of Parquet."""
-    try:
-        import pyarrow
-        import pyarrow.parquet as parquet
-    except ImportError as error:
-        raise MissingDependency(
-            f"{file}: Parquet needs pyarrow: pip install 'lieid-casadi[parquet]'"
-        ) from error
-    return pyarrow, parquet
+FORMAT = RecordingFormat(
+    suffixes=(".parquet",),
+    read=read_parquet,
+    write=write_parquet,
+    read_parts=ParquetParts,
+    decoded_bytes=decoded_bytes,
+)

@@ -7,16 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from lieid_casadi.errors import LieidWarning, RecordingError, UnknownColumnWarning
+from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording.arrays import Array
-from lieid_casadi.recording.readers.columns import FIELDS, LABEL, Layout, read_layout, shorten
-from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.measurement import FIELDS, Measurement
+from lieid_casadi.recording.readers.columns import LABEL, layout_warnings, read_layout, shorten
 
 
-def recording_from_columns(
+def measurement_of_columns(
     columns: Mapping[str, Any], title: str, n: int | None = None
-) -> Recording:
-    """Recording from arrays of length N by column name; not yet checked for NaN.
+) -> Measurement:
+    """Return a measurement from named columns; values are not checked yet.
+
+    Parameters
+    ----------
+    columns
+        Column name -> (N,) values; see `lieid_casadi.recording.readers.columns` for the names.
+    title
+        Name of the source, for messages.
+    n
+        Number of joints that is expected; None takes it from the columns.
 
     Raises
     ------
@@ -34,7 +43,7 @@ def recording_from_columns(
         field: _side_by_side([number(index) for index in indices])
         for field, indices in layout.fields.items()
     }
-    return Recording(
+    return Measurement(
         t=number(layout.time),
         payload_label=None if label is None else tuple(str(x) for x in label),
         name=title,
@@ -43,28 +52,20 @@ def recording_from_columns(
     )
 
 
-def columns_of(recording: Recording) -> dict[str, Any]:
-    """Columns by their names in files: t, q1…qn, dq1…dqn, tau1…taun, then the optional ones."""
-    columns: dict[str, Any] = {"t": recording.t}
+def columns_of(measurement: Measurement) -> dict[str, Any]:
+    """Return columns by their names in files: t, q1…qn, dq1…dqn, tau1…taun, then the others."""
+    columns: dict[str, Any] = {"t": measurement.t}
     for prefix, field in FIELDS.items():
-        values = getattr(recording, field)
+        values = getattr(measurement, field)
         if values is not None:
-            columns |= {f"{prefix}{j + 1}": values[:, j] for j in range(recording.n)}
-    if recording.payload_label is not None:
-        columns[LABEL] = recording.payload_label
+            columns |= {f"{prefix}{j + 1}": values[:, j] for j in range(measurement.n)}
+    if measurement.payload_label is not None:
+        columns[LABEL] = measurement.payload_label
     return columns
 
 
-def layout_warnings(layout: Layout, title: str) -> tuple[LieidWarning, ...]:
-    """A warning that names the columns that were left aside, if any."""
-    if not layout.unknown:
-        return ()
-    names = ", ".join(layout.unknown[:8]) + (", …" if len(layout.unknown) > 8 else "")
-    return (UnknownColumnWarning(f"{title}: columns left aside, names unknown: {names}"),)
-
-
 def _side_by_side(columns: Sequence[Array]) -> Array:
-    """Columns as one array that `read_only` need not copy."""
+    """Return columns as one array that `read_only` need not copy."""
     stacked = np.column_stack(columns)
     stacked.flags.writeable = False
     return stacked
@@ -74,13 +75,15 @@ def _numbers(values: Any, where: str) -> Array:
     array = np.asarray(values)
     if array.ndim != 1:
         raise RecordingError(f"{where}: found shape {array.shape}, expected (N,)")
+    if array.dtype.kind not in "iufbOUST":
+        raise RecordingError(f"{where}: found {array.dtype}, expected numbers")
     if array.dtype.kind in "iufb":
         return array.astype(np.float64, copy=False)
     converted = np.empty(array.size)
     for row, value in enumerate(array):
         try:
-            converted[row] = float(value)
-        except (TypeError, ValueError):
+            converted[row] = np.nan if value is None else float(value)
+        except (TypeError, ValueError, OverflowError):
             found = shorten(str(value))
             raise RecordingError(
                 f"{where}, row {row + 1}: found {found}, expected a number"

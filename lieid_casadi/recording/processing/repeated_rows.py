@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import RepeatedRowsWarning
 from lieid_casadi.recording.arrays import Array, Mask
-from lieid_casadi.recording.processing.sample_timing import sample_period
-from lieid_casadi.recording.readers.streams import RecordingStream
 from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.recording_stream import RecordingStream
+from lieid_casadi.recording.sample_timing import sample_period
 
 #: Steps before and after a repeat that tell motion from rest: in quanta, and in RMS steps.
 QUANTA, PART_OF_STEP = 3.0, 0.1

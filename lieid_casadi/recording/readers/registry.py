@@ -1,0 +1,196 @@
+"""The file formats of recordings: each is one module of this package with a ``FORMAT``."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib
+import pkgutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Protocol
+
+from lieid_casadi.errors import LieidError, RecordingError
+from lieid_casadi.recording.arrays import Array
+from lieid_casadi.recording.measurement import Measurement
+
+#: Bytes that a compressed file may inflate to unless the caller raises the limit.
+INFLATE_LIMIT = 1 << 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadOptions:
+    """Options of every reader; a reader ignores what its format does not have.
+
+    Attributes
+    ----------
+    n
+        Number of joints that is expected; None takes it from the file.
+    joint_names, topic
+        For bags: the joints in the robot's order, and the topic.
+    inflate_limit
+        Bytes that a compressed file may inflate to.
+    """
+
+    n: int | None = None
+    joint_names: tuple[str, ...] | None = None
+    topic: str | None = None
+    inflate_limit: int = INFLATE_LIMIT
+
+
+class PartReader(Protocol):
+    """Source of a recording that is read part by part."""
+
+    name: str
+
+    @property
+    def source_hash(self) -> str:
+        """sha256 of the file's bytes."""
+
+    def times(self) -> tuple[Array, Sequence[int]]:
+        """Return stamps (N,) of all rows, and the rows before which the payload's label changes."""
+
+    def rows(self, first: int, last: int) -> Measurement:
+        """Return rows first … last − 1; cheapest in the order of time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingFormat:
+    """A file format.
+
+    Attributes
+    ----------
+    suffixes
+        Endings of file names, lower case.
+    read
+        Returns the measurement in a file.
+    folder
+        Whether a folder is read as well.
+    write
+        Writes a measurement; None for formats that are only read.
+    read_parts, decoded_bytes
+        Open a file for reading part by part, and its size in memory; None if it is always
+        read whole.
+    """
+
+    suffixes: tuple[str, ...]
+    read: Callable[[Path, ReadOptions], Measurement]
+    folder: bool = False
+    write: Callable[[Measurement, Path], None] | None = None
+    read_parts: Callable[[Path, ReadOptions], PartReader] | None = None
+    decoded_bytes: Callable[[Path], int] | None = None
+
+
+@cache
+def recording_formats() -> tuple[RecordingFormat, ...]:
+    """Return the ``FORMAT`` of every module of this package that defines one."""
+    package = __name__.rpartition(".")[0]
+    folder = [str(Path(__file__).parent)]
+    names = sorted(module.name for module in pkgutil.iter_modules(folder))
+    modules = [importlib.import_module(f"{package}.{name}") for name in names]
+    return tuple(module.FORMAT for module in modules if hasattr(module, "FORMAT"))
+
+
+def format_of(file: Path) -> RecordingFormat:
+    """Return the format of a file by its suffix, or of a folder.
+
+    Raises
+    ------
+    RecordingError
+        No such file, or a suffix that no format has.
+    """
+    for made in recording_formats():
+        if file.name.lower().endswith(made.suffixes) or (made.folder and file.is_dir()):
+            return made
+    if not file.exists():
+        raise RecordingError(f"{file}: no such file, expected a recording")
+    suffixes = [suffix for made in recording_formats() for suffix in made.suffixes]
+    raise RecordingError(
+        f"{file}: found suffix {file.suffix!r}, "
+        f"expected {', '.join(suffixes)} or the folder of a ROS 2 bag"
+    )
+
+
+def read_measurement(file: Path, options: ReadOptions) -> Measurement:
+    """Read a file in the format that its name states.
+
+    Raises
+    ------
+    RecordingError
+        Names the file and the place, what was found and what was expected.
+    MissingDependency
+        The format needs an extra that is not installed.
+    """
+    made = format_of(file)
+    if not file.exists():
+        raise RecordingError(f"{file}: no such file, expected a recording")
+    try:
+        return made.read(file, options)
+    except OSError as error:
+        raise RecordingError(f"{file}: cannot be read ({error.strerror or error})") from error
+    except MemoryError as error:
+        raise RecordingError(f"{file}: needs more memory than there is") from error
+
+
+def write_measurement(measurement: Measurement, file: Path) -> None:
+    """Write a file in the format that its name states, atomically.
+
+    Raises
+    ------
+    RecordingError
+        A suffix that cannot be written.
+    OutputError
+        The file cannot be written.
+    """
+    writers = {s: made.write for made in recording_formats() for s in made.suffixes if made.write}
+    write = next((writers[s] for s in writers if file.name.lower().endswith(s)), None)
+    if write is None:
+        raise RecordingError(f"{file}: found suffix {file.suffix!r}, expected {', '.join(writers)}")
+    write(measurement, file)
+
+
+@contextlib.contextmanager
+def library_errors(file: Path | str, expected: str) -> Iterator[None]:
+    """Turn every exception of a library that decodes a file into one RecordingError.
+
+    Parameters
+    ----------
+    file
+        Named in the message.
+    expected
+        What the file is expected to be, such as ``a Parquet file``.
+    """
+    try:
+        yield
+    except LieidError:
+        raise
+    except Exception as error:
+        raise RecordingError(f"{file}: not {expected} ({reason_of(error)})") from error
+
+
+def reason_of(error: BaseException) -> str:
+    """Return the message of a library's exception as one short, printable line."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    return text if len(text) <= 200 else f"{text[:199]}…"
+
+
+def hash_of_file(file: Path) -> str:
+    """Return the sha256 of a file, or of a folder's files in the order of their names."""
+    if not file.is_dir():
+        with file.open("rb") as binary:
+            return hashlib.file_digest(binary, "sha256").hexdigest()
+    digest = hashlib.sha256()
+    for part in sorted(p for p in file.rglob("*") if p.is_file()):
+        digest.update(part.read_bytes())
+    return digest.hexdigest()
+
+
+def beyond_limit(file: Path, limit: int) -> RecordingError:
+    """Return the error of a compressed file that inflates beyond the limit, bytes."""
+    return RecordingError(
+        f"{file}: inflates to more than the limit of {limit / 2**20:g} MiB; if the file is "
+        "what you expect, raise the limit (--inflate-limit MIB, inflate_limit= in Python)"
+    )

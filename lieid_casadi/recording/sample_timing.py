@@ -1,0 +1,97 @@
+"""Sample period, lost samples, gaps between segments, and the time unit that a rate suggests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lieid_casadi.errors import RecordingError
+from lieid_casadi.recording.arrays import Array
+
+#: A pause is a gap when it is both this many sample periods long ...
+GAP_PERIODS = 5.0
+#: ... and this many seconds: shorter pauses hide no motion of an arm and are interpolated.
+GAP_SECONDS = 0.05
+#: Mean rates, Hz, that recordings of arms have; others come from stamps in another unit.
+LOWEST_RATE, HIGHEST_RATE = 1.0, 1e6
+#: Rates of recorders, Hz: a unit is suggested if the stamps have such a rate in it.
+USUAL_RATES = (5.0, 5e4)
+#: Uniform instants per row, at most: stamps in clusters would ask for an unbounded number.
+INSTANTS_PER_ROW = 4
+
+
+def sample_period(t: Array) -> float:
+    """Return the median time between samples, s (t: (N,), N ≥ 2)."""
+    return float(np.median(np.diff(t)))
+
+
+def gap_limit(t: Array) -> float:
+    """Return the step in time, s, beyond which two samples belong to different segments."""
+    return max(GAP_PERIODS * sample_period(t), GAP_SECONDS)
+
+
+def dropout_limit(t: Array) -> float:
+    """Return the step in time, s, beyond which samples were lost between two neighbours.
+
+    Irregular stamps are no loss: the limit lies above the spread of the steps (their
+    90th percentile), and above 1.75 sample periods.
+    """
+    steps = np.diff(t)
+    return float(max(1.75 * np.median(steps), 1.45 * np.percentile(steps, 90.0)))
+
+
+def mean_rate(t: Array) -> float:
+    """Return the mean rate within segments, Hz (t: (N,), N ≥ 2); gaps do not count."""
+    steps = np.diff(t)
+    inside = steps[steps <= gap_limit(t)]
+    return float(inside.size / inside.sum())
+
+
+def uniform_count(t: Array, rate: float) -> int:
+    """Return the number of uniform instants from the first stamp to the last.
+
+    Parameters
+    ----------
+    t
+        (N,) stamps of one segment, s.
+    rate
+        Wanted rate, Hz.
+
+    Returns
+    -------
+    int
+        That of the rate, at least 2 and at most four for each row.
+    """
+    wanted = float(t[-1] - t[0]) * rate
+    return max(2, min(round(min(wanted, 1e15)) + 1, INSTANTS_PER_ROW * t.size))
+
+
+def require_plausible_rate(t: Array, title: str) -> None:
+    """Refuse stamps (N,) whose mean rate shows that they are not in seconds.
+
+    Raises
+    ------
+    RecordingError
+        Mean rate of 1 Hz or less, or above 1 MHz; names the unit that the stamps seem to be in.
+    """
+    if t.size < 2:
+        return
+    rate = mean_rate(t)
+    # whole milliseconds at 1 kHz read as seconds are exactly 1 Hz
+    if LOWEST_RATE * (1.0 + 1e-6) < rate <= HIGHEST_RATE:
+        return
+    raise RecordingError(
+        f"{title}: column t: found a mean rate of {rate:.3g} Hz, expected stamps in seconds "
+        f"(rates between 1 Hz and 1 MHz){_suggestion(rate)}"
+    )
+
+
+def _suggestion(rate: float) -> str:
+    """Return a remark on the unit in which the stamps have the rate of a recorder."""
+    for unit, name, per_second in (
+        ("ms", "milliseconds", 1e3),
+        ("us", "microseconds", 1e6),
+        ("ns", "nanoseconds", 1e9),
+    ):
+        if USUAL_RATES[0] <= rate * per_second <= USUAL_RATES[1]:
+            return f": the stamps look like {name}; if they are, convert with --units {unit}"
+    return ": check the unit of the stamps"
