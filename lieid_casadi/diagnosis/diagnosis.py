@@ -1,4 +1,4 @@
-"""Result of a diagnosis: the verdict, the steps, and what stays unexplained."""
+"""Result of a diagnosis: the verdict, the steps, and the unexplained residual."""
 
 from __future__ import annotations
 
@@ -9,9 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.residual.unexplained import Unexplained
-from lieid_casadi.diagnosis.screening.aliases import Aliases
-from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.provenance import Source
@@ -20,26 +17,32 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+    from lieid_casadi.diagnosis.screening.aliases import Aliases
+    from lieid_casadi.diagnosis.screening.candidates import Candidate
+    from lieid_casadi.diagnosis.search.search_results import AcceptedEffect
+
 Array = NDArray[np.float64]
-MOST_RIVALS = 3
+SHOWN_RIVALS = 3  # of each step, in JSON
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """How sure a step is.
+    """Evidence for a step.
 
     Attributes
     ----------
     log10_p : float
-        log₁₀ of the family-wise p-value, over everything that was tried.
+        log₁₀ of the family-wise p-value over all candidates that were screened.
     rows : int
         Effective sample size: whitened rows of all joints.
     effect_size : float
-        RMS of what the effect adds on its joint along the training recordings, N·m.
+        RMS of the residual that the effect explains on the joint where the error falls most, N·m.
     held_out_before, held_out_after : float
-        Blocked cross-validation error of the joint where it falls most, N·m.
+        Error of that joint, N·m: of blocked cross-validation, or of the new recording if the
+        model is kept.
     confirmed : bool or None
-        Whether the test's error fell; None without a test.
+        Whether the error on the test falls; None without a test.
     """
 
     log10_p: float
@@ -63,25 +66,30 @@ class Evidence:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
-    """One effect that was found, in the order added.
+class DiagnosisStep:
+    """One effect that was found.
 
     Attributes
     ----------
     label : str
         As on the command line, ``load_friction:2``.
     effect : str
+        Its name.
     joints : tuple of int
-        From 0; target and source for couplings.
+        From 0; target and source for couplings, none for effects on the whole arm.
     parameters : dict
-        Name → value of the last fit.
-    rms_train, rms_test : (n,)
-        After this step, N·m; ``rms_test`` is None without a test.
-    indistinguishable : tuple of (Candidate, kind)
+        Estimated coefficients and shape parameters by name.
+    rms_train, rms_test : (n,) or None
+        Error of each joint after this step, N·m. ``rms_test`` is None without a test,
+        ``rms_train`` if the model is kept.
+    evidence : Evidence
+    indistinguishable : tuple of (Candidate, str)
+        Rivals, and the kind of rivalry: ``exact`` if no data can separate the two, ``data`` if
+        these data cannot.
     fit : Fit or None
-        With this effect and those before it.
+        With this effect and those before it; None if the model is kept.
     moving : (n,) or None
-        ``rms_test`` of joints in motion alone: rest says nothing of a model.
+        Test error of joints in motion, N·m.
     """
 
     label: str
@@ -94,6 +102,44 @@ class Step:
     indistinguishable: tuple[tuple[Candidate, str], ...]
     fit: Fit | None = None
     moving: Array | None = None
+
+    @classmethod
+    def of(
+        cls,
+        accepted: AcceptedEffect,
+        *,
+        rms_train: Array | None,
+        rms_test: Array | None,
+        moving: Array | None,
+    ) -> DiagnosisStep:
+        """Return the step of an accepted effect.
+
+        Parameters
+        ----------
+        accepted : AcceptedEffect
+        rms_train, rms_test, moving : (n,) or None
+            Errors after the step, N·m.
+        """
+        before, after = accepted.errors[:, accepted.joint]
+        return cls(
+            label=accepted.candidate.placement.label,
+            effect=accepted.candidate.name,
+            joints=accepted.candidate.joints,
+            parameters=accepted.parameters,
+            rms_train=rms_train,
+            rms_test=rms_test,
+            evidence=Evidence(
+                log10_p=accepted.significance.log10_p,
+                rows=accepted.significance.rows,
+                effect_size=float(np.sqrt(max(before**2 - after**2, 0.0))),
+                held_out_before=float(before),
+                held_out_after=float(after),
+                confirmed=accepted.confirmed,
+            ),
+            indistinguishable=accepted.rivals,
+            fit=accepted.fit,
+            moving=moving,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the step for JSON, joints from 1."""
@@ -108,7 +154,7 @@ class Step:
             "evidence": self.evidence.to_dict(),
             "indistinguishable": [
                 {"effect": c.name, "joints": [j + 1 for j in c.joints], "kind": kind}
-                for c, kind in self.indistinguishable[:MOST_RIVALS]
+                for c, kind in self.indistinguishable[:SHOWN_RIVALS]
             ],
         }
 
@@ -120,28 +166,35 @@ class Diagnosis:
     Attributes
     ----------
     mode : str
-        ``missing``: which effects the model lacks; ``changed``: what is no longer as it was.
+        ``missing``: effects that the model lacks; ``changed``: changes since a fit.
     verdict : str
         ``sufficient``, ``effect_found`` or ``unexplained``.
+    joint_names : tuple of str
     noise_floor : (n,)
-        Error that a perfect model would have, N·m.
+        Error that a model without any missing effect would have, N·m.
+    noise_source : str
+        How the noise floor was estimated: ``periods`` of a periodic motion, ``autoregression`` of
+        the residual, ``held_out`` errors of the fit.
     baseline_effects : tuple of str
+        Of the first model.
     baseline_train, baseline_test : (n,) or None
         Error of the first model, N·m.
-    baseline_moving : (n,) or None
-        Of joints in motion alone, on the test.
-    steps : tuple of Step
+    steps : tuple of DiagnosisStep
+        In the order added.
     unexplained : tuple of Unexplained
     rejected : tuple of (str, str)
-        Candidates that looked best and were turned down, and why.
+        Candidates that were selected but not accepted, or removed, and the reason.
     tried : int
-        How many candidates were screened.
+        Number of candidates that were screened.
     aliases : Aliases
-        Which of them the first model absorbs.
+        Candidates that cannot be identified beside the first model.
     fit : Fit
         The last model's.
     warnings : tuple of LieidWarning
     train, test : tuple of Source
+        The recordings.
+    baseline_moving : (n,) or None
+        Test error of the first model for joints in motion, N·m.
     """
 
     mode: str
@@ -152,7 +205,7 @@ class Diagnosis:
     baseline_effects: tuple[str, ...]
     baseline_train: Array | None
     baseline_test: Array | None
-    steps: tuple[Step, ...]
+    steps: tuple[DiagnosisStep, ...]
     unexplained: tuple[Unexplained, ...]
     rejected: tuple[tuple[str, str], ...]
     tried: int
@@ -191,14 +244,15 @@ class Diagnosis:
 
     @property
     def shown(self) -> tuple[str, list[Array]]:
-        """Where errors are told, and those (n,) of all models from the first to the last, N·m.
+        """The recordings whose errors are shown, and the errors of all models, N·m.
 
-        On the test they are those of joints in motion, where all joints move.
+        The errors (n,) of each model, from the first to the last, are those of the test in
+        motion if all joints move, otherwise those of the whole test or of the training.
         """
         moving = [self.baseline_moving, *(step.moving for step in self.steps)]
-        known = [values for values in moving if values is not None]
-        if len(known) == len(moving) and np.isfinite(known).all():
-            return "test, joints in motion", known
+        available = [values for values in moving if values is not None]
+        if len(available) == len(moving) and np.isfinite(available).all():
+            return "test, joints in motion", available
         tested = self.baseline_test is not None
         errors = [self.baseline_test if tested else self.baseline_train]
         errors += [step.rms_test if tested else step.rms_train for step in self.steps]
@@ -206,19 +260,19 @@ class Diagnosis:
 
     @property
     def sentence(self) -> str:
-        """The verdict in words."""
+        """The verdict in full sentences."""
         from lieid_casadi.diagnosis.text_summary import sentence
 
         return sentence(self)
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the fall of the error from the first model to the last; not shown."""
+        """Draw the errors of all models from the first to the last; not shown."""
         from lieid_casadi.diagnosis.waterfall_plot import plot_waterfall
 
         return plot_waterfall(self, ax)
 
     def plot_unexplained(self, ax: Axes | None = None) -> Figure:
-        """Draw the smooth functions that explain what stays: curves and maps; not shown."""
+        """Draw the smooth functions of the unexplained residual; not shown."""
         from lieid_casadi.diagnosis.residual.shape_plots import plot_shapes
 
         return plot_shapes(self.unexplained, ax)

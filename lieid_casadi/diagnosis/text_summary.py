@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from lieid_casadi.diagnosis.diagnosis import Diagnosis, Step
+    from lieid_casadi.diagnosis.diagnosis import Diagnosis, DiagnosisStep
 
 
 def where(joints: tuple[int, ...]) -> str:
@@ -37,7 +37,7 @@ def sentence(d: Diagnosis) -> str:
     parts += [
         f"On joint {u.joint + 1} {100 * u.fraction:.0f} % of the remaining error's variance "
         f"follows {', '.join(u.depends_on)}, which no effect of the library explains"
-        + ("." if u.form is None else f"; it looks like {u.form.text}.")
+        + ("." if u.formula is None else f"; it looks like {u.formula.text}.")
         for u in d.unexplained
     ]
     return " ".join(parts)
@@ -63,7 +63,7 @@ def rows(d: Diagnosis) -> tuple[list[str], list[list[object]]]:
     return ["model", *heading, "p"], table
 
 
-def _sure(step: Step) -> str:
+def _sure(step: DiagnosisStep) -> str:
     exponent = step.evidence.log10_p
     return f"{10.0**exponent:.2g}" if exponent > -15 else f"1e{max(exponent, -1e6):.0f}"
 

@@ -16,7 +16,8 @@ import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.diagnosis.screening.context import Scene
+from lieid_casadi.diagnosis import DiagnosisOptions
+from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.recording import process
 
 ROBOT = lieid.robots.panda()
@@ -40,14 +41,13 @@ def timed(run):
 def refits(train):
     """Refit once for every candidate; return how many there were."""
     fit = lieid.identify(MODEL, train)
-    scene = Scene.of(fit, process(train, fit.processing))
-    bank, torque = scene.bank, np.concatenate(scene.torque)
-    own = np.concatenate(scene.columns)
+    context = ScreeningContext.of(fit, process(train, fit.processing), DiagnosisOptions())
+    torque, own = np.concatenate(context.torque), np.concatenate(context.model_columns)
     seen = set()
-    for group, candidate in enumerate(bank.candidate):
+    for group, candidate in enumerate(context.candidates.owner_index):
         if candidate not in seen:
             seen.add(candidate)
-            columns = np.hstack([own, np.concatenate(bank.dense(group))])
+            columns = np.hstack([own, context.candidates.stacked(group)])
             np.linalg.lstsq(columns, torque, rcond=None)
     return len(seen)
 

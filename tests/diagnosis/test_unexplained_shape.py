@@ -8,19 +8,19 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.diagnosis import own_effects
+from lieid_casadi.diagnosis import DiagnosisOptions, own_effects
 from lieid_casadi.diagnosis.residual.function_dictionary import (
     FUNCTIONS,
     Term,
     dictionaries,
     dictionary,
 )
-from lieid_casadi.diagnosis.residual.projected_residual import Remainder
-from lieid_casadi.diagnosis.residual.residual_description import Ahead
-from lieid_casadi.diagnosis.residual.symbolic_formula import Form, _subsets
+from lieid_casadi.diagnosis.residual.projected_residual import ProjectedResidual
+from lieid_casadi.diagnosis.residual.symbolic_formula import Formula, best_subsets
+from lieid_casadi.diagnosis.residual.test_validation import TrainAndTest, confirms_formula
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained
-from lieid_casadi.diagnosis.screening.context import Scene
-from lieid_casadi.diagnosis.screening.screen import Baseline
+from lieid_casadi.diagnosis.screening.baseline import Baseline
+from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.effects.effect import REGISTER
 from lieid_casadi.recording import process
 from lieid_casadi.report import diagnosis_report
@@ -93,15 +93,16 @@ def noise(seed=2):
 
 def test_the_formula_is_found(by_angle):
     (part,) = by_angle[0].unexplained
-    found = {t.text: (v, s) for t, v, s in zip(part.form.terms, part.form.values, part.form.std,
-                                               strict=True)}  # fmt: skip
+    formula = part.formula
+    estimates = zip(formula.terms, formula.values, formula.std, strict=True)
+    found = {term.text: (value, std) for term, value, std in estimates}
     assert set(found) == {"sin(2 q2)·dq2", "cos(2 q2)·dq2"}
     for term, truth in (("sin(2 q2)·dq2", np.cos(0.5)), ("cos(2 q2)·dq2", np.sin(0.5))):
         value, std = found[term]
         assert value == pytest.approx(0.15 * SIZE[1] * truth, abs=4.0 * std)
         assert std < 0.1 * abs(value)
-    assert part.form.units == ("N·m·s/rad", "N·m·s/rad")
-    assert part.form.part > 0.9
+    assert part.formula.units == ("N·m·s/rad", "N·m·s/rad")
+    assert part.formula.part > 0.9
     assert "sin(2 q2)·dq2" in by_angle[0].sentence
 
 
@@ -113,7 +114,7 @@ def test_with_the_effect_of_ones_own_the_error_falls_to_the_noise(by_angle):
     assert after[1] < 1.2 * noise()[1] < 0.1 * diagnosis.baseline_test[1]
     named = [row for row in fit.parameter_table() if row["name"].startswith("own_2.")]
     assert [row["value"] for row in named] == pytest.approx(
-        diagnosis.unexplained[0].form.values, rel=0.05
+        diagnosis.unexplained[0].formula.values, rel=0.05
     )
     again = lieid.diagnose(fit.model, train, test, processing=diagnosis.fit.processing)
     assert again.verdict == "sufficient"
@@ -143,7 +144,7 @@ def test_a_curve_without_a_formula(with_bump):
     diagnosis, train, test = with_bump
     part = diagnosis.unexplained[0]
     assert part.depends_on[0] == "q2"
-    assert part.form is None
+    assert part.formula is None
     (q,), value = part.shapes[0].grid, part.shapes[0].value
     assert q[np.argmax(value)] == pytest.approx(0.3, abs=0.1)
     truth = 0.3 * SIZE[1] / (1.0 + ((q - 0.3) / 0.15) ** 2)
@@ -193,7 +194,7 @@ def test_what_has_changed_has_a_formula_too():
     diagnosis = lieid.diagnose(fit, after)
     assert diagnosis.verdict == "unexplained"
     (part,) = diagnosis.unexplained
-    assert {t.text for t in part.form.terms} == {"sin(2 q2)·dq2", "cos(2 q2)·dq2"}
+    assert {t.text for t in part.formula.terms} == {"sin(2 q2)·dq2", "cos(2 q2)·dq2"}
     assert part.shapes
     assert "--effects " not in diagnosis_report(diagnosis)
     exec(compile(part.as_effect_code(), "own.py", "exec"), {})
@@ -211,7 +212,7 @@ def test_json_keeps_its_keys_and_has_more(by_angle, with_bump):
             for shape in part["shape"]:
                 assert np.shape(shape["value"]) == tuple(len(g) for g in shape["grid"])
     form = by_angle[0].to_dict()["unexplained"][0]["form"]
-    assert form["text"] == by_angle[0].unexplained[0].form.text
+    assert form["text"] == by_angle[0].unexplained[0].formula.text
     assert len(form["terms"]) == 2
 
 
@@ -252,11 +253,13 @@ def test_a_formula_that_the_test_contradicts_is_not_told(by_angle):
     diagnosis, train, test = by_angle
     clean = run(plant.demo_arm(ROBOT, hidden=None), 2)
     (part,), fit = diagnosis.unexplained, diagnosis.fit
-    own, same, other = (Scene.of(fit, process([r], fit.processing), tried=False)
+    own, same, other = (ScreeningContext.of(
+            fit, process([r], fit.processing), DiagnosisOptions(), with_candidates=False
+        )
                         for r in (train, test, clean))  # fmt: skip
-    noise = own.plain
-    assert Ahead(own, same, noise).carries(part.form, part)
-    assert not Ahead(own, other, noise).carries(part.form, part)
+    noise = own.white_noise
+    assert confirms_formula(part.formula, part, TrainAndTest(own, same, noise))
+    assert not confirms_formula(part.formula, part, TrainAndTest(own, other, noise))
 
 
 def test_units_of_coefficients():
@@ -283,10 +286,10 @@ def test_waves_and_powers_of_an_angle_are_not_mixed():
 def test_products_of_two_other_joints_are_told():
     line = FUNCTIONS["dq"][1]
     term = Term((("dq1", line), ("dq3", line)))
-    form = Form((term,), (1.0,), (0.1,), ("N·m·s²/rad²",), 1.0)
-    own = own_effects([Unexplained(1, 0.5, ("dq1", "dq3"), form=form)])
+    formula = Formula((term,), (1.0,), (0.1,), ("N·m·s²/rad²",), 1.0)
+    own = own_effects([Unexplained(1, 0.5, ("dq1", "dq3"), formula=formula)])
     assert own.labels == ()
-    assert own.code.startswith("# joint 2, dq1·dq3: two other joints act together")
+    assert own.code.startswith("# joint 2, dq1·dq3: depends on two other joints")
 
 
 def test_names_of_an_earlier_round_are_left_alone(by_angle):
@@ -302,7 +305,7 @@ def test_sparse_regression_finds_the_columns(wanted):
     columns = random.normal(size=(500, 12)) + 0.7 * random.normal(size=(500, 1))
     columns /= np.linalg.norm(columns, axis=0)
     truth = columns[:, list(wanted)] @ np.linspace(1.0, 2.0, len(wanted))
-    found = _subsets(columns, truth, np.ones(12))
+    found = best_subsets(columns, truth, np.ones(12), DiagnosisOptions())
     assert set(found[len(wanted) - 1]) == set(wanted)
     assert [len(each) for each in found] == [1, 2, 3]
 
@@ -320,7 +323,9 @@ def test_the_band_is_as_wide_as_estimates_scatter(memory):
             error[k] = (memory * error[k - 1] if k else 0.0) + white[k]
         baseline = Baseline.of([model], [error + 3.0 * column[:, 0] + 5.0])
         blocks = np.arange(rows) // 40
-        estimate = Remainder((), (), (), baseline, blocks % 5, blocks).fit(column)
+        estimate = ProjectedResidual(
+            (), (), (), baseline, blocks % 5, blocks, DiagnosisOptions()
+        ).fit(column)
         values.append(estimate.values[0])
         stated.append(estimate.std[0])
     assert np.mean(values) == pytest.approx(3.0, abs=0.2)

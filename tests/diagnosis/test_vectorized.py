@@ -1,11 +1,11 @@
-"""NumPy's evaluation of CasADi expressions against CasADi's own."""
+"""Evaluation of CasADi expressions by NumPy, compared with CasADi."""
 
 import casadi as ca
 import numpy as np
 import pytest
 
 import lieid_casadi as lieid
-from lieid_casadi.diagnosis.screening.numpy_evaluation import Vectorized
+from lieid_casadi.diagnosis.screening.numpy_evaluation import ArrayFunction
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.effect import REGISTER, make
 
@@ -13,8 +13,8 @@ X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 EXPRESSIONS = {
     "arithmetic": (X + Y) * (X - Y) / (1.0 + X**2) - 3.0,
     "powers": ca.sqrt(ca.fabs(X)) + ca.fabs(X) ** 1.7 + Y**2,
-    "turning": ca.sin(X) * ca.cos(Y) + ca.tan(0.3 * X) + ca.atan2(X, Y),
-    "growing": ca.exp(-(X**2)) + ca.log(1.0 + Y**2) + ca.expm1(X) + ca.log1p(ca.fabs(Y)),
+    "trigonometric": ca.sin(X) * ca.cos(Y) + ca.tan(0.3 * X) + ca.atan2(X, Y),
+    "exponential": ca.exp(-(X**2)) + ca.log(1.0 + Y**2) + ca.expm1(X) + ca.log1p(ca.fabs(Y)),
     "steps": ca.sign(X) + ca.if_else(X > Y, X, Y) + ca.fmax(X, 0.1) + ca.fmin(Y, 0.2),
     "logic": ca.logic_and(X > 0, Y > 0) + ca.logic_or(X > 0, Y > 0) + ca.logic_not(X > 0),
     "saturating": ca.tanh(X) + ca.erf(Y) + ca.floor(3.0 * X) + ca.fmod(Y, 0.7),
@@ -27,12 +27,12 @@ def test_expressions(name):
     random = np.random.default_rng(0)
     x, y = random.normal(size=(2, 50))
     expected = ca.Function("f", [X, Y], [expression]).map(50)(x[None], y[None]).full()[0]
-    (found,) = Vectorized([X, Y], [expression])(x, y)
+    (found,) = ArrayFunction([X, Y], [expression])(x, y)
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
 
 
-def test_results_that_do_not_depend_on_inputs():
-    one, x = Vectorized([X], [ca.SX(1.0), X])(np.arange(3.0))
+def test_constant_results():
+    one, x = ArrayFunction([X], [ca.SX(1.0), X])(np.arange(3.0))
     assert one == 1.0
     np.testing.assert_array_equal(x, np.arange(3.0))
 
@@ -52,8 +52,8 @@ def test_every_effect_has_the_columns_of_the_compiled_model(label):
     motion = plant.FourierTrajectory(robot, base_frequency=0.2, seed=1)
     t = np.arange(0.0, 5.0, 0.005)
     q, dq, _ = motion.at(t)
-    warmth = 20.0 + np.column_stack([t, 2.0 * t])
-    recording = lieid.Recording.from_arrays(t, q, dq, np.zeros_like(q), temperature=warmth)
+    temperature = 20.0 + np.column_stack([t, 2.0 * t])
+    recording = lieid.Recording.from_arrays(t, q, dq, np.zeros_like(q), temperature=temperature)
     (segment,) = process(recording, Processing(cutoff=8.0))
     fit = lieid.identify(lieid.Model(robot), recording, processing=Processing(cutoff=8.0))
     signals = SegmentSignals.of(fit, segment)

@@ -1,4 +1,4 @@
-"""The dictionary of a sparse regression: simple functions of one column, and their products."""
+"""Dictionary of the sparse regression: simple functions of one signal and products of two."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.residual.shapes import series, split_column
+from lieid_casadi.diagnosis.residual.signal_names import signal_values, split_name
 from lieid_casadi.diagnosis.screening.effect_columns import SegmentSignals
 
 Array = NDArray[np.float64]
@@ -18,19 +18,20 @@ SUPERSCRIPT = {1: "", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶"}
 
 
 @dataclass(frozen=True)
-class Function:
-    """A function of one column.
+class SignalFunction:
+    """A function of one signal.
 
     Attributes
     ----------
     text, code : str
-        In formulas and in CasADi; ``{x}`` stands for the column, ``{s}`` for its joint's signals.
+        In formulas and in CasADi; ``{x}`` is replaced by the signal, ``{s}`` by the signals of its
+        joint.
     power : int
-        In which its unit enters.
+        Exponent of the signal's unit.
     cost : int
-        How far it is from the simplest; of two that explain the same, the simpler one is taken.
+        Complexity; of two functions that explain the same, the simpler one is selected.
     of : callable
-        Its values (K,), of the column's and of the sign of the joint's velocity.
+        (values (K,), sign of the joint's velocity (K,)) → (K,).
     """
 
     text: str
@@ -40,20 +41,20 @@ class Function:
     of: Callable[[Array, Array], Array]
 
 
-def _waves(k: int) -> list[Function]:
+def _waves(k: int) -> list[SignalFunction]:
     times, code = ("", "{x}") if k == 1 else (f"{k} ", f"{k} * {{x}}")
     return [
-        Function(f"sin({times}{{x}})", f"ca.sin({code})", 0, k, lambda x, s: np.sin(k * x)),
-        Function(f"cos({times}{{x}})", f"ca.cos({code})", 0, k, lambda x, s: np.cos(k * x)),
+        SignalFunction(f"sin({times}{{x}})", f"ca.sin({code})", 0, k, lambda x, s: np.sin(k * x)),
+        SignalFunction(f"cos({times}{{x}})", f"ca.cos({code})", 0, k, lambda x, s: np.cos(k * x)),
     ]
 
 
-LINE = Function("{x}", "{x}", 1, 1, lambda x, s: x)
-SQUARE = Function("{x}²", "{x} ** 2", 2, 2, lambda x, s: x**2)
-CUBE = Function("{x}³", "{x} ** 3", 3, 3, lambda x, s: x**3)
-SIZE = Function("|{x}|", "ca.fabs({x})", 1, 2, lambda x, s: np.abs(x))
-SIGN = Function("sgn({x})", "{s}.sign", 0, 1, lambda x, s: s)
-SIGNED_SQUARE = Function("{x}·|{x}|", "{x} * ca.fabs({x})", 2, 2, lambda x, s: x * np.abs(x))
+LINE = SignalFunction("{x}", "{x}", 1, 1, lambda x, s: x)
+SQUARE = SignalFunction("{x}²", "{x} ** 2", 2, 2, lambda x, s: x**2)
+CUBE = SignalFunction("{x}³", "{x} ** 3", 3, 3, lambda x, s: x**3)
+SIZE = SignalFunction("|{x}|", "ca.fabs({x})", 1, 2, lambda x, s: np.abs(x))
+SIGN = SignalFunction("sgn({x})", "{s}.sign", 0, 1, lambda x, s: s)
+SIGNED_SQUARE = SignalFunction("{x}·|{x}|", "{x} * ca.fabs({x})", 2, 2, lambda x, s: x * np.abs(x))
 POWERS = [LINE, SQUARE, CUBE]
 FUNCTIONS = {
     "q": [f for k in range(1, HARMONICS + 1) for f in _waves(k)],
@@ -67,9 +68,15 @@ FUNCTIONS = {
 
 @dataclass(frozen=True)
 class Term:
-    """A product of functions of one or two columns."""
+    """A product of functions of one or two signals.
 
-    factors: tuple[tuple[str, Function], ...]
+    Attributes
+    ----------
+    factors : tuple of (str, SignalFunction)
+        Signal and function of each factor.
+    """
+
+    factors: tuple[tuple[str, SignalFunction], ...]
 
     @property
     def text(self) -> str:
@@ -78,28 +85,36 @@ class Term:
 
     @property
     def cost(self) -> int:
-        """That of all factors."""
+        """Sum of the costs of the factors."""
         return sum(f.cost for _, f in self.factors)
 
     @property
     def joints(self) -> frozenset[int]:
-        """Joints (from 0) whose signals it needs; time belongs to none."""
-        return frozenset(split_column(name)[1] for name, _ in self.factors if name != "t")
+        """Joints (from 0) whose signals it depends on; time belongs to no joint."""
+        return frozenset(split_name(name)[1] for name, _ in self.factors if name != "t")
 
     def along(self, signals: SegmentSignals) -> Array:
-        """Return its values (K,) along a segment, not filtered."""
+        """Return the values (K,) along a segment, not filtered."""
         values = np.ones(len(signals.segment))
         for name, function in self.factors:
-            sign = signals.values["sign"][:, split_column(name)[1]]
-            values = values * function.of(series(signals, name), sign)
+            sign = signals.values["sign"][:, split_name(name)[1]]
+            values = values * function.of(signal_values(signals, name), sign)
         return values
 
     def unit(self, revolute: Sequence[bool], joint: int) -> str:
-        """Return the unit of its coefficient in a torque on a joint."""
+        """Return the unit of its coefficient in the torque of a joint.
+
+        Parameters
+        ----------
+        revolute : sequence of bool
+            Of each joint: revolute, or prismatic.
+        joint : int
+            On which the torque acts, from 0.
+        """
         torque = "N·m" if revolute[joint] else "N"
         powers: dict[str, int] = {torque: 1}
         for name, function in self.factors:
-            kind, source = split_column(name)
+            kind, source = split_name(name)
             length = "rad" if revolute[source] else "m"
             load = "N·m" if revolute[source] else "N"
             each = {
@@ -108,36 +123,53 @@ class Term:
             }[kind]  # fmt: skip
             for unit, power in each.items():
                 powers[unit] = powers.get(unit, 0) - power * function.power
-        return _written(powers)
+        return _unit_text(powers)
 
 
 def dictionaries(names: Sequence[str], revolute: Sequence[bool]) -> list[list[Term]]:
-    """Return one dictionary with waves of the angles, and one with their powers.
+    """Return one dictionary with sines and cosines of the angles, and one with their powers.
 
-    A sum of both fits any curve and says nothing: a torque goes round with an angle, or a spring
-    is bent by it.
+    The two are not mixed, since a sum of both fits any curve. A torque is either periodic in an
+    angle, or that of a spring.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Signals.
+    revolute : sequence of bool
+        Of each joint.
     """
-    turning = any(split_column(n)[0] == "q" and revolute[split_column(n)[1]] for n in names)
-    return [dictionary(names, revolute, waves=w) for w in ((True, False) if turning else (False,))]
+    periodic = any(split_name(n)[0] == "q" and revolute[split_name(n)[1]] for n in names)
+    return [dictionary(names, revolute, waves=w) for w in ((True, False) if periodic else (False,))]
 
 
 def dictionary(names: Sequence[str], revolute: Sequence[bool], *, waves: bool = True) -> list[Term]:
-    """Return the functions of the given columns, and products of two of different columns."""
-    known = {name: _functions(name, revolute, waves) for name in names}
-    terms = [Term(((name, f),)) for name in names for f in known[name]]
+    """Return the functions of the given signals, and products of functions of two signals.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Signals.
+    revolute : sequence of bool
+        Of each joint.
+    waves : bool
+        Whether angles enter by sines and cosines, else by powers.
+    """
+    functions = {name: _functions(name, revolute, waves) for name in names}
+    terms = [Term(((name, f),)) for name in names for f in functions[name]]
     for a, b in combinations(names, 2):
-        terms += [Term(((a, f), (b, g))) for f, g in product(known[a], known[b])]
+        terms += [Term(((a, f), (b, g))) for f, g in product(functions[a], functions[b])]
     return terms
 
 
-def _functions(name: str, revolute: Sequence[bool], waves: bool) -> list[Function]:
-    kind, joint = split_column(name)
+def _functions(name: str, revolute: Sequence[bool], waves: bool) -> list[SignalFunction]:
+    kind, joint = split_name(name)
     if kind == "q" and not (waves and revolute[joint]):
         return POWERS
     return FUNCTIONS[kind]
 
 
-def _written(powers: dict[str, int]) -> str:
+def _unit_text(powers: dict[str, int]) -> str:
     """Return ``N·m·s²/rad²`` of {N·m: 1, s: 2, rad: −2}."""
 
     def joined(parts: list[tuple[str, int]]) -> str:

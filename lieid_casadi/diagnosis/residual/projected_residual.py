@@ -1,4 +1,4 @@
-"""What a model leaves of the torque, beside its own columns: rows that functions are fitted to."""
+"""The residual outside the span of the model's columns, to which functions are fitted."""
 
 from __future__ import annotations
 
@@ -9,21 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from lieid_casadi.diagnosis.screening.context import Scene
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.screening.baseline import Baseline
+from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.screening.effect_columns import SegmentSignals
-from lieid_casadi.diagnosis.screening.screen import Baseline
-from lieid_casadi.diagnosis.search.candidate_selection import BLOCK, FOLD, block_index
-from lieid_casadi.diagnosis.search.rivals import FOLDS
 from lieid_casadi.identification.uncertainty.noise_model import Noise, Runs
 
 Array = NDArray[np.float64]
-SEEN = 1e-3  # part of a direction that the model's own columns must leave for it to be fitted
-CONFIDENCE = 0.95
+LEAST_OWN_PART = 1e-3  # of a direction outside the model's span, for its coefficient to be fitted
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
-    """Coefficients (k,) of columns beside a model, their covariance (k, k), and t's quantile."""
+class ColumnEstimate:
+    """Estimated coefficients of columns fitted beside a model.
+
+    Attributes
+    ----------
+    values : (k,)
+    covariance : (k, k)
+    quantile : float
+        Of Student's t, for two-sided confidence bands.
+    """
 
     values: Array
     covariance: Array
@@ -36,8 +42,8 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Remainder:
-    """A residual on rows of equal noise, and what a joint's rows of a new column would be.
+class ProjectedResidual:
+    """A residual on whitened rows, and the operations that fit further columns to it.
 
     Attributes
     ----------
@@ -45,8 +51,10 @@ class Remainder:
     runs, noise : tuple
         Of each joint; the noise is white.
     baseline : Baseline
+        Of R rows.
     folds, blocks : (R,) int
-        Of each row: fold of the cross-validation, block of time.
+        Of each row: fold of the cross-validation, and block of time.
+    options : DiagnosisOptions
     """
 
     signals: tuple[SegmentSignals, ...]
@@ -55,25 +63,40 @@ class Remainder:
     baseline: Baseline
     folds: NDArray[np.intp]
     blocks: NDArray[np.intp]
+    options: DiagnosisOptions
 
     @classmethod
-    def of(cls, scene: Scene, noise: Sequence[Noise], baseline: Baseline) -> Remainder:
-        """Return what a baseline leaves on a scene's rows, whitened by ``noise``."""
-        folds = block_index(scene, noise, FOLD) % FOLDS
-        blocks = block_index(scene, noise, BLOCK)
-        return cls(scene.signals, scene.runs, tuple(noise), baseline, folds, blocks)
+    def of(
+        cls, context: ScreeningContext, noise: Sequence[Noise], baseline: Baseline
+    ) -> ProjectedResidual:
+        """Return the residual of a baseline on the rows of a context.
+
+        Parameters
+        ----------
+        context : ScreeningContext
+        noise : sequence of Noise
+            Of each joint, white.
+        baseline : Baseline
+            Whitened by ``noise``.
+        """
+        options = context.options
+        blocks = context.time_blocks(noise, options.block_duration)
+        folds = context.folds(noise)
+        return cls(context.signals, context.runs, tuple(noise), baseline, folds, blocks, options)
 
     @property
     def revolute(self) -> tuple[bool, ...]:
-        """Which joints turn."""
+        """Whether each joint is revolute."""
         robot = self.signals[0].arm.compiled.model.robot
         return tuple(joint.revolute for joint in robot.joints)
 
     def columns(self, joint: int, values: Sequence[Array]) -> Array:
-        """Return columns on all rows (R, k) that act on one joint.
+        """Return columns (R, k) that act on one joint, filtered and whitened.
 
         Parameters
         ----------
+        joint : int
+            From 0.
         values : sequence of (K, k)
             Along each segment, not filtered.
         """
@@ -85,38 +108,37 @@ class Remainder:
         rows[self.baseline.joint(joint)] = self.noise[joint].whiten(filtered[runs.all], runs)
         return rows
 
-    def beside_model(self, columns: Array) -> Array:
-        """Return the part of columns (R, k) that the model's own do not span."""
-        basis = self.baseline.basis
-        rest = columns - basis @ (basis.T @ columns)
-        return np.asarray(rest - basis @ (basis.T @ rest))
-
-    def fit(self, columns: Array) -> Estimate:
+    def fit(self, columns: Array) -> ColumnEstimate:
         """Fit columns (R, k) to the residual beside the model (Frisch, Waugh, Lovell).
 
-        The covariance holds for errors that depend on each other within blocks of time (Liang,
-        Zeger, Biometrika 1986). Directions that the model imitates stay at zero.
+        The covariance is valid for errors that are correlated within blocks of time (Liang,
+        Zeger, Biometrika 1986) and never smaller than for uncorrelated errors. Directions that
+        the model spans have the coefficient zero.
         """
         size = np.linalg.norm(columns, axis=0)
         size[size == 0.0] = 1.0
-        rest = self.beside_model(columns) / size
+        rest = self.baseline.outside(columns) / size
         u, sizes, axes = np.linalg.svd(rest, full_matrices=False)
-        seen = sizes > SEEN * np.sqrt(rest.shape[1])
+        seen = sizes > LEAST_OWN_PART * np.sqrt(rest.shape[1])
         inverse = (axes[seen].T / sizes[seen]) @ u[:, seen].T
         values = inverse @ self.baseline.residual
         error = self.baseline.residual - rest @ values
-        count = int(self.blocks.max(initial=-1)) + 1
-        blocks = np.concatenate(  # rows of a prior are blocks of their own
-            [self.blocks, count + np.arange(len(error) - len(self.blocks))]
-        )
-        scores = np.zeros((int(blocks.max()) + 1, len(values)))
-        np.add.at(scores, blocks, (inverse * error).T)
-        freedom = max(count - 1, 1)
-        covariance = scores.T @ scores * ((count) / freedom)
+        covariance, freedom = self._clustered(inverse, error)
         white = inverse @ inverse.T * float(np.mean(error[: len(self.blocks)] ** 2))
-        # few blocks say little of their own: never less than errors without memory give
+        # a few blocks alone would underestimate the variance
         larger = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(covariance), 1e-300), 1.0))
         covariance = covariance * np.outer(larger, larger)
-        scale = np.outer(size, size)
-        quantile = float(student.ppf(0.5 + 0.5 * CONFIDENCE, freedom))
-        return Estimate(values / size, covariance / scale, quantile)
+        quantile = float(student.ppf(0.5 + 0.5 * self.options.confidence, freedom))
+        return ColumnEstimate(values / size, covariance / np.outer(size, size), quantile)
+
+    def _clustered(self, inverse: Array, error: Array) -> tuple[Array, int]:
+        """Return the covariance (k, k) for errors (R,) correlated within blocks, and its freedom.
+
+        Rows of a prior are blocks of their own.
+        """
+        count = int(self.blocks.max(initial=-1)) + 1
+        blocks = np.concatenate([self.blocks, count + np.arange(len(error) - len(self.blocks))])
+        scores = np.zeros((int(blocks.max()) + 1, len(inverse)))
+        np.add.at(scores, blocks, (inverse * error).T)
+        freedom = max(count - 1, 1)
+        return np.asarray(scores.T @ scores * (count / freedom)), freedom

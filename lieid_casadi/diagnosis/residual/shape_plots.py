@@ -1,4 +1,4 @@
-"""Curves and maps of what stays unexplained."""
+"""Figures of the unexplained residual: curves over one signal and maps over two."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lieid_casadi.diagnosis.residual.shapes import SmoothShape
-from lieid_casadi.diagnosis.residual.unexplained import Unexplained
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from lieid_casadi.diagnosis.residual.shapes import SmoothShape
+    from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 
 CONTOURS = 12
 
 
 def plot_shapes(parts: Sequence[Unexplained], ax: Axes | None = None) -> Figure:
-    """Draw every smooth function of unexplained parts, a row for each; with ``ax`` the first."""
+    """Draw the smooth functions of unexplained parts, one row for each part.
+
+    With ``ax`` only the first function is drawn, into these axes.
+    """
     from matplotlib.figure import Figure
 
     rows = [part.shapes for part in parts if part.shapes]
@@ -68,7 +71,7 @@ def draw_shape(shape: SmoothShape, ax: Axes) -> None:
 
 
 def _draw_map(shape: SmoothShape, ax: Axes) -> None:
-    """Draw a map; what is not told from zero is hatched."""
+    """Draw a map; regions that do not differ significantly from zero are hatched."""
     x, y = shape.grid
     value = np.ma.masked_invalid(shape.value.T)
     most = max(float(np.abs(value).max()) if value.count() else 0.0, 1e-12)

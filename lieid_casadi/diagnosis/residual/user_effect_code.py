@@ -1,31 +1,34 @@
-"""What stays unexplained as an effect of the user's own: lines of Python to keep in a file."""
+"""Python code that registers unexplained parts as user-defined effects."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from lieid_casadi.diagnosis.residual.function_dictionary import Term
-from lieid_casadi.diagnosis.residual.shapes import SmoothShape, split_column
-from lieid_casadi.diagnosis.residual.smooth_effect import smooth_lists
-from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+from lieid_casadi.diagnosis.residual.shapes import SmoothShape
+from lieid_casadi.diagnosis.residual.signal_names import SIGNAL_KEYS, split_name
+from lieid_casadi.diagnosis.residual.smooth_function_code import smooth_lists
 from lieid_casadi.effects.effect import REGISTER
 
+if TYPE_CHECKING:
+    from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+
 LETTERS = "abc"
-MEMBERS = {"q": "q", "dq": "dq", "ddq": "ddq", "load": "load", "temp": "temperature", "t": "time"}
 
 
 @dataclass(frozen=True)
 class OwnEffects:
-    """Effects to run a diagnosis again with.
+    """User-defined effects with which to repeat a diagnosis.
 
     Attributes
     ----------
     code : str
-        Python that registers them; a file for ``--effects-file``. Empty if there are none.
+        Python code that registers them, for ``--effects-file``; empty if there are none.
     labels : tuple of str
-        How they are placed: ``own_2:2``, or ``own_2_1:2<1`` where joint 1 acts on joint 2.
+        For ``--effects``: ``own_2:2``, or ``own_2_1:2<1`` where joint 1 acts on joint 2.
     """
 
     code: str
@@ -33,11 +36,11 @@ class OwnEffects:
 
 
 def own_effects(parts: Sequence[Unexplained]) -> OwnEffects:
-    """Return unexplained parts as effects, their coefficients free.
+    """Return unexplained parts as user-defined effects with free coefficients.
 
-    Of a formula one effect for each joint that acts on the part's own; without a formula, the
-    strongest smooth function. Products of two other joints' signals have no place in an effect on
-    one joint: a comment tells them.
+    A formula gives one effect for each joint whose signals it depends on; without a formula the
+    first smooth function is used. Products of signals of two other joints cannot be written as
+    an effect on one joint; a comment in the code lists them.
     """
     blocks: list[str] = []
     notes: list[str] = []
@@ -45,18 +48,18 @@ def own_effects(parts: Sequence[Unexplained]) -> OwnEffects:
     for part in parts:
         by_source, beyond = _by_source(part)
         notes += [
-            f"# joint {part.joint + 1}, {text}: two other joints act together, "
-            "which needs a class of your own"
+            f"# joint {part.joint + 1}, {text}: depends on two other joints, "
+            "which needs a subclass of lieid_casadi.effects.ArmEffect"
             for text in beyond
         ]
         for source, terms in by_source.items():
             name = _free_name(part.joint, source)
             acting = "" if source is None else f"<{source + 1}"
             labels.append(f"{name}:{part.joint + 1}{acting}")
-            if part.form is None:
+            if part.formula is None:
                 blocks.append(_smooth(name, part.shapes[0], source))
             else:
-                unit = dict(zip(part.form.terms, part.form.units, strict=True))
+                unit = dict(zip(part.formula.terms, part.formula.units, strict=True))
                 blocks.append(_of_terms(name, part.joint, source, terms, unit))
     if not blocks:
         return OwnEffects("".join(note + "\n" for note in notes), ())
@@ -66,21 +69,21 @@ def own_effects(parts: Sequence[Unexplained]) -> OwnEffects:
 
 
 def _by_source(part: Unexplained) -> tuple[dict[int | None, list[Term]], list[str]]:
-    """Return the terms by the other joint that acts, and what two others act on together.
+    """Return the terms by the other joint that acts, and the terms of two other joints.
 
-    Without a formula the terms are empty.
+    The key is None for terms of the part's own joint. Without a formula the terms are empty.
     """
-    if part.form is None:
+    if part.formula is None:
         if not part.shapes:
             return {}, []
         names = part.shapes[0].signals
-        others = sorted({split_column(name)[1] for name in names if name != "t"} - {part.joint})
+        others = sorted({split_name(name)[1] for name in names if name != "t"} - {part.joint})
         if len(others) > 1:
             return {}, [" and ".join(names)]
         return {others[0] if others else None: []}, []
     found: dict[int | None, list[Term]] = {}
     beyond = []
-    for term in part.form.terms:
+    for term in part.formula.terms:
         others = sorted(term.joints - {part.joint})
         if len(others) > 1:
             beyond.append(term)
@@ -88,19 +91,19 @@ def _by_source(part: Unexplained) -> tuple[dict[int | None, list[Term]], list[st
             found.setdefault(others[0] if others else None, []).append(term)
     sources = [source for source in found if source is not None]
     if None in found and len(sources) == 1:  # an effect of two joints has the signals of both
-        found = {sources[0]: [term for term in part.form.terms if term not in beyond]}
+        found = {sources[0]: [term for term in part.formula.terms if term not in beyond]}
     return found, [term.text for term in beyond]
 
 
 def _free_name(joint: int, source: int | None) -> str:
-    """Return a name that no effect has: those of an earlier round may still be loaded."""
+    """Return a name that is not registered; effects of an earlier run may still be loaded."""
     name = f"own_{joint + 1}" if source is None else f"own_{joint + 1}_{source + 1}"
     endings = ["", *"bcdefghijklmnopqrstuvwxyz"]
     return next((name + end for end in endings if name + end not in REGISTER), name)
 
 
 def _smooth(name: str, shape: SmoothShape, source: int | None) -> str:
-    """Return a smooth function as a decorated function."""
+    """Return the code of an effect that is a smooth function."""
     members = {column: _member(column, shape.joint) for column in shape.signals}
     lists = smooth_lists(shape, members)
     count = math.prod(size for _, size in lists)
@@ -111,7 +114,7 @@ def _smooth(name: str, shape: SmoothShape, source: int | None) -> str:
             f"    second = {lists[1][0]}",
             "    return [a * b for a in first for b in second]",
         ]
-    signals = dict.fromkeys(MEMBERS[split_column(column)[0]] for column in shape.signals)
+    signals = dict.fromkeys(SIGNAL_KEYS[split_name(column)[0]] for column in shape.signals)
     signals |= {"sign": None} if "dq" in signals else {}
     coefficients = f'{{f"c{{k}}": "N·m" for k in range(1, {count + 1})}}'
     formula = f"a smooth function of {', '.join(shape.signals)}"
@@ -121,7 +124,7 @@ def _smooth(name: str, shape: SmoothShape, source: int | None) -> str:
 def _of_terms(
     name: str, joint: int, source: int | None, terms: Sequence[Term], unit: Mapping[Term, str]
 ) -> str:
-    """Return terms of a formula as a decorated function."""
+    """Return the code of an effect that is a sum of terms of a formula."""
     letters = LETTERS[: len(terms)]
     formula = " + ".join(f"{a}·{t.text}" for a, t in zip(letters, terms, strict=True))
     each = ", ".join(f'"{a}": "{unit[t]}"' for a, t in zip(letters, terms, strict=True))
@@ -137,7 +140,7 @@ def _decorated(
     source: int | None,
     body: Sequence[str],
 ) -> str:
-    """Return a decorated function."""
+    """Return the code of a decorated function with the given lines as its body."""
     lines = [
         "@lieid.effect(",
         f'    "{name}",',
@@ -153,11 +156,11 @@ def _decorated(
 
 
 def _signals(terms: Sequence[Term]) -> list[str]:
-    """Return the names of the signals that terms use, each once."""
+    """Return the names of the signals that terms depend on, without repetition."""
     used: dict[str, None] = {}
     for term in terms:
         for name, function in term.factors:
-            member = "sign" if function.code == "{s}.sign" else MEMBERS[split_column(name)[0]]
+            member = "sign" if function.code == "{s}.sign" else SIGNAL_KEYS[split_name(name)[0]]
             used[member] = None
     return list(used)
 
@@ -171,6 +174,6 @@ def _code(term: Term, joint: int) -> str:
 
 
 def _member(name: str, joint: int) -> str:
-    """Return what stands for a column in an effect on a joint: ``s.q``, ``s.other.dq``."""
-    kind, source = split_column(name)
-    return f"{'s' if source == joint or kind == 't' else 's.other'}.{MEMBERS[kind]}"
+    """Return the expression of a signal in an effect on a joint: ``s.q``, ``s.other.dq``."""
+    kind, source = split_name(name)
+    return f"{'s' if source == joint or kind == 't' else 's.other'}.{SIGNAL_KEYS[kind]}"

@@ -1,4 +1,4 @@
-"""The bank of candidates: columns of everything that could be missing."""
+"""Columns of all candidates on the rows of a recording, in groups."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ from lieid_casadi.identification.uncertainty.noise_model import Noise, Runs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-SMALLEST_SUPPORT = 5.0  # rows that make most of a column: fewer are a few odd moments
 
 
-class Tried(Protocol):
-    """Anything that may be added to a model: an effect in one place, or a smooth function."""
+class Addition(Protocol):
+    """Anything that may be added to a model: an effect on a joint, or a smooth function."""
 
     @property
     def joint(self) -> int:
@@ -33,150 +32,179 @@ class Tried(Protocol):
 
     @property
     def lower(self) -> tuple[float, ...]:
-        """Least values of its coefficients."""
+        """Lower bounds of its coefficients."""
 
     @property
     def parameters(self) -> int:
-        """How many numbers it adds to a model."""
+        """Number of parameters that it adds to a model."""
 
 
-T = TypeVar("T", bound=Tried)
+T = TypeVar("T", bound=Addition)
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """What acts on one joint's rows: ``matrix`` (R, m) of the bank's ``columns`` (m,)."""
+class JointColumns:
+    """The columns that act on one joint.
+
+    Attributes
+    ----------
+    columns : (m,) int
+        Their indices among all columns.
+    matrix : (R_j, m)
+    """
 
     columns: Indices
     matrix: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Bank(Generic[T]):
+class CandidateColumns(Generic[T]):
     """Columns in groups: one group is one candidate at one point of its shape grid.
 
     Attributes
     ----------
-    candidates : tuple
-    candidate, point, start, size : (G,) int
-        Of each group: which candidate, which grid point, its first column and how many.
-    parts : tuple of Part
+    owners : tuple of T
+        The candidates.
+    owner_index, point, start, size : (G,) int
+        Of each group: its candidate, its grid point, its first column, its number of columns.
+    joints : tuple of JointColumns
         One per joint.
     """
 
-    candidates: tuple[T, ...]
-    candidate: Indices
+    owners: tuple[T, ...]
+    owner_index: Indices
     point: Indices
     start: Indices
     size: Indices
-    parts: tuple[Part, ...]
+    joints: tuple[JointColumns, ...]
+
+    def owner(self, group: int) -> T:
+        """Return the candidate of a group."""
+        return self.owners[int(self.owner_index[group])]
 
     @cached_property
     def count(self) -> int:
-        """Number of columns m."""
+        """Number of columns m of all groups."""
         return int(self.size.sum())
 
     @cached_property
     def support(self) -> Array:
-        """How many rows make each group's columns (G,): (Σ c²)² / Σ c⁴."""
+        """Effective number of rows (Σc²)²/Σc⁴ of the least supported column of each group (G,)."""
         squares, fourth = np.zeros(self.count), np.zeros(self.count)
-        for part in self.parts:
-            square = part.matrix * part.matrix
-            squares[part.columns] += square.sum(axis=0)
-            fourth[part.columns] += np.einsum("rc,rc->c", square, square)
-        # a column of zeros, as a planar arm has them, says nothing against the others
+        for own in self.joints:
+            square = own.matrix * own.matrix
+            squares[own.columns] += square.sum(axis=0)
+            fourth[own.columns] += np.einsum("rc,rc->c", square, square)
+        # a column of zeros, as on a planar arm, does not disqualify the others of its group
         each = np.divide(squares**2, fourth, out=np.full_like(squares, np.inf), where=fourth > 0.0)
         least = np.minimum.reduceat(each, self.start) if self.count else np.zeros(0)
         return np.where(np.isfinite(least), least, 0.0)
 
     @cached_property
     def inner(self) -> Array:
-        """Products of each column with the ones after it in its group: by offset (k, m)."""
+        """Inner products within groups (k, m): of column c with column c + offset, by offset."""
         width = int(self.size.max(initial=1))
         inner = np.zeros((width, self.count))
-        for part in self.parts:
-            for offset in range(min(width, part.matrix.shape[1])):
-                count = part.matrix.shape[1] - offset
-                product = np.einsum("rc,rc->c", part.matrix[:, :count], part.matrix[:, offset:])
-                neighbours = part.columns[offset:] - part.columns[:count] == offset
-                inner[offset, part.columns[:count][neighbours]] += product[neighbours]
+        for own in self.joints:
+            for offset in range(min(width, own.matrix.shape[1])):
+                count = own.matrix.shape[1] - offset
+                product = np.einsum("rc,rc->c", own.matrix[:, :count], own.matrix[:, offset:])
+                neighbours = own.columns[offset:] - own.columns[:count] == offset
+                inner[offset, own.columns[:count][neighbours]] += product[neighbours]
         return inner
 
     @cached_property
     def lower_bounds(self) -> Array:
-        """Least value of each column's coefficient (m,)."""
-        return np.array([lower for k in self.candidate for lower in self.candidates[k].lower])
+        """Lower bound of the coefficient of each column (m,)."""
+        return np.array([lower for k in self.owner_index for lower in self.owners[k].lower])
 
     def columns_of(self, group: int) -> Indices:
-        """Return a group's columns."""
+        """Return the indices of a group's columns."""
         return np.arange(self.start[group], self.start[group] + self.size[group])
 
     def dense(self, group: int) -> list[Array]:
-        """Return a group's columns on every joint's rows: (R_j, k) each."""
+        """Return a group's columns on the rows of each joint: (R_j, k) each."""
         wanted = self.columns_of(group)
         found = []
-        for part in self.parts:
-            dense = np.zeros((part.matrix.shape[0], len(wanted)))
-            at = np.searchsorted(part.columns, wanted)
-            here = at < len(part.columns)
-            here[here] = part.columns[at[here]] == wanted[here]
-            dense[:, here] = part.matrix[:, at[here]]
+        for own in self.joints:
+            dense = np.zeros((own.matrix.shape[0], len(wanted)))
+            at = np.searchsorted(own.columns, wanted)
+            here = at < len(own.columns)
+            here[here] = own.columns[at[here]] == wanted[here]
+            dense[:, here] = own.matrix[:, at[here]]
             found.append(dense)
         return found
 
-    def whitened(self, noise: Sequence[Noise], runs: Sequence[Runs]) -> Bank[T]:
-        """Return the bank with every joint's rows whitened."""
-        parts = tuple(
-            Part(part.columns, each.whiten(part.matrix, run))
-            for part, each, run in zip(self.parts, noise, runs, strict=True)
+    def stacked(self, group: int) -> Array:
+        """Return a group's columns on the rows of all joints (R, k)."""
+        return np.concatenate(self.dense(group))
+
+    def whitened(self, noise: Sequence[Noise], runs: Sequence[Runs]) -> CandidateColumns[T]:
+        """Return the columns with the rows of each joint whitened."""
+        joints = tuple(
+            JointColumns(own.columns, each.whiten(own.matrix, run))
+            for own, each, run in zip(self.joints, noise, runs, strict=True)
         )
-        return replace(self, parts=parts)
+        return replace(self, joints=joints)
 
 
-Known = dict[str, dict[int, Array]]
+#: Columns by `Candidate.key`, then by joint.
+ColumnCache = dict[str, dict[int, Array]]
 
 
-def build_bank(
+def evaluate_candidates(
     wanted: Sequence[Candidate],
     signals: Sequence[SegmentSignals],
     runs: Sequence[Runs],
-    known: Known | None = None,
-) -> Bank[Candidate]:
-    """Evaluate and filter all candidates' columns, on each joint's runs, not whitened.
+    cache: ColumnCache | None = None,
+) -> CandidateColumns[Candidate]:
+    """Evaluate and filter the columns of all candidates, on the runs of each joint.
 
-    ``known`` keeps, by `Candidate.key`, columns that no later fit changes; pass it again with the
-    same runs.
+    Parameters
+    ----------
+    wanted : sequence of Candidate
+    signals : sequence of SegmentSignals
+        One per segment.
+    runs : sequence of Runs
+        One per joint.
+    cache : dict, optional
+        Columns that do not depend on the fit; pass it again with the same runs.
+
+    Returns
+    -------
+    CandidateColumns
+        Not whitened.
     """
-    known = {} if known is None else known
-    candidate: list[int] = []
+    cache = {} if cache is None else cache
+    owner: list[int] = []
     point: list[int] = []
     size: list[int] = []
     on_joint: list[list[tuple[int, Array]]] = [[] for _ in runs]
     first = 0
     for members in _by_effect(wanted):
-        group = [wanted[k] for k in members]
-        effect, grid = group[0].effect, group[0].grid
-        fresh = [wanted[k] for k in members if wanted[k].key not in known]
-        whole = isinstance(effect, ArmEffect)
-        values = _along(fresh, signals, runs) if whole else _evaluated(fresh, signals, runs)
+        effect, grid = wanted[members[0]].effect, wanted[members[0]].grid
+        fresh = [wanted[k] for k in members if wanted[k].key not in cache]
+        along_arm = isinstance(effect, ArmEffect)
+        evaluate = _arm_effect_columns if along_arm else _joint_effect_columns
+        values = evaluate(fresh, signals, runs)
         for k in members:
-            columns = known[wanted[k].key] if wanted[k].key in known else values[wanted[k].key]
-            if "load" not in effect.signals and not whole:
-                known[wanted[k].key] = columns
+            columns = cache[wanted[k].key] if wanted[k].key in cache else values[wanted[k].key]
+            if "load" not in effect.signals and not along_arm:
+                cache[wanted[k].key] = columns
             for joint, matrix in columns.items():
                 on_joint[joint].append((first, matrix))
             total = next(iter(columns.values())).shape[1]
-            candidate += [k] * len(grid)
+            owner += [k] * len(grid)
             point += range(len(grid))
             size += [total // len(grid)] * len(grid)
             first += total
-    return assemble(wanted, candidate, point, size, on_joint, runs)
+    return assemble_columns(wanted, owner, point, size, on_joint, runs)
 
 
-def _evaluated(
+def _joint_effect_columns(
     group: Sequence[Candidate], signals: Sequence[SegmentSignals], runs: Sequence[Runs]
-) -> Known:
-    """Return the columns (N_j, G·c) on each joint they act on, of one effect's candidates."""
+) -> ColumnCache:
+    """Return the columns (N_j, G·c) of the candidates of one effect, by key and joint."""
     if not group:
         return {}
     function, places = EffectFunction(group[0].effect), [c.placement for c in group]
@@ -187,11 +215,11 @@ def _evaluated(
     }
 
 
-def _along(
+def _arm_effect_columns(
     group: Sequence[Candidate], signals: Sequence[SegmentSignals], runs: Sequence[Runs]
-) -> Known:
-    """Return the columns of effects on the whole arm or on what is measured."""
-    found: Known = {}
+) -> ColumnCache:
+    """Return the columns of effects that are computed along a whole segment."""
+    found: ColumnCache = {}
     for c in group:
         assert isinstance(c.effect, ArmEffect)
         parts = [
@@ -208,20 +236,31 @@ def _along(
     return found
 
 
-def assemble(
-    tried: Sequence[T],
-    candidate: Sequence[int],
+def assemble_columns(
+    owners: Sequence[T],
+    owner_index: Sequence[int],
     point: Sequence[int],
     size: Sequence[int],
     on_joint: Sequence[Sequence[tuple[int, Array]]],
     runs: Sequence[Runs],
-) -> Bank[T]:
-    """Return a bank of groups; ``on_joint`` holds first column and columns (N, m) by joint."""
+) -> CandidateColumns[T]:
+    """Assemble columns from the pieces of each joint.
+
+    Parameters
+    ----------
+    owners : sequence of T
+    owner_index, point, size : sequence of int, length G
+        Of each group: its candidate, grid point and number of columns.
+    on_joint : sequence of sequences of (int, (N_j, m))
+        For each joint the index of the first column, and the columns.
+    runs : sequence of Runs
+        One per joint.
+    """
     sizes = np.array(size, dtype=np.intp)
     start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)[:-1]
-    return Bank(
-        tuple(tried),
-        np.array(candidate, dtype=np.intp),
+    return CandidateColumns(
+        tuple(owners),
+        np.array(owner_index, dtype=np.intp),
         np.array(point, dtype=np.intp),
         start,
         sizes,
@@ -230,6 +269,7 @@ def assemble(
 
 
 def _by_effect(wanted: Sequence[Candidate]) -> list[list[int]]:
+    """Return the indices of candidates of the same effect with the same grid, together."""
     groups: dict[str, list[int]] = {}
     for k, candidate in enumerate(wanted):
         key = candidate.effect.label + candidate.grid.tobytes().hex()
@@ -237,8 +277,8 @@ def _by_effect(wanted: Sequence[Candidate]) -> list[list[int]]:
     return list(groups.values())
 
 
-def _joined(pieces: Sequence[tuple[int, Array]], rows: int) -> Part:
+def _joined(pieces: Sequence[tuple[int, Array]], rows: int) -> JointColumns:
     if not pieces:
-        return Part(np.zeros(0, dtype=np.intp), np.zeros((rows, 0)))
+        return JointColumns(np.zeros(0, dtype=np.intp), np.zeros((rows, 0)))
     columns = [np.arange(first, first + matrix.shape[1]) for first, matrix in pieces]
-    return Part(np.concatenate(columns), np.concatenate([m for _, m in pieces], axis=1))
+    return JointColumns(np.concatenate(columns), np.concatenate([m for _, m in pieces], axis=1))

@@ -1,4 +1,4 @@
-"""What could be missing: every effect of the library on every joint, every pair for couplings."""
+"""Candidates: every effect of the library on every joint, or pair of joints for couplings."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.screening.incremental_effect import as_change
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.screening.incremental_effect import incremental
 from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
 from lieid_casadi.effects.effect import REGISTER, make
 from lieid_casadi.identification.regression.shape_range import ShapeRange
@@ -17,17 +18,8 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
-GRID = 25  # values of one shape parameter that are tried; the square root of it each for two
-#: Time constants over the longest segment; speeds over the joint's dead zone and top speed:
-#: beyond these a shape is noise at a reversal, or just another polynomial.
-SHORTEST, LONGEST = 0.05, 2.0
-DEAD_ZONES, FASTEST = 3.0, 0.35
-ZOOM = (1 / 3, 2 / 3)  # of the way to the next point, where a grid is refined
-#: Other forms of an effect that stands in the list by its plain name, and models that take the
-#: place of coulomb and viscous instead of standing beside them.
+#: Models that replace coulomb and viscous instead of being added to them.
 NOT_TRIED = ("sigmoid_friction",)
-#: Peaks of a periodogram whose columns are looked at, for each joint.
-PEAKS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +30,8 @@ class Candidate:
     ----------
     placement : Placement
     grid : (G, s)
-        Values of the shape parameters that are tried; (1, 0) without any. For effects on the
-        whole arm, coefficients at which their columns are tried.
+        Values of the shape parameters to try, (1, 0) without any. For effects computed along a
+        whole segment, coefficients at which their columns are evaluated.
     """
 
     placement: Placement
@@ -47,11 +39,19 @@ class Candidate:
 
     @property
     def key(self) -> str:
-        """What its columns depend on beside the fit: its label and its grid."""
+        """Label and grid: what its columns depend on besides the fit."""
         return f"{self.placement.label}{self.grid.tobytes().hex()}"
 
-    def zoomed(self, points: Sequence[int]) -> Candidate:
-        """Return it with more points of its grid beside some of them."""
+    def refined(self, points: Sequence[int], positions: Sequence[float]) -> Candidate:
+        """Return the candidate with further grid points around some of its points.
+
+        Parameters
+        ----------
+        points : sequence of int
+            Indices of grid points.
+        positions : sequence of float
+            Of the new points, relative to the distance to the neighbouring point, 0 to 1.
+        """
         if not self.effect.shapes:
             return self
         ranges = ShapeRange.of(self.effect.shapes)
@@ -62,7 +62,7 @@ class Candidate:
             here = places[point, axis]
             below, above = at[at < here - 1e-9], at[at > here + 1e-9]
             ends = [below.max() if len(below) else 0.0, above.min() if len(above) else 1.0]
-            for end, part in product(ends, ZOOM):
+            for end, part in product(ends, positions):
                 place = places[point].copy()
                 place[axis] = here + part * (end - here)
                 more.append(ranges.shapes(place)[None])
@@ -81,7 +81,7 @@ class Candidate:
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Joints (from 0) as they stand in results: one, or target and source."""
+        """Joints (from 0) as listed in results: one, or target and source."""
         return joints_of(self.placement)
 
     @property
@@ -91,22 +91,22 @@ class Candidate:
 
     @property
     def reaches_all(self) -> bool:
-        """Whether it acts on joints other than those that it names."""
+        """Whether it acts on joints other than those listed in results."""
         return isinstance(self.effect, ArmEffect) and self.effect.reach != "joint"
 
     @property
     def lower(self) -> tuple[float, ...]:
-        """Least values of its coefficients."""
+        """Lower bounds of its coefficients."""
         return tuple(coefficient.lower for coefficient in self.effect.coefficients)
 
     @property
     def parameters(self) -> int:
-        """How many numbers it adds to a model."""
+        """Number of parameters that it adds to a model."""
         return len(self.effect.coefficients) + len(self.effect.shapes)
 
 
 def joints_of(placement: Placement) -> tuple[int, ...]:
-    """Return the joints (from 0) that a placement names in results."""
+    """Return the joints (from 0) that results list for a placement; none for the whole arm."""
     if placement.whole_arm:
         return ()
     if placement.source is None:
@@ -114,64 +114,105 @@ def joints_of(placement: Placement) -> tuple[int, ...]:
     return (placement.joint, placement.source)
 
 
-def candidates(
+def list_candidates(
     model: Model,
     segments: Sequence[Processed],
     scan: Callable[[Effect, int], Array],
     *,
-    present: bool = False,
+    options: DiagnosisOptions,
+    model_fixed: bool = False,
 ) -> tuple[Candidate, ...]:
-    """Return all that the model has not, as far as the recordings have the signals for it.
+    """Return the candidates for which the recordings have motion and signals.
 
-    ``scan`` gives the grid of an effect on a joint whose shape parameter has to be scanned;
-    ``present`` takes in effects that the model has.
+    Parameters
+    ----------
+    model : Model
+    segments : sequence of Processed
+    scan : callable
+        Of an effect and a joint (from 0): the grid (G, 1) of a shape parameter that is scanned.
+    options : DiagnosisOptions
+    model_fixed : bool
+        Whether the model is not fitted again, so that effects of the model are candidates too,
+        as changes.
     """
-    have = set() if present else {p.label for p in model.placements}
+    have = set() if model_fixed else {p.label for p in model.placements}
     moves = np.any([s.moving.any(axis=0) for s in segments], axis=0)
     found = []
     for label in REGISTER:
         effect = make(label)
         if effect.option or effect.name in NOT_TRIED or not _has_signals(effect, segments):
             continue
-        if present:
-            effect = as_change(effect, [p.effect.name for p in model.placements])
+        if model_fixed:
+            effect = incremental(effect, [p.effect.name for p in model.placements])
         scanned = any(shape.scan for shape in effect.shapes)
-        for placement in _places(effect, model.n):
-            joints = joints_of(placement)
-            if placement.label in have or not moves[list(joints)].all():
+        for placement in _placements(effect, model.n):
+            if placement.label in have or not moves[list(joints_of(placement))].all():
                 continue
             j = placement.joint
-            grid = scan(effect, j) if scanned else shape_grid(effect, segments, j)
+            grid = scan(effect, j) if scanned else shape_grid(effect, segments, j, options)
             if len(grid):
                 found.append(Candidate(placement, grid))
     return tuple(found)
 
 
-def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Array:
-    """Return the values to try on a joint (G, s): shape parameters within what it can show."""
+def shape_grid(
+    effect: Effect, segments: Sequence[Processed], joint: int, options: DiagnosisOptions
+) -> Array:
+    """Return shape parameters to try on a joint, within what its motion resolves.
+
+    Parameters
+    ----------
+    effect : Effect
+    segments : sequence of Processed
+    joint : int
+        From 0.
+    options : DiagnosisOptions
+
+    Returns
+    -------
+    (G, s) array
+        For effects computed along a whole segment, coefficients (G, c).
+    """
     if isinstance(effect, ArmEffect):
         return np.array([(0.0,) * len(effect.coefficients), *effect.trial_values])
     if not effect.shapes:
         return np.zeros((1, 0))
-    count = GRID if len(effect.shapes) == 1 else int(np.ceil(np.sqrt(GRID)))
+    size = options.shape_grid_size
+    count = size if len(effect.shapes) == 1 else int(np.ceil(np.sqrt(size)))
     axes = []
     for shape in effect.shapes:
-        lower, upper = shape_limits(shape, segments, joint)
+        lower, upper = shape_limits(shape, segments, joint, options)
         limited = replace(shape, lower=lower, upper=upper)
         places = np.linspace(0.0, 1.0, count + 2)[1:-1]
         axes.append(ShapeRange.of([limited]).shapes(places[:, None])[:, 0])
     return np.array(list(product(*axes)))
 
 
-def shape_limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tuple[float, float]:
-    """Return bounds within what a joint's motion can show, by the shape parameter's unit."""
+def shape_limits(
+    shape: Shape, segments: Sequence[Processed], joint: int, options: DiagnosisOptions
+) -> tuple[float, float]:
+    """Return the bounds of a shape parameter that a joint's motion resolves.
+
+    Parameters
+    ----------
+    shape : Shape
+    segments : sequence of Processed
+    joint : int
+        From 0.
+    options : DiagnosisOptions
+
+    Returns
+    -------
+    lower, upper : float
+        In the unit of the shape parameter.
+    """
     if shape.unit == "s":
         longest = max(float(segment.t[-1] - segment.t[0]) for segment in segments)
-        low, high = SHORTEST * longest, LONGEST * longest
+        low, high = (part * longest for part in options.time_constant_range)
     elif shape.unit == "rad/s" and shape.lower > 0.0:
         top = max(float(np.percentile(np.abs(s.dq[:, joint]), 99.0)) for s in segments)
-        low = DEAD_ZONES * max(float(s.dead_zone[joint]) for s in segments)
-        high = FASTEST * top
+        low = options.least_velocity_scale * max(float(s.dead_zone[joint]) for s in segments)
+        high = options.largest_velocity_scale * top
     else:
         return shape.lower, shape.upper
     low = min(max(low, shape.lower), 0.5 * shape.upper)
@@ -184,7 +225,7 @@ def _has_signals(effect: Effect, segments: Sequence[Processed]) -> bool:
     return all(segment.temperature is not None for segment in segments)
 
 
-def _places(effect: Effect, n: int) -> list[Placement]:
+def _placements(effect: Effect, n: int) -> list[Placement]:
     if effect.whole_arm:
         return [Placement(effect, 0)]
     if effect.couples:

@@ -1,4 +1,4 @@
-"""A fit on its training data, ready to be asked what it lacks."""
+"""Precomputed quantities for screening candidates: rows, residuals and candidate columns."""
 
 from __future__ import annotations
 
@@ -9,11 +9,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.residual.unexplained import Smooth, smooth_bank
-from lieid_casadi.diagnosis.screening.candidate_columns import Bank, Known, build_bank
-from lieid_casadi.diagnosis.screening.candidates import Candidate, candidates
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.screening.baseline import Baseline
+from lieid_casadi.diagnosis.screening.candidate_columns import (
+    CandidateColumns,
+    ColumnCache,
+    evaluate_candidates,
+)
+from lieid_casadi.diagnosis.screening.candidates import Candidate, list_candidates
+from lieid_casadi.diagnosis.screening.cross_validation import time_blocks
 from lieid_casadi.diagnosis.screening.effect_columns import SegmentSignals, scanned_grid
-from lieid_casadi.diagnosis.screening.screen import Baseline
+from lieid_casadi.diagnosis.screening.smooth_functions import SmoothFunction, smooth_candidates
 from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.design_matrix import Design, Rows
@@ -26,8 +32,10 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """A fit, its rows for tests, and every candidate's columns on them (not whitened).
+class ScreeningContext:
+    """A fit, its rows along recordings, and the columns of all candidates on these rows.
+
+    Nothing in it is whitened.
 
     Attributes
     ----------
@@ -35,52 +43,64 @@ class Scene:
     segments : tuple of Processed
         Temperatures relative to the fit's mean.
     runs : tuple of Runs
-        Of each joint.
-    columns : tuple of (N_j, p)
-        The model's own, with those of its shape parameters.
+        Instants of each joint that are used.
+    model_columns : tuple of (N_j, p)
+        Of each joint: the model's columns, then the derivatives by its shape parameters.
     torque, residual : tuple of (N_j,)
-        Measured; and beside the fit's prediction, N·m.
+        Of each joint: measured torque, and its difference from the fit's prediction, N·m.
     signals : tuple of SegmentSignals
         One per segment.
-    bank : Bank
-    known : dict
-        Columns that another fit on the same segments has too.
+    candidates : CandidateColumns
+    cache : dict
+        Columns that other fits on the same segments share.
     scanned : int
-        Grid points that were tried in scans and are not in the bank.
+        Grid points tried by scans that are not among the candidates.
+    options : DiagnosisOptions
     """
 
     fit: Fit
     segments: tuple[Processed, ...]
     runs: tuple[Runs, ...]
-    columns: tuple[Array, ...]
+    model_columns: tuple[Array, ...]
     torque: tuple[Array, ...]
     residual: tuple[Array, ...]
     signals: tuple[SegmentSignals, ...]
-    bank: Bank[Candidate]
-    known: Known
+    candidates: CandidateColumns[Candidate]
+    cache: ColumnCache
     scanned: int
+    options: DiagnosisOptions
 
     @classmethod
     def of(
         cls,
         fit: Fit,
         segments: Sequence[Processed],
+        options: DiagnosisOptions,
         *,
-        before: Scene | None = None,
-        kept: bool = False,
-        tried: bool = True,
-    ) -> Scene:
-        """Evaluate the model's and all candidates' columns.
+        previous: ScreeningContext | None = None,
+        model_fixed: bool = False,
+        with_candidates: bool = True,
+    ) -> ScreeningContext:
+        """Evaluate the columns of the model and of all candidates.
 
-        ``before`` is a scene of another fit on the same segments: its rows are kept, so that the
-        two can be compared, and its columns where the fit does not change them. ``kept``: the
-        model stays as it is, so that a change of an effect that it has is a candidate too. Without
-        ``tried`` there are no candidates.
+        Parameters
+        ----------
+        fit : Fit
+        segments : sequence of Processed
+        options : DiagnosisOptions
+        previous : ScreeningContext, optional
+            Of another fit on the same segments. Its rows are kept, so that the two can be
+            compared, and its columns where they do not depend on the fit.
+        model_fixed : bool
+            Whether the model is not fitted again, so that changes of its own effects are
+            candidates too.
+        with_candidates : bool
+            False leaves the candidates out.
         """
         design = Design(fit.compiled, segments)
         rows = design.rows(fit.shapes, fit.parameters)
-        runs = _runs(fit, rows, segments) if before is None else before.runs
-        known: Known = {} if before is None else before.known
+        runs = _runs(fit, rows, segments) if previous is None else previous.runs
+        cache: ColumnCache = {} if previous is None else previous.cache
         matrices = _dense(rows)
         if len(fit.shapes):
             slopes = shape_columns(design, fit.values, fit.shapes, fit.parameters)
@@ -94,11 +114,15 @@ class Scene:
         def scan(effect: Effect, joint: int) -> Array:
             nonlocal scanned
             at = runs[joint].all
-            grid, count = scanned_grid(effect, signals, joint, residual[joint][at], at)
+            grid, count = scanned_grid(effect, signals, joint, residual[joint][at], at, options)
             scanned += count
             return grid
 
-        wanted = candidates(fit.model, segments, scan, present=kept) if tried else ()
+        wanted: tuple[Candidate, ...] = ()
+        if with_candidates:
+            wanted = list_candidates(
+                fit.model, segments, scan, options=options, model_fixed=model_fixed
+            )
         return cls(
             fit,
             tuple(segments),
@@ -107,42 +131,60 @@ class Scene:
             tuple(t[run.all] for t, run in zip(torque, runs, strict=True)),
             tuple(r[run.all] for r, run in zip(residual, runs, strict=True)),
             tuple(signals),
-            build_bank(wanted, signals, runs, known),
-            known,
+            evaluate_candidates(wanted, signals, runs, cache),
+            cache,
             scanned,
+            options,
         )
 
-    def zoomed(self, points: Mapping[int, Sequence[int]]) -> Scene:
-        """Return the scene with finer grids beside points (candidate → points)."""
-        finer = {k: self.bank.candidates[k].zoomed(at).grid for k, at in points.items()}
-        return self.with_grids(finer)
-
-    def with_grids(self, grids: Mapping[int, Array]) -> Scene:
-        """Return the scene with other grids of some candidates (G, s)."""
+    def with_grids(self, grids: Mapping[int, Array]) -> ScreeningContext:
+        """Return the context with other grids (G, s) of some candidates, given by index."""
         wanted = [
             replace(c, grid=grids[k]) if k in grids else c
-            for k, c in enumerate(self.bank.candidates)
+            for k, c in enumerate(self.candidates.owners)
         ]
-        return replace(self, bank=build_bank(wanted, self.signals, self.runs, self.known))
+        columns = evaluate_candidates(wanted, self.signals, self.runs, self.cache)
+        return replace(self, candidates=columns)
 
     @cached_property
-    def smooth(self) -> Bank[Smooth]:
-        """Smooth functions of every signal, which no effect need be."""
-        return smooth_bank(self.signals, self.runs)
+    def smooth(self) -> CandidateColumns[SmoothFunction]:
+        """Columns of smooth functions of all signals."""
+        return smooth_candidates(self.signals, self.runs)
 
     @cached_property
-    def plain(self) -> tuple[Noise, ...]:
-        """White noise of the size of the fit's residuals."""
+    def white_noise(self) -> tuple[Noise, ...]:
+        """White noise with the standard deviation of each joint's residual."""
         return tuple(
             Noise.white(spread_of(residual, runs.friction_std))
             for residual, runs in zip(self.residual, self.runs, strict=True)
         )
 
-    def baseline(self, noise: Sequence[Noise]) -> Baseline:
-        """Return the model's columns and the residual on whitened rows."""
-        matrices = [n.whiten(m, r) for n, m, r in zip(noise, self.columns, self.runs, strict=True)]
-        torques = [n.whiten(t, r) for n, t, r in zip(noise, self.torque, self.runs, strict=True)]
-        return Baseline.of(matrices, torques)
+    def baseline(
+        self, noise: Sequence[Noise], columns: NDArray[np.intp] | slice = slice(None)
+    ) -> Baseline:
+        """Return the baseline of the model, whitened.
+
+        Parameters
+        ----------
+        noise : sequence of Noise
+            One per joint.
+        columns : (k,) int, optional
+            The model's columns to use, by default all of them.
+        """
+        own = [matrix[:, columns] for matrix in self.model_columns]
+        return Baseline.of(self.whitened(noise, own), self.whitened(noise, self.torque))
+
+    def whitened(self, noise: Sequence[Noise], values: Sequence[Array]) -> list[Array]:
+        """Return values (N_j, …) of each joint whitened by the noise of each joint."""
+        return [n.whiten(v, r) for n, v, r in zip(noise, values, self.runs, strict=True)]
+
+    def time_blocks(self, noise: Sequence[Noise], duration: float) -> NDArray[np.intp]:
+        """Return the block of time (R,) of each whitened row, for blocks of a duration in s."""
+        return time_blocks(self.segments, noise, self.runs, duration)
+
+    def folds(self, noise: Sequence[Noise]) -> NDArray[np.intp]:
+        """Return the fold (R,) of each whitened row: blocks of time go to the folds in turn."""
+        return self.time_blocks(noise, self.options.fold_duration) % self.options.folds
 
 
 def _runs(fit: Fit, rows: Rows, segments: Sequence[Processed]) -> tuple[Runs, ...]:
@@ -154,7 +196,7 @@ def _runs(fit: Fit, rows: Rows, segments: Sequence[Processed]) -> tuple[Runs, ..
 
 
 def _dense(rows: Rows) -> list[Array]:
-    """Return each joint's matrix in all p columns."""
+    """Return the matrix of each joint in all p columns (N_j, p)."""
     matrices = []
     for joint in rows.joints:
         wide = np.zeros((len(joint.torque), rows.count))
@@ -164,6 +206,7 @@ def _dense(rows: Rows) -> list[Array]:
 
 
 def _on_time_line(rows: Rows, joint: int, values: Array) -> Array:
+    """Return values (N_j, …) of a joint on the common time line of all segments, zero elsewhere."""
     line = np.zeros((int(rows.segments[-1]), *values.shape[1:]))
     line[rows.joints[joint].instant] = values
     return line

@@ -1,4 +1,4 @@
-"""Columns of any effect along processed segments, without compiling a model for each of them."""
+"""Columns of effects along processed segments, evaluated without compiling a model."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.screening.candidates import PEAKS
-from lieid_casadi.diagnosis.screening.numpy_evaluation import Vectorized
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.screening.numpy_evaluation import ArrayFunction
 from lieid_casadi.effects import Effect, Placement, Signals
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.identification import Fit
@@ -19,15 +19,23 @@ from lieid_casadi.identification.regression.segment_columns import ModelAlongSeg
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
-SLOW = 25.0  # percentile of the speeds at which a harmonic must pass the filter
-RESOLUTION = 0.35  # of a full turn of phase over the range: step of a scan
-CHUNK = 128
+CHUNK = 128  # values of a shape parameter that a scan evaluates at once: bounds the memory
 OWN = ("q", "dq", "ddq", "sign", "load", "temperature", "time")
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentSignals:
-    """What effects see along one segment, each signal (K, n)."""
+    """The signals that effects depend on, along one segment.
+
+    Attributes
+    ----------
+    segment : Processed
+        Of K instants.
+    values : dict
+        Signal → (K, n).
+    arm : ModelAlongSegment
+        The model along the segment, for effects that are computed along the whole of it.
+    """
 
     segment: Processed
     values: dict[str, Array]
@@ -35,12 +43,12 @@ class SegmentSignals:
 
     @classmethod
     def of(cls, fit: Fit, segment: Processed) -> SegmentSignals:
-        """Return the signals of a segment as a fit has them."""
+        """Return the signals of a segment; the load is that of the fit."""
         effects = effects_along(fit.compiled, segment, fit.shapes, fit.parameters)
         arm = ModelAlongSegment(fit.compiled, segment, fit.parameters, effects, True)
         load = arm.load
         shape = segment.q.shape
-        warmth = segment.temperature
+        temperature = segment.temperature
         time = np.broadcast_to((segment.t - segment.t[0])[:, None], shape)
         return cls(
             segment,
@@ -50,7 +58,7 @@ class SegmentSignals:
                 "ddq": segment.ddq,
                 "sign": _sign()(segment.dq, segment.dead_zone)[0],
                 "load": load,
-                "temperature": np.zeros(shape) if warmth is None else warmth,
+                "temperature": np.zeros(shape) if temperature is None else temperature,
                 "time": np.array(time),
             },
             arm,
@@ -58,9 +66,9 @@ class SegmentSignals:
 
 
 @cache
-def _sign() -> Vectorized:
+def _sign() -> ArrayFunction:
     dq, width = ca.SX.sym("dq"), ca.SX.sym("width")
-    return Vectorized([dq, width], [ramp(dq, width)])
+    return ArrayFunction([dq, width], [ramp(dq, width)])
 
 
 class EffectFunction:
@@ -74,16 +82,16 @@ class EffectFunction:
         self._states = [ca.SX.sym(state.name) for state in effect.states]
 
     @cached_property
-    def _columns(self) -> Vectorized:
+    def _columns(self) -> ArrayFunction:
         inputs = [*self._own.values(), *self._other.values(), *self._shapes, *self._states]
-        return Vectorized(inputs, self.effect.columns(self._signals(), self._shape))
+        return ArrayFunction(inputs, self.effect.columns(self._signals(), self._shape))
 
     @cached_property
-    def _advance(self) -> Vectorized:
+    def _advance(self) -> ArrayFunction:
         now = _signals({name: ca.SX.sym(f"now_{name}") for name in OWN})
         inputs = [*self._states, *self._own.values(), *(getattr(now, name) for name in OWN)]
         after = self.effect.next_states(self._signals(), now, self._shape)
-        return Vectorized([*inputs, *self._shapes], after)
+        return ArrayFunction([*inputs, *self._shapes], after)
 
     @property
     def _shape(self) -> dict[str, ca.SX]:
@@ -95,7 +103,15 @@ class EffectFunction:
         return replace(_signals(self._own), other=other, state=state)
 
     def at(self, values: Mapping[str, Array], grid: Array) -> Array:
-        """Return the columns (c, N, G) of signals (N,) for values (G,) of one shape parameter."""
+        """Return the columns (c, N, G) of an effect with one shape parameter.
+
+        Parameters
+        ----------
+        values : mapping
+            Signal → (N,).
+        grid : (G,)
+            Values of the shape parameter.
+        """
         own = [values[name][:, None] for name in OWN]
         results = self._columns(*own, *own, grid)
         shape = (len(own[0]), len(grid))
@@ -108,7 +124,10 @@ class EffectFunction:
 
         Parameters
         ----------
+        signals : SegmentSignals
+            Of K instants.
         places : sequence of (joint, source)
+            From 0; the source is None except for couplings.
         grid : (G, s)
             Shape parameters.
         """
@@ -116,12 +135,12 @@ class EffectFunction:
         other = own
         if self.effect.couples:
             other = [signals.values[name][:, [s or 0 for _, s in places], None] for name in OWN]
-        states = self._along(own, grid.T) if self.effect.states else []
+        states = self._states_along(own, grid.T) if self.effect.states else []
         results = self._columns(*own, *other, *grid.T, *states)
         shape = (len(signals.segment), len(places), len(grid))
         return np.stack([np.broadcast_to(x, shape) for x in results], axis=-1)
 
-    def _along(self, own: Sequence[Array], shapes: Array) -> list[Array]:
+    def _states_along(self, own: Sequence[Array], shapes: Array) -> list[Array]:
         """Return the states along a segment, (K, places, G) each."""
         samples, places = own[0].shape[:2]
         states = np.empty((len(self.effect.states), samples, places, shapes.shape[1]))
@@ -141,7 +160,21 @@ def _signals(own: Mapping[str, ca.SX]) -> Signals:
 def columns_along(
     function: EffectFunction, signals: SegmentSignals, placements: Sequence[Placement], grid: Array
 ) -> Array:
-    """Return filtered columns (M, places, G, c) of one effect in several places."""
+    """Return filtered columns of one effect in several places.
+
+    Parameters
+    ----------
+    function : EffectFunction
+    signals : SegmentSignals
+    placements : sequence of Placement
+    grid : (G, s)
+        Shape parameters.
+
+    Returns
+    -------
+    (M, places, G, c) array
+        At the M filtered instants of the segment.
+    """
     places = [(p.joint, p.source) for p in placements]
     raw = function.columns(signals, places, grid)
     return signals.segment.filter(raw.reshape(len(raw), -1)).reshape(-1, *raw.shape[1:])
@@ -153,18 +186,32 @@ def scanned_grid(
     joint: int,
     residual: Array,
     rows: NDArray[np.intp],
+    options: DiagnosisOptions,
 ) -> tuple[Array, int]:
-    """Return the peaks of a scan of one shape parameter (P, 1), and how many values were tried.
+    """Scan the one shape parameter of an effect for peaks of the gain.
 
-    Columns are correlated with the residual at the filtered instants, not filtered: good enough
-    to find where to look.
+    The columns are correlated with the residual at the filtered instants without being filtered
+    themselves, which is accurate enough to find candidates for the grid.
 
     Parameters
     ----------
+    effect : Effect
+    signals : sequence of SegmentSignals
+        One per segment.
+    joint : int
+        From 0.
     residual : (N,)
-        Of the joint, on its runs.
+        Of the joint, on its runs, N·m.
     rows : (N,) int
         Instants of the runs in the common time line of all segments.
+    options : DiagnosisOptions
+
+    Returns
+    -------
+    grid : (P, 1)
+        The peaks and their neighbours.
+    count : int
+        Number of values scanned.
     """
     (shape,) = effect.shapes
     assert shape.scan is not None
@@ -173,9 +220,9 @@ def scanned_grid(
         for name in OWN
     }
     reach = max(float(np.ptp(values["q"])), 1e-3)
-    speed = max(float(np.percentile(np.abs(values["dq"]), SLOW)), 1e-3)
+    speed = max(float(np.percentile(np.abs(values["dq"]), options.scan_speed_percentile)), 1e-3)
     highest = min(shape.upper, 2.0 * np.pi * signals[0].segment.cutoff / speed)
-    step = max(shape.scan, RESOLUTION * 2.0 * np.pi / reach)
+    step = max(shape.scan, options.scan_phase_step * 2.0 * np.pi / reach)
     grid = np.arange(shape.lower, max(highest, shape.lower + 1e-9), step)
     function = EffectFunction(effect)
     gains = np.zeros(len(grid))
@@ -189,6 +236,6 @@ def scanned_grid(
         gains[k : k + CHUNK] = np.sum(solved * products.T, axis=1)
     padded = np.concatenate([[-np.inf], gains, [-np.inf]])
     peaks = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]))
-    best = peaks[np.argsort(-gains[peaks])[:PEAKS]]
+    best = peaks[np.argsort(-gains[peaks])[: options.scan_peaks]]
     around = np.unique(np.clip(best[:, None] + np.arange(-1, 2), 0, len(grid) - 1))
     return grid[around][:, None], len(grid)

@@ -1,4 +1,4 @@
-"""Effects as changes to a model whose numbers stay: what else changes together with them."""
+"""Effects as changes of a model that is not fitted again: what changes together with them."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ import casadi as ca
 
 from lieid_casadi.effects.effect import Effect, Signals, make
 
-#: Takes the place of another effect, whose column goes as this one's comes.
-IN_PLACE_OF = {"presliding": "coulomb"}
-#: Comes with another one: a spring has a rest angle, which is no second change.
-TOGETHER_WITH = {"position_spring": "offset"}
+#: An effect that replaces another one, whose column is subtracted.
+REPLACES = {"presliding": "coulomb"}
+#: An effect that comes with another one: the rest angle of a spring is not a second change.
+COMES_WITH = {"position_spring": "offset"}
 
 
-class AsChange(Effect):
-    """An effect that comes to a model in place of, or together with, another one."""
+class IncrementalEffect(Effect):
+    """An effect added to a model in place of, or together with, another effect."""
 
-    def __init__(self, effect: Effect, gone: Effect | None, beside: Effect | None) -> None:
+    def __init__(self, effect: Effect, replaced: Effect | None, companion: Effect | None) -> None:
         self.name = effect.name  # type: ignore[misc]
         self.option, self.formula = effect.option, effect.formula
         self.shapes, self.states, self.dry = effect.shapes, effect.states, effect.dry
-        self._effect, self._gone, self._beside = effect, gone, beside
-        others = tuple(other for other in (gone, beside) if other is not None)
+        self._effect, self._replaced, self._companion = effect, replaced, companion
+        others = tuple(other for other in (replaced, companion) if other is not None)
         self.signals = tuple({s for e in (effect, *others) for s in e.signals})
         self.coefficients = effect.coefficients
-        if beside is not None:
-            self.coefficients += beside.coefficients
+        if companion is not None:
+            self.coefficients += companion.coefficients
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
         """See the class."""
         own = list(self._effect.columns(s, shape))
-        if self._gone is not None:
-            own[0] = own[0] - self._gone.columns(s, {})[0]
-        if self._beside is not None:
-            own += self._beside.columns(s, {})
+        if self._replaced is not None:
+            own[0] = own[0] - self._replaced.columns(s, {})[0]
+        if self._companion is not None:
+            own += self._companion.columns(s, {})
         return own
 
     def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
@@ -42,14 +42,14 @@ class AsChange(Effect):
         return self._effect.advance(before, now, shape)
 
 
-def as_change(effect: Effect, present: Sequence[str]) -> Effect:
-    """Return an effect as it would come to a model that has the effects named."""
-    gone = IN_PLACE_OF.get(effect.name)
-    beside = TOGETHER_WITH.get(effect.name)
-    if gone not in present and beside is None:
+def incremental(effect: Effect, present: Sequence[str]) -> Effect:
+    """Return an effect as the change that it makes to a model with the named effects."""
+    replaced = REPLACES.get(effect.name)
+    companion = COMES_WITH.get(effect.name)
+    if replaced not in present and companion is None:
         return effect
-    return AsChange(
+    return IncrementalEffect(
         effect,
-        make(gone) if gone in present and gone is not None else None,
-        make(beside) if beside is not None else None,
+        make(replaced) if replaced in present and replaced is not None else None,
+        make(companion) if companion is not None else None,
     )

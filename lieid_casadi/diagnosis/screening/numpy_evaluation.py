@@ -1,7 +1,7 @@
 """CasADi expressions evaluated on NumPy arrays, operation by operation.
 
-A scan evaluates hundreds of columns once each: too few times to compile them, too many samples
-for CasADi's virtual machine, which takes samples one by one.
+Screening evaluates hundreds of columns once each. Compiling them would take longer than the
+evaluation, and CasADi's virtual machine evaluates samples one by one.
 """
 
 from __future__ import annotations
@@ -72,14 +72,21 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
 }
 
 
-class Vectorized:
-    """A function of scalars, with one vector result, on arrays of equal (or no) shape.
+class ArrayFunction:
+    """A function of scalars, evaluated on arrays that broadcast against each other.
+
+    Parameters
+    ----------
+    inputs : sequence of ca.SX
+        Scalar symbols.
+    outputs : sequence of ca.SX
+        Scalar expressions of them.
 
     Examples
     --------
     >>> import casadi as ca, numpy as np
     >>> x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    >>> function = Vectorized([x, y], [ca.sin(x) * y, x])
+    >>> function = ArrayFunction([x, y], [ca.sin(x) * y, x])
     >>> [float(v[1]) for v in function(np.array([0.0, 1.0]), 2.0)]
     [1.682941969615793, 1.0]
     """
@@ -93,10 +100,12 @@ class Vectorized:
             constant = f.instruction_constant(k) if code == ca.OP_CONST else 0.0
             self._program.append((code, arguments, f.instruction_output(k), constant))
             if code not in (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT) and code not in _OPERATIONS:
-                raise NotImplementedError(f"operation {code} of CasADi")
+                raise NotImplementedError(
+                    f"CasADi operation {code} has no NumPy equivalent here; add it to _OPERATIONS"
+                )
 
     def __call__(self, *inputs: Array | float) -> list[Array]:
-        """Return the results."""
+        """Return the value of each output."""
         work: dict[int, Any] = {}
         results: list[Any] = [0.0] * self._count
         with np.errstate(all="ignore"):

@@ -1,1 +1,1 @@
-"""Stepwise selection of effects, with evidence and rivals."""
+"""Stepwise search for effects: one search, and its two problems, missing and changed effects."""

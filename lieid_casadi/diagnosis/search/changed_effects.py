@@ -1,289 +1,240 @@
-"""Which changes explain a new recording beside a model that is kept: one after another."""
+"""The search problem of changes: the model is kept, and a new recording is explained beside it.
+
+The fit's parameters may move within their uncertainties (rows of a prior beside the measured
+rows), so that an uncertain parameter is not taken for a change.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from itertools import product
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.diagnosis import Evidence, Step
-from lieid_casadi.diagnosis.residual.unexplained import Unexplained, smooth_columns, unexplained
+from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+from lieid_casadi.diagnosis.screening.baseline import Baseline, with_groups
+from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.candidates import Candidate
-from lieid_casadi.diagnosis.screening.context import Scene
-from lieid_casadi.diagnosis.screening.screen import Baseline, screen
-from lieid_casadi.diagnosis.search.candidate_selection import (
-    BLOCK,
-    FOLD,
-    block_index,
-    by_contribution,
-    spokesman,
-)
-from lieid_casadi.diagnosis.search.evidence import Family
-from lieid_casadi.diagnosis.search.forward_selection import (
-    Price,
-    best_set,
-    column_stack,
-    with_groups,
-)
-from lieid_casadi.diagnosis.search.missing_effects import LEVEL, ZOOMS
-from lieid_casadi.diagnosis.search.parameter_checks import hardly_there
-from lieid_casadi.diagnosis.search.pruning import STOOD_IN, stands_in, unexplained_beside
-from lieid_casadi.diagnosis.search.rivals import FOLDS, cross_validated_gain, rivals_of
+from lieid_casadi.diagnosis.screening.context import ScreeningContext
+from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_gain
+from lieid_casadi.diagnosis.search.effect_search import Offer, SearchProblem, unexplained_parts
+from lieid_casadi.diagnosis.search.parameter_checks import is_unresolved, unresolved_text
+from lieid_casadi.diagnosis.search.search_results import AcceptedEffect, RejectedEffect
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
 Array = NDArray[np.float64]
-MISFIT = 1.15  # times what the fit's error reaches on other motion: more, and something has changed
-WORTH = 0.1  # least fall of a joint's error that is worth a change
-TINY = 1e-12  # of the largest variance: below it a number counts as that well known
-UNSEEN = 1e-6  # of a column's norm
-CLOSE = 0.01  # of a coefficient: nearer to it a column need not be evaluated again
+#: Relative to the largest variance: below it a parameter counts as exactly known.
+LEAST_VARIANCE = 1e-12
+#: Part of a unit column outside the model's span, below which its coefficient is not fitted.
+LEAST_OWN_PART = 1e-6
 
 
-class ChangeSearch:
-    """Changes found so far, on rows of the new recordings."""
+class ChangedEffects(SearchProblem):
+    """Changes of an arm since a fit, on the rows of new recordings.
 
-    def __init__(self, scene: Scene, noise: tuple[Noise, ...], seed: int) -> None:
-        self.scene, self.noise, self.seed = scene, noise, seed
-        self.null = np.array([each.spread for each in noise])
-        self.plain = tuple(Noise.white(each.spread) for each in noise)
-        self.bank = scene.bank.whitened(self.plain, scene.runs)
-        self._accepted: list[tuple[int, bytes]] = []  # candidate, and the point of its grid
-        self.baseline = _with_prior(scene, self.plain)
-        self.kept = _kept(scene, self.plain)
-        self.blocks = block_index(scene, self.plain, BLOCK)
-        self.folds = block_index(scene, self.plain, FOLD) % FOLDS
-        self.rejected: list[tuple[str, str]] = []
+    Parameters
+    ----------
+    context : ScreeningContext
+        With the model fixed.
+    noise : tuple of Noise
+        Of the fit's residual, with the standard deviation of held-out errors.
+    seed : int
 
-    @property
-    def chosen(self) -> list[int]:
-        """Groups of the bank that were accepted."""
-        return [self._group(candidate, point) for candidate, point in self._accepted]
+    Attributes
+    ----------
+    expected : (n,)
+        Held-out error of the fit, N·m.
+    """
 
-    def _group(self, candidate: int, point: bytes) -> int:
-        grid = self.bank.candidates[candidate].grid
-        (at,) = (k for k, row in enumerate(grid) if row.tobytes() == point)
-        (group,) = np.flatnonzero((self.bank.candidate == candidate) & (self.bank.point == at))
-        return int(group)
+    def __init__(self, context: ScreeningContext, noise: tuple[Noise, ...], *, seed: int) -> None:
+        white = tuple(Noise.white(each.spread) for each in noise)
+        super().__init__(
+            context, noise, white, seed=seed, least_gain=context.options.least_change_improvement
+        )
+        self.expected = np.array([each.spread for each in noise])
+        self.model = _with_prior(context, white)
+        self._fixed_model = _without_columns(context, white)
+        self._points: list[bytes] = []  # grid point of each accepted effect
 
-    def _key(self, group: int) -> tuple[int, bytes]:
-        candidate = int(self.bank.candidate[group])
-        return candidate, self.bank.candidates[candidate].grid[self.bank.point[group]].tobytes()
+    def baseline(self, noise: Sequence[Noise], candidates: CandidateColumns[Candidate]) -> Baseline:
+        """Return the baseline of the model, within its uncertainty, and all accepted changes."""
+        model = self.model if noise is self.white else _with_prior(self.context, noise)
+        return with_groups(model, candidates, self._groups(candidates))
 
-    def next_step(self) -> Step | None:
-        """Return the next change, or None."""
-        barred = np.zeros(len(self.bank.candidates), dtype=bool)
-        out = {label for label, _ in self.rejected}
-        for k, candidate in enumerate(self.bank.candidates):
-            barred[k] = candidate.placement.label in out
-        for g in self.chosen:
-            barred[self.bank.candidate[g]] = True
-        high = self._high()
-        found = self._best(barred) if high.any() else []
-        here = with_groups(self.baseline, self.bank, self.chosen)
-        for winner in by_contribution(self.bank, here, found):
-            others = [g for g in found if g != winner]
-            step = self._tried(here, winner, others, high)
-            if step is not None:
-                return step
-        return None
+    def refined_grids(
+        self,
+        candidates: CandidateColumns[Candidate],
+        baseline: Baseline,
+        groups: Sequence[int],
+        refined: set[str],
+    ) -> Mapping[int, Array]:
+        """Return finer grids around the selected groups.
 
-    def _best(self, barred: NDArray[np.bool_]) -> list[int]:
-        """Return the groups that together explain most, on grids refined where it matters."""
-        for _ in range(ZOOMS + 1):
-            here = with_groups(self.baseline, self.bank, self.chosen)
-            price = Price(each=float(np.log(max(here.rows, 2))), part=WORTH)
-            found = best_set(self.bank, here, price, barred)
-            grids = self._finer(here, found)
-            if not grids:
-                break
-            self.scene = self.scene.with_grids(grids)
-            self.bank = self.scene.bank.whitened(self.plain, self.scene.runs)
-        else:
-            found = best_set(self.bank, here, price, barred)
-        return found
-
-    def _finer(self, here: Baseline, found: Sequence[int]) -> dict[int, Array]:
-        """Return grids with more points beside the groups found, where there are any."""
+        Columns of effects that are computed along a segment depend on the coefficients; these
+        are evaluated again at the estimated coefficients.
+        """
         grids = {}
-        for g in found:
-            k, point = int(self.bank.candidate[g]), int(self.bank.point[g])
-            candidate = self.bank.candidates[k]
+        for g in groups:
+            index, point = int(candidates.owner_index[g]), int(candidates.point[g])
+            candidate = candidates.owners[index]
             if candidate.effect.shapes:
-                grids[k] = candidate.zoomed([point]).grid
+                finer = candidate.refined([point], self.options.refinement_positions)
+                grids[index] = finer.grid
             elif isinstance(candidate.effect, ArmEffect):
-                beside = with_groups(here, self.bank, [other for other in found if other != g])
-                values = _solved(beside, column_stack(self.bank, g))
-                if np.linalg.norm(values - candidate.grid[point]) > CLOSE * np.linalg.norm(values):
-                    grids[k] = np.vstack([candidate.grid, values])
+                others = [other for other in groups if other != g]
+                beside = with_groups(baseline, candidates, others)
+                values = beside.coefficients(candidates.stacked(g), least=LEAST_OWN_PART)
+                change = np.linalg.norm(values - candidate.grid[point])
+                if change > self.options.coefficient_tolerance * np.linalg.norm(values):
+                    grids[index] = np.vstack([candidate.grid, values])
         return grids
 
-    def _tried(
-        self, here: Baseline, winner: int, others: list[int], high: NDArray[np.bool_]
-    ) -> Step | None:
-        rivals = rivals_of(self.bank, here, others, winner, self.blocks)
-        beside = with_groups(here, self.bank, others)
-        winner, rivals = spokesman(self.bank, beside, winner, rivals, self.folds)
-        candidate = self.bank.candidates[self.bank.candidate[winner]]
-        label = candidate.placement.label
-        columns = column_stack(self.bank, winner)
-        before, after = self._misfit(self.chosen), self._misfit([*self.chosen, winner])
+    def accept(self, offer: Offer) -> bool:
+        """Accept a change that is significant, resolved, and reduces a raised error."""
+        candidate, columns = offer.candidate, offer.columns
+        before = self._misfit(self._accepted_columns(offer.candidates))
+        after = self._misfit([*self._accepted_columns(offer.candidates), columns])
         fall = 1.0 - after / before
-        held = cross_validated_gain(columns, here, self.folds)
-        log10_p, rows = self._evidence(winner, others)
-        joint = int(np.argmax(np.where(high, fall, -np.inf)))
-        shapes = zip(candidate.effect.shapes, candidate.grid[self.bank.point[winner]], strict=False)
-        if any(hardly_there(s, x, self.scene.segments, candidate.joint) for s, x in shapes):
-            self.rejected.append((label, "its shape is less than motion shows"))
-            return None
-        if log10_p > np.log10(LEVEL):
-            self.rejected.append((label, f"family-wise p = {10.0**log10_p:.2g}"))
-            return None
-        if held <= 0.0 or not fall[joint] >= WORTH:
-            reason = f"error falls by {100 * fall[joint]:.1f} % only where it was raised"
-            self.rejected.append((label, reason))
-            return None
-        self._accepted.append(self._key(winner))
-        sizes = self.null * after
-        return Step(
-            label=label,
-            effect=candidate.name,
-            joints=candidate.joints,
-            parameters=self._values(candidate, here, columns, winner),
-            rms_train=None,
-            rms_test=sizes,
-            moving=sizes,
-            evidence=Evidence(
-                log10_p,
-                rows,
-                float(self.null[joint] * np.sqrt(max(before[joint] ** 2 - after[joint] ** 2, 0.0))),
-                float(self.null[joint] * before[joint]),
-                float(sizes[joint]),
-                None,
-            ),
-            indistinguishable=tuple(
-                (self.bank.candidates[self.bank.candidate[r.group]], r.kind) for r in rivals
-            ),
+        joint = int(np.argmax(np.where(self.raised, fall, -np.inf)))
+        held_out = cross_validated_gain(columns, offer.baseline, offer.context.folds(self.white))
+        reason = self._unresolved(offer)
+        if not reason and offer.significance.log10_p > np.log10(self.options.significance):
+            reason = self.insignificant(offer.significance)
+        least = self.options.least_change_improvement
+        if not reason and (held_out <= 0.0 or not fall[joint] >= least):
+            reason = f"the error of raised joints falls by only {100 * fall[joint]:.1f} %"
+        if reason:
+            return self.reject(candidate, reason)
+        point = candidate.grid[offer.candidates.point[offer.group]]
+        self.context = offer.context
+        self._points.append(point.tobytes())
+        self.accepted.append(
+            AcceptedEffect(
+                candidate,
+                _parameters(candidate, point, offer.baseline, columns),
+                self.expected * np.array([before, after]),
+                joint,
+                offer.significance,
+                offer.rivals,
+            )
         )
+        return True
 
-    def _values(
-        self, candidate: Candidate, here: Baseline, columns: Array, group: int
-    ) -> dict[str, float]:
-        values = _solved(here, columns)
-        named = {
-            c.name: float(v) for c, v in zip(candidate.effect.coefficients, values, strict=True)
-        }
-        shapes = candidate.grid[self.bank.point[group]][: len(candidate.effect.shapes)]
-        return named | {
-            s.name: float(v) for s, v in zip(candidate.effect.shapes, shapes, strict=True)
-        }
+    def update(self) -> None:
+        """Do nothing: the model is not fitted again."""
+
+    def is_finished(self) -> bool:
+        """Whether no joint's error is raised."""
+        return not self.raised.any()
+
+    @property
+    def raised(self) -> NDArray[np.bool_]:
+        """Whether each joint's error is larger than on other motion (n,)."""
+        rises = np.array([each.motion_ratio for each in self.coloured])
+        misfit = self._misfit(self._accepted_columns(self.candidates(self.white)))
+        return np.asarray(misfit > self.options.least_misfit * rises)
 
     def errors(self) -> Array:
-        """Return each joint's error (n,) on the rows of tests beside the changes so far, N·m."""
-        return self.null * self._misfit(self.chosen)
+        """Return the error of each joint (n,) beside the accepted changes, N·m."""
+        return self.expected * self._misfit(self._accepted_columns(self.candidates(self.white)))
 
-    def _high(self) -> NDArray[np.bool_]:
-        """Mark the joints (n,) whose error is larger than another motion makes it."""
-        rises = np.array([each.motion_ratio for each in self.noise])
-        return np.asarray(self._misfit(self.chosen) > MISFIT * rises)
+    def remove(self, out: Sequence[Placement], reason: str) -> None:
+        """Remove accepted changes."""
+        labels = {placement.label for placement in out}
+        pairs = list(zip(self.accepted, self._points, strict=True))
+        kept = [(a, p) for a, p in pairs if a.candidate.placement.label not in labels]
+        self.rejected += [
+            RejectedEffect(a.candidate, reason)
+            for a in self.accepted
+            if a.candidate.placement.label in labels
+        ]
+        self.accepted, self._points = [a for a, _ in kept], [p for _, p in kept]
 
-    def _misfit(self, groups: Sequence[int]) -> Array:
-        """Return each joint's error over the fit's held-out error (n,).
+    def unexplained(self) -> tuple[Unexplained, ...]:
+        """Return what smooth functions explain on the joints whose error is raised."""
+        if not self.raised.any():
+            return ()
+        raised = self.raised
+        return tuple(part for part in unexplained_parts(self) if raised[part.joint])
 
-        The model's own numbers stay as they are; only what changed is fitted.
+    def error_baselines(self) -> tuple[Baseline, Baseline]:
+        """Return the residual of the fixed model, without and with the accepted changes."""
+        candidates = self.candidates(self.white)
+        last = with_groups(self._fixed_model, candidates, self._groups(candidates))
+        return self._fixed_model, last
+
+    def baseline_without(self, placement: Placement) -> Baseline:
+        """Return the baseline of the model and of all accepted changes but one."""
+        candidates = self.candidates(self.white)
+        groups = [
+            g for g in self._groups(candidates)
+            if candidates.owner(g).placement.label != placement.label
+        ]  # fmt: skip
+        return with_groups(self.model, candidates, groups)
+
+    def _groups(self, candidates: CandidateColumns[Candidate]) -> list[int]:
+        """Return the groups of the accepted changes."""
+        labels = [c.placement.label for c in candidates.owners]
+        groups = []
+        for effect, point in zip(self.accepted, self._points, strict=True):
+            index = labels.index(effect.candidate.placement.label)
+            grid = candidates.owners[index].grid
+            (at,) = (k for k, row in enumerate(grid) if row.tobytes() == point)
+            own = (candidates.owner_index == index) & (candidates.point == at)
+            groups.append(int(np.flatnonzero(own)[0]))
+        return groups
+
+    def _accepted_columns(self, candidates: CandidateColumns[Candidate]) -> list[Array]:
+        return [candidates.stacked(g) for g in self._groups(candidates)]
+
+    def _misfit(self, columns: Sequence[Array]) -> Array:
+        """Return each joint's error relative to the fit's held-out error (n,).
+
+        The model's parameters do not move; only the columns (R, k) of changes are fitted.
         """
-        kept = with_groups(self.kept, self.bank, groups)
-        rows = [kept.residual[kept.joint(j)] for j in range(len(self.plain))]
+        kept = self._fixed_model
+        for own in columns:
+            kept = kept.with_columns(own)
+        rows = [kept.residual[kept.joint(j)] for j in range(len(self.white))]
         return np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in rows])
 
-    def _evidence(self, winner: int, others: Sequence[int]) -> tuple[float, int]:
-        groups = [*self.chosen, *others]
-        bank = self.scene.bank.whitened(self.noise, self.scene.runs)
-        beside = with_groups(_with_prior(self.scene, self.noise), bank, groups)
-        screening = screen(bank, beside, every=True)
-        left = beside.with_columns(column_stack(bank, winner))
-        rows = int(beside.ends[len(self.plain)])
-        dispersion = max(float(np.mean(left.residual[:rows] ** 2)), 1.0)
-        family = Family.of(screening, seed=self.seed, further=self.scene.scanned)
-        gain = float(screening.gain[winner]) / dispersion
-        return family.log10_p(gain, int(screening.rank[winner])), rows
-
-    def stand_ins(self, left: Sequence[Unexplained]) -> list[Placement]:
-        """Return changes that only resemble what the error follows."""
-        whole = with_groups(self.baseline, self.bank, self.chosen)
-        last = with_groups(self.kept, self.bank, self.chosen)
-        smooth = self.scene.smooth
-        smooth = smooth.whitened(self.plain, self.scene.runs)
-        out = []
-        for u, g in product(left, self.chosen):
-            placement = self.bank.candidates[self.bank.candidate[g]].placement
-            if placement.joint == u.joint and not placement.whole_arm:
-                others = [h for h in self.chosen if h != g]
-                without = with_groups(self.baseline, self.bank, others)
-                columns = smooth_columns(smooth, u)
-                if unexplained_beside(u, self.kept, last) and stands_in(whole, without, columns):
-                    out.append(placement)
-        return out
-
-    def without(self, out: Collection[str]) -> tuple[Unexplained, ...]:
-        """Take changes back, and return what smooth functions explain then."""
-        self.rejected += [(label, STOOD_IN) for label in out]
-        self._accepted = [
-            (k, point)
-            for k, point in self._accepted
-            if self.bank.candidates[k].placement.label not in out
-        ]
-        return self.left_over()
-
-    def beside(self) -> Baseline:
-        """Return the rows beside the model and all changes found so far."""
-        return with_groups(self.baseline, self.bank, self.chosen)
-
-    def left_over(self) -> tuple[Unexplained, ...]:
-        """Return what smooth functions explain where the error is still raised."""
-        here = self.beside()
-        high = self._high()
-        if not high.any():
-            return ()
-        smooth = self.scene.smooth
-        bank = self.scene.bank.whitened(self.noise, self.scene.runs)
-        white = with_groups(_with_prior(self.scene, self.noise), bank, self.chosen)
-        found = unexplained(
-            smooth.whitened(self.plain, self.scene.runs),
-            (smooth.whitened(self.noise, self.scene.runs), white),
-            here,
-            self.folds,
-            seed=self.seed,
-        )
-        return tuple(u for u in found if high[u.joint])
+    def _unresolved(self, offer: Offer) -> str:
+        """Return which shape parameter is not resolved by the motion, or an empty text."""
+        candidate = offer.candidate
+        point = candidate.grid[offer.candidates.point[offer.group]]
+        for shape, value in zip(candidate.effect.shapes, point, strict=False):
+            if is_unresolved(shape, value, self.context.segments, candidate.joint, self.options):
+                label = f"{candidate.name}.{shape.name}:{candidate.joint + 1}"
+                return unresolved_text(label, float(value), shape.unit)
+        return ""
 
 
-def _solved(beside: Baseline, columns: Array) -> Array:
-    """Return coefficients (k,) of columns (R, k); directions that no motion shows stay at zero."""
-    rest = beside.padded(columns)
-    rest = rest - beside.basis @ (beside.basis.T @ rest)
-    size = np.linalg.norm(columns, axis=0)
-    size[size == 0.0] = 1.0
-    return np.asarray(np.linalg.lstsq(rest / size, beside.residual, rcond=UNSEEN)[0] / size)
+def _parameters(
+    candidate: Candidate, point: Array, baseline: Baseline, columns: Array
+) -> dict[str, float]:
+    """Return the coefficients of columns (R, k), and the shape parameters of a grid point."""
+    values = baseline.coefficients(columns, least=LEAST_OWN_PART)
+    effect = candidate.effect
+    coefficients = {c.name: float(v) for c, v in zip(effect.coefficients, values, strict=True)}
+    shapes = point[: len(effect.shapes)]
+    return coefficients | {s.name: float(v) for s, v in zip(effect.shapes, shapes, strict=True)}
 
 
-def _kept(scene: Scene, noise: Sequence[Noise]) -> Baseline:
-    """Return the residual's baseline beside a model whose numbers cannot move."""
-    rows = zip(noise, scene.residual, scene.runs, strict=True)
-    residuals = [n.whiten(residual, runs) for n, residual, runs in rows]
+def _without_columns(context: ScreeningContext, noise: Sequence[Noise]) -> Baseline:
+    """Return the residual of a model whose parameters cannot move."""
+    residuals = context.whitened(noise, context.residual)
     ends = np.concatenate([[0], np.cumsum([len(r) for r in residuals])]).astype(np.intp)
     return Baseline(np.zeros((ends[-1], 0)), np.concatenate(residuals), ends)
 
 
-def _with_prior(scene: Scene, noise: Sequence[Noise]) -> Baseline:
-    """Return the residual's baseline: columns that may move within the fit's uncertainty."""
-    fit = scene.fit
+def _with_prior(context: ScreeningContext, noise: Sequence[Noise]) -> Baseline:
+    """Return the baseline of a model whose parameters may move within their uncertainty."""
+    fit = context.fit
     count = len(fit.values) + len(fit.shapes)
     sizes, axes = np.linalg.eigh(fit.covariance[:count, :count])
-    known = np.sqrt(np.maximum(sizes, TINY * max(float(sizes.max(initial=0.0)), 1e-300)))
-    prior = (axes / known).T
-    matrices = [n.whiten(m, r) for n, m, r in zip(noise, scene.columns, scene.runs, strict=True)]
-    torques = [n.whiten(t, r) for n, t, r in zip(noise, scene.residual, scene.runs, strict=True)]
-    return Baseline.of([*matrices, prior], [*torques, np.zeros(count)])
+    least = LEAST_VARIANCE * max(float(sizes.max(initial=0.0)), 1e-300)
+    prior = (axes / np.sqrt(np.maximum(sizes, least))).T
+    matrices = context.whitened(noise, context.model_columns)
+    residuals = context.whitened(noise, context.residual)
+    return Baseline.of([*matrices, prior], [*residuals, np.zeros(count)])

@@ -1,81 +1,79 @@
-"""Which candidates together explain the residual: forward selection with exchange, linear."""
+"""Which candidates together explain the residual: forward selection with exchange."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.screening.candidate_columns import Bank
-from lieid_casadi.diagnosis.screening.screen import Baseline, Screening, screen
+from lieid_casadi.diagnosis.options import DiagnosisOptions, Penalty
+from lieid_casadi.diagnosis.screening.baseline import Baseline, with_groups
+from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
+from lieid_casadi.diagnosis.screening.screen import Screening, screen
 
 Array = NDArray[np.float64]
-MOST = 10  # effects that are looked for together
-ROUNDS = 3  # of exchange
+Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class Price:
-    """What an effect must bring: ``each`` per parameter, and a part of the rows of one joint."""
-
-    each: float
-    part: float
-
-    def score(self, screening: Screening) -> Array:
-        """Return gain minus price of every group (G,); −inf where it brings too little."""
-        rows = np.diff(screening.baseline.ends)
-        bank = screening.bank
-        first = np.array([c.joint for c in bank.candidates], dtype=np.intp)
-        least = self.part * rows[first[bank.candidate]]
-        score = screening.gain - self.each * screening.parameters
-        return np.where(screening.gain >= least, score, -np.inf)
-
-
-def column_stack(bank: Bank[Any], group: int) -> Array:
-    """Return a group's columns on all rows (R, k)."""
-    return np.concatenate(bank.dense(group))
-
-
-def with_groups(baseline: Baseline, bank: Bank[Any], groups: Sequence[int]) -> Baseline:
-    """Return the baseline with groups of the bank added to the model."""
-    for group in groups:
-        baseline = baseline.with_columns(column_stack(bank, group))
-    return baseline
+def penalized_gain(screening: Screening, penalty: Penalty) -> Array:
+    """Return gain minus penalty of every group (G,); −inf where the gain is too small."""
+    rows = np.diff(screening.baseline.ends)
+    candidates = screening.candidates
+    first = np.array([c.joint for c in candidates.owners], dtype=np.intp)
+    least = penalty.part * rows[first[candidates.owner_index]]
+    score = screening.gain - penalty.per_parameter * screening.parameters
+    return np.where(screening.gain >= least, score, -np.inf)
 
 
 def best_set(
-    bank: Bank[Any], baseline: Baseline, price: Price, barred: NDArray[np.bool_] | None = None
+    candidates: CandidateColumns[Any],
+    baseline: Baseline,
+    penalty: Penalty,
+    options: DiagnosisOptions,
+    excluded: Mask | None = None,
 ) -> list[int]:
-    """Return the groups that together bring most for their price, in the order found.
+    """Return the groups that together have the largest penalized gain, in the order selected.
 
-    ``barred`` marks candidates that are left out.
+    After each addition every member is exchanged for the best group beside the others, until
+    nothing changes.
 
-    Forward selection; after each addition every member is exchanged for what is better beside
-    the others, until nothing changes.
+    Parameters
+    ----------
+    candidates : CandidateColumns
+        Whitened as the baseline is.
+    baseline : Baseline
+    penalty : Penalty
+    options : DiagnosisOptions
+    excluded : bool array, optional
+        Marks candidates (not groups) that are left out.
     """
-    chosen: list[int] = []
-    for _ in range(MOST):
-        best = _best(bank, with_groups(baseline, bank, chosen), chosen, price, barred)
+    selected: list[int] = []
+    for _ in range(options.most_effects_at_once):
+        beside = with_groups(baseline, candidates, selected)
+        best = _best(candidates, beside, selected, penalty, options, excluded)
         if best is None:
             break
-        chosen = _exchanged(bank, baseline, [*chosen, best], price, barred)
-    return chosen
+        selected = [*selected, best]
+        if len(selected) > 1:
+            selected = _exchanged(candidates, baseline, selected, penalty, options, excluded)
+    return selected
 
 
 def _best(
-    bank: Bank[Any],
+    candidates: CandidateColumns[Any],
     baseline: Baseline,
-    chosen: Sequence[int],
-    price: Price,
-    barred: NDArray[np.bool_] | None,
+    selected: Sequence[int],
+    penalty: Penalty,
+    options: DiagnosisOptions,
+    excluded: Mask | None,
 ) -> int | None:
-    score = price.score(screen(bank, baseline))
-    taken = np.isin(bank.candidate, bank.candidate[list(chosen)])
-    if barred is not None:
-        taken |= barred[bank.candidate]
+    """Return the group with the largest positive penalized gain of a candidate not selected."""
+    score = penalized_gain(screen(candidates, baseline, options), penalty)
+    taken = np.isin(candidates.owner_index, candidates.owner_index[list(selected)])
+    if excluded is not None:
+        taken |= excluded[candidates.owner_index]
     score = np.where(taken, -np.inf, score)
     if not len(score):
         return None
@@ -84,21 +82,22 @@ def _best(
 
 
 def _exchanged(
-    bank: Bank[Any],
+    candidates: CandidateColumns[Any],
     baseline: Baseline,
-    chosen: list[int],
-    price: Price,
-    barred: NDArray[np.bool_] | None,
+    selected: list[int],
+    penalty: Penalty,
+    options: DiagnosisOptions,
+    excluded: Mask | None,
 ) -> list[int]:
-    if len(chosen) < 2:
-        return chosen
-    for _ in range(ROUNDS):
-        before = list(chosen)
-        for position in range(len(chosen)):
-            others = chosen[:position] + chosen[position + 1 :]
-            best = _best(bank, with_groups(baseline, bank, others), others, price, barred)
+    """Return the groups after each was replaced by the best one beside the others."""
+    for _ in range(options.exchange_rounds):
+        before = list(selected)
+        for position in range(len(selected)):
+            others = selected[:position] + selected[position + 1 :]
+            beside = with_groups(baseline, candidates, others)
+            best = _best(candidates, beside, others, penalty, options, excluded)
             if best is not None:
-                chosen[position] = best
-        if chosen == before:
+                selected[position] = best
+        if selected == before:
             break
-    return chosen
+    return selected

@@ -1,260 +1,287 @@
-"""Which effects are missing, one after another: chosen in training, confirmed by the test."""
+"""The search problem of missing effects: the model is fitted again with every accepted effect."""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.screening.baseline import Baseline, with_groups
+from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.candidates import Candidate
-from lieid_casadi.diagnosis.screening.context import Scene
+from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.screening.screen import screen
-from lieid_casadi.diagnosis.search.candidate_selection import (
-    BLOCK,
-    FOLD,
-    WORTH,
-    block_index,
-    by_contribution,
-    peaks_of,
-    pilot_noise,
-    price_of,
-    refined_shapes,
-    spokesman,
+from lieid_casadi.diagnosis.search.candidate_selection import grid_peaks, refined_shapes
+from lieid_casadi.diagnosis.search.effect_search import Offer, SearchProblem, logger, search
+from lieid_casadi.diagnosis.search.parameter_checks import (
+    belongs_to,
+    implausible_sign,
+    unresolved_shape,
 )
-from lieid_casadi.diagnosis.search.evidence import Family
-from lieid_casadi.diagnosis.search.forward_selection import best_set, column_stack, with_groups
-from lieid_casadi.diagnosis.search.parameter_checks import beyond_motion, out_of_bounds
-from lieid_casadi.diagnosis.search.pruning import superfluous
-from lieid_casadi.diagnosis.search.rivals import FOLDS, rivals_of
-from lieid_casadi.diagnosis.search.search_results import Found, Proposal, Rejected
+from lieid_casadi.diagnosis.search.pilot_noise import pilot_noise
+from lieid_casadi.diagnosis.search.pruning import baseline_without, redundant_effects
+from lieid_casadi.diagnosis.search.search_results import (
+    AcceptedEffect,
+    Proposal,
+    RejectedEffect,
+)
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
+from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
+#: Fit of a model to the training recordings, from shape parameters.
 Refit = Callable[[Model, ShapeStart | None], Fit]
-Judge = Callable[[Fit], Array]  # error on the test per joint (n,), NaN where there is none
-logger = logging.getLogger("lieid_casadi")
-
-LEVEL = 1e-3  # family-wise p-value above which an effect is noise
-ZOOMS = 2  # rounds in which the grids of shape parameters are refined
-MOST_STEPS = 12
-ON_ALL = 0.02  # the least fall of all joints' mean square error that is worth an arm's effect
+#: Error of a fit on the test per joint (n,), N·m; NaN without a test.
+TestError = Callable[[Fit], Array]
+REDUNDANT = "no longer needed after a later effect was added"
 
 
-@dataclass
-class Search:
-    """The search's state: the fit so far, what was accepted and what was turned down."""
+class MissingEffects(SearchProblem):
+    """Effects that a model lacks.
 
-    fit: Fit
-    segments: tuple[Processed, ...]
-    refit: Refit
-    judge: Judge
-    seed: int = 0
-    ask: Callable[[Proposal], bool] | None = None
-    found: list[Found] = field(default_factory=list)
-    rejected: list[Rejected] = field(default_factory=list)
+    Parameters
+    ----------
+    fit : Fit
+        Of the model before any effect is added.
+    segments : tuple of Processed
+        The training recordings.
+    refit : callable
+    test_error : callable
+    options : DiagnosisOptions
+    seed : int
+    ask : callable, optional
+        Called before each step is accepted; False rejects it.
 
-    def run(self, report: Callable[[str, float], None]) -> Scene:
-        """Add effects until nothing is worth one more; return the last scene."""
-        scene = self.first = Scene.of(self.fit, self.segments)
-        self.noise, self.plain = pilot_noise(scene)
-        for step in range(MOST_STEPS):
-            report("look for what is missing", step / MOST_STEPS)
-            if not self._add_one(scene):
-                break
-            scene = Scene.of(self.fit, self.segments, before=scene)
-            out = superfluous(scene, self.plain, self._accepted[:-1], WORTH)
-            if out:
-                scene = self.without(out[:1], "made superfluous by a later effect", scene)
-        return self._polished(scene)
+    Attributes
+    ----------
+    fit : Fit
+        With all accepted effects.
+    first : ScreeningContext
+        Of the fit before any effect was added.
+    """
 
-    @property
-    def _accepted(self) -> list[Placement]:
-        return [found.candidate.placement for found in self.found]
-
-    def without(self, out: Sequence[Placement], reason: str, scene: Scene) -> Scene:
-        """Take accepted effects out again, fit the rest anew, and return the scene."""
-        labels = {placement.label for placement in out}
-        self.rejected += [
-            Rejected(f.candidate, reason)
-            for f in self.found
-            if f.candidate.placement.label in labels
-        ]
-        self.found = [f for f in self.found if f.candidate.placement.label not in labels]
-        model, shapes = self.first.fit.model, dict(_shape_values(self.fit))
-        self.fit = self.first.fit
-        for k, found in enumerate(self.found):
-            placements = (*model.placements, found.candidate.placement)
-            model = Model.of_placements(model.robot, placements)
-            held = np.array([shapes[p.label] for p in model.shapes])
-            self.fit = self.refit(model, ShapeStart(held, held=True))
-            self.found[k] = replace(found, fit=self.fit)
-        return Scene.of(self.fit, self.segments, before=scene)
-
-    def _add_one(self, scene: Scene) -> bool:
-        scene, chosen = self._chosen(scene)
-        bank, baseline = scene.bank.whitened(self.plain, scene.runs), scene.baseline(self.plain)
-        blocks = block_index(scene, self.plain, BLOCK)
-        folds = block_index(scene, self.plain, FOLD) % FOLDS
-        for winner in by_contribution(bank, baseline, chosen):
-            others = [g for g in chosen if g != winner]
-            rivals = rivals_of(bank, baseline, others, winner, blocks)
-            beside = with_groups(baseline, bank, others)
-            winner, rivals = spokesman(bank, beside, winner, rivals, folds)
-            candidate = bank.candidates[bank.candidate[winner]]
-            named = [(bank.candidates[bank.candidate[r.group]], r.kind) for r in rivals]
-            point = refined_shapes(bank, screen(bank, beside).gain, winner)
-            if self._try(scene, candidate, point, winner, others, named):
-                return True
-        return False
-
-    def _chosen(self, scene: Scene) -> tuple[Scene, list[int]]:
-        """Return the groups that together explain most, on grids refined where it matters."""
-        refused = {r.candidate.placement.label for r in self.rejected}
-        zoomed: set[str] = set()
-        baseline = scene.baseline(self.plain)
-        for _ in range(ZOOMS + 1):
-            bank = scene.bank.whitened(self.plain, scene.runs)
-            barred = np.array([c.placement.label in refused for c in bank.candidates], dtype=bool)
-            chosen = best_set(bank, baseline, price_of(baseline), barred)
-            peaks = [*chosen, *peaks_of(bank, screen(bank, baseline).gain)] if chosen else []
-            points: dict[int, list[int]] = {}
-            for g in peaks:
-                candidate = bank.candidates[bank.candidate[g]]
-                if candidate.effect.shapes and candidate.placement.label not in zoomed:
-                    points.setdefault(int(bank.candidate[g]), []).append(int(bank.point[g]))
-            if not points:
-                break
-            zoomed |= {bank.candidates[k].placement.label for k in points}
-            scene = scene.zoomed(points)
-        return scene, chosen
-
-    def _try(
+    def __init__(
         self,
-        scene: Scene,
-        candidate: Candidate,
-        point: Array,
-        winner: int,
-        others: Sequence[int],
-        rivals: Sequence[tuple[Candidate, str]],
-    ) -> bool:
-        """Accept a candidate if it is no noise, worth its parameters, and the test agrees."""
-        log10_p, gain, rows = self._evidence(scene, winner, others)
-        label = candidate.placement.label
-        if log10_p > np.log10(LEVEL):
-            self._refuse(candidate, f"family-wise p = {10.0**log10_p:.2g}")
-            return False
-        placements = (*self.fit.model.placements, candidate.placement)
-        wanted = Model.of_placements(self.fit.model.robot, placements)
-        start = np.concatenate([self.fit.shapes, point])
-        fit = self.refit(wanted, ShapeStart(start, held=True))
-        against = out_of_bounds(fit, candidate.placement)
-        if against:
-            self._refuse(candidate, against)
-            return False
-        before, after = self.fit.rms_cv, fit.rms_cv
-        fall = 1.0 - after / before
-        if np.nanmax(fall) < WORTH:
-            self._refuse(candidate, f"held-out error falls by {100 * np.nanmax(fall):.1f} % only")
-            return False
-        joint = int(np.nanargmax(fall))
-        on_all = 1.0 - self._all_joints(after) / self._all_joints(before)
-        if candidate.reaches_all and on_all < ON_ALL:
-            self._refuse(candidate, f"error of all joints falls by {100 * on_all:.1f} % only")
-            return False
+        fit: Fit,
+        segments: tuple[Processed, ...],
+        refit: Refit,
+        test_error: TestError,
+        *,
+        options: DiagnosisOptions,
+        seed: int,
+        ask: Callable[[Proposal], bool] | None,
+    ) -> None:
+        self.fit, self.segments = fit, segments
+        self.refit, self.test_error, self.ask = refit, test_error, ask
+        self.first = ScreeningContext.of(fit, segments, options)
+        coloured, white = pilot_noise(self.first)
+        super().__init__(
+            self.first, coloured, white, seed=seed, least_gain=options.least_improvement
+        )
+        self._white_baseline: Baseline | None = None
+
+    def run(self, report: Callable[[float], None]) -> None:
+        """Add effects until none is accepted, then fit all shape parameters together."""
+        search(self, self.options.most_steps, report)
+        self._fit_shapes()
+
+    def baseline(self, noise: Sequence[Noise], candidates: CandidateColumns[Candidate]) -> Baseline:
+        """Return the baseline of the last model, which contains the accepted effects."""
+        if noise is not self.white:
+            return self.context.baseline(noise)
+        if self._white_baseline is None:
+            self._white_baseline = self.context.baseline(noise)
+        return self._white_baseline
+
+    def refined_grids(
+        self,
+        candidates: CandidateColumns[Candidate],
+        baseline: Baseline,
+        groups: Sequence[int],
+        refined: set[str],
+    ) -> Mapping[int, Array]:
+        """Return finer grids around the selected groups and the highest peaks, once per step."""
+        if not groups:
+            return {}
+        gain = screen(candidates, baseline, self.options).gain
+        points: dict[int, list[int]] = {}
+        for g in (*groups, *grid_peaks(candidates, gain, self.options.refined_gain)):
+            candidate = candidates.owner(g)
+            if candidate.effect.shapes and candidate.placement.label not in refined:
+                points.setdefault(int(candidates.owner_index[g]), []).append(
+                    int(candidates.point[g])
+                )
+        positions = self.options.refinement_positions
+        return {k: candidates.owners[k].refined(at, positions).grid for k, at in points.items()}
+
+    def accept(self, offer: Offer) -> bool:
+        """Accept an effect that is significant, plausible, and reduces the held-out error."""
+        candidate, placement = offer.candidate, offer.candidate.placement
+        if offer.significance.log10_p > np.log10(self.options.significance):
+            return self.reject(candidate, self.insignificant(offer.significance))
+        beside = with_groups(offer.baseline, offer.candidates, offer.others)
+        gain = screen(offer.candidates, beside, self.options).gain
+        shapes = refined_shapes(offer.candidates, gain, offer.group)
+        larger = Model.of_placements(self.fit.model.robot, (*self.fit.model.placements, placement))
+        start = np.concatenate([self.fit.shapes, shapes])
+        fit = self.refit(larger, ShapeStart(start, held=True))
+        errors = np.array([self.fit.rms_cv, fit.rms_cv])
+        joint = int(np.nanargmax(1.0 - errors[1] / errors[0]))
         confirmed = self._confirmed(fit, joint)
-        if confirmed is False:
-            self._refuse(candidate, "the test's error does not fall")
-            return False
-        if self._within_a_sample(candidate, fit):
-            self._refuse(
-                candidate, "a delay below one sample: deriving the velocity shifts as much"
-            )
-            return False
-        proposal = Proposal(label, joint, float(before[joint]), float(after[joint]))
-        if self.ask is not None and not self.ask(proposal):
-            self._refuse(candidate, "not wanted")
-            return False
-        logger.info("accepted %s: p = 1e%.0f, fall %.1f %%", label, log10_p, 100 * fall[joint])
-        self.found.append(
-            Found(
+        reason = (
+            implausible_sign(fit, placement)
+            or self._small_improvement(candidate, errors)
+            or ("the error on the test does not fall" if confirmed is False else "")
+            or self._below_sample_time(placement, fit)
+        )
+        if reason:
+            return self.reject(candidate, reason)
+        before, after = map(float, errors[:, joint])
+        if self.ask is not None and not self.ask(Proposal(placement.label, joint, before, after)):
+            return self.reject(candidate, "declined by the user")
+        logger.info(
+            "accepted %s: p = 1e%.0f, error on joint %d falls by %.1f %%",
+            placement.label, offer.significance.log10_p, joint + 1, 100 * (1.0 - after / before),
+        )  # fmt: skip
+        self.fit = fit
+        self.accepted.append(
+            AcceptedEffect(
                 candidate,
-                fit,
-                log10_p,
-                gain,
-                rows,
-                np.array([before, after]),
+                fitted_parameters(fit, placement),
+                errors,
+                joint,
+                offer.significance,
+                offer.rivals,
                 confirmed,
-                tuple(rivals),
+                fit,
             )
         )
-        self.fit = fit
         return True
 
-    def _all_joints(self, errors: Array) -> float:
-        """Return the mean square of errors (n,) over the joints' noise."""
+    def update(self) -> None:
+        """Screen the last model, and remove the weakest effect that it no longer needs."""
+        self._screen_again()
+        out = redundant_effects(
+            self.context, self.white, self.placements[:-1], self.options.least_improvement
+        )
+        if out:
+            self.remove(out[:1], REDUNDANT)
+
+    @property
+    def placements(self) -> list[Placement]:
+        """The accepted effects in the order added."""
+        return [effect.candidate.placement for effect in self.accepted]
+
+    def remove(self, out: Sequence[Placement], reason: str) -> None:
+        """Remove accepted effects and fit the model again, step by step."""
+        labels = {placement.label for placement in out}
+        self.rejected += [
+            RejectedEffect(a.candidate, reason)
+            for a in self.accepted
+            if a.candidate.placement.label in labels
+        ]
+        shapes = {
+            p.label: float(x) for p, x in zip(self.fit.model.shapes, self.fit.shapes, strict=True)
+        }
+        kept = [a for a in self.accepted if a.candidate.placement.label not in labels]
+        self.accepted = []
+        model, self.fit = self.first.fit.model, self.first.fit
+        for effect in kept:
+            placement = effect.candidate.placement
+            model = Model.of_placements(model.robot, (*model.placements, placement))
+            held = np.array([shapes[p.label] for p in model.shapes])
+            self.fit = self.refit(model, ShapeStart(held, held=True))
+            self.accepted.append(with_fit(effect, self.fit))
+        self._screen_again()
+
+    def error_baselines(self) -> tuple[Baseline, Baseline]:
+        """Return the baselines of the first and of the last model."""
+        return self.first.baseline(self.white), self.context.baseline(self.white)
+
+    def baseline_without(self, placement: Placement) -> Baseline:
+        """Return the baseline of the last model without the columns of one effect."""
+        return baseline_without(self.context, self.white, placement)
+
+    def _screen_again(self) -> None:
+        self.context = ScreeningContext.of(
+            self.fit, self.segments, self.options, previous=self.context
+        )
+        self._white_baseline = None
+
+    def _fit_shapes(self) -> None:
+        """Fit all shape parameters together; the steps have taken them from the grids."""
+        if not self.accepted or not len(self.fit.shapes):
+            return
+        fit = self.refit(self.fit.model, ShapeStart(self.fit.shapes))
+        for placement in self.placements:
+            reason = implausible_sign(fit, placement) or unresolved_shape(
+                fit, placement, self.segments, self.options
+            )
+            if reason:
+                self.remove([placement], reason)
+                self._fit_shapes()
+                return
+        self.fit = fit
+        self.accepted[-1] = with_fit(self.accepted[-1], fit)
+        self._screen_again()
+
+    def _small_improvement(self, candidate: Candidate, errors: Array) -> str:
+        """Return why the fall of the held-out errors (2, n) is too small, or an empty text."""
+        fall = float(np.nanmax(1.0 - errors[1] / errors[0]))
+        if fall < self.options.least_improvement:
+            return f"the held-out error falls by only {100 * fall:.1f} %"
+        on_all = 1.0 - self._mean_square(errors[1]) / self._mean_square(errors[0])
+        if candidate.reaches_all and on_all < self.options.least_improvement_all_joints:
+            return f"the mean square error of all joints falls by only {100 * on_all:.1f} %"
+        return ""
+
+    def _mean_square(self, errors: Array) -> float:
+        """Return the mean square of errors (n,) relative to the joints' noise."""
         return float(
-            np.nanmean([(e / n.spread) ** 2 for e, n in zip(errors, self.plain, strict=True)])
+            np.nanmean([(e / n.spread) ** 2 for e, n in zip(errors, self.white, strict=True)])
         )
 
     def _confirmed(self, fit: Fit, joint: int) -> bool | None:
-        """Whether the test's error falls on a joint, and no more rises on others."""
-        before, after = self.judge(self.fit), self.judge(fit)
+        """Whether the test's error falls on a joint, and the mean square error of all joints."""
+        before, after = self.test_error(self.fit), self.test_error(fit)
         if np.isnan(after[joint]):
             return None
         falls = after[joint] < before[joint]
-        return bool(falls and self._all_joints(after) < self._all_joints(before))
+        return bool(falls and self._mean_square(after) < self._mean_square(before))
 
-    def _within_a_sample(self, candidate: Candidate, fit: Fit) -> bool:
-        """Whether a delay is shorter than the recordings can tell from a shifted velocity."""
-        if candidate.name != "torque_delay":
-            return False
+    def _below_sample_time(self, placement: Placement, fit: Fit) -> str:
+        """Return why a delay is too short to be identified, or an empty text."""
+        if placement.effect.name != "torque_delay":
+            return ""
         labels = [column.label for column in fit.model.columns]
-        delay = fit.effect_coefficients[
-            labels.index(f"torque_delay.delta:{candidate.joints[0] + 1}")
-        ]
+        delay = fit.effect_coefficients[labels.index(f"torque_delay.delta:{placement.joint + 1}")]
         slowest = min(segment.recording.rate for segment in self.segments)
-        return bool(abs(delay) * slowest < 1.0)
-
-    def _polished(self, scene: Scene) -> Scene:
-        """Fit all shape parameters together at the end; steps before had them from the grid."""
-        if not self.found or not len(self.fit.shapes):
-            return scene
-        polished = self.refit(self.fit.model, ShapeStart(self.fit.shapes))
-        for placement in self._accepted:
-            against = out_of_bounds(polished, placement) or beyond_motion(
-                polished, placement, self.segments
+        if abs(delay) * slowest < self.options.least_delay_samples:
+            return (
+                f"{1000 * delay:.2g} ms is less than one sample; differentiating the position "
+                "shifts the velocity by as much"
             )
-            if against:
-                return self._polished(self.without([placement], against, scene))
-        self.fit = polished
-        self.found[-1] = replace(self.found[-1], fit=self.fit)
-        return Scene.of(self.fit, self.segments, before=scene)
-
-    def _refuse(self, candidate: Candidate, reason: str) -> None:
-        logger.info("refused %s: %s", candidate.placement.label, reason)
-        self.rejected.append(Rejected(candidate, reason))
-
-    def _evidence(
-        self, scene: Scene, winner: int, others: Sequence[int]
-    ) -> tuple[float, float, int]:
-        """Return log₁₀ of the family-wise p-value, the whitened gain and how many rows."""
-        bank = scene.bank.whitened(self.noise, scene.runs)
-        beside = with_groups(scene.baseline(self.noise), bank, others)
-        screening = screen(bank, beside, every=True)
-        after = beside.with_columns(column_stack(bank, winner))
-        freedom = max(after.rows - after.basis.shape[1], 1)
-        dispersion = max(float(np.sum(after.residual**2)) / freedom, 1.0)
-        gain = float(screening.gain[winner]) / dispersion
-        family = Family.of(screening, seed=self.seed, further=scene.scanned)
-        return family.log10_p(gain, int(screening.rank[winner])), gain, after.rows
+        return ""
 
 
-def _shape_values(fit: Fit) -> list[tuple[str, float]]:
-    return [(p.label, float(x)) for p, x in zip(fit.model.shapes, fit.shapes, strict=True)]
+def fitted_parameters(fit: Fit, placement: Placement) -> dict[str, float]:
+    """Return the coefficients and shape parameters of a placed effect by name."""
+    values = zip(fit.fitted, np.concatenate([fit.values, fit.shapes]), strict=True)
+    return {
+        p.name.rpartition(".")[2]: float(value)
+        for p, value in values
+        if belongs_to(placement, p.name, p.joint)
+    }
+
+
+def with_fit(effect: AcceptedEffect, fit: Fit) -> AcceptedEffect:
+    """Return an accepted effect with another fit and its parameters."""
+    parameters = fitted_parameters(fit, effect.candidate.placement)
+    return replace(effect, fit=fit, parameters=parameters)

@@ -1,46 +1,77 @@
-"""Whether numbers that a refit found can be what the effect says they are."""
+"""Whether estimated parameters are physically plausible and resolved by the motion."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.candidates import shape_limits
 from lieid_casadi.effects import Placement, Shape
 from lieid_casadi.identification import Fit
 from lieid_casadi.recording import Processed
 
-SPARE = 0.5  # of the least shape that a motion shows
-AT_BOUND = 0.02  # over the bound
 
-
-def out_of_bounds(fit: Fit, placement: Placement) -> str:
-    """Return which coefficient of an effect has a sign that the physics rules out, or nothing."""
+def implausible_sign(fit: Fit, placement: Placement) -> str:
+    """Return which coefficient of an effect is physically implausible, or an empty text."""
     columns = fit.model.columns
     for column, value in zip(columns, fit.effect_coefficients, strict=True):
-        if _of(placement, column.name, column.joint) and value < column.lower:
-            return f"{column.label} = {value:.2g} {column.unit} cannot be"
+        if belongs_to(placement, column.name, column.joint) and value < column.lower:
+            return f"{column.label} = {value:.2g} {column.unit} is physically implausible"
     return ""
 
 
-def beyond_motion(fit: Fit, placement: Placement, segments: Sequence[Processed]) -> str:
-    """Return which shape parameter left what the motion can show, or nothing.
+def unresolved_shape(
+    fit: Fit, placement: Placement, segments: Sequence[Processed], options: DiagnosisOptions
+) -> str:
+    """Return which shape parameter is below what the motion resolves, or an empty text.
 
-    A width in velocity below the dead zone is made of samples whose sign is anyone's guess.
+    A velocity scale below the dead zone, for example, is fitted to samples with an uncertain sign.
+
+    Parameters
+    ----------
+    fit : Fit
+    placement : Placement
+    segments : sequence of Processed
+    options : DiagnosisOptions
     """
     shapes = {shape.name: shape for shape in placement.effect.shapes}
     for parameter, value in zip(fit.model.shapes, fit.shapes, strict=True):
-        if _of(placement, parameter.name, parameter.joint):
-            name = parameter.name.rpartition(".")[2]
-            if hardly_there(shapes[name], value, segments, placement.joint):
-                return f"{parameter.label} = {value:.2g} {parameter.unit} is less than motion shows"
+        if belongs_to(placement, parameter.name, parameter.joint):
+            shape = shapes[parameter.name.rpartition(".")[2]]
+            if is_unresolved(shape, value, segments, placement.joint, options):
+                return unresolved_text(parameter.label, value, parameter.unit)
     return ""
 
 
-def hardly_there(shape: Shape, value: float, segments: Sequence[Processed], joint: int) -> bool:
-    """Whether a shape parameter is at its lower bound, or below what a joint's motion shows."""
-    least, _ = shape_limits(shape, segments, joint)
-    return value < SPARE * least or value <= shape.lower * (1.0 + AT_BOUND)
+def unresolved_text(label: str, value: float, unit: str) -> str:
+    """Return the reason for which a shape parameter is rejected."""
+    return f"{label} = {value:.2g} {unit} is below the range that this motion can resolve"
 
 
-def _of(placement: Placement, name: str, joint: int | None) -> bool:
+def is_unresolved(
+    shape: Shape,
+    value: float,
+    segments: Sequence[Processed],
+    joint: int,
+    options: DiagnosisOptions,
+) -> bool:
+    """Whether a shape parameter is at its lower bound or below what a joint's motion resolves.
+
+    Parameters
+    ----------
+    shape : Shape
+    value : float
+        In the unit of the shape parameter.
+    segments : sequence of Processed
+    joint : int
+        From 0.
+    options : DiagnosisOptions
+    """
+    least, _ = shape_limits(shape, segments, joint, options)
+    bound = shape.lower * (1.0 + options.shape_at_bound)
+    return value < options.least_shape * least or value <= bound
+
+
+def belongs_to(placement: Placement, name: str, joint: int | None) -> bool:
+    """Whether a parameter ``effect.name`` on a joint belongs to a placed effect."""
     return joint == placement.joint and name.rpartition(".")[0] == placement.effect.label

@@ -1,4 +1,4 @@
-"""Steps that a later one made superfluous, and steps that only stood in for something else."""
+"""Accepted effects to remove: redundant ones, and ones that only partly explain the residual."""
 
 from __future__ import annotations
 
@@ -8,104 +8,122 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.residual.unexplained import Unexplained, smooth_columns
-from lieid_casadi.diagnosis.screening.context import Scene
-from lieid_casadi.diagnosis.screening.screen import Baseline
+from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+from lieid_casadi.diagnosis.screening.baseline import Baseline
+from lieid_casadi.diagnosis.screening.context import ScreeningContext
+from lieid_casadi.diagnosis.screening.smooth_functions import smooth_columns
+from lieid_casadi.diagnosis.search.effect_search import SearchProblem
+from lieid_casadi.diagnosis.search.parameter_checks import belongs_to
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
 Array = NDArray[np.float64]
-STOOD_IN = "explains but a part of what the error follows"
-STAND_IN = 0.03  # unexplained variance over what a joint's steps explain: more is suspicious
-OWN = 0.25  # of what an effect explains alone: with less beside smooth functions it stood in
+PARTIAL = "only partly explains the residual"
 
 
-def superfluous(
-    scene: Scene, noise: Sequence[Noise], placements: Sequence[Placement], part: float
+def redundant_effects(
+    context: ScreeningContext,
+    noise: Sequence[Noise],
+    placements: Sequence[Placement],
+    part: float,
 ) -> list[Placement]:
-    """Return accepted effects without which the model fits as well: weakest first.
+    """Return accepted effects without which the model fits as well, the weakest first.
 
-    An effect is superfluous if leaving it out costs less than the logarithm of the number of rows
-    for each of its numbers, or less than ``part`` of the rows of its joint.
+    An effect is redundant if leaving it out costs less than the logarithm of the number of rows
+    for each of its parameters (Schwarz), or less than a part of the rows of its joint.
+
+    Parameters
+    ----------
+    context : ScreeningContext
+        Of the last model.
+    noise : sequence of Noise
+        White noise of each joint.
+    placements : sequence of Placement
+        Effects of the model to examine.
+    part : float
+        0 to 1.
     """
-    full = scene.baseline(noise)
+    full = context.baseline(noise)
     before = float(np.sum(full.residual**2))
     found = []
     for placement in placements:
-        left_out = _columns_of(scene, placement)
-        smaller = _baseline_without(scene, noise, left_out)
+        smaller = baseline_without(context, noise, placement)
         cost = float(np.sum(smaller.residual**2)) - before
         rows = full.ends[placement.joint + 1] - full.ends[placement.joint]
-        if cost < max(len(left_out) * np.log(max(full.rows, 2)), part * float(rows)):
+        parameters = len(_columns_of(context, placement))
+        if cost < max(parameters * np.log(max(full.rows, 2)), part * float(rows)):
             found.append((cost, placement))
     return [placement for _, placement in sorted(found, key=lambda pair: pair[0])]
 
 
-def unexplained_beside(u: Unexplained, first: Baseline, last: Baseline) -> bool:
-    """Whether much stays explainable on a joint beside what its effects explain."""
-    rows = first.joint(u.joint)
-    total, rest = (float(np.sum(b.residual[rows] ** 2)) for b in (first, last))
-    return u.fraction * rest > STAND_IN * max(total - rest, 0.0)
+def partial_effects(problem: SearchProblem, parts: Sequence[Unexplained]) -> list[Placement]:
+    """Return accepted effects that only partly explain what the residual follows.
 
-
-def stands_in(whole: Baseline, without: Baseline, smooth: Array) -> bool:
-    """Whether smooth functions (R, k) of what the error follows take over from an effect.
-
-    The right effect explains as much beside them; one that merely resembles something else does
-    not, and naming it would send the user after the wrong cause.
-
-    Parameters
-    ----------
-    whole, without : Baseline
-        The model with the effect and without it.
+    On a joint with a large unexplained part, the right effect explains as much beside smooth
+    functions of the signals as without them. An effect that merely resembles the cause does not,
+    and naming it would be misleading.
     """
-    alone = float(np.sum(without.residual**2) - np.sum(whole.residual**2))
-    small, large = (b.with_columns(smooth) for b in (without, whole))
-    beside = float(np.sum(small.residual**2) - np.sum(large.residual**2))
-    return beside < OWN * alone
-
-
-def stand_ins(
-    scene: Scene,
-    noise: Sequence[Noise],
-    first: Baseline,
-    left: Sequence[Unexplained],
-    placements: Sequence[Placement],
-) -> list[Placement]:
-    """Return accepted effects that only stood in for something that no effect is.
-
-    ``first`` is the baseline before any was accepted.
-    """
-    last = scene.baseline(noise)
-    doubtful = [u for u in left if unexplained_beside(u, first, last)]
+    first, last = problem.error_baselines()
+    doubtful = [u for u in parts if _is_doubtful(u, first, last, problem)]
     if not doubtful:
         return []
-    bank = scene.smooth.whitened(noise, scene.runs)
+    smooth = problem.context.smooth.whitened(problem.white, problem.context.runs)
+    full = problem.current_baseline(problem.white)
     out = []
-    for u, placement in product(doubtful, placements):
-        if placement.joint == u.joint and not placement.whole_arm:
-            without = _baseline_without(scene, noise, _columns_of(scene, placement))
-            if stands_in(last, without, smooth_columns(bank, u)):
+    for part, effect in product(doubtful, problem.accepted):
+        placement = effect.candidate.placement
+        if placement.joint == part.joint and not placement.whole_arm:
+            columns = smooth_columns(smooth, part.joint, part.depends_on)
+            without = problem.baseline_without(placement)
+            least = problem.options.least_gain_beside_smooth
+            if gain_beside_smooth(full, without, columns) < least:
                 out.append(placement)
     return out
 
 
-def _columns_of(scene: Scene, placement: Placement) -> list[int]:
-    """Return the positions of an effect's columns and shapes among a scene's columns."""
-    model = scene.fit.model
+def gain_beside_smooth(full: Baseline, without: Baseline, smooth: Array) -> float:
+    """Return an effect's gain beside smooth functions, relative to its gain without them.
+
+    Parameters
+    ----------
+    full, without : Baseline
+        Of the model with the effect and without it.
+    smooth : (R, k)
+        Columns of smooth functions.
+    """
+    alone = float(np.sum(without.residual**2) - np.sum(full.residual**2))
+    small, large = (b.with_columns(smooth) for b in (without, full))
+    beside = float(np.sum(small.residual**2) - np.sum(large.residual**2))
+    return beside / alone if alone > 0.0 else 1.0
+
+
+def baseline_without(
+    context: ScreeningContext, noise: Sequence[Noise], placement: Placement
+) -> Baseline:
+    """Return the baseline of a model without the columns of one of its effects.
+
+    Parameters
+    ----------
+    context : ScreeningContext
+    noise : sequence of Noise
+    placement : Placement
+    """
+    every = np.arange(context.model_columns[0].shape[1])
+    return context.baseline(noise, np.setdiff1d(every, _columns_of(context, placement)))
+
+
+def _is_doubtful(
+    part: Unexplained, first: Baseline, last: Baseline, problem: SearchProblem
+) -> bool:
+    """Whether much is unexplained on a joint relative to what its effects explain."""
+    rows = first.joint(part.joint)
+    total, rest = (float(np.sum(b.residual[rows] ** 2)) for b in (first, last))
+    explained = max(total - rest, 0.0)
+    return part.fraction * rest > problem.options.doubtful_residual * explained
+
+
+def _columns_of(context: ScreeningContext, placement: Placement) -> list[int]:
+    """Return the positions of an effect's columns and shape parameters among the model's."""
+    model = context.fit.model
     every = (*model.base_columns, *model.shapes)
-    return [
-        k
-        for k, parameter in enumerate(every)
-        if parameter.joint == placement.joint
-        and parameter.name.rpartition(".")[0] == placement.effect.label
-    ]
-
-
-def _baseline_without(scene: Scene, noise: Sequence[Noise], left_out: Sequence[int]) -> Baseline:
-    kept = np.setdiff1d(np.arange(scene.columns[0].shape[1]), left_out)
-    matrices = [
-        n.whiten(m[:, kept], r) for n, m, r in zip(noise, scene.columns, scene.runs, strict=True)
-    ]
-    torques = [n.whiten(t, r) for n, t, r in zip(noise, scene.torque, scene.runs, strict=True)]
-    return Baseline.of(matrices, torques)
+    return [k for k, p in enumerate(every) if belongs_to(placement, p.name, p.joint)]

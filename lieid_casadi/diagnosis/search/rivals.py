@@ -1,4 +1,4 @@
-"""What else could explain the data as well as the winner."""
+"""Candidates that could explain the data as well as a selected one."""
 
 from __future__ import annotations
 
@@ -9,98 +9,97 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.screening.candidate_columns import Bank
-from lieid_casadi.diagnosis.screening.screen import ABSORBED, Baseline, screen
-from lieid_casadi.diagnosis.search.forward_selection import column_stack, with_groups
+from lieid_casadi.diagnosis.options import ABSORBED, DiagnosisOptions
+from lieid_casadi.diagnosis.screening.baseline import Baseline, with_groups
+from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
+from lieid_casadi.diagnosis.screening.screen import screen
 
 Array = NDArray[np.float64]
-SHORTLIST = 12
-LEAST_GAIN = 0.5  # of the winner's: with less an effect is no rival
-OWN_GAIN = 0.3  # of a rival's gain that may remain beside the winner: more, and it is another cause
-DEVIATIONS = 2.0  # of the difference between two fits that the data may hide
-FOLDS = 5
 
 
 @dataclass(frozen=True)
-class Rival:
-    """A group that this data cannot separate from the winner; ``kind`` is exact or data."""
+class RivalGroup:
+    """A group of columns that the data cannot separate from the selected one.
+
+    Attributes
+    ----------
+    group : int
+    kind : str
+        ``exact`` if no data can, ``data`` if these data cannot.
+    gain : float
+        Fall of the sum of squares without the selected group.
+    """
 
     group: int
     kind: str
     gain: float
 
 
-def rivals_of(
-    bank: Bank[Any],
-    baseline: Baseline,
-    others: Sequence[int],
-    winner: int,
+def find_rivals(
+    candidates: CandidateColumns[Any],
+    beside: Baseline,
+    group: int,
+    *,
+    excluded: Sequence[int],
     blocks: NDArray[np.intp],
-) -> list[Rival]:
-    """Return rivals of a winner beside the other chosen groups, nearest first.
+    options: DiagnosisOptions,
+) -> list[RivalGroup]:
+    """Return the rivals of a group beside a baseline, those that are closest first.
 
-    Two fits are told apart if the difference of their squared residuals, summed over blocks of
-    time, is more than two of its own standard deviations (Vuong, Econometrica 1989): right also
-    where neither model is the true one.
+    Two fits differ significantly if the difference of their squared residuals, summed over
+    blocks of time, exceeds two of its standard deviations (Vuong, Econometrica 1989). The test
+    is valid where neither model is the true one.
 
     Parameters
     ----------
+    candidates : CandidateColumns
+        Whitened as the baseline is.
+    beside : Baseline
+        With the other selected groups.
+    group : int
+    excluded : sequence of int
+        Groups whose candidates are no rivals: the other selected ones.
     blocks : (R,) int
         Block of time of each row.
+    options : DiagnosisOptions
     """
-    beside = with_groups(baseline, bank, others)
-    alone, both = screen(bank, beside), screen(bank, with_groups(beside, bank, [winner]))
-    own = float(alone.gain[winner])
-    with_winner = beside.with_columns(column_stack(bank, winner)).residual ** 2
-    found: list[Rival] = []
-    taken = {int(bank.candidate[g]) for g in (*others, winner)}
-    for group in np.argsort(-alone.gain):
-        group = int(group)
-        candidate = int(bank.candidate[group])
-        if alone.gain[group] < LEAST_GAIN * own or len(found) == SHORTLIST:
+    alone = screen(candidates, beside, options)
+    both = screen(candidates, with_groups(beside, candidates, [group]), options)
+    own = float(alone.gain[group])
+    with_group = beside.with_columns(candidates.stacked(group)).residual ** 2
+    found: list[RivalGroup] = []
+    taken = {int(candidates.owner_index[g]) for g in (*excluded, group)}
+    for rival in map(int, np.argsort(-alone.gain)):
+        gain = float(alone.gain[rival])
+        if gain < options.least_rival_gain * own or len(found) == options.most_rivals:
             break
-        if candidate in taken:
+        owner = int(candidates.owner_index[rival])
+        if owner in taken:
             continue
-        taken.add(candidate)
-        if both.gain[group] > OWN_GAIN * alone.gain[group]:
+        taken.add(owner)
+        if both.gain[rival] > options.most_rival_gain_beside * gain:
             continue
-        replaced = beside.with_columns(column_stack(bank, group))
-        if float(screen_one(bank, replaced, winner)) < ABSORBED:
-            found.append(Rival(group, "exact", float(alone.gain[group])))
-        elif _alike(replaced.residual**2 - with_winner, blocks):
-            found.append(Rival(group, "data", float(alone.gain[group])))
+        replaced = beside.with_columns(candidates.stacked(rival))
+        if remaining_part(candidates, replaced, group) < ABSORBED:
+            found.append(RivalGroup(rival, "exact", gain))
+        elif _alike(replaced.residual**2 - with_group, blocks, options.rival_deviations):
+            found.append(RivalGroup(rival, "data", gain))
     return sorted(found, key=lambda r: (r.kind != "exact", -r.gain))
 
 
-def screen_one(bank: Bank[Any], baseline: Baseline, group: int) -> float:
-    """Return the part of a group's columns that a baseline does not span."""
-    columns = column_stack(bank, group)
+def remaining_part(candidates: CandidateColumns[Any], baseline: Baseline, group: int) -> float:
+    """Return the part (0 to 1) of a group's columns that a baseline does not span."""
+    columns = candidates.stacked(group)
     norms = np.linalg.norm(columns, axis=0)
     scaled = baseline.padded(columns / np.where(norms > 0.0, norms, 1.0))
     rest = scaled - baseline.basis @ (baseline.basis.T @ scaled)
     return float(np.linalg.svd(rest, compute_uv=False)[0])
 
 
-def _alike(worse: Array, blocks: NDArray[np.intp]) -> bool:
+def _alike(worse: Array, blocks: NDArray[np.intp], deviations: float) -> bool:
+    """Whether differences of squared residuals (R,) are insignificant over blocks of time."""
     sums = np.bincount(blocks, weights=worse[: len(blocks)])
     count = len(sums)
     if count < 2:
         return True
-    return bool(sums.sum() < DEVIATIONS * np.sqrt(count) * sums.std(ddof=1))
-
-
-def cross_validated_gain(columns: Array, baseline: Baseline, folds: NDArray[np.intp]) -> float:
-    """Return the fall of the held-out sum of squares when columns (R, k) are added.
-
-    Folds (R,) int; the coefficients of the columns come from the other folds.
-    """
-    columns = baseline.padded(columns)
-    rest = columns - baseline.basis @ (baseline.basis.T @ columns)
-    folds = np.pad(folds, (0, len(rest) - len(folds)), constant_values=-1)
-    total = 0.0
-    for fold in np.unique(folds[folds >= 0]):
-        held = folds == fold
-        values = np.linalg.lstsq(rest[~held], baseline.residual[~held], rcond=None)[0]
-        after = baseline.residual[held] - rest[held] @ values
-        total += float(np.sum(baseline.residual[held] ** 2) - np.sum(after**2))
-    return total
+    return bool(sums.sum() < deviations * np.sqrt(count) * sums.std(ddof=1))

@@ -1,4 +1,4 @@
-"""What a search for missing effects accepted, turned down, or is about to accept."""
+"""Effects that a search accepted, rejected, or proposes."""
 
 from __future__ import annotations
 
@@ -13,39 +13,61 @@ from lieid_casadi.identification import Fit
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Significance:
+    """Statistical evidence for an effect.
+
+    Attributes
+    ----------
+    log10_p : float
+        log₁₀ of the family-wise p-value over all candidates that were screened.
+    gain : float
+        Fall of the whitened sum of squares, in units of the noise's variance.
+    rows : int
+        Whitened rows of all joints: the effective sample size.
+    """
+
+    log10_p: float
+    gain: float
+    rows: int
+
+
 @dataclass(frozen=True, eq=False)
-class Found:
+class AcceptedEffect:
     """One accepted effect.
 
     Attributes
     ----------
     candidate : Candidate
-    fit : Fit
-        After a joint refit with it.
-    log10_p : float
-        Family-wise, over everything that was tried.
-    gain : float
-        Fall of the whitened residual's sum of squares, in units of the noise's variance.
-    cross_validated : (n,)
-        Held-out error per joint before and after, N·m: (2, n).
+    parameters : dict
+        Coefficients and shape parameters by name.
+    errors : (2, n)
+        Error of each joint before and after, N·m: held out if the model is fitted again, of the
+        new recording if it is kept.
+    joint : int
+        Where the error falls most, from 0.
+    significance : Significance
+    rivals : tuple of (Candidate, str)
+        Candidates that could take its place, and the kind of rivalry, ``exact`` or ``data``.
     confirmed : bool or None
-        Whether the test's error fell; None without a test.
-    rivals : tuple of (Candidate, kind)
+        Whether the error on the test falls; None without a test.
+    fit : Fit or None
+        With this effect and those accepted before; None if the model is kept.
     """
 
     candidate: Candidate
-    fit: Fit
-    log10_p: float
-    gain: float
-    effective_rows: int
-    cross_validated: Array
-    confirmed: bool | None
+    parameters: dict[str, float]
+    errors: Array
+    joint: int
+    significance: Significance
     rivals: tuple[tuple[Candidate, str], ...]
+    confirmed: bool | None = None
+    fit: Fit | None = None
 
 
 @dataclass(frozen=True)
-class Rejected:
-    """A candidate that looked best and was not accepted, and why."""
+class RejectedEffect:
+    """A candidate that was selected and not accepted, or accepted and removed, and why."""
 
     candidate: Candidate
     reason: str
@@ -53,9 +75,16 @@ class Rejected:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A step that is about to be accepted; ``joint`` (from 0) is where the error falls most.
+    """A step that is about to be accepted.
 
-    ``before`` and ``after`` are held-out errors there, N·m.
+    Attributes
+    ----------
+    label : str
+        Of the effect: ``load_friction:2``.
+    joint : int
+        Where the error falls most, from 0.
+    before, after : float
+        Held-out error on that joint, N·m.
     """
 
     label: str

@@ -70,7 +70,7 @@ def evidence_section(diagnosis: Diagnosis) -> Section:
                 f"{u.joint + 1}",
                 f"{100 * u.fraction:.0f} %",
                 ", ".join(u.depends_on),
-                "–" if u.form is None else u.form.text,
+                "–" if u.formula is None else u.formula.text,
             ]
             for u in diagnosis.unexplained
         ],

@@ -1,4 +1,4 @@
-"""How sure: family-wise p-values over everything that was tried."""
+"""Family-wise p-values over all candidates that were screened."""
 
 from __future__ import annotations
 
@@ -12,30 +12,43 @@ from scipy.stats import chi2
 from lieid_casadi.diagnosis.screening.screen import Screening
 
 Array = NDArray[np.float64]
-DRAWS = 200
+DRAWS_AT_ONCE = 50
 
 
 @dataclass(frozen=True)
-class Family:
-    """All candidates and grid points as one family of tests under white noise.
+class HypothesisFamily:
+    """All candidates and grid points as one family of tests; the null hypothesis is white noise.
 
-    ``tests`` is the number of independent tests whose smallest p-value is distributed like that
-    of the family (parametric bootstrap of the maximum statistic).
+    Attributes
+    ----------
+    tests : float
+        Number of independent tests whose smallest p-value has the same distribution as the
+        smallest of the family (parametric bootstrap of the largest statistic).
     """
 
     tests: float
 
     @classmethod
-    def of(cls, screening: Screening, *, seed: int, further: int = 0) -> Family:
-        """Draw white rows and screen them: nothing is there to be found.
+    def of(
+        cls, screening: Screening, *, seed: int, draws: int, further: int = 0
+    ) -> HypothesisFamily:
+        """Estimate the number of independent tests by screening white noise.
 
-        ``further`` tests were made beside those that are screened.
+        Parameters
+        ----------
+        screening : Screening
+        seed : int
+            Of the draws.
+        draws : int
+            Number of draws of white rows, rounded up to multiples of 50.
+        further : int
+            Tests made beside those that are screened.
         """
         random = np.random.default_rng([seed, 61])
         rank = np.maximum(screening.rank, 1)
         ranks, smallest = np.unique(rank), []
-        for _ in range(0, DRAWS, 50):
-            noise = random.standard_normal((screening.baseline.rows, 50))
+        for _ in range(0, draws, DRAWS_AT_ONCE):
+            noise = random.standard_normal((screening.baseline.rows, DRAWS_AT_ONCE))
             statistic = screening.statistic(noise)
             largest = [statistic[rank == k].max(axis=0) for k in ranks]
             p = [np.asarray(chi2.sf(x, k)) for x, k in zip(largest, ranks, strict=True)]
@@ -45,7 +58,7 @@ class Family:
         return cls(max(1.0, 1.0 / float(np.mean(exponential))) + further)
 
     def log10_p(self, gain: float, rank: int) -> float:
-        """Return log₁₀ of the family-wise p-value of a gain: all tests count."""
+        """Return log₁₀ of the family-wise p-value of a gain with ``rank`` degrees of freedom."""
         half, rank = 0.5 * gain, max(rank, 1)
         log_p = float(chi2.logsf(gain, rank))
         if not np.isfinite(log_p):  # far out in the tail

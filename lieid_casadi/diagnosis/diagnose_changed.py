@@ -1,0 +1,91 @@
+"""Diagnosis of what has changed since a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from lieid_casadi.comparison import compare
+from lieid_casadi.diagnosis.diagnosis import Diagnosis, DiagnosisStep
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.residual.projected_residual import ProjectedResidual
+from lieid_casadi.diagnosis.residual.residual_description import describe_parts
+from lieid_casadi.diagnosis.screening.aliases import aliases
+from lieid_casadi.diagnosis.screening.context import ScreeningContext
+from lieid_casadi.diagnosis.search.changed_effects import ChangedEffects
+from lieid_casadi.diagnosis.search.effect_search import search
+from lieid_casadi.diagnosis.search.pruning import PARTIAL, partial_effects
+from lieid_casadi.errors import unique_warnings
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.temperature import center_temperature
+from lieid_casadi.identification.uncertainty.noise_model import Noise
+from lieid_casadi.recording import Recording, process
+
+
+def diagnose_changed(
+    fit: Fit,
+    recordings: Sequence[Recording],
+    *,
+    options: DiagnosisOptions,
+    seed: int,
+    report: Callable[[str, float], None],
+) -> Diagnosis:
+    """Return what has changed since a fit; see `diagnose` for the parameters."""
+    report("compare", 0.0)
+    before = compare(fit, recordings)
+    segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
+    report("search for changes", 0.2)
+    context = ScreeningContext.of(fit, segments, options, model_fixed=True)
+    problem = ChangedEffects(context, held_out_noise(fit), seed=seed)
+    first = problem.errors()
+    search(
+        problem,
+        options.most_changes,
+        lambda fraction: report("search for changes", 0.2 + 0.6 * fraction),
+    )
+    report("describe the residual", 0.8)
+    parts = problem.unexplained()
+    partial = partial_effects(problem, parts)
+    if partial:
+        problem.remove(partial, PARTIAL)
+        parts = problem.unexplained()
+    baseline = problem.current_baseline(problem.white)
+    parts = describe_parts(parts, ProjectedResidual.of(problem.context, problem.white, baseline))
+    steps = tuple(
+        DiagnosisStep.of(a, rms_train=None, rms_test=a.errors[1], moving=a.errors[1])
+        for a in problem.accepted
+    )
+    report("done", 1.0)
+    return Diagnosis(
+        mode="changed",
+        verdict="unexplained" if parts else "effect_found" if steps else "sufficient",
+        joint_names=before.joint_names,
+        noise_floor=problem.expected,
+        noise_source="held_out",
+        baseline_effects=tuple(fit.model.effects),
+        baseline_train=None,
+        baseline_test=before.rms,
+        steps=steps,
+        unexplained=parts,
+        rejected=tuple((r.candidate.placement.label, r.reason) for r in problem.rejected),
+        aliases=aliases(context.candidates.whitened(problem.white, context.runs), problem.model),
+        tried=len(context.candidates.owners),
+        fit=fit,
+        warnings=unique_warnings(before.warnings),
+        train=fit.provenance.recordings,
+        test=before.recordings,
+        baseline_moving=first,
+    )
+
+
+def held_out_noise(fit: Fit) -> tuple[Noise, ...]:
+    """Return the noise of each joint's residual, scaled to the fit's held-out error.
+
+    It is not estimated from the new recording, where a slow change would be attributed to the
+    correlation of the noise.
+    """
+    ratio = np.nan_to_num(fit.rms_cv / np.maximum(fit.noise, 1e-300), nan=1.0)
+    return tuple(
+        n.times(max(float(r), 1.0)) for n, r in zip(fit.residual_noise, ratio, strict=True)
+    )

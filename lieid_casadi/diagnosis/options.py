@@ -1,0 +1,178 @@
+"""Thresholds of the diagnosis: what each one means and where it comes from.
+
+Every comment ends with the source. *Statistics*: a convention or the cited theory. *Resolution*:
+what sampling, filtering or rounding permits. *Simulations*: set while the benchmark of hidden
+effects (``tests/hidden_effects``) was developed, so that nothing is named where nothing is hidden
+and effects as large as the noise are; how much the answers depend on it is not tabulated.
+*Cost*: a larger number takes longer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+#: Part of a unit column outside the model's span below which it is numerically dependent. Above
+#: the rounding error of double precision, below any part that noise lets one estimate.
+ABSORBED = 1e-6
+#: Diagonal of a pivoted QR factor, relative to its largest, below which a column is dependent.
+RANK_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class Penalty:
+    """What an effect must gain to be selected.
+
+    Attributes
+    ----------
+    per_parameter : float
+        Fall of the whitened sum of squares for each parameter that it adds.
+    part : float
+        Least fall, as a part of the number of rows of its joint.
+    """
+
+    per_parameter: float
+    part: float
+
+
+@dataclass(frozen=True)
+class DiagnosisOptions:
+    """Options of :func:`lieid_casadi.diagnose`; the comments state meaning and source."""
+
+    # --- Grids of shape parameters -------------------------------------------------------------
+    #: Values of one shape parameter; its square root for each of two. Grids are refined
+    #: around the best values. Cost.
+    shape_grid_size: int = 25
+    #: Time constants searched, relative to the longest segment. A shorter one is over before the
+    #: first reversal, a longer one is a straight line in time. Simulations.
+    time_constant_range: tuple[float, float] = (0.05, 2.0)
+    #: Least velocity scale in multiples of the joint's dead zone, where the sign of the velocity
+    #: is uncertain. Resolution.
+    least_velocity_scale: float = 3.0
+    #: Largest velocity scale relative to the joint's top speed: beyond it the column is close to a
+    #: polynomial of the velocity. Simulations.
+    largest_velocity_scale: float = 0.35
+    #: Positions between two grid points at which points are added by a refinement. Cost.
+    refinement_positions: tuple[float, ...] = (1 / 3, 2 / 3)
+    #: Rounds of refinement. Cost.
+    refinement_rounds: int = 2
+    #: Candidates with at least this part of the best gain have their grids refined. Cost.
+    refined_gain: float = 0.25
+    #: Relative change of a coefficient above which a column that depends on it is evaluated
+    #: again. Cost.
+    coefficient_tolerance: float = 0.01
+    #: Peaks of a scan (periodogram) that become grid points of a joint. Cost.
+    scan_peaks: int = 8
+    #: Percentile of the speeds at which the highest harmonic scanned must pass the low-pass filter.
+    #: Resolution.
+    scan_speed_percentile: float = 25.0
+    #: Step of a scan: phase over the range of motion, in turns; half a turn would miss peaks.
+    #: Resolution.
+    scan_phase_step: float = 0.35
+
+    # --- Screening -----------------------------------------------------------------------------
+    #: Effective number of rows that make up a column, (Σc²)²/Σc⁴. With fewer a single disturbance
+    #: decides the coefficient. Simulations.
+    least_support: float = 5.0
+    #: Part of a column outside the model's span that a point of a shape grid must have. With less,
+    #: the gain of the grid point is noise. Simulations.
+    least_own_part: float = 0.1
+
+    # --- Evidence ------------------------------------------------------------------------------
+    #: Family-wise p-value above which an effect is attributed to noise. Statistics: one false
+    #: alarm in a thousand recordings, if the noise is as estimated.
+    significance: float = 1e-3
+    #: Draws of white noise for the distribution of the family's largest statistic. Cost.
+    bootstrap_draws: int = 200
+    #: Length of blocks of time (s) whose residuals count as independent. Simulations.
+    block_duration: float = 1.0
+    #: Length of blocks (s) that go to the folds of the cross-validation in turn, and the number of
+    #: folds. Statistics.
+    fold_duration: float = 2.0
+    folds: int = 5
+
+    # --- Search for missing effects --------------------------------------------------------------
+    #: Least relative fall of a joint's held-out error. Simulations.
+    least_improvement: float = 0.03
+    #: The same for the mean square error of all joints, for effects that act on several joints.
+    #: Simulations.
+    least_improvement_all_joints: float = 0.02
+    #: Least delay in samples of the slowest recording: differentiating the position shifts the
+    #: velocity by as much. Resolution.
+    least_delay_samples: float = 1.0
+    #: Steps after which the search ends. Cost.
+    most_steps: int = 12
+    #: Effects that are selected together, and rounds of exchange among them. Cost.
+    most_effects_at_once: int = 10
+    exchange_rounds: int = 3
+    #: Penalties of the generous selection that estimates the noise: effects, and smooth functions,
+    #: whose small gains may be the noise's own correlation. Simulations.
+    pilot_penalty: Penalty = Penalty(per_parameter=5.0, part=0.02)
+    pilot_smooth_penalty: Penalty = Penalty(per_parameter=5.0, part=0.3)
+
+    # --- Search for changes ----------------------------------------------------------------------
+    #: Error relative to the fit's largest error on other motion, above which something changed.
+    #: Simulations.
+    least_misfit: float = 1.15
+    #: Least relative fall of a joint's error. Larger than for missing effects, since the model is
+    #: not fitted again. Simulations.
+    least_change_improvement: float = 0.1
+    #: Changes after which the search ends. Cost.
+    most_changes: int = 6
+
+    # --- Rivals ----------------------------------------------------------------------------------
+    #: Rivals examined for each effect. Cost.
+    most_rivals: int = 12
+    #: Least gain of a rival, relative to the effect's own gain. Simulations.
+    least_rival_gain: float = 0.5
+    #: Part of a rival's gain that may stay beside the effect; with more it is a further cause.
+    #: Simulations.
+    most_rival_gain_beside: float = 0.3
+    #: Standard deviations by which two fits must differ. Statistics: Vuong, Econometrica 1989,
+    #: about 95 %.
+    rival_deviations: float = 2.0
+
+    # --- Checks of accepted effects ---------------------------------------------------------------
+    #: A shape parameter below this part of the least value that the motion resolves is rejected.
+    #: Resolution.
+    least_shape: float = 0.5
+    #: Relative distance from a lower bound at which a shape parameter counts as being at it.
+    #: Resolution.
+    shape_at_bound: float = 0.02
+    #: Unexplained sum of squares of a joint relative to what its effects explain, above which the
+    #: effects are compared with smooth functions. Simulations.
+    doubtful_residual: float = 0.03
+    #: Part of an effect's gain that must stay beside smooth functions of the signals that the
+    #: residual depends on; with less the effect only partly explains the residual. Simulations.
+    least_gain_beside_smooth: float = 0.25
+
+    # --- Unexplained residual ---------------------------------------------------------------------
+    #: Family-wise p-value of smooth functions. Stricter than for effects: they are more flexible.
+    #: Statistics.
+    residual_significance: float = 1e-4
+    #: Least part of a joint's held-out residual variance that is reported; of functions of time,
+    #: which coloured noise resembles. Simulations.
+    least_residual_part: float = 0.08
+    least_residual_part_of_time: float = 0.3
+    #: Part of the gain so far that a further smooth function must add, and signals named at most.
+    #: Simulations.
+    least_further_part: float = 0.25
+    most_signals: int = 3
+    #: Part of a predicted improvement that the test recordings must show: of smooth functions
+    #: (other poses may be outside of their range), and of a formula.
+    #: Simulations.
+    least_validated_part: float = 0.2
+    least_validated_formula_part: float = 0.5
+
+    # --- Formula of the residual ------------------------------------------------------------------
+    #: Part of what smooth functions explain that a formula must explain. Simulations.
+    least_formula_part: float = 0.8
+    #: Part that a further term must add. Simulations.
+    least_term_part: float = 0.03
+    #: Penalty of one unit of a term's cost, relative to the best gain: the simpler of two equals.
+    #: Simulations.
+    term_cost: float = 0.002
+    #: Part of a term's column outside the model's span that is needed to estimate its coefficient.
+    #: Simulations.
+    least_term_own_part: float = 0.05
+    #: Confidence of the bands of smooth functions. Statistics.
+    confidence: float = 0.95

@@ -1,0 +1,116 @@
+"""The model's own columns and the residual beside them, to which candidates are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from lieid_casadi.diagnosis.options import ABSORBED, RANK_TOLERANCE
+from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """The span of a model's columns on the whitened rows of all joints, and the residual.
+
+    Rows of a prior may follow the rows of the joints.
+
+    Attributes
+    ----------
+    basis : (R, p)
+        Orthonormal basis of the model's columns.
+    residual : (R,)
+        Whitened torque minus its projection onto the basis.
+    ends : (n + 1,) int
+        Joint j has rows ends[j] to ends[j + 1].
+    """
+
+    basis: Array
+    residual: Array
+    ends: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, matrices: Sequence[Array], torques: Sequence[Array]) -> Baseline:
+        """Return the baseline of whitened columns and torques.
+
+        Parameters
+        ----------
+        matrices : sequence of (R_j, p)
+            Columns of the model on the rows of each joint; rows of a prior may come last.
+        torques : sequence of (R_j,)
+        """
+        matrix = np.concatenate(matrices)
+        scale = np.linalg.norm(matrix, axis=0)
+        scale[scale == 0.0] = 1.0
+        basis, triangle, _ = qr(matrix / scale, mode="economic", pivoting=True)
+        sizes = np.abs(np.diag(triangle))
+        basis = basis[:, sizes > RANK_TOLERANCE * sizes.max(initial=1e-300)]
+        torque = np.concatenate(torques)
+        ends = np.concatenate([[0], np.cumsum([len(t) for t in torques])]).astype(np.intp)
+        return cls(basis, torque - basis @ (basis.T @ torque), ends)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows R."""
+        return len(self.residual)
+
+    def joint(self, j: int) -> slice:
+        """Return the rows of joint j."""
+        return slice(int(self.ends[j]), int(self.ends[j + 1]))
+
+    def padded(self, columns: Array) -> Array:
+        """Return columns (…, k) on the rows of the joints as (R, k): zero on rows of a prior."""
+        return np.pad(columns, ((0, self.rows - len(columns)), (0, 0)))
+
+    def outside(self, columns: Array) -> Array:
+        """Return the part of columns (R, k) that the basis does not span.
+
+        The projection is applied twice, against rounding.
+        """
+        rest = columns - self.basis @ (self.basis.T @ columns)
+        return np.asarray(rest - self.basis @ (self.basis.T @ rest))
+
+    def with_columns(self, columns: Array) -> Baseline:
+        """Return the baseline of a model with further columns (…, k)."""
+        columns = self.padded(columns)
+        norms = np.linalg.norm(columns, axis=0)
+        rest = self.outside(columns) / np.where(norms > 0, norms, 1.0)
+        u, sizes, _ = np.linalg.svd(rest, full_matrices=False)
+        new = u[:, sizes > ABSORBED]
+        residual = self.residual - new @ (new.T @ self.residual)
+        return Baseline(np.hstack([self.basis, new]), residual, self.ends)
+
+    def coefficients(self, columns: Array, *, least: float) -> Array:
+        """Return the coefficients (k,) of further columns (…, k) fitted beside the model.
+
+        Directions with less than ``least`` of a unit column outside the basis stay at zero.
+        """
+        size = np.linalg.norm(columns, axis=0)
+        size[size == 0.0] = 1.0
+        rest = self.padded(columns)
+        rest = rest - self.basis @ (self.basis.T @ rest)
+        return np.asarray(np.linalg.lstsq(rest / size, self.residual, rcond=least)[0] / size)
+
+
+def with_groups(
+    baseline: Baseline, candidates: CandidateColumns[Any], groups: Sequence[int]
+) -> Baseline:
+    """Return the baseline of a model to which groups of candidate columns are added.
+
+    Parameters
+    ----------
+    baseline : Baseline
+    candidates : CandidateColumns
+        Whitened as the baseline is.
+    groups : sequence of int
+    """
+    for group in groups:
+        baseline = baseline.with_columns(candidates.stacked(group))
+    return baseline
