@@ -1,0 +1,38 @@
+"""The examples of optimal control with identified dynamics."""
+
+import sys
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+import lieid_casadi as lieid
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+
+import mpc_acados
+import optimal_control
+
+PANDA = lieid.robots.panda()
+
+
+def test_the_fastest_motion_keeps_the_limits_on_the_simulated_arm(tmp_path):
+    plan, share, tracking = optimal_control.main(["-o", str(tmp_path / "motion.png")])
+    assert plan.duration < 1.0
+    np.testing.assert_allclose(np.abs(plan.tau / PANDA.limit("torque")).max(), 0.8, atol=1e-4)
+    assert share < 1.0
+    assert tracking < 5e-3
+    assert (tmp_path / "motion.png").stat().st_size > 10_000
+
+
+def test_a_model_of_acados_has_the_arms_dynamics():
+    robot = lieid.robots.two_link()
+    model = mpc_acados.fill(mpc_acados.ModelExpressions(), robot)
+    explicit = ca.Function("f", [model.x, model.u, model.p], [model.f_expl_expr])
+    symbols = [model.x, model.xdot, model.u, model.p]
+    implicit = ca.Function("g", symbols, [model.f_impl_expr])
+    x, u = np.array([0.3, -0.2, 0.5, 0.4]), np.array([1.0, -0.5])
+    body = np.concatenate([[2.0, 0.1, 0.0, 0.0], 0.01 * np.array([1, 0, 1, 0, 0, 1])])
+    xdot = explicit(x, u, body)
+    assert np.abs(implicit(x, xdot, u, body).full()).max() < 1e-10
+    assert np.abs((xdot - explicit(x, u, np.zeros(10))).full()).max() > 0.1
