@@ -21,7 +21,6 @@ from lieid_casadi.errors import (
     FitFileError,
     LieidError,
     LieidWarning,
-    RobotError,
     warning_list,
 )
 from lieid_casadi.identification.feasible.certificate import Certificate
@@ -101,13 +100,11 @@ def read_fields(path: str | Path) -> dict[str, Any]:
     """Return the fields of `Fit` that a file holds; see `Fit.load` for the errors."""
     content = read_content(Path(path))
     try:
-        model = Model(_robot(content.robot, str(path)), content.effects)
+        model = Model(_robot(content.robot), content.effects)
         _check_sizes(model, content)
         processing = Processing(**msgspec.to_builtins(content.processing))
     except EffectError:
         raise  # names an effect that is not registered
-    except RobotError as error:
-        raise FitFileError(f"{path}: robot inside the fit: {error}") from None
     except LieidError as error:
         raise FitFileError(f"{path}: {error}") from None
     provenance = content.provenance
@@ -187,7 +184,8 @@ def _robot_text(robot: Robot) -> RobotText:
     return RobotText("yaml", write_yaml(robot), None, [])
 
 
-def _robot(file: RobotText, origin: str) -> Robot:
+def _robot(file: RobotText) -> Robot:
+    origin = "robot inside the fit"
     if file.kind == "urdf":
         return parse_urdf(file.text, tip=file.tip, lock=file.lock, origin=origin)
     if file.kind == "yaml":

@@ -103,3 +103,4 @@ def test_html_contains_the_table_and_escapes_names(fit):
     assert all(not attributes for _, attributes in parser.tags)
     for text in ("<script>alert(1)</script>", "<img src=x>", "<b onclick=x>"):
         assert text in parser.text
+    assert "noise floor: spectrum of the error above the cut-off, a lower bound" in parser.text

@@ -294,12 +294,3 @@ def test_options_are_checked(panda_run):
             processing=CUTOFF,
             feasible=FeasibleOptions(link_mass={7: (0.0, 1.0)}),
         )
-
-
-def test_a_fit_file_keeps_the_certificate(panda_fit, tmp_path):
-    panda_fit.save(tmp_path / "fit.json")
-    again = lieid.Fit.load(tmp_path / "fit.json")
-    assert again.certificate.to_dict() == panda_fit.certificate.to_dict()
-    assert again.certificate.holds
-    assert again.to_dict()["certificate"]["mass_matrix_eigenvalue"] > 0.0
-    np.testing.assert_array_equal(again.parameters, panda_fit.parameters)

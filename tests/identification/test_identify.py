@@ -1,6 +1,5 @@
 """Identification on the simulated arm, whose dynamics and effects are implemented separately."""
 
-import json
 import re
 
 import numpy as np
@@ -224,25 +223,6 @@ def test_prediction_is_finite_in_every_row_at_its_own_times():
     inside = slice(200, 1800)
     error = torque[inside] - recording.tau[short][inside]
     assert np.sqrt(np.mean(error**2)) < 0.2
-
-
-def test_a_saved_fit_loads_identically(tmp_path):
-    model = lieid.Model(lieid.robots.panda(), "coulomb,viscous,offset,armature,stribeck:4")
-    robot = model.robot
-    size = plant.torque_scale(robot)
-    friction = plant.JointFriction(0.03 * size, 0.02 * size, 0.0 * size)
-    _, recording = measured(robot=robot, friction=friction, torque_noise=tuple(0.001 * size))
-    fit = lieid.identify(model, recording, processing=CUTOFF)
-    path = tmp_path / "folder" / "fit.json"
-    path.parent.mkdir()
-    fit.save(path)
-    again = lieid.Fit.load(path)
-    for name in ("values", "shapes", "covariance", "parameters", "noise", "rms_train", "rms_cv"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(fit, name))
-    assert again.to_dict() == fit.to_dict()
-    np.testing.assert_array_equal(again.predict(recording), fit.predict(recording))
-    assert json.loads(path.read_text())["robot"]["text"] == robot.source.text
-    assert [path.name] == [p.name for p in path.parent.iterdir()]
 
 
 def test_invalid_requests_are_refused():

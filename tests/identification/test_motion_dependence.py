@@ -33,7 +33,7 @@ def test_explainable_part_is_that_of_the_columns():
     assert explainable(random.standard_normal(4000), columns) < 0.01
 
 
-def test_a_fit_file_of_schema_1_is_migrated(tmp_path):
+def test_a_fit_of_schema_1_can_be_diagnosed(tmp_path):
     robot = lieid.robots.two_link()
     t = np.arange(0.0, 8.0, 0.005)
     motion = plant.FourierTrajectory(robot, base_frequency=1 / 8, seed=1).at(t)
@@ -41,19 +41,7 @@ def test_a_fit_file_of_schema_1_is_migrated(tmp_path):
     run = plant.measure_along(plant.demo_arm(robot, hidden=None), t, *motion, sensors=sensors)
     fit = lieid.identify(lieid.Model(robot, "coulomb,viscous,offset"), run)
     fit.save(tmp_path / "fit.json")
-    again = lieid.Fit.load(tmp_path / "fit.json")
-    for kept, own in zip(again.residual_noise, fit.residual_noise, strict=True):
-        np.testing.assert_array_equal(kept.filter, own.filter)
-        assert (kept.sigma, kept.spread, kept.motion_ratio) == (
-            own.sigma,
-            own.spread,
-            own.motion_ratio,
-        )
-    old = json.loads((tmp_path / "fit.json").read_text("utf-8"))
-    old["schema"] = 1
+    old = json.loads((tmp_path / "fit.json").read_text("utf-8")) | {"schema": 1}
     del old["residual_noise"]
     (tmp_path / "old.json").write_text(json.dumps(old), "utf-8")
-    migrated = lieid.Fit.load(tmp_path / "old.json")
-    np.testing.assert_array_equal(migrated.values, fit.values)
-    assert [n.spread for n in migrated.residual_noise] == list(fit.noise)
-    assert lieid.diagnose(migrated, run).verdict == "sufficient"
+    assert lieid.diagnose(lieid.Fit.load(tmp_path / "old.json"), run).verdict == "sufficient"

@@ -1,0 +1,168 @@
+"""Fit files: valid content loads identically, any other content is one `FitFileError`."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.errors import EffectError, FitFileError, ModelError, RecordingError
+
+ROBOT = lieid.robots.two_link()
+
+
+@pytest.fixture(scope="module")
+def run():
+    t = np.arange(0.0, 8.0, 0.01)
+    motion = plant.FourierTrajectory(ROBOT, base_frequency=1 / 8, seed=1).at(t)
+    sensors = plant.Sensors(rate=100.0, torque_noise=0.05)
+    return plant.measure_along(plant.demo_arm(ROBOT, hidden=None), t, *motion, sensors=sensors)
+
+
+@pytest.fixture(scope="module")
+def fit(run):
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1")
+    return lieid.identify(model, run, method="feasible", processing=lieid.Processing(cutoff=8.0))
+
+
+@pytest.fixture(scope="module")
+def text(fit, tmp_path_factory):
+    path = tmp_path_factory.mktemp("fit") / "folder" / "fit.json"
+    fit.save(path)
+    assert [path.name] == [p.name for p in path.parent.iterdir()]
+    return path.read_text("utf-8")
+
+
+def loaded(content, tmp_path):
+    path = tmp_path / "fit.json"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return lieid.Fit.load(path)
+
+
+def refusal(content, tmp_path):
+    with pytest.raises(FitFileError) as refused:
+        loaded(content, tmp_path)
+    message = str(refused.value)
+    assert "\n" not in message
+    assert message.startswith(str(tmp_path / "fit.json"))
+    assert len(message) < 500
+    return message
+
+
+def test_a_saved_fit_loads_identically(fit, run, text, tmp_path):
+    again = loaded(text, tmp_path)
+    for name in ("values", "shapes", "covariance", "parameters", "noise", "rms_train", "rms_cv"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(fit, name))
+    for kept, own in zip(again.residual_noise, fit.residual_noise, strict=True):
+        np.testing.assert_array_equal(kept.filter, own.filter)
+        for name in ("sigma", "spread", "motion_ratio"):
+            assert getattr(kept, name) == getattr(own, name)
+    assert again.to_dict() == fit.to_dict()
+    assert again.certificate.to_dict() == fit.certificate.to_dict()
+    np.testing.assert_array_equal(again.predict(run), fit.predict(run))
+    assert json.loads(text)["robot"]["text"] == ROBOT.source.text
+
+
+def test_schema_1_is_migrated(fit, text, tmp_path):
+    old = json.loads(text) | {"schema": 1}
+    del old["residual_noise"]
+    migrated = loaded(json.dumps(old), tmp_path)
+    np.testing.assert_array_equal(migrated.values, fit.values)
+    assert [n.spread for n in migrated.residual_noise] == list(fit.noise)
+    assert all(n.order == 0 and n.motion_ratio == 1.0 for n in migrated.residual_noise)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "truncated"),
+        (b"\xff\xfe\x00", "not JSON at line 1, column 1"),
+        (b"[" * 100_000, "nested too deeply"),
+        (b'{"kind": "lieid-fit", "schema": 2, "values": [' + b"9" * 5000 + b"]}", "out of range"),
+        (b'{"kind": "lieid-fit", "schema": 2, "values": [1e999]}', "out of range"),
+        (b'{"kind": "lieid-fit", "schema": 2,\n "values": [NaN]}', "line 2, column 13: found 'NaN"),
+        (b"[]", "not a fit file"),
+        (b'{"kind": "lieid-fit"}', "no schema number"),
+        (b'{"kind": "lieid-fit", "schema": true}', "no schema number"),
+        (b'{"kind": "lieid-fit", "schema": 3}', "newer than 2"),
+        (b'{"kind": "lieid-fit", "schema": -1}', "unknown"),
+        (b'{"kind": "lieid-fit", "schema": 1, "noise": 5}', "not a usable fit"),
+        (b'{"kind": "lieid-fit", "schema": 1, "noise": [[[]]]}', "not a usable fit"),
+    ],
+)
+def test_bytes_that_are_no_fit(content, words, tmp_path):
+    assert words in refusal(content, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "words"),
+    [
+        (["residual_noise"], [], "residual_noise has 0 entries; expected 2"),
+        (["residual_noise", 0, "filter"], [], "filter"),
+        (["residual_noise", 0, "sigma"], 0.0, "sigma"),
+        (["covariance"], [[1.0]], "covariance has 1 entries"),
+        (["covariance", 1], [], "covariance[1] has 0 entries"),
+        (["covariance", 1, 1], -1.0, "covariance[1][1]"),
+        (["values"], ["1"], "values"),
+        (["parameters"], [], "parameters has 0 entries"),
+        (["temperature_mean"], [20.0], "temperature_mean has 1 entries"),
+        (["certificate", "rms"], [], "certificate.rms has 0 entries"),
+        (["certificate"], {}, "certificate"),
+        (["conditioning"], {"largest": 1.0}, "conditioning"),
+        (["noise", 0], -1.0, "noise"),
+        (["processing", "order"], 10**9, "order"),
+        (["processing", "cutoff"], None, "cutoff"),
+        (["processing", "smoother"], "none", "smoother"),
+        (["warnings"], [{"name": 5}], "warnings"),
+        (["provenance"], [], "provenance"),
+        (["names", 0], "m1", "fit again"),
+        (["robot", "text"], "name: [", "robot inside the fit"),
+        (["robot", "kind"], "pickle", "expected urdf or yaml"),
+    ],
+)
+def test_entries_that_are_not_valid(place, value, words, text, tmp_path):
+    content = json.loads(text)
+    entry = content
+    for key in place[:-1]:
+        entry = entry[key]
+    entry[place[-1]] = value
+    assert words in refusal(json.dumps(content), tmp_path)
+
+
+def test_an_unknown_effect_is_named(text, tmp_path):
+    with pytest.raises(EffectError, match="cuolomb"):
+        loaded(text.replace('"coulomb:1"', '"cuolomb:1"'), tmp_path)
+
+
+def test_a_file_that_is_not_there_or_too_large(tmp_path, monkeypatch):
+    with pytest.raises(FitFileError, match="no such file"):
+        lieid.Fit.load(tmp_path / "fit.json")
+    with pytest.raises(FitFileError, match="cannot be read"):
+        lieid.Fit.load(tmp_path)
+    monkeypatch.setattr("lieid_casadi.identification.fit_schema.LARGEST_FILE", 1 << 20)
+    assert "larger than 1 MB" in refusal(b" " * ((1 << 20) + 1), tmp_path)
+
+
+@pytest.mark.parametrize("signal", ["q", "dq", "tau"])
+def test_signals_of_impossible_magnitude_are_refused(signal, fit, run):
+    arrays = {"q": run.q, "dq": run.dq, "tau": run.tau}
+    arrays[signal] = 1e300 * arrays[signal]
+    huge = lieid.Recording.from_arrays(run.t, arrays["q"], arrays["dq"], arrays["tau"], name="huge")
+    expected = rf"^huge: {signal}[12] reaches .*; expected at most 1e\+12, check the units"
+    for use in (
+        fit.predict,
+        lambda r: lieid.identify(fit.model, r),
+        lambda r: lieid.compare(fit, r),
+    ):
+        with pytest.raises(RecordingError, match=expected):
+            use(huge)
+
+
+def test_a_prediction_that_is_not_finite_is_refused(text, run, tmp_path):
+    content = json.loads(text)
+    content["parameters"] = [1e308] * len(content["parameters"])
+    broken = loaded(json.dumps(content), tmp_path)
+    with pytest.raises(ModelError, match=re.escape("expected a finite number")):
+        broken.predict(run)

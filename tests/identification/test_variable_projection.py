@@ -1,0 +1,76 @@
+"""Variable projection against an optimization over all parameters."""
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime, least_squares
+
+from lieid_casadi.identification.regression.shape_range import ShapeRange
+from lieid_casadi.identification.regression.variable_projection import (
+    SeparableProblem,
+    forward_differences,
+    minimize_shapes,
+)
+
+X = np.linspace(0.0, 4.0, 120)
+RANGES = ShapeRange(np.array([0.05, 0.0]), np.array([5.0, 6.0]))  # logarithmic, linear
+
+
+def columns(shapes):
+    decay, frequency = shapes
+    return np.column_stack([np.exp(-decay * X), np.sin(frequency * X)])
+
+
+def problem(**options):
+    random = np.random.default_rng(0)
+    target = columns([0.8, 2.3]) @ [2.0, -0.5] + 0.3 * X + 0.02 * random.standard_normal(len(X))
+    fixed, _ = np.linalg.qr(X[:, None])
+    return SeparableProblem(
+        columns=columns, target=target, ranges=RANGES, **{"fixed": fixed, **options}
+    )
+
+
+def test_the_minimum_is_that_over_all_parameters():
+    separable = problem()
+    shapes = minimize_shapes(separable, np.array([1.5, 2.0]), xtol=1e-10, ftol=1e-12)
+
+    def residual(parameters):
+        return separable.target - columns(parameters[:2]) @ parameters[2:4] - parameters[4] * X
+
+    joint = least_squares(residual, [0.8, 2.3, 2.0, -0.5, 0.3], xtol=1e-12)
+    np.testing.assert_allclose(shapes, joint.x[:2], rtol=1e-4)
+    np.testing.assert_allclose(separable.solve(shapes).coefficients, joint.x[2:4], rtol=1e-4)
+    assert separable.cost(shapes) == pytest.approx(2.0 * joint.cost, rel=1e-7)
+
+
+@pytest.mark.parametrize("upper", [np.inf, 1.5])
+def test_the_gradient_of_the_cost_follows_from_the_jacobian(upper):
+    """2·Jᵀr is exact at any shapes, also with a coefficient at its bound."""
+    separable = problem(bounds=(np.full(2, -np.inf), np.full(2, upper)))
+    shapes = np.array([1.1, 2.0])
+    solution = separable.solve(shapes)
+    assert np.isclose(solution.coefficients, upper).any() == np.isfinite(upper)
+    gradient = 2.0 * separable.jacobian(shapes, solution).T @ solution.residual
+    expected = approx_fprime(shapes, separable.cost, 1e-6)
+    np.testing.assert_allclose(gradient, expected, rtol=2e-3)
+
+
+def test_bounds_hold_and_negligible_columns_are_zero():
+    separable = problem(bounds=(np.zeros(2), np.full(2, 10.0)))
+    assert separable.solve(np.array([0.8, 2.3])).coefficients[1] == pytest.approx(0.0, abs=1e-9)
+    tiny = SeparableProblem(
+        columns=lambda shapes: columns(shapes) * [1.0, 1e-12],
+        target=separable.target,
+        ranges=RANGES,
+        negligible=1e-9,
+    )
+    assert tiny.solve(np.array([0.8, 2.3])).coefficients[1] == 0.0
+
+
+def test_given_slopes_are_used():
+    def slopes(shapes, coefficients):
+        return forward_differences(columns, RANGES, shapes, coefficients)
+
+    start = np.array([1.5, 2.0])
+    np.testing.assert_allclose(
+        minimize_shapes(problem(slopes=slopes), start), minimize_shapes(problem(), start)
+    )
