@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from lieid_casadi.codegen_files import codegen_folder
-from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.c_arm_effects import arm_notes
 from lieid_casadi.exporters.c_functions import Functions, functions
+from lieid_casadi.exporters.c_prefix import check_prefix
 from lieid_casadi.exporters.c_self_test import Check, check
 from lieid_casadi.exporters.c_statements import number
 from lieid_casadi.exporters.c_text import comment, numbered, render, wrapped
@@ -18,13 +17,13 @@ from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import Parameter
 from lieid_casadi.output_folder import check_folder, write_folder
 
-RIGID_CALLS = (
-    ("rigid_torque", "q + j, dq + j, ddq + j"),
-    ("gravity", "q + j"),
-    ("mass_matrix", "q + j"),
-    ("regressor", "q + j, dq + j, ddq + j"),
-    ("slotine_li_regressor", "q + j, dq + j, dq_r + j, ddq_r + j"),
-)
+RIGID_CALLS = {  # function: its arguments
+    "rigid_torque": ("q", "dq", "ddq"),
+    "gravity": ("q",),
+    "mass_matrix": ("q",),
+    "regressor": ("q", "dq", "ddq"),
+    "slotine_li_regressor": ("q", "dq", "dq_r", "ddq_r"),
+}
 EFFECT_CALLS = ("friction", "torque", "effect_columns", "base_regressor")
 
 
@@ -65,8 +64,7 @@ def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool =
     OutputError
         The folder has other content or cannot be written.
     """
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix):
-        raise ExportError(f"prefix {prefix!r}: expected letters, digits and _, a letter first")
+    check_prefix(prefix)
     check_folder(folder, force=force)
     for value in (*fit.parameters, *fit.values, *fit.shapes):
         number(value)
@@ -88,7 +86,7 @@ def c_files(fit: Fit, prefix: str, notes: list[str]) -> dict[str, bytes]:
         "CMakeLists.txt": "CMakeLists.txt.jinja",
         "README.md": "README.md.jinja",
     }
-    content |= _test_content(check(fit), content["P"])
+    content |= _test_content(fit, check(fit))
     files = {name: render(template, content).encode() for name, template in names.items()}
     runtime = codegen_folder() / "export" / "lieid_runtime.h"
     return files | {runtime.name: runtime.read_bytes()}
@@ -130,12 +128,13 @@ def _content(fit: Fit, prefix: str, made: Functions) -> dict[str, Any]:
         "shapes": _rows(model.shapes, fit.shapes, stds=fit.std[len(fit.values) :]),
         "states": [
             {
+                "place": place,
                 "label": comment(state.label),
                 "unit": comment(state.unit),
                 "initial": f"{state.initial:g}",
                 "number": number(state.initial),
             }
-            for state in model.states
+            for place, state in enumerate(model.states)
         ],
         "coefficient_lines": numbered(f"{c.label} [{c.unit}]" for c in model.columns),
         "base_lines": numbered(f"{c.label} [{c.unit}]" for c in model.base_columns),
@@ -174,24 +173,35 @@ def _units(kinds: set[bool]) -> dict[str, str]:
     return {key: " or ".join(units[key] for units in pairs) for key in turning}
 
 
-def _test_content(stored: Check, upper: str) -> dict[str, Any]:
-    """Return what the self-test fills in beside the rest."""
+def _test_content(fit: Fit, stored: Check) -> dict[str, Any]:
+    """Return what the template of the self-test needs beside the rest."""
     inputs, results = stored.inputs, stored.results
     names = ("q", "dq", "ddq", "dq_r", "ddq_r", "temperature")
+    numbers = {
+        "link_parameters": fit.link_parameters,
+        "base_parameters": fit.values,
+        "effect_coefficients": fit.effect_coefficients,
+        "shapes": fit.shapes,
+    }
+    parameters = {name: values for name, values in numbers.items() if len(values)}
     arrays = [(name, inputs[name].ravel()) for name in names]
     arrays += [("time_", inputs["time"].ravel()), ("v0", stored.v0)]
     arrays += [(name, values.ravel()) for name, values in results.items()]
+    arrays += list(parameters.items())
     sizes = {name: values.shape[1] for name, values in results.items()}
     calls = [name for name in EFFECT_CALLS if name in results]
-    states = ["states"] if "states" in results else []
+    reports = ["begin", *(["states", "held_states"] if "states" in results else [])]
+    reports += [*calls, "products"]
     return {
         "samples": len(inputs["q"]),
         "largest": max(sizes.values()),
         "arrays": arrays,
-        "rigid_calls": [(name, call, sizes[name]) for name, call in RIGID_CALLS],
+        "parameters": [(name, len(values)) for name, values in parameters.items()],
+        "rigid_calls": [(name, arguments, sizes[name]) for name, arguments in RIGID_CALLS.items()],
         "effect_calls": [(name, sizes[name]) for name in calls],
         "signs": [("", "NULL"), ("_smooth", "v0")],
-        "worsts": ", ".join(f"of_{name} = 0.0" for name in (*states, *calls)),
+        "reports": reports,
+        "worsts": ", ".join(f"of_{name} = 0.0" for name in reports),
     }
 
 

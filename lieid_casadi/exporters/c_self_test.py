@@ -12,8 +12,8 @@ from lieid_casadi.exporters.c_functions import Expressions, Symbols
 from lieid_casadi.identification.fit import Fit
 
 Array = NDArray[np.float64]
-PACE = 2.0  # rad/s of the motion q = … cos(PACE·t): it turns round at t = 0 and 1.57 s
-TIMES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.3, 0.8, 1.56, 1.58, 1.6, 2.2)  # s; slow where it turns
+PACE = 2.0  # rad/s of the motion q = … cos(PACE·t): it reverses at t = 0, 1.57 and 3.14 s
+TIMES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.3, 0.8, 1.56, 1.58, 1.6, 2.2, 3.05, 3.15)  # s
 SMOOTHING = 0.05  # v0, rad/s, of the smooth sign
 
 

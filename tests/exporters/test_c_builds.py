@@ -26,33 +26,53 @@ def files(folder, prefix="arm"):
     return [f"{prefix}{ending}.c" for ending in ("", "_parameters", "_test")]
 
 
-@pytest.mark.parametrize("build", list(BUILDS))
+@pytest.fixture(scope="module")
+def presliding(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("c") / "presliding"
+    export_c(ARMS["presliding"](), folder)
+    return folder
+
+
+# the largest and the smallest arm, by further compilers: what they add is the compilers' own
+SLOW_BUILDS = {"panda": {"clang", "g++", "clang++", "clang sanitizers"}, "rigid": set(BUILDS)}
+
+
+ARM_BUILDS = [
+    pytest.param(
+        arm,
+        build,
+        marks=pytest.mark.slow if build in SLOW_BUILDS.get(arm, ()) else (),
+        id=f"{arm}-{build}",
+    )
+    for arm in ARMS
+    for build in BUILDS
+]
+
+
+@pytest.mark.parametrize(("exported", "build"), ARM_BUILDS, indirect=["exported"])
 def test_strict_build_agrees_with_python(exported, build):
     command = [*BUILDS[build], *WARNINGS, *files(exported), "-lm", "-o", "selftest"]
     run(command, exported)
     shown = run([str(exported / "selftest")], exported)
     assert shown.endswith("0 of the above differ by more than 1e-12\n")
-    assert shown.count("ok\n") == len(shown.splitlines()) - 1 >= 11
+    assert shown.count("ok\n") == len(shown.splitlines()) - 1 >= 15
 
 
-def test_nothing_of_libm_but_what_is_promised(exported):
-    run(["gcc", "-std=c99", "-O0", "-fno-builtin", "-c", "arm.c", "-o", "arm.o"], exported)
+def test_symbols_are_functions_and_constants_and_few_of_libm(exported):
+    for name in ("arm", "arm_parameters"):
+        command = ["gcc", "-std=c99", "-O0", "-fno-builtin", "-c", f"{name}.c", "-o", f"{name}.o"]
+        run(command, exported)
+        kinds = set(re.findall(r"^[0-9a-f]+ (\w) ", run(["nm", f"{name}.o"], exported), re.M))
+        assert kinds <= set("TtRr")
     needed = set(re.findall(r"U (\w+)", run(["nm", "-u", "arm.o"], exported)))
     assert needed - COPIES <= LIBM
     assert {"sin", "cos"} <= needed
 
 
-def test_no_data_that_could_change(exported):
-    for name in ("arm", "arm_parameters"):
-        run(["gcc", "-std=c99", "-O2", "-c", f"{name}.c", "-o", f"{name}.o"], exported)
-        kinds = set(re.findall(r"^[0-9a-f]+ (\w) ", run(["nm", f"{name}.o"], exported), re.M))
-        assert kinds <= set("TtRr")
-
-
-def test_cmake_builds_and_tests(exported):
-    run(["cmake", "-S", ".", "-B", "build"], exported)
-    run(["cmake", "--build", "build"], exported)
-    shown = run(["ctest", "--test-dir", "build", "--output-on-failure"], exported)
+def test_cmake_builds_and_tests(presliding):
+    run(["cmake", "-S", ".", "-B", "build"], presliding)
+    run(["cmake", "--build", "build"], presliding)
+    shown = run(["ctest", "--test-dir", "build", "--output-on-failure"], presliding)
     assert "100% tests passed" in shown
 
 

@@ -73,6 +73,19 @@ def test_prefix_must_be_a_name(fit, tmp_path, prefix):
     assert not names(tmp_path)
 
 
+@pytest.mark.parametrize(
+    "prefix",
+    ["test", "math", "lieid_runtime", "LIEID_runtime", "lieid_sign", "int", "Class", "stdio", "m"],
+)
+def test_a_prefix_that_clashes_is_refused(fit_file, tmp_path, capsys, prefix):
+    words = ["export", str(fit_file), "--to", "c", "-o", str(tmp_path / "out"), "--prefix", prefix]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert f"prefix {prefix!r}" in error
+    assert not names(tmp_path)
+
+
 def test_failure_leaves_the_folder_as_it_was(tmp_path):
     class Erf(lieid.Effect):
         name = "erf_friction"

@@ -1,0 +1,160 @@
+"""The self-test of exported C fails on wrong code: statements altered or removed one at a time."""
+
+import random
+import re
+import subprocess
+from dataclasses import dataclass
+
+import pytest
+from exporters.c_arms import ARMS, made_fit
+
+import lieid_casadi as lieid
+from lieid_casadi.exporters.c_export import export_c
+
+NUMBER = re.compile(r"(?<![\w.])\d+\.\d{3,}(?:e[-+]?\d+)?")
+ASSIGNED = re.compile(
+    r"^    (?:const double (?P<local>\w+)|(?P<result>[\w>.\[\]-]+)) = (?P<value>.+);$"
+)
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One line of a file, before and after."""
+
+    file: str
+    line: int
+    before: str
+    after: str
+
+    def __str__(self):
+        return f"{self.file}:{self.line + 1}: {self.before.strip()} -> {self.after.strip()}"
+
+
+def mutations(name, text):
+    """Mutations of every statement that computes, stores or copies something."""
+    lines = text.splitlines()
+    free = free_values(text)
+    for number, line in enumerate(lines):
+        for after in altered(line):
+            if number not in free or "0.0 / 0.0" in after:
+                yield Mutation(name, number, line, after)
+
+
+def free_values(text):
+    """Return lines whose values may differ as long as they are finite.
+
+    These are sums |a| + |b| + … that are only compared with the largest number, and the product
+    that finds a reversal within a step: a step without one may be split at any point.
+    """
+    start = text.find("static void advanced(")
+    end, first = text.find("\n}\n", start), text[:start].count("\n")
+    defined = {
+        match["local"]: (first + number, match["value"])
+        for number, line in enumerate(text[start:end].splitlines())
+        if (match := ASSIGNED.match(line)) and match["local"]
+    }
+    waiting = re.findall(r"(t\d+) <= 1\.797", text)
+    found = {n for n, value in defined.values() if re.fullmatch(r"before_dq_\d \* dq_\d", value)}
+    while waiting:
+        number, value = defined.get(waiting.pop(), (None, ""))
+        if number is not None and re.fullmatch(r"fabs\(\w+\)|\w+ \+ \w+", value):
+            found.add(number)
+            waiting += re.findall(r"t\d+", value)
+    return found
+
+
+def altered(line):
+    statement = ASSIGNED.match(line)
+    if statement and statement["result"] != "state->started":
+        value = statement["value"]
+        yield line.replace(f"= {value};", "= 0.0 / 0.0;")
+        yield line.replace(f"= {value};", f"= -1.5 * ({value}) - 0.25;")
+        if statement["result"]:
+            yield ""
+        for one, other in ((" + ", " - "), (" - ", " + "), (" * ", " + ")):
+            if one in value:
+                yield line.replace(one, other, 1)
+    elif re.match(r"^\s+(memcpy|memset|state->|\w+_rigid_torque\(sample)", line):
+        yield ""
+    constant = NUMBER.search(line)
+    if constant and not line.lstrip().startswith(("/*", "*")):
+        wrong = repr(float(constant[0]) * (1.0 + 1e-9) or 1e-3)
+        yield line[: constant.start()] + wrong + line[constant.end() :]
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    made = {}
+
+    def export(name, fit):
+        if name not in made:
+            made[name] = tmp_path_factory.mktemp("mutations") / name
+            export_c(fit(), made[name])
+        return made[name]
+
+    return export
+
+
+def survivors(folder, chosen):
+    """Build and run the self-test with each mutation; return those that it does not notice."""
+    found = []
+    for mutation in chosen:
+        path = folder / mutation.file
+        text = path.read_text()
+        lines = text.splitlines()
+        assert lines[mutation.line] == mutation.before
+        lines[mutation.line] = mutation.after
+        path.write_text("\n".join(lines))
+        sources = ["arm.c", "arm_parameters.c", "arm_test.c"]
+        command = ["gcc", "-std=c99", "-O0", "-w", *sources, "-lm", "-o", "t"]
+        try:
+            built = subprocess.run(command, cwd=folder, check=False, stderr=subprocess.DEVNULL)
+            if built.returncode == 0:
+                done = subprocess.run([folder / "t"], stdout=subprocess.DEVNULL, check=False)
+                if done.returncode == 0:
+                    found.append(str(mutation))
+        finally:
+            path.write_text(text)
+    return found
+
+
+def all_mutations(folder):
+    return [
+        mutation
+        for name in ("arm.c", "arm_parameters.c")
+        for mutation in mutations(name, (folder / name).read_text())
+    ]
+
+
+def memory_arm():
+    """Two joints, few statements, and every kind of memory."""
+    return made_fit(lieid.robots.two_link(), "viscous,presliding:1,presliding/load:2")
+
+
+def test_self_test_notices_mutations(exported):
+    folder = exported("memory", memory_arm)
+    found = all_mutations(folder)
+    assert len(found) > 1000
+    chosen = random.Random(1).sample(found, 16)
+    assert survivors(folder, chosen) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "count"), [("presliding", 150), ("sliding", 40), ("panda", 20)])
+def test_self_test_notices_many_mutations(exported, name, count):
+    folder = exported(name, ARMS[name])
+    assert survivors(folder, random.Random(2).sample(all_mutations(folder), count)) == []
+
+
+def test_a_value_that_is_not_finite_stays_the_worst(exported):
+    """A NaN in one sample was overwritten by the next finite difference, and "ok" printed."""
+    folder = exported("memory", memory_arm)
+    text = (folder / "arm.c").read_text()
+    start = text.index("void arm_gravity(")
+    line = text.index("torque[1] = ", start)
+    before = text[line : text.index("\n", line)]
+    # finite in the last samples
+    after = before.replace("= ", "= q[0] > -1e9 && q[1] < 0.5 ? 0.0 / 0.0 : ", 1)
+    number = text[:line].count("\n")
+    mutation = Mutation("arm.c", number, f"    {before}", f"    {after}")
+    assert survivors(folder, [mutation]) == []
