@@ -18,8 +18,8 @@ from lieid_casadi.dynamics.base_parameters import (
 from lieid_casadi.effects import Effect, Placement, Signals, parse_effects, place
 from lieid_casadi.effects.placement import labels
 from lieid_casadi.errors import ModelError
+from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.inertia import LINK_PARAMETER_UNITS
-from lieid_casadi.robot.robot import Joint, Robot
 
 
 @dataclass(frozen=True)

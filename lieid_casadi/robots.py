@@ -1,12 +1,12 @@
 """The robots that come with the package.
 
-`lieid_casadi.Robot.load` and the command line know them by these names. Their YAML files name the
-source of every number.
+`lieid_casadi.Robot.load` and the command line accept these names. Their YAML files name the source
+of every number.
 """
 
 from __future__ import annotations
 
-from lieid_casadi.robot import Robot, bundled
+from lieid_casadi.robot import Robot
 
 __all__ = ["panda", "panda_luo2024", "two_link"]
 
@@ -24,7 +24,7 @@ def panda() -> Robot:
     >>> robot.tool[:3, 3]
     array([0.   , 0.   , 0.107])
     """
-    return bundled.load("panda")
+    return Robot.load("panda")
 
 
 def panda_luo2024() -> Robot:
@@ -39,7 +39,7 @@ def panda_luo2024() -> Robot:
     >>> robot.joints[4].screw  # the fifth joint lies along the base's x axis
     array([1.    , 0.    , 0.    , 0.    , 0.7315, 0.    ])
     """
-    return bundled.load("panda_luo2024")
+    return Robot.load("panda_luo2024")
 
 
 def two_link() -> Robot:
@@ -56,4 +56,4 @@ def two_link() -> Robot:
     >>> robot.link_parameters[:2]  # mass and m·c_x of the first link
     array([2. , 0.5])
     """
-    return bundled.load("two_link")
+    return Robot.load("two_link")

@@ -19,8 +19,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES, pseudo_inertia
-from lieid_casadi.robot.robot import Joint, Robot
 
 Matrix = NDArray[np.float64]
 RANK_TOLERANCE = 1e-9  # relative; geometry written with 12 digits still counts as exact

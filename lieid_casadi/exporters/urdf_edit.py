@@ -14,7 +14,7 @@ from lieid_casadi.exporters.urdf_bodies import (
 )
 from lieid_casadi.exporters.xml_edit import Element, XmlText
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.robot.robot import Joint
+from lieid_casadi.robot import Joint
 
 
 def edited_urdf(fit: Fit, text: str) -> tuple[str, list[str]]:

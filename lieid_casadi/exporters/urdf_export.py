@@ -14,7 +14,7 @@ from lieid_casadi.exporters.urdf_edit import edited_urdf
 from lieid_casadi.exporters.urdf_write import written_urdf
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.output_folder import check_folder, write_folder
-from lieid_casadi.robot.robot import STANDARD_GRAVITY
+from lieid_casadi.robot.joint import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.exporters.joint_friction import JointFriction
 from lieid_casadi.exporters.urdf_bodies import inertial_text, number
+from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.pose import roll_pitch_yaw
-from lieid_casadi.robot.robot import Joint, Robot
 
 Array = NDArray[np.float64]
 ON_AXIS = 1e-12  # m

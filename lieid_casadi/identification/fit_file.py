@@ -44,8 +44,7 @@ from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording.processing.process import Processing
 from lieid_casadi.robot.robot import Robot
-from lieid_casadi.robot.urdf import parse_urdf
-from lieid_casadi.robot.yaml_file import parse_yaml, write_yaml
+from lieid_casadi.robot.yaml_writer import write_yaml
 
 if TYPE_CHECKING:
     from lieid_casadi.identification.fit import Fit
@@ -187,9 +186,9 @@ def _robot_text(robot: Robot) -> RobotText:
 def _robot(file: RobotText) -> Robot:
     origin = "robot inside the fit"
     if file.kind == "urdf":
-        return parse_urdf(file.text, tip=file.tip, lock=file.lock, origin=origin)
+        return Robot.parse_urdf(file.text, tip=file.tip, lock=file.lock, origin=origin)
     if file.kind == "yaml":
-        return parse_yaml(file.text, origin=origin)
+        return Robot.parse_yaml(file.text, origin=origin)
     raise FitFileError(f"robot of kind {file.kind[:20]!r}; expected urdf or yaml")
 
 

@@ -62,6 +62,22 @@ def _steiner(c: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(c @ c * np.eye(3) - np.outer(c, c))
 
 
+def negative_moment(parameters: ArrayLike | None) -> float | None:
+    """Return the least principal moment about the centre of mass if it is negative, else None.
+
+    Parameters
+    ----------
+    parameters : (10,) or None
+        Link parameters; None gives None.
+    """
+    if parameters is None:
+        return None
+    central = body_inertia(parameters).inertia
+    moments = np.linalg.eigvalsh(central)
+    rounding = 1e-9 * max(abs(moments[-1]), np.abs(np.asarray(parameters)[4:]).max())
+    return float(moments[0]) if moments[0] < -rounding else None
+
+
 def pseudo_inertia(parameters: ArrayLike) -> NDArray[np.float64]:
     """Return the pseudo-inertia (4, 4): positive definite iff the body is physically possible.
 

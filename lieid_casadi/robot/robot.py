@@ -1,9 +1,10 @@
-"""A serial arm as data: joints as screws, home poses, limits, link inertias."""
+"""A serial arm: joints as screws, home poses, limits, link inertias."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -11,108 +12,61 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import RobotError
+from lieid_casadi.robot import bundled
+from lieid_casadi.robot.joint import RobotDescription
+from lieid_casadi.robot.text_file import read_text
+from lieid_casadi.robot.urdf import read_urdf
+from lieid_casadi.robot.yaml_file import read_yaml
 
-STANDARD_GRAVITY = (0.0, 0.0, -9.81)
-NOT_STATED = float("nan")
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of one joint (rad or m, and their rates, N·m or N); NaN where not stated."""
-
-    position_lower: float = NOT_STATED
-    position_upper: float = NOT_STATED
-    velocity: float = NOT_STATED
-    acceleration: float = NOT_STATED
-    torque: float = NOT_STATED
+logger = logging.getLogger("lieid_casadi")
 
 
 @dataclass(frozen=True, eq=False)
-class Joint:
-    """One joint and the link that it moves.
-
-    Attributes
-    ----------
-    screw : (6,)
-        Unit twist [ω; v] in the base frame at the zero pose.
-    home : (4, 4)
-        Pose of the link frame in the base frame at the zero pose.
-    link : (10,) or None
-        Link parameters about the origin of the link frame; None if not stated.
-    torque_constant : float
-        N·m/A at the joint, NaN if not stated.
-    """
-
-    name: str
-    screw: NDArray[np.float64]
-    home: NDArray[np.float64]
-    limits: Limits = Limits()
-    link: NDArray[np.float64] | None = None
-    link_name: str = ""
-    torque_constant: float = NOT_STATED
-
-    @property
-    def revolute(self) -> bool:
-        """Whether the joint turns (else it slides)."""
-        return bool(np.linalg.norm(self.screw[:3]) > 0.5)
-
-    @cached_property
-    def axis(self) -> NDArray[np.float64]:
-        """Unit twist (6,) in the link frame: ξ = Ad(home⁻¹)·screw."""
-        rotation, origin = self.home[:3, :3], self.home[:3, 3]
-        omega, v = self.screw[:3], self.screw[3:]
-        return np.concatenate([rotation.T @ omega, rotation.T @ (v - np.cross(origin, omega))])
-
-
-@dataclass(frozen=True)
-class RobotSource:
-    """The text a robot was read from, kept so that a fit stands alone and exports can edit it."""
-
-    kind: str
-    text: str
-    tip: str | None = None
-    lock: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Robot:
+class Robot(RobotDescription):
     """A serial chain of revolute and prismatic joints.
 
     Attributes
     ----------
+    joints : tuple of Joint
+        From the base to the tool.
     gravity : (3,)
         Gravitational acceleration in the base frame, m/s².
     tool : (4, 4)
         Pose of the tool in the last link's frame.
+    source : RobotSource or None
+        The text of the file that describes it.
+    warnings : tuple of LieidWarning
+        Doubtful statements of that file.
     """
-
-    name: str
-    joints: tuple[Joint, ...]
-    gravity: NDArray[np.float64] = field(default_factory=lambda: np.array(STANDARD_GRAVITY))
-    tool: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
-    source: RobotSource | None = None
 
     @classmethod
     def load(cls, path: str | Path, *, tip: str | None = None, lock: Sequence[str] = ()) -> Robot:
-        """Read a robot from a URDF or YAML file, or take a bundled one by its name.
+        """Read a robot from a URDF or YAML file, or return a bundled one by its name.
+
+        Parameters
+        ----------
+        path : str or Path
+            File, or ``panda``, ``panda_luo2024``, ``two_link``.
+        tip : str, optional
+            Last link of a URDF's chain.
+        lock : sequence of str
+            Joints of a URDF to lock at zero.
 
         Raises
         ------
         RobotError
             If the file is missing, of another type, or not a serial arm.
         """
-        from lieid_casadi.robot import bundled
-
         if str(path) in bundled.NAMES:
             if tip is not None or lock:
-                raise RobotError(f"{path}: a bundled robot has neither tips nor joints to lock")
-            return bundled.load(str(path))
+                raise RobotError(f"{path}: --tip and --lock apply to URDF files only")
+            return cls.parse_yaml(bundled.text(str(path)), origin=str(path))
         suffix = Path(path).suffix.lower()
         if suffix in (".urdf", ".xml"):
             return cls.from_urdf(path, tip=tip, lock=lock)
         if suffix in (".yaml", ".yml"):
             if tip is not None or lock:
-                raise RobotError(f"{path}: --tip and --lock are for URDF files")
+                raise RobotError(f"{path}: --tip and --lock apply to URDF files only")
             return cls.from_yaml(path)
         names = ", ".join(bundled.NAMES)
         raise RobotError(f"{path}: expected a .urdf or .yaml file, or one of {names}")
@@ -121,19 +75,56 @@ class Robot:
     def from_urdf(
         cls, path: str | Path, *, tip: str | None = None, lock: Sequence[str] = ()
     ) -> Robot:
-        """Read a URDF file; see :func:`lieid_casadi.robot.urdf.parse_urdf`."""
-        from lieid_casadi.robot.text import read_text
-        from lieid_casadi.robot.urdf import parse_urdf
+        """Read a URDF file; see :func:`lieid_casadi.robot.urdf.read_urdf`.
 
-        return parse_urdf(read_text(path), tip=tip, lock=lock, origin=str(path))
+        Parameters
+        ----------
+        path : str or Path
+        tip : str, optional
+            Last link of the chain.
+        lock : sequence of str
+            Joints to lock at zero.
+        """
+        return cls.parse_urdf(read_text(path), tip=tip, lock=lock, origin=str(path))
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Robot:
         """Read a YAML file; see :mod:`lieid_casadi.robot.yaml_file`."""
-        from lieid_casadi.robot.text import read_text
-        from lieid_casadi.robot.yaml_file import parse_yaml
+        return cls.parse_yaml(read_text(path), origin=str(path))
 
-        return parse_yaml(read_text(path), origin=str(path))
+    @classmethod
+    def parse_urdf(
+        cls,
+        text: str,
+        *,
+        tip: str | None = None,
+        lock: Sequence[str] = (),
+        origin: str = "URDF",
+    ) -> Robot:
+        """Return the robot of a URDF text; see :func:`lieid_casadi.robot.urdf.read_urdf`.
+
+        Parameters
+        ----------
+        text : str
+        tip : str, optional
+            Last link of the chain.
+        lock : sequence of str
+            Joints to lock at zero.
+        origin : str
+            Named in errors, such as the file's path.
+        """
+        return cls._of(read_urdf(text, tip=tip, lock=lock, origin=origin))
+
+    @classmethod
+    def parse_yaml(cls, text: str, *, origin: str = "YAML") -> Robot:
+        """Return the robot of a YAML text; ``origin`` is named in errors."""
+        return cls._of(read_yaml(text, origin=origin))
+
+    @classmethod
+    def _of(cls, d: RobotDescription) -> Robot:
+        for warning in d.warnings:
+            logger.warning("%s", warning)
+        return cls(d.name, d.joints, d.gravity, d.tool, d.source, d.warnings)
 
     @property
     def n(self) -> int:

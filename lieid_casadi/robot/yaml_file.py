@@ -16,7 +16,7 @@
           inertia: {ixx: 0.02, ixy: 0, iyy: 0.03, ixz: 0, iyz: 0, izz: 0.03}
     tool: {xyz: [0.2, 0, 0], rpy: [0, 0, 0]}
 
-``name``, ``joints`` and each joint's ``name`` and ``screw`` must be there; the rest is optional.
+``name``, ``joints`` and each joint's ``name`` and ``screw`` are required; the rest is optional.
 
 - ``home`` is the link frame in the base frame at the zero pose, ``rpy`` in URDF's sense
   (Rz·Ry·Rx). Without it the link frame is the base frame at the zero pose, as is usual in the
@@ -29,89 +29,30 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
-import msgspec
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import RobotError
-from lieid_casadi.robot.inertia import body_inertia, link_parameters, symmetric
-from lieid_casadi.robot.pose import pose, roll_pitch_yaw
-from lieid_casadi.robot.robot import (
+from lieid_casadi.errors import NominalInertiaWarning
+from lieid_casadi.robot.inertia import link_parameters, negative_moment, symmetric
+from lieid_casadi.robot.joint import (
     NOT_STATED,
     STANDARD_GRAVITY,
     Joint,
     Limits,
-    Robot,
+    RobotDescription,
     RobotSource,
 )
-from lieid_casadi.robot.yaml_text import explained, load, place, short
+from lieid_casadi.robot.pose import pose
+from lieid_casadi.robot.yaml_fields import FARTHEST, Field
 
-# Seven printed digits of a unit vector pass, a wrong axis does not.
+# Accepts seven printed digits of a unit vector, but no wrong axis.
 SCREW_TOLERANCE = 1e-6
+MOST_JOINTS = 100
 
-Three = tuple[float, float, float]
-
-
-class _Pose(msgspec.Struct, forbid_unknown_fields=True):
-    xyz: Three = (0.0, 0.0, 0.0)
-    rpy: Three = (0.0, 0.0, 0.0)
+Array = NDArray[np.float64]
 
 
-class _Limits(msgspec.Struct, forbid_unknown_fields=True):
-    position: tuple[float, float] | None = None
-    velocity: float | None = None
-    acceleration: float | None = None
-    torque: float | None = None
-
-
-class _Inertia(msgspec.Struct, forbid_unknown_fields=True):
-    ixx: float
-    iyy: float
-    izz: float
-    ixy: float = 0.0
-    ixz: float = 0.0
-    iyz: float = 0.0
-
-
-class _Link(msgspec.Struct, forbid_unknown_fields=True):
-    mass: float
-    com: Three
-    inertia: _Inertia | list[float | list[float]]
-
-
-class _Joint(msgspec.Struct, forbid_unknown_fields=True):
-    name: str
-    screw: tuple[float, float, float, float, float, float]
-    home: _Pose = msgspec.field(default_factory=_Pose)
-    limits: _Limits = msgspec.field(default_factory=_Limits)
-    torque_constant: float | None = None
-    link: _Link | None = None
-
-
-class _Robot(msgspec.Struct, forbid_unknown_fields=True):
-    name: str
-    joints: list[_Joint]
-    gravity: Three = STANDARD_GRAVITY
-    tool: _Pose = msgspec.field(default_factory=_Pose)
-
-
-_STRUCTS: dict[str, type[msgspec.Struct]] = {
-    "": _Robot,
-    "joints": _Joint,
-    "home": _Pose,
-    "tool": _Pose,
-    "limits": _Limits,
-    "link": _Link,
-    "inertia": _Inertia,
-}
-_KEYS = {place: struct.__struct_fields__ for place, struct in _STRUCTS.items()}
-
-
-def parse_yaml(text: str, *, origin: str = "YAML") -> Robot:
+def read_yaml(text: str, *, origin: str = "YAML") -> RobotDescription:
     """Return the serial arm that a YAML text describes (keys: see the module).
 
     Parameters
@@ -125,187 +66,140 @@ def parse_yaml(text: str, *, origin: str = "YAML") -> Robot:
     ------
     RobotError
         One line that names the place, what was found and what was expected: not YAML, an unknown
-        or missing key, text in place of a number, a number that is not finite, a screw that is
-        not one of a revolute or prismatic joint, a position range or limit that is not one, two
-        joints of one name.
+        or missing key, text in place of a number, a number that is not finite or too large, a
+        screw that is neither revolute nor prismatic, a range whose limits are exchanged, two
+        joints of the same name.
 
     Examples
     --------
-    >>> robot = parse_yaml("{name: one, joints: [{name: turn, screw: [0, 0, 1, 0, 0, 0]}]}")
-    >>> robot.n, robot.joints[0].revolute
-    (1, True)
+    >>> robot = read_yaml("{name: one, joints: [{name: turn, screw: [0, 0, 1, 0, 0, 0]}]}")
+    >>> robot.joints[0].revolute
+    True
     """
-    data = load(text, origin)
-    try:
-        read = msgspec.convert(data, _Robot)
-    except msgspec.ValidationError as error:
-        raise RobotError(f"{origin}: {explained(str(error), data, _KEYS)}") from None
-    if not read.joints:
-        raise RobotError(f"{origin}: joints: found an empty list, expected at least one joint")
+    top = Field.top(text, origin).mapping(("name", "joints"), ("gravity", "tool"))
+    items = top["joints"].items()
+    if not 1 <= len(items) <= MOST_JOINTS:
+        found = f"a list of {len(items)}" if items else "an empty list"
+        raise top["joints"].error(f"at least one joint and at most {MOST_JOINTS}", found=found)
     names: dict[str, int] = {}
-    for index, joint in enumerate(read.joints):
-        if joint.name in names:
-            raise RobotError(
-                f"{origin}: {place(f'joints[{index}].name')}: found {joint.name!r}, the name of "
-                f"joint {names[joint.name] + 1} too; expected a name of its own"
+    joints: list[Joint] = []
+    warnings: list[NominalInertiaWarning] = []
+    for index, item in enumerate(items):
+        keys = item.mapping(("name", "screw"), ("home", "limits", "torque_constant", "link"))
+        name = keys["name"].text()
+        if name in names:
+            raise keys["name"].error(
+                "a unique name", found=f"{name!r}, the name of joint {names[name] + 1}"
             )
-        names[joint.name] = index
-    return Robot(
-        name=read.name,
-        joints=tuple(
-            _joint(joint, f"joints[{index}]", origin) for index, joint in enumerate(read.joints)
-        ),
-        gravity=np.array(read.gravity),
-        tool=pose(read.tool.xyz, read.tool.rpy),
+        names[name] = index
+        joints.append(_joint(name, keys))
+        moment = negative_moment(joints[-1].link)
+        if moment is not None:
+            warnings.append(
+                NominalInertiaWarning(
+                    f"{origin}: joint {index + 1} ({name}): the inertia of its link has the "
+                    f"negative principal moment {moment:.3g} kg·m²; no body has one"
+                )
+            )
+    return RobotDescription(
+        name=top["name"].text(),
+        joints=tuple(joints),
+        gravity=top["gravity"].numbers(3) if "gravity" in top else np.array(STANDARD_GRAVITY),
+        tool=_pose(top.get("tool")),
         source=RobotSource("yaml", text),
+        warnings=tuple(warnings),
     )
 
 
-def write_yaml(robot: Robot) -> str:
-    """Return the YAML of a robot; `parse_yaml` reads it back (to round-off).
-
-    The names of links and the text that the robot was read from are not part of it.
-    """
-    joints = [_joint_as_dict(joint) for joint in robot.joints]
-    data = {
-        "name": robot.name,
-        "gravity": _numbers(robot.gravity),
-        "joints": joints,
-        "tool": _pose_as_dict(robot.tool),
-    }
-    return str(
-        yaml.safe_dump(
-            data, sort_keys=False, default_flow_style=None, allow_unicode=True, width=1000
-        )
-    )
-
-
-def _joint(read: _Joint, path: str, origin: str) -> Joint:
-    constant = read.torque_constant
-    if constant is not None and constant == 0.0:
-        raise RobotError(
-            f"{origin}: {place(path + '.torque_constant')}: found 0, expected N·m/A other than 0"
-        )
+def _joint(name: str, keys: dict[str, Field]) -> Joint:
+    constant = NOT_STATED
+    if "torque_constant" in keys:
+        constant = keys["torque_constant"].number()
+        if constant == 0.0:
+            raise keys["torque_constant"].error("N·m/A other than 0")
     return Joint(
-        name=read.name,
-        screw=_screw(np.array(read.screw), f"{path}.screw", origin),
-        home=pose(read.home.xyz, read.home.rpy),
-        limits=_limits(read.limits, f"{path}.limits", origin),
-        link=None if read.link is None else _link(read.link, f"{path}.link", origin),
-        torque_constant=NOT_STATED if constant is None else constant,
+        name=name,
+        screw=_screw(keys["screw"]),
+        home=_pose(keys.get("home")),
+        limits=_limits(keys["limits"]) if "limits" in keys else Limits(),
+        link=_link(keys["link"]) if "link" in keys else None,
+        torque_constant=constant,
     )
 
 
-def _screw(screw: NDArray[np.float64], path: str, origin: str) -> NDArray[np.float64]:
-    """Return the unit twist, free of what rounding in the file left over."""
+def _pose(field: Field | None) -> Array:
+    keys = {} if field is None else field.mapping((), ("xyz", "rpy"))
+    xyz, rpy = (
+        keys[name].numbers(3, largest=FARTHEST) if name in keys else np.zeros(3)
+        for name in ("xyz", "rpy")
+    )
+    return pose(xyz, rpy)
+
+
+def _screw(field: Field) -> Array:
+    """Return the unit twist (6,), without the rounding of the file."""
+    screw = field.numbers(6, largest=FARTHEST)
     omega, v = screw[:3], screw[3:]
-    where = f"{origin}: {place(path)}"
     if not omega.any():
         length = float(np.linalg.norm(v))
         if abs(length - 1.0) > SCREW_TOLERANCE:
-            raise RobotError(
-                f"{where}: ω = 0 (a prismatic joint) and |v| = {length:.9g}, expected |v| = 1: "
-                "divide v by its length, or state ω for a revolute joint"
+            raise field.error(
+                "|v| = 1: divide v by its length, or state ω for a revolute joint",
+                found=f"ω = 0 (a prismatic joint) and |v| = {length:.9g}",
             )
         return np.concatenate([omega, v / length])
     length = float(np.linalg.norm(omega))
     if abs(length - 1.0) > SCREW_TOLERANCE:
-        raise RobotError(
-            f"{where}: |ω| = {length:.9g}, expected 1 (revolute) or ω = 0 (prismatic): divide the "
-            "six numbers by |ω|"
+        raise field.error(
+            "1 (revolute) or ω = 0 (prismatic): divide the six numbers by |ω|",
+            found=f"|ω| = {length:.9g}",
         )
     pitch = float(omega @ v)
     if abs(pitch) > SCREW_TOLERANCE * max(1.0, float(np.linalg.norm(v))):
-        raise RobotError(
-            f"{where}: v does not belong to ω: ω·v = {pitch:.9g}, expected 0; a revolute joint "
-            "through the point p has v = −ω × p"
+        raise field.error(
+            "0: a revolute joint through the point p has v = −ω × p", found=f"ω·v = {pitch:.9g}"
         )
     omega = omega / length
     return np.concatenate([omega, v - (omega @ v) * omega])
 
 
-def _limits(read: _Limits, path: str, origin: str) -> Limits:
-    lower, upper = NOT_STATED, NOT_STATED
-    if read.position is not None:
-        lower, upper = read.position
+def _limits(field: Field) -> Limits:
+    keys = field.mapping((), ("position", "velocity", "acceleration", "torque"))
+    lower = upper = NOT_STATED
+    if "position" in keys:
+        lower, upper = (float(x) for x in keys["position"].numbers(2))
         if not lower < upper:
-            raise RobotError(
-                f"{origin}: {place(path + '.position')}: found [{lower:g}, {upper:g}], expected "
-                "[lower, upper] with lower < upper"
-            )
-    stated = {}
-    for name in ("velocity", "acceleration", "torque"):
-        value = getattr(read, name)
-        if value is not None and value <= 0.0:
-            raise RobotError(
-                f"{origin}: {place(f'{path}.{name}')}: found {value:g}, expected a number > 0"
-            )
-        stated[name] = NOT_STATED if value is None else value
-    return Limits(position_lower=lower, position_upper=upper, **stated)
+            raise keys["position"].error("[lower, upper] with lower < upper")
+    velocity, acceleration, torque = (
+        keys[name].positive() if name in keys else NOT_STATED
+        for name in ("velocity", "acceleration", "torque")
+    )
+    return Limits(lower, upper, velocity, acceleration, torque)
 
 
-def _link(read: _Link, path: str, origin: str) -> NDArray[np.float64]:
-    if read.mass < 0.0:
-        raise RobotError(
-            f"{origin}: {place(path + '.mass')}: found {read.mass:g}, expected kg, not negative"
+def _link(field: Field) -> Array:
+    keys = field.mapping(("mass", "com", "inertia"))
+    mass = keys["mass"].number()
+    if mass < 0.0:
+        raise keys["mass"].error("kg, not negative")
+    com = keys["com"].numbers(3, largest=FARTHEST)
+    return link_parameters(mass, com, _inertia(keys["inertia"]))
+
+
+def _inertia(field: Field) -> Array:
+    """Return the inertia (3, 3) about the centre of mass, from any of its three forms."""
+    if isinstance(field.value, dict):
+        keys = field.mapping(("ixx", "iyy", "izz"), ("ixy", "ixz", "iyz"))
+        order = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+        return symmetric([keys[name].number() if name in keys else 0.0 for name in order])
+    rows = field.value if isinstance(field.value, list) else []
+    if len(rows) == 6:
+        return symmetric(field.numbers(6))
+    if len(rows) != 3 or not all(isinstance(row, list) and len(row) == 3 for row in rows):
+        raise field.error(
+            "ixx, ixy, iyy, ixz, iyz, izz as a mapping or in this order, or a 3×3 matrix"
         )
-    return link_parameters(read.mass, read.com, _inertia(read.inertia, f"{path}.inertia", origin))
-
-
-def _inertia(
-    read: _Inertia | list[float | list[float]], path: str, origin: str
-) -> NDArray[np.float64]:
-    if isinstance(read, _Inertia):
-        return symmetric([read.ixx, read.ixy, read.iyy, read.ixz, read.iyz, read.izz])
-    rows = [len(row) if isinstance(row, list) else 0 for row in read]
-    if rows == [0] * 6:
-        return symmetric(read)
-    if rows != [3, 3, 3]:
-        raise RobotError(
-            f"{origin}: {place(path)}: found {short(read)}, expected ixx, ixy, iyy, ixz, iyz, "
-            "izz as a mapping or in this order, or a 3×3 matrix"
-        )
-    matrix: NDArray[np.float64] = np.array(read, dtype=float)
+    matrix = np.array([row.numbers(3) for row in field.items()])
     if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
-        raise RobotError(
-            f"{origin}: {place(path)}: found a matrix that is not symmetric, expected one that is"
-        )
+        raise field.error("a symmetric matrix", found="a matrix that is not symmetric")
     return np.asarray(0.5 * (matrix + matrix.T))
-
-
-def _numbers(values: NDArray[np.float64]) -> list[float]:
-    return [float(value) + 0.0 for value in values]  # no -0.0
-
-
-def _pose_as_dict(matrix: NDArray[np.float64]) -> dict[str, list[float]]:
-    return {"xyz": _numbers(matrix[:3, 3]), "rpy": _numbers(roll_pitch_yaw(matrix[:3, :3]))}
-
-
-def _joint_as_dict(joint: Joint) -> dict[str, Any]:
-    data: dict[str, Any] = {
-        "name": joint.name,
-        "screw": _numbers(joint.screw),
-        "home": _pose_as_dict(joint.home),
-    }
-    limits = joint.limits
-    stated: dict[str, Any] = {}
-    if math.isfinite(limits.position_lower) and math.isfinite(limits.position_upper):
-        stated["position"] = [limits.position_lower, limits.position_upper]
-    for name in ("velocity", "acceleration", "torque"):
-        if math.isfinite(getattr(limits, name)):
-            stated[name] = getattr(limits, name)
-    if stated:
-        data["limits"] = stated
-    if math.isfinite(joint.torque_constant):
-        data["torque_constant"] = joint.torque_constant
-    if joint.link is not None:
-        body = body_inertia(joint.link)
-        keys = (("ixx", 0, 0), ("ixy", 0, 1), ("iyy", 1, 1), ("ixz", 0, 2), ("iyz", 1, 2))
-        data["link"] = {
-            "mass": float(body.mass),
-            "com": _numbers(body.com),
-            "inertia": {
-                name: float(body.inertia[i, j]) + 0.0 for name, i, j in (*keys, ("izz", 2, 2))
-            },
-        }
-    return data

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lieid_casadi as lieid
-from lieid_casadi.errors import ExcitationError, RobotError
+from lieid_casadi.errors import RobotError
 from lieid_casadi.excitation import Capsule, SelfCollision, capsules_of, enclosing, load_capsules
 from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.limits.capsules import (
@@ -171,20 +171,23 @@ def test_a_mesh_that_is_missing_leaves_the_skeleton(tmp_path, caplog):
     assert "no collision geometry found" in caplog.text
 
 
+ENDS = "start: [0,0,0], end: [0,0,1]"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("capsules: 3", "expected a list 'capsules'"),
-        ("capsules: [{link: 1}]", "capsule 1: expected the keys link, start, end, radius"),
-        ("capsules: [{link: 9, start: [0,0,0], end: [0,0,1], radius: 1}]", r"link 9; expected 0"),
-        ("capsules: [{link: 1, start: [0,0], end: [0,0,1], radius: 1}]", "three numbers"),
-        ("capsules: [{link: 1, start: [0,0,0], end: [0,0,1], radius: 0}]", "radius 0"),
+        ("capsules: 3", "capsules: found 3, expected a list"),
+        ("capsules: [{link: 1}]", "no key 'start', expected the keys link, start, end, radius"),
+        (f"capsules: [{{link: 9, {ENDS}, radius: 1}}]", r"capsules\[0\].link: found 9, expected 0"),
+        ("capsules: [{link: 1, start: [0,0], end: [0,0,1], radius: 1}]", "found a list of 2, exp"),
+        (f"capsules: [{{link: 1, {ENDS}, radius: 0}}]", "found 0, expected a number > 0"),
     ],
 )
 def test_bad_capsule_files(tmp_path, text, message):
     path = tmp_path / "links.yaml"
     path.write_text(text)
-    with pytest.raises((ExcitationError, RobotError), match=message):
+    with pytest.raises(RobotError, match=message):
         load_capsules(path, lieid.robots.two_link())
 
 

@@ -13,9 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-import lieid_casadi.robot.bundled as bundled_robots
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.yaml_file import parse_yaml, write_yaml
+from lieid_casadi.robot.yaml_writer import write_yaml
 
 ARMS = ("panda", "ur10e", "rail")
 
@@ -69,7 +68,7 @@ tool: {xyz: [0, 0, 0.12]}
 def robot_text(name: str) -> tuple[str, str]:
     """Return the file name and text that describe an arm."""
     if name == "panda":
-        return "robot.yaml", write_yaml(bundled_robots.load("panda"))
+        return "robot.yaml", write_yaml(Robot.load("panda"))
     if name == "ur10e":
         return "robot.urdf", _urdf()
     return "robot.yaml", _RAIL
@@ -86,10 +85,8 @@ def load_arm(name: str) -> Robot:
     """Return an arm."""
     file, text = robot_text(name)
     if file.endswith(".yaml"):
-        return parse_yaml(text)
-    from lieid_casadi.robot.urdf import parse_urdf
-
-    return parse_urdf(text)
+        return Robot.parse_yaml(text)
+    return Robot.parse_urdf(text)
 
 
 def _urdf() -> str:

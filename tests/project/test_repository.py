@@ -8,8 +8,7 @@ import pytest
 
 import lieid_casadi
 from lieid_casadi.codegen_files import codegen_folder
-from lieid_casadi.robot import yaml_file
-from lieid_casadi.robot.yaml_file import parse_yaml
+from lieid_casadi.robot import Robot, yaml_file
 
 ROOT = Path(__file__).parents[2]
 
@@ -51,10 +50,10 @@ def test_readme_has_the_two_commands_that_ci_runs():
 
 def test_readme_shows_a_robot_that_is_read():
     block = re.search(r"```yaml\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
-    robot = parse_yaml(block[1])
+    robot = Robot.parse_yaml(block[1])
     assert [joint.revolute for joint in robot.joints] == [True, False]
 
 
 def test_yaml_in_the_reference_is_read():
     block = re.search(r"code-block:: yaml\n\n(.*?)\n\n``name``", yaml_file.__doc__, re.DOTALL)
-    assert parse_yaml(block[1]).joints[0].torque_constant == 11.0
+    assert Robot.parse_yaml(block[1]).joints[0].torque_constant == 11.0

@@ -13,7 +13,7 @@ from robot.random_arms import (
 from scipy.spatial.transform import Rotation
 
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.yaml_file import parse_yaml, write_yaml
+from lieid_casadi.robot.yaml_writer import write_yaml
 
 EARTH = np.array([0.0, 0.0, -9.81])  # URDF knows no gravity; Pinocchio's is this
 
@@ -88,7 +88,7 @@ def test_same_kinematics_and_torques_as_the_urdf_in_pinocchio(seed):
     rng = np.random.default_rng(100 + seed)
     arm = random_arm(rng, 2 + seed, off_origin=False)
     theirs = pin.buildModelFromXML(urdf_of(arm))
-    ours = to_pinocchio(parse_yaml(write_yaml(arm)))
+    ours = to_pinocchio(Robot.parse_yaml(write_yaml(arm)))
     ours.gravity.linear = theirs.gravity.linear = EARTH
     for q, dq, ddq in zip(*random_states(rng, arm, 5), strict=True):
         torques, poses = [], []

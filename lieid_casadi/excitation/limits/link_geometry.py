@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import ExcitationError, RobotError
+from lieid_casadi.errors import RobotError
 from lieid_casadi.excitation.limits.capsules import Capsule, enclosing_all, skeleton
-from lieid_casadi.robot.robot import Robot
+from lieid_casadi.robot import Robot
+from lieid_casadi.robot.yaml_fields import FARTHEST, Field
 
 Array = NDArray[np.float64]
 logger = logging.getLogger("lieid_casadi")
@@ -51,44 +52,29 @@ def load_capsules(path: str | Path, robot: Robot) -> tuple[Capsule, ...]:
 
     Raises
     ------
-    RobotError, ExcitationError
+    RobotError
         Not YAML, a missing key, a link that the robot does not have.
     """
-    from lieid_casadi.robot.text import read_text
+    from lieid_casadi.robot.text_file import read_text
 
     return parse_capsules(read_text(path), robot, origin=str(path))
 
 
 def parse_capsules(text: str, robot: Robot, *, origin: str) -> tuple[Capsule, ...]:
     """Return capsules from YAML text; see `load_capsules`."""
-    from lieid_casadi.robot import yaml_text
-
-    data = yaml_text.load(text, origin)
-    rows = data.get("capsules") if isinstance(data, dict) else None
-    if not isinstance(rows, list) or not rows:
-        raise ExcitationError(f"{origin}: expected a list 'capsules'")
-    return tuple(_capsule(row, robot, f"{origin}: capsule {k + 1}") for k, row in enumerate(rows))
+    rows = Field.top(text, origin).mapping(("capsules",))["capsules"]
+    if not rows.items():
+        raise rows.error("at least one capsule")
+    return tuple(_capsule(row, robot) for row in rows.items())
 
 
-def _capsule(row: Any, robot: Robot, place: str) -> Capsule:
-    if not isinstance(row, dict) or set(row) != {"link", "start", "end", "radius"}:
-        raise ExcitationError(f"{place}: expected the keys link, start, end, radius")
-    link, radius = row["link"], row["radius"]
-    if not isinstance(link, int) or isinstance(link, bool) or not 0 <= link <= robot.n:
-        raise ExcitationError(f"{place}: link {link!r}; expected 0 (base) to {robot.n}")
-    if not isinstance(radius, int | float) or not radius > 0.0:
-        raise ExcitationError(f"{place}: radius {radius!r}; expected a positive number")
-    return Capsule(link, _point(row["start"], place), _point(row["end"], place), float(radius))
-
-
-def _point(value: Any, place: str) -> Array:
-    try:
-        point = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        point = np.zeros(0)
-    if point.shape != (3,):
-        raise ExcitationError(f"{place}: {value!r}; expected three numbers in m")
-    return point
+def _capsule(row: Field, robot: Robot) -> Capsule:
+    keys = row.mapping(("link", "start", "end", "radius"))
+    link = keys["link"].number()
+    if link not in range(robot.n + 1):
+        raise keys["link"].error(f"0 (base) to {robot.n}")
+    start, end = (keys[name].numbers(3, largest=FARTHEST) for name in ("start", "end"))
+    return Capsule(int(link), start, end, keys["radius"].positive())
 
 
 def fitted_to_urdf(robot: Robot) -> tuple[Capsule, ...]:

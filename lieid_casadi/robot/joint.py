@@ -1,0 +1,87 @@
+"""Joints, limits and links as data: what the readers of robot descriptions return."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import LieidWarning
+
+STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s²
+NOT_STATED = float("nan")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of one joint (rad or m, and their rates, N·m or N); NaN where not stated."""
+
+    position_lower: float = NOT_STATED
+    position_upper: float = NOT_STATED
+    velocity: float = NOT_STATED
+    acceleration: float = NOT_STATED
+    torque: float = NOT_STATED
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """One joint and the link that it moves.
+
+    Attributes
+    ----------
+    screw : (6,)
+        Unit twist [ω; v] in the base frame at the zero pose.
+    home : (4, 4)
+        Pose of the link frame in the base frame at the zero pose.
+    link : (10,) or None
+        Link parameters about the origin of the link frame; None if not stated.
+    torque_constant : float
+        N·m/A at the joint, NaN if not stated.
+    """
+
+    name: str
+    screw: NDArray[np.float64]
+    home: NDArray[np.float64]
+    limits: Limits = Limits()
+    link: NDArray[np.float64] | None = None
+    link_name: str = ""
+    torque_constant: float = NOT_STATED
+
+    @property
+    def revolute(self) -> bool:
+        """Whether the joint rotates; otherwise it is prismatic."""
+        return bool(np.linalg.norm(self.screw[:3]) > 0.5)
+
+    @cached_property
+    def axis(self) -> NDArray[np.float64]:
+        """Unit twist (6,) in the link frame: ξ = Ad(home⁻¹)·screw."""
+        rotation, origin = self.home[:3, :3], self.home[:3, 3]
+        omega, v = self.screw[:3], self.screw[3:]
+        return np.concatenate([rotation.T @ omega, rotation.T @ (v - np.cross(origin, omega))])
+
+
+@dataclass(frozen=True)
+class RobotSource:
+    """The text from which a robot was read: a fit embeds it, and exports edit it.
+
+    ``kind`` is ``"urdf"`` or ``"yaml"``; ``tip`` and ``lock`` are those of a URDF.
+    """
+
+    kind: str
+    text: str
+    tip: str | None = None
+    lock: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class RobotDescription:
+    """What a file states about a robot; the fields are those of `Robot`."""
+
+    name: str
+    joints: tuple[Joint, ...]
+    gravity: NDArray[np.float64] = field(default_factory=lambda: np.array(STANDARD_GRAVITY))
+    tool: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    source: RobotSource | None = None
+    warnings: tuple[LieidWarning, ...] = ()

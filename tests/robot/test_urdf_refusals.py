@@ -1,0 +1,131 @@
+"""URDF files that cannot be used are refused in one line that names the link or joint."""
+
+import os
+
+import numpy as np
+import pytest
+
+from lieid_casadi.errors import NominalInertiaWarning, RobotError
+from lieid_casadi.robot import Robot
+
+LINK = (
+    '<link name="fore"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" '
+    'iyz="0" izz="1"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="turn" type="revolute"><parent link="base"/><child link="fore"/>'
+    '<origin xyz="0 0 1"/><axis xyz="0 0 1"/>'
+    '<limit lower="-1" upper="1" velocity="2" effort="3"/></joint>'
+)
+
+
+def urdf(link=LINK, joint=JOINT, more=""):
+    return f'<robot name="r"><link name="base"/>{link}{joint}{more}</robot>'
+
+
+def of_joint(old, new):
+    assert old in JOINT
+    return urdf(joint=JOINT.replace(old, new))
+
+
+def of_link(old, new):
+    assert old in LINK
+    return urdf(link=LINK.replace(old, new))
+
+
+BAD = {
+    "mass no number": (of_link('mass value="1"', 'mass value="-"'), "link 'fore': mass value='-'"),
+    "mass not finite": (of_link('mass value="1"', 'mass value="nan"'), "link 'fore': mass value="),
+    "mass overflows": (of_link('mass value="1"', 'mass value="1e999"'), "at most 1e\\+12"),
+    "mass negative": (of_link('mass value="1"', 'mass value="-2"'), "'fore': mass is -2 kg"),
+    "no mass": (of_link('<mass value="1"/>', ""), "'fore': <inertial> has no <mass>"),
+    "mass without value": (of_link('mass value="1"', "mass"), "'fore': mass value=''"),
+    "inertia no number": (of_link('ixz="0"', 'ixz="0,0"'), "link 'fore': inertia ixz='0,0'"),
+    "inertia lacks one": (of_link('ixz="0"', ""), "link 'fore': inertia ixz=''"),
+    "axis of zero length": (of_joint("0 0 1", "0 0 0"), "joint 'turn': axis .* has length 0"),
+    "axis of huge length": (of_joint('axis xyz="0 0 1"', 'axis xyz="0 0 1e200"'), "'turn': axis"),
+    "axis of two numbers": (of_joint('axis xyz="0 0 1"', 'axis xyz="0 1"'), "three numbers"),
+    "origin far away": (of_joint('origin xyz="0 0 1"', 'origin xyz="0 0 1e200"'), "'turn': xyz"),
+    "limits exchanged": (of_joint('lower="-1"', 'lower="4"'), "'turn': limits lower=4, upper=1"),
+    "limit no number": (of_joint('lower="-1"', 'lower="x"'), "joint 'turn': limit lower='x'"),
+    "limit negative": (of_joint('effort="3"', 'effort="-3"'), "joint 'turn': limit effort=-3"),
+    "mimic": (
+        of_joint("</joint>", '<mimic joint="other" multiplier="2"/></joint>'),
+        "joint 'turn' mimics 'other'; expected independent joints: lock it",
+    ),
+    "joint given twice": (
+        urdf(more=JOINT.replace('child link="fore"', 'child link="tip"') + '<link name="tip"/>'),
+        "joint name 'turn' is given twice",
+    ),
+    "link given twice": (urdf(more='<link name="fore"/>'), "link name 'fore' is given twice"),
+    "link without name": (urdf(more="<link/>"), "a <link> without a name"),
+    "an entity": ('<!DOCTYPE r [<!ENTITY a "b">]>' + urdf(), "document type or entity"),
+    "an unknown encoding": ('<?xml version="1.0" encoding="klingon"?>' + urdf(), "XML|URDF|."),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), BAD.values(), ids=BAD.keys())
+def test_refused_in_one_line(text, message, capfd):
+    if "klingon" in text:  # a text is Unicode already: the declaration is of no consequence
+        assert Robot.parse_urdf(text).n == 1
+        return
+    with pytest.raises(RobotError, match=message) as caught:
+        Robot.parse_urdf(text, origin="arm.urdf")
+    assert str(caught.value).startswith("arm.urdf: ")
+    assert "\n" not in str(caught.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_joint_may_have_the_name_of_the_tip_link():
+    text = urdf(
+        joint=JOINT.replace('"turn"', '"tip"'),
+        more='<link name="tip"/><joint name="fix" type="fixed"><parent link="fore"/>'
+        '<child link="tip"/><origin xyz="0.5 0 0"/></joint>',
+    )
+    np.testing.assert_allclose(Robot.parse_urdf(text).tool[:3, 3], [0.5, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("name", ["universe", "root_joint", "a<b&c"])
+def test_names_that_a_library_uses_itself(name):
+    escaped = name.replace("&", "&amp;").replace("<", "&lt;")
+    robot = Robot.parse_urdf(urdf().replace('"fore"', f'"{escaped}"').replace('"turn"', '"q"'))
+    assert robot.joints[0].link_name == name
+
+
+def test_a_mimic_joint_off_the_chain_is_locked():
+    finger = JOINT.replace('"turn"', '"finger"').replace('"base"', '"fore"')
+    finger = finger.replace('child link="fore"', 'child link="pad"')
+    finger = finger.replace("</joint>", '<mimic joint="turn"/></joint>')
+    text = urdf(more=finger + '<link name="pad"/>')
+    assert [j.name for j in Robot.parse_urdf(text, lock=["finger"]).joints] == ["turn"]
+
+
+def test_an_axis_is_normalized():
+    robot = Robot.parse_urdf(of_joint('axis xyz="0 0 1"', 'axis xyz="0 3 4"'))
+    np.testing.assert_allclose(robot.joints[0].screw[:3], [0.0, 0.6, 0.8], rtol=1e-15)
+
+
+def test_infinite_limits_are_not_stated():
+    robot = Robot.parse_urdf(of_joint('upper="1" velocity="2"', 'upper="inf" velocity="inf"'))
+    assert np.isnan(robot.limit("position_upper")).all()
+    assert np.isnan(robot.limit("velocity")).all()
+
+
+def test_a_negative_principal_moment_is_a_warning_with_the_links_name(caplog):
+    robot = Robot.parse_urdf(of_link('ixy="0"', 'ixy="3"'))
+    (warning,) = robot.warnings
+    assert isinstance(warning, NominalInertiaWarning)
+    assert "link 'fore': its inertia has the negative principal moment -2" in str(warning)
+    assert str(warning) in caplog.text
+    assert Robot.parse_urdf(urdf()).warnings == ()
+
+
+def test_lines_of_native_libraries_are_captured(capfd):
+    from lieid_casadi.robot.native_output import captured
+
+    with captured() as output:
+        os.write(2, b"a complaint\n")
+        os.write(1, b"a notice\n")
+    os.write(2, b"after\n")
+    assert output.text == "a complaint\na notice\n"
+    assert capfd.readouterr() == ("", "after\n")
