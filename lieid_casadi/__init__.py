@@ -27,6 +27,7 @@ __all__ = [
     "Robot",
     "Shape",
     "Signals",
+    "StagedFit",
     "SymbolicDynamics",
     "__version__",
     "compare",
@@ -37,6 +38,7 @@ __all__ = [
     "excite",
     "extend",
     "identify",
+    "identify_in_stages",
     "identify_payload",
     "register",
     "robots",
@@ -64,6 +66,7 @@ _HOME = {
     "Robot": "lieid_casadi.robot",
     "Shape": "lieid_casadi.effects",
     "Signals": "lieid_casadi.effects",
+    "StagedFit": "lieid_casadi.friction_curves",
     "SymbolicDynamics": "lieid_casadi.expressions.symbolic",
     "compare": "lieid_casadi.comparison",
     "compile": "lieid_casadi.compiled",
@@ -73,6 +76,7 @@ _HOME = {
     "excite": "lieid_casadi.excitation",
     "extend": "lieid_casadi.diagnosis",
     "identify": "lieid_casadi.identification",
+    "identify_in_stages": "lieid_casadi.friction_curves",
     "identify_payload": "lieid_casadi.payload",
     "register": "lieid_casadi.effects",
     "symbolic": "lieid_casadi.expressions.symbolic",
@@ -91,6 +95,7 @@ if TYPE_CHECKING:
     from lieid_casadi.excitation.excitation import Excitation
     from lieid_casadi.excitation.excite import excite
     from lieid_casadi.expressions.symbolic import SymbolicDynamics, symbolic
+    from lieid_casadi.friction_curves.stages import StagedFit, identify_in_stages
     from lieid_casadi.gains.estimate import DriveGains
     from lieid_casadi.gains.identify import drive_gains
     from lieid_casadi.identification.fit import Fit

@@ -12,7 +12,7 @@ from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.friction_curves import FrictionAgreement, FrictionCurve, FrictionFit
-    from lieid_casadi.friction_curves.ranking import Candidate
+    from lieid_casadi.friction_curves.ranking import RankedFrictionModel
     from lieid_casadi.identification import Fit
     from lieid_casadi.robot import Robot
 
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> None:
         processing=Processing(cutoff=args.cutoff),
         load=args.load,
     )
-    ranked: Sequence[Candidate] = ()
+    ranked: Sequence[RankedFrictionModel] = ()
     if args.effects is not None:
         fit = fit_friction(curve, args.effects, seed=args.seed)
     else:
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def result(
-    fit: FrictionFit, ranked: Sequence[Candidate], agreement: FrictionAgreement | None
+    fit: FrictionFit, ranked: Sequence[RankedFrictionModel], agreement: FrictionAgreement | None
 ) -> dict[str, Any]:
     """Return the JSON of ``lieid friction``."""
     curve = fit.curve.to_dict()
@@ -163,7 +163,7 @@ def _print_curve(curve: FrictionCurve) -> None:
     )
 
 
-def _print_models(ranked: Sequence[Candidate], curve: FrictionCurve) -> None:
+def _print_models(ranked: Sequence[RankedFrictionModel], curve: FrictionCurve) -> None:
     if ranked:
         best = ranked[0].fit.bic
         output.table(

@@ -1,20 +1,24 @@
-"""Friction of single joints: curves from both ways of motion, and models fitted to them."""
+"""Friction curves of single joints, friction models fitted to them, identification in stages."""
 
 from lieid_casadi.friction_curves.agreement import FrictionAgreement, compare_friction
+from lieid_casadi.friction_curves.combined_fit import combine_stages
 from lieid_casadi.friction_curves.curve import FrictionCurve
 from lieid_casadi.friction_curves.extraction import friction_curve
 from lieid_casadi.friction_curves.fit_curve import fit_friction
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
-from lieid_casadi.friction_curves.two_stage import TwoStage, together, two_stage
+from lieid_casadi.friction_curves.ranking import RankedFrictionModel, rank_friction_models
+from lieid_casadi.friction_curves.stages import StagedFit, identify_in_stages
 
 __all__ = [
     "FrictionAgreement",
     "FrictionCurve",
     "FrictionFit",
-    "TwoStage",
+    "RankedFrictionModel",
+    "StagedFit",
+    "combine_stages",
     "compare_friction",
     "fit_friction",
     "friction_curve",
-    "together",
-    "two_stage",
+    "identify_in_stages",
+    "rank_friction_models",
 ]

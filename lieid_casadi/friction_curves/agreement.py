@@ -1,4 +1,4 @@
-"""Whether two determinations of one joint's friction say the same."""
+"""Comparison of two determinations of the friction of one joint."""
 
 from __future__ import annotations
 
@@ -21,30 +21,31 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-STEP = 1e-5  # of a shape's range
-RANK = 1e-8  # of the largest variance: directions below are rounding
-SIGNIFICANT = 0.01
-NEGLIGIBLE = 0.05  # of the friction: smaller differences never count as disagreement
+STEP = 1e-5  # finite difference relative to the range of a shape
+RANK = 1e-8  # variance relative to the largest below which a direction is rounding
+SIGNIFICANT = 0.01  # p-value below which the difference exceeds the uncertainties
+NEGLIGIBLE = 0.05  # difference relative to the friction that never counts as disagreement
+SMALLEST_P = 1e-6  # smaller p-values are printed as below it
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionAgreement:
-    """Friction of one joint by two determinations, over speed and load.
+    """Difference between two determinations of the friction of one joint.
 
     Attributes
     ----------
     joint : int
         From 0.
     speed, load : (G,)
-        rad/s, N·m.
+        Points of the comparison, rad/s and N·m.
     first, second : (G,)
-        Friction, N·m.
+        Friction by the two determinations, N·m.
     std : (G,)
-        Of first − second.
+        Standard deviation of first − second, N·m.
     relative : float
-        RMS of the difference over the RMS of the friction.
+        RMS of the difference divided by the RMS of the friction.
     p_value : float
-        Null hypothesis: the two differ by their uncertainties only.
+        Of a chi-square test; null hypothesis: the difference is due to the uncertainties.
     """
 
     joint: int
@@ -58,7 +59,7 @@ class FrictionAgreement:
 
     @property
     def agree(self) -> bool:
-        """Whether the difference is within the uncertainties, or below 5 % of the friction."""
+        """Whether the difference is within the uncertainties or below 5 % of the friction."""
         return self.p_value >= SIGNIFICANT or self.relative <= NEGLIGIBLE
 
     @property
@@ -67,16 +68,33 @@ class FrictionAgreement:
         return int(np.argmax(np.abs(self.first - self.second)))
 
     def __str__(self) -> str:
-        k, verdict = self.worst, "agree" if self.agree else "disagree"
+        k = self.worst
         return (
-            f"joint {self.joint + 1}: the two {verdict}: they differ by {self.relative:.1%} of the "
-            f"friction (p = {self.p_value:.2g} by their uncertainties), most at "
-            f"{self.speed[k]:.3g} rad/s under {self.load[k]:.3g} N·m: {self.first[k]:.4g} and "
-            f"{self.second[k]:.4g}, standard deviation of the difference {self.std[k]:.2g} N·m"
+            f"joint {self.joint + 1}: {self.verdict}; the difference is {self.relative:.1%} of the "
+            f"friction ({self._p_text}), largest at {self.speed[k]:.3g} rad/s and "
+            f"{self.load[k]:.3g} N·m load: {self.first[k]:.4g} and {self.second[k]:.4g} N·m, "
+            f"standard deviation of the difference {self.std[k]:.2g} N·m"
         )
 
+    @property
+    def verdict(self) -> str:
+        """The result in words: equal within the uncertainties, within 5 %, or different."""
+        if self.p_value >= SIGNIFICANT:
+            return "the two determinations agree within their uncertainties"
+        if self.relative <= NEGLIGIBLE:
+            return (
+                f"the two determinations agree within {NEGLIGIBLE:.0%} of the friction, but not "
+                "within their uncertainties, which are too small"
+            )
+        return "the two determinations disagree"
+
+    @property
+    def _p_text(self) -> str:
+        below = self.p_value < SMALLEST_P
+        return f"p < {SMALLEST_P:.0e}" if below else f"p = {self.p_value:.2g}"
+
     def to_dict(self) -> dict[str, Any]:
-        """Return everything for JSON; joints from 1."""
+        """Return all attributes for JSON; joints count from 1."""
         return {
             "joint": self.joint + 1,
             "agree": self.agree,
@@ -90,7 +108,7 @@ class FrictionAgreement:
         }
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw both over speed; return the figure."""
+        """Draw both determinations over speed and return the figure."""
         from lieid_casadi.friction_curves.plots import plot_agreement
 
         return plot_agreement(self, ax)
@@ -109,34 +127,39 @@ def compare_friction(
 ) -> FrictionAgreement:
     """Compare the friction of one joint by two determinations.
 
-    Compared is half the difference at ±speed and equal load, which has no offset: a friction
-    curve, a model fitted to one, or the friction in a fit of the whole arm.
+    The compared quantity is half the difference of the friction torque at ±speed and equal
+    load, which does not contain the offset.
 
     Parameters
     ----------
     first, second : FrictionCurve, FrictionFit or Fit
+        A friction curve, a model fitted to one, or a fit of the whole arm.
     joint : int, optional
-        From 0; that of a curve if left out.
+        From 0; by default that of the curve.
     speed, load : (G,), optional
-        rad/s and N·m; the points of a curve if left out.
+        Points of the comparison, rad/s and N·m; by default those of the curve.
+
+    Returns
+    -------
+    FrictionAgreement
 
     Raises
     ------
     ModelError
-        Two joints, or no curve and no speeds.
+        The joints differ, or neither a curve nor speeds are given.
     """
     curves = [c for c in (_curve(first), _curve(second)) if c is not None]
     joints = {c.joint for c in curves} | ({joint} if joint is not None else set())
     if len(joints) != 1:
         raise ModelError(
-            "friction of which joint? state joint="
+            "no joint given; state joint="
             if not joints
             else f"friction of joints {', '.join(str(j + 1) for j in sorted(joints))}; expected one"
         )
     (j,) = joints
     if speed is None:
         if not curves:
-            raise ModelError("at which speeds? state speed= (rad/s) and load= (N·m)")
+            raise ModelError("no speeds given; state speed= (rad/s) and load= (N·m)")
         speeds, loads = curves[0].speed, curves[0].load
     else:
         speeds = np.atleast_1d(np.asarray(speed, dtype=float))
@@ -177,41 +200,41 @@ def _friction(source: Determination, joint: int, speed: Array, load: Array) -> t
         coefficients, covariance = source.effect_coefficients, _of_effects(source)
     shapes, compiled = source.shapes, source.compiled
 
-    def at(values: Array) -> Array:
+    def columns_at(values: Array) -> Array:
         return steady_columns(compiled, joint, speed, values, load=load)
 
-    columns = at(shapes)
+    columns = columns_at(shapes)
     steps = STEP * ShapeRange.of(source.model.shapes).slope(shapes)
     slopes = [
-        (at(shapes + step * unit) - columns) @ coefficients / step
+        (columns_at(shapes + step * unit) - columns) @ coefficients / step
         for step, unit in zip(steps, np.eye(len(shapes)), strict=True)
     ]
     jacobian = np.column_stack([columns, *slopes])
     used = np.abs(jacobian).max(axis=0, initial=0.0) > 0.0
-    reach = jacobian[:, used]
-    return columns @ coefficients, reach @ covariance[np.ix_(used, used)] @ reach.T
+    jacobian = jacobian[:, used]
+    return columns @ coefficients, jacobian @ covariance[np.ix_(used, used)] @ jacobian.T
 
 
 def _of_effects(fit: Fit) -> Array:
-    """Return the covariance of effect coefficients and shapes (m + s, m + s)."""
+    """Return the covariance (m + s, m + s) of effect coefficients and shapes."""
     n, count, shapes = fit.model.n, len(fit.model.columns), len(fit.shapes)
     kept = fit.model.base.kept
     place = np.full(count + shapes, -1)
     place[kept[kept >= 10 * n] - 10 * n] = np.flatnonzero(kept >= 10 * n)
     place[count:] = len(kept) + np.arange(shapes)
-    known = np.flatnonzero(place >= 0)
+    fitted = np.flatnonzero(place >= 0)
     covariance = np.zeros((len(place), len(place)))
-    covariance[np.ix_(known, known)] = fit.covariance[np.ix_(place[known], place[known])]
+    covariance[np.ix_(fitted, fitted)] = fit.covariance[np.ix_(place[fitted], place[fitted])]
     return covariance
 
 
 def _p_value(difference: Array, covariance: Array) -> float:
-    """Return the probability of a larger difference by chance."""
+    """Return the p-value of a chi-square test of the difference (G,)."""
     if not np.all(np.isfinite(covariance)):
         return 1.0
     variances, directions = np.linalg.eigh(covariance)
-    seen = variances > RANK * max(float(variances[-1]), 0.0)
-    if not seen.any():
+    visible = variances > RANK * max(float(variances[-1]), 0.0)
+    if not visible.any():
         return 1.0 if np.allclose(difference, 0.0) else 0.0
-    scores = (directions[:, seen].T @ difference) ** 2 / variances[seen]
-    return float(chi2.sf(scores.sum(), int(seen.sum())))
+    scores = (directions[:, visible].T @ difference) ** 2 / variances[visible]
+    return float(chi2.sf(scores.sum(), int(visible.sum())))

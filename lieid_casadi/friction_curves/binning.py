@@ -1,4 +1,4 @@
-"""Groups of pairs of about one speed and one load, and what they average to."""
+"""Groups of pairs of instants with similar speed and load, and their averages."""
 
 from __future__ import annotations
 
@@ -10,20 +10,26 @@ from scipy.sparse import csr_matrix, diags_array
 
 Array = NDArray[np.float64]
 MOST_SPEEDS = 40
-FINEST = 0.06  # relative width of a speed group, at least
+FINEST = 0.06  # least relative width of a speed group
 LOADS = 6
-LOAD_SPREAD = 0.2  # of the largest load: a smaller spread is one group
+LOAD_RANGE = 0.2  # range of loads, relative to the largest, below which they form one group
 LEAST_PAIRS = 3
-BATCH = 8  # pairs: two periods of the cut-off, beyond which filtered noise is forgotten
-PRIOR_WEIGHT = 4.0  # batches' worth of trust in the scatter of all groups together
+BATCH = 8  # pairs: two periods of the cut-off, beyond which filtered noise is uncorrelated
+PRIOR_WEIGHT = 4.0  # number of batches that the common scatter of all groups counts for
 
 
 @dataclass(frozen=True, eq=False)
-class Groups:
-    """Averages over groups of pairs.
+class PairGroups:
+    """Assignment of P pairs of instants to G groups.
 
-    ``average`` (G, P) is sparse; ``member`` (P,) names each pair's group, −1 for none; ``count``
-    (G,) is how many stretches of motion a group has pairs from.
+    Attributes
+    ----------
+    average : sparse (G, P)
+        Matrix that averages values of pairs over each group.
+    member : (P,) int
+        Group of each pair, −1 for none.
+    count : (G,) int
+        Number of stretches of motion that each group has pairs from.
     """
 
     average: csr_matrix[np.float64]
@@ -35,14 +41,19 @@ class Groups:
         return np.asarray(self.average @ values)
 
 
-def group(speed: Array, load: Array, stretch: NDArray[np.intp]) -> Groups:
-    """Group pairs by speed (logarithmically) and, where it varies, by the size of the load.
+def group_pairs(speed: Array, load: Array, stretch: NDArray[np.intp]) -> PairGroups:
+    """Group pairs by speed (logarithmically) and, if it varies, by the magnitude of the load.
 
     Parameters
     ----------
     speed, load : (P,)
-        rad/s, N·m.
+        Speed (positive) and load of each pair, rad/s and N·m.
     stretch : (P,) int
+        Stretch of motion that each pair comes from.
+
+    Returns
+    -------
+    PairGroups
     """
     cell = _by_speed(speed) * LOADS + _by_load(np.abs(load))
     _, member, pairs = np.unique(cell, return_inverse=True, return_counts=True)
@@ -54,17 +65,27 @@ def group(speed: Array, load: Array, stretch: NDArray[np.intp]) -> Groups:
     ones = csr_matrix((np.ones(len(inside)), (member[inside], inside)), (len(kept), len(speed)))
     average = csr_matrix(diags_array(1.0 / pairs[kept]) @ ones)
     count = np.array([len(np.unique(stretch[member == g])) for g in range(len(kept))])
-    return Groups(average, member.astype(np.intp), count.astype(np.intp))
+    return PairGroups(average, member.astype(np.intp), count.astype(np.intp))
 
 
 def standard_errors(
-    groups: Groups, values: Array, stretch: NDArray[np.intp], trends: Array
+    groups: PairGroups, values: Array, stretch: NDArray[np.intp], trends: Array
 ) -> Array:
-    """Return the standard error (G,) of each group's average of values (P,).
+    """Return the standard error (G,) of the average of each group.
 
-    Neighbouring pairs are not independent, batches of them are: the scatter is that of the
-    batches' means, drawn towards the scatter common to all groups where a group has few. What
-    follows ``trends`` (P, k) within the groups is no scatter.
+    Neighbouring pairs are correlated, batches of them are not. The variance is estimated from the
+    means of batches and shrunk towards the variance common to all groups, which dominates in
+    groups with few batches.
+
+    Parameters
+    ----------
+    groups : PairGroups
+    values : (P,)
+        Value of each pair.
+    stretch : (P,) int
+        Stretch of motion that each pair comes from.
+    trends : (P, k)
+        Quantities whose linear influence within the groups is not counted as scatter.
     """
     inside = np.flatnonzero(groups.member >= 0)
     member = groups.member[inside]
@@ -74,7 +95,7 @@ def standard_errors(
     batch, owner = _batches(member, stretch[inside])
     size = np.bincount(batch)
     means = np.bincount(batch, residual) / size
-    # var(batch mean) = variance/size: the estimate weighs batches by their size
+    # var(batch mean) = variance/size, so that batches are weighted by their size
     squares = np.bincount(owner, size * means**2)
     count = np.bincount(owner)
     freedom = np.maximum(count - 1.0, 0.0)
@@ -87,7 +108,7 @@ def standard_errors(
 
 
 def _off_mean(values: Array, member: NDArray[np.intp]) -> Array:
-    """Return values (P, k) less the mean of their group."""
+    """Return values (P, k) minus the mean of their group."""
     pairs = np.bincount(member)
     means = [np.bincount(member, column) / pairs for column in values.T]
     return values - np.array(means).T[member]
@@ -96,7 +117,10 @@ def _off_mean(values: Array, member: NDArray[np.intp]) -> Array:
 def _batches(
     member: NDArray[np.intp], stretch: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Number consecutive pairs of one group and one stretch in batches; and whose each is."""
+    """Return the batch of each pair, and the group of each batch.
+
+    A batch has consecutive pairs of one group and one stretch.
+    """
     change = (np.diff(member) != 0) | (np.diff(stretch) != 0)
     run = np.concatenate([[0], np.cumsum(change)])
     first = np.concatenate([[0], np.flatnonzero(change) + 1])
@@ -116,7 +140,7 @@ def _by_speed(speed: Array) -> NDArray[np.intp]:
 
 def _by_load(size: Array) -> NDArray[np.intp]:
     low, high = size.min(), size.max()
-    if high <= 0.0 or (high - low) < LOAD_SPREAD * high:
+    if high <= 0.0 or (high - low) < LOAD_RANGE * high:
         return np.zeros(len(size), dtype=np.intp)
     place = (size - low) / (high - low) * LOADS
     return np.asarray(np.minimum(place, LOADS - 1), dtype=np.intp)

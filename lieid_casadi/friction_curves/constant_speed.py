@@ -1,4 +1,4 @@
-"""Friction at constant speed, by the effects' own columns."""
+"""Columns of effects at constant speed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieid_casadi.compiled import Compiled
 
 Array = NDArray[np.float64]
-LONG_WAY = 1e3  # rad: effects with memory have forgotten where they came from
+LONG_WAY = 1e3  # rad, after which effects with memory are in steady state
 
 
 def steady_columns(
@@ -22,31 +22,48 @@ def steady_columns(
     position: ArrayLike = 0.0,
     time: float = 0.0,
 ) -> Array:
-    """Return half the difference of the effects' columns at ±speed (P, m).
+    """Return half the difference of the effects' columns at +speed and −speed.
 
     Parameters
     ----------
+    compiled : Compiled
+        Functions of a model with n joints and m effect columns.
     joint : int
-        From 0; the others are at rest.
+        Moving joint, from 0; the others are at rest.
     speed : (P,)
-        rad/s, positive.
+        Positive speeds, rad/s.
     shapes : (s,)
-    load, temperature, position : (P,) or float
-        N·m; °C relative to the mean of training; rad.
+        Shape parameters of the model's effects.
+    load : (P,) or float
+        Load torque of the joint, N·m.
+    temperature : (P,) or float
+        °C relative to the mean of the training recordings.
+    position : (P,) or float
+        Joint position, rad.
     time : float
-        s since the start.
+        Time since the start of the recording, s.
+
+    Returns
+    -------
+    (P, m)
     """
     speeds = np.atleast_1d(np.asarray(speed, dtype=float))
-    ways = np.concatenate([speeds, -speeds])
-    # of each way two samples, the first one far behind: what has memory slides into steadiness
-    rows, n = 2 * len(ways), compiled.n
-    q, dq, forces, warmth = (np.zeros((rows, n)) for _ in range(4))
-    dq[:, joint] = np.repeat(ways, 2)
+    velocities = np.concatenate([speeds, -speeds])
+    # two samples of each velocity, the first one far away: effects with memory reach steady state
+    rows, n = 2 * len(velocities), compiled.n
+    q, dq, forces, temperatures = (np.zeros((rows, n)) for _ in range(4))
+    dq[:, joint] = np.repeat(velocities, 2)
     q[:, joint] = np.repeat(np.tile(np.broadcast_to(position, speeds.shape), 2), 2)
-    q[::2, joint] -= np.sign(ways) * LONG_WAY
+    q[::2, joint] -= np.sign(velocities) * LONG_WAY
     forces[:, joint] = np.repeat(np.tile(np.broadcast_to(load, speeds.shape), 2), 2)
-    warmth[:, joint] = np.repeat(np.tile(np.broadcast_to(temperature, speeds.shape), 2), 2)
+    temperatures[:, joint] = np.repeat(np.tile(np.broadcast_to(temperature, speeds.shape), 2), 2)
     columns = compiled.effect_columns(
-        q, dq, 0.0 * q, load=forces, temperature=warmth, time=np.full(rows, time), shapes=shapes
+        q,
+        dq,
+        0.0 * q,
+        load=forces,
+        temperature=temperatures,
+        time=np.full(rows, time),
+        shapes=shapes,
     )[1::2, joint]
     return np.asarray(0.5 * (columns[: len(speeds)] - columns[len(speeds) :]))

@@ -1,4 +1,4 @@
-"""Result of the friction extraction: friction over speed and load, with its uncertainty."""
+"""Result of the friction extraction: friction over speed and load with standard errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.friction_curves.curve_data import CurveData
+from lieid_casadi.html_table import html_table
 from lieid_casadi.identification.provenance import Source
+from lieid_casadi.json_numbers import number_or_none
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,9 +23,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FrictionCurve:
-    """Friction torque of one joint: half the difference of both ways (Eq. 15).
+    """Friction torque of one joint: half of forward minus backward torque (Eq. 15).
 
-    What differs between the directions (offset, asymmetric friction) is not in it.
+    It does not contain what differs between the directions (offset, asymmetric friction).
 
     Attributes
     ----------
@@ -31,25 +33,28 @@ class FrictionCurve:
         From 0.
     joint_name : str
     unit : str
-        Of the torque.
+        Unit of the torque.
     speed : (G,)
         Mean speed of each point, rad/s.
     load : (G,)
-        Mean size of the rigid torque, N·m.
+        Mean magnitude of the rigid torque, N·m.
     friction : (G,)
-        N·m.
+        Friction torque, N·m.
     std : (G,)
-        Standard error, from the scatter of stretches of the motion.
+        Standard error of the friction, N·m.
     count : (G,) int
-        Passes to and fro that each point has a part of.
+        Number of pairs of a forward and a backward pass that contribute to each point.
     load_source : str
-        ``model`` (the rigid torque) or ``measured`` (the mean of both ways).
+        ``model`` (the rigid torque) or ``measured`` (the mean of both directions).
     load_error : float
-        RMS of the mean of both ways against the model's rigid torque, N·m; NaN without a model.
+        RMS difference between the mean torque of both directions and the model's rigid torque,
+        N·m; NaN without a model.
     cutoff : float
-        Hz.
+        Cut-off frequency of the low-pass filter, Hz.
     recordings : tuple of Source
     warnings : tuple of LieidWarning
+    data : CurveData
+        The pairs of instants, from which columns of friction models are averaged.
     """
 
     joint: int
@@ -71,7 +76,7 @@ class FrictionCurve:
         return len(self.speed)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the points and where they come from; joints from 1."""
+        """Return points and provenance for JSON; joints count from 1."""
         return {
             "joint": self.joint + 1,
             "unit": self.unit,
@@ -88,24 +93,24 @@ class FrictionCurve:
                 )
             ],
             "load_source": self.load_source,
-            "load_error": None if np.isnan(self.load_error) else self.load_error,
+            "load_error": number_or_none(self.load_error),
             "cutoff": self.cutoff,
             "recordings": [{"name": r.name, "sha256": r.sha256} for r in self.recordings],
             "warnings": warning_list(self.warnings),
         }
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw friction over speed, coloured by load; return the figure."""
+        """Draw friction over speed, coloured by load, and return the figure."""
         from lieid_casadi.friction_curves.plots import plot_curve
 
         return plot_curve(self, ax)
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{v:.3g}</td><td>{load:.3g}</td><td>{f:.4g} ± {s:.2g}</td><td>{n}</td></tr>"
+        rows = [
+            (f"{v:.3g}", f"{load:.3g}", f"{f:.4g} ± {s:.2g}", f"{n}")
             for v, load, f, s, n in zip(
                 self.speed, self.load, self.friction, self.std, self.count, strict=True
             )
-        )
-        head = f"<th>rad/s</th><th>load, {self.unit}</th><th>friction, {self.unit}</th><th>n</th>"
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        ]
+        headings = ("speed, rad/s", f"load, {self.unit}", f"friction, {self.unit}", "passes")
+        return html_table(headings, rows)

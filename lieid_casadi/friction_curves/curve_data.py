@@ -1,4 +1,4 @@
-"""What a friction curve was made from, so that a model's columns can be averaged alike."""
+"""Data of a friction curve, for averaging a model's columns in the same way as the torque."""
 
 from __future__ import annotations
 
@@ -10,56 +10,70 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from lieid_casadi.compiled import Compiled
-from lieid_casadi.friction_curves.binning import Groups
+from lieid_casadi.friction_curves.binning import PairGroups
 from lieid_casadi.friction_curves.position_matching import Matching
 from lieid_casadi.recording import Processed
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
-MOST_INSTANTS = 30  # of a point and way, where columns are averaged over some of them
+MOST_INSTANTS = 30  # of a point and direction, if columns are averaged over a subset
 
 
 @dataclass(frozen=True, eq=False)
 class CurveData:
-    """Segments, pairs of instants in them, and groups of pairs.
+    """Segments of motion, pairs of instants in them, and groups of pairs.
 
     Attributes
     ----------
     robot : Robot
     segments : tuple of Processed
-        Temperatures relative to ``temperature_mean``.
+        Their temperatures are relative to ``temperature_mean``.
     load : tuple of (K, n)
-        τ_load along each segment; zero for the other joints.
+        τ_load along each segment, N·m; zero for the other joints.
     matching : Matching
-    groups : Groups
+    groups : PairGroups
     friction : (P,)
-        Of each pair of instants, N·m.
+        Friction torque of each pair of instants, N·m.
     temperature_mean : (n,) or None
-        °C.
+        Mean temperature of the training recordings, °C.
     """
 
     robot: Robot
     segments: tuple[Processed, ...]
     load: tuple[Array, ...]
     matching: Matching
-    groups: Groups
+    groups: PairGroups
     friction: Array
     temperature_mean: Array | None
 
     @property
     def has_temperature(self) -> bool:
-        """Whether all recordings have a temperature."""
+        """Whether all segments have a temperature."""
         return all(s.temperature is not None for s in self.segments)
 
     def columns(
         self, compiled: Compiled, joint: int, shapes: Array, *, thinned: bool = False
     ) -> Array:
-        """Return the effects' columns averaged per point (G, m), as the torque is.
+        """Return the columns of effects, matched and averaged like the torque.
 
-        They are taken at the instants themselves: no reversal is in the filter's reach there,
-        and between reversals the filter leaves them as they are. Effects with memory are
-        followed along the segments. ``thinned`` averages over some of each point's instants,
-        for searches: columns are smooth.
+        The columns are not filtered: near the instants used there is no reversal, and between
+        reversals the filter hardly changes them. Effects with memory are evaluated along the
+        segments.
+
+        Parameters
+        ----------
+        compiled : Compiled
+            Functions of a model with m effect columns.
+        joint : int
+            From 0.
+        shapes : (s,)
+            Shape parameters.
+        thinned : bool
+            Average over a subset of each point's instants, for searches.
+
+        Returns
+        -------
+        (G, m)
         """
         average, used = self._thinned if thinned else self._whole
         if compiled.model.states:
@@ -92,26 +106,26 @@ class CurveData:
 
     @cached_property
     def _difference(self) -> csr_matrix[np.float64]:
-        """Half the difference of both ways, averaged: (G, M)."""
+        """Matrix (G, M) that averages half the difference of both directions."""
         halves = 0.5 * (self.matching.forward - self.matching.backward)
         return csr_matrix(self.groups.average @ halves)
 
     @cached_property
     def _whole(self) -> tuple[csr_matrix[np.float64], NDArray[np.intp]]:
-        """`_difference` on the filtered samples that it uses (G, U), and which (U,)."""
+        """`_difference` restricted to the samples that it uses (G, U), and their indices (U,)."""
         return _on_used(self._difference)
 
     @cached_property
     def _thinned(self) -> tuple[csr_matrix[np.float64], NDArray[np.intp]]:
-        """The same with at most MOST_INSTANTS of each point and way, their weights raised."""
+        """The same with at most MOST_INSTANTS per point and direction, weights scaled up."""
         whole = self._difference
         entries, columns, starts = [], [], [0]
         for first, last in zip(whole.indptr[:-1], whole.indptr[1:], strict=True):
             weights, at = whole.data[first:last], whole.indices[first:last]
             order = np.argsort(at, kind="stable")
             weights, at = weights[order], at[order]
-            for way in (weights > 0.0, weights < 0.0):
-                own, where = weights[way], at[way]
+            for direction in (weights > 0.0, weights < 0.0):
+                own, where = weights[direction], at[direction]
                 step = -(-len(own) // MOST_INSTANTS) or 1
                 chosen = own[step // 2 :: step]
                 if len(chosen):
@@ -122,7 +136,7 @@ class CurveData:
         return _on_used(csr_matrix(some, shape=whole.shape))
 
     def _rows(self, used: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-        """Return filtered samples of all segments as rows of each segment's grid."""
+        """Return indices of filtered samples as rows of each segment's grid."""
         ends = np.cumsum([0, *(len(s.filtered_time) for s in self.segments)])
         return [
             np.arange(len(s))[s.kept][used[(used >= a) & (used < b)] - a]

@@ -1,4 +1,4 @@
-"""From recordings of one joint moving to and fro to its friction curve (Eq. 15)."""
+"""Friction curve of a joint from recordings of its forward and backward motion (Eq. 15)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lieid_casadi.errors import (
     RecordingError,
     RobotError,
 )
-from lieid_casadi.friction_curves.binning import group, standard_errors
+from lieid_casadi.friction_curves.binning import group_pairs, standard_errors
 from lieid_casadi.friction_curves.curve import FrictionCurve
 from lieid_casadi.friction_curves.curve_data import CurveData
 from lieid_casadi.friction_curves.position_matching import Matching, match
@@ -30,8 +30,8 @@ from lieid_casadi.recording import Processed, Processing, Recording, check, proc
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
-Load = Literal["model", "measured"]
-LOAD_MISMATCH = 0.1  # of the load's RMS
+LoadSource = Literal["model", "measured"]
+LOAD_MISMATCH = 0.1  # difference relative to the RMS of the load that is reported
 
 
 def friction_curve(
@@ -40,52 +40,58 @@ def friction_curve(
     joint: int,
     *,
     processing: Processing | None = None,
-    load: Load | None = None,
+    load: LoadSource | None = None,
 ) -> FrictionCurve:
     """Return the friction of one joint from its forward and backward motion.
 
-    At equal positions the torques of both ways differ by twice the friction; what the rigid
-    torque differs by (unequal accelerations and velocities) is taken off with the model, where
-    the link parameters are known. Runs at constant speed and any other motion that passes the
-    same positions both ways will do, while the other joints stand still. Reversals within the
-    filter's reach are left out.
+    At equal positions the torques of both directions differ by twice the friction. Where link
+    parameters are known, the difference of the rigid torque (due to different accelerations and
+    velocities) is subtracted. Suitable are runs at constant speed and any other motion that
+    passes the same positions in both directions while the other joints stand still. Samples near
+    reversals, within the length of the filter, are left out.
 
     Parameters
     ----------
     arm : Robot or Fit
-        A fit gives identified link parameters and armatures, a robot its nominal ones.
+        Source of link parameters: identified ones and armatures of a fit, or nominal ones.
     recordings : Recording or sequence of Recording
-        With torques.
+        Recordings with torques.
     joint : int
         From 0.
     processing : Processing, optional
-        The cut-off is chosen from the spectrum if not stated.
+        Filter options; by default the cut-off is chosen from the spectrum.
     load : {"model", "measured"}, optional
-        The load that friction may depend on: the rigid torque by the model, or by the mean of
-        both ways. A fit's model is trusted, nominal inertias are not.
+        Source of the load that friction may depend on: the rigid torque of the model, or the
+        mean torque of both directions. The default is the model for a fit and the measurement
+        for a robot, whose inertias are nominal.
+
+    Returns
+    -------
+    FrictionCurve
 
     Raises
     ------
     RecordingError
-        The joint never moves, or in one direction only; no position is passed both ways.
+        The joint never moves or moves in one direction only, or passes no position in both
+        directions.
     ModelError
-        A joint that the arm does not have, recordings without torque or of another arm.
+        The arm does not have this joint, or recordings have no torque or are of another arm.
     RobotError
-        The model's load is asked for and the robot has no inertias.
+        ``load="model"`` is given for a robot without inertias.
     """
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     robot = arm.model.robot if isinstance(arm, Fit) else arm
     _check(robot, given, joint)
     links = _link_parameters(arm)
     if links is None and load == "model":
-        raise RobotError(f"{robot.name}: its links have no inertia; expected load 'measured'")
+        raise RobotError(f"{robot.name}: its links have no inertia; expected load='measured'")
     compiled = compile(Model(robot))
     found = [w for r in given for w in check(r, robot)]
     mean = arm.temperature_mean if isinstance(arm, Fit) else None
     segments, mean = center_temperature(process(given, processing), mean)
     found += [w for s in segments for w in s.warnings]
-    motion = _Motion(segments, match(segments, joint, name=_name(given)), joint)
-    source: Load = load or ("model" if isinstance(arm, Fit) else "measured")
+    motion = _MatchedMotion(segments, match(segments, joint, name=_name(given)), joint)
+    source: LoadSource = load or ("model" if isinstance(arm, Fit) else "measured")
     rigid = [_rigid(compiled, s, links)[:, joint] for s in segments]
     series = rigid if source == "model" else motion.measured_load()
     remaining = [
@@ -93,13 +99,13 @@ def friction_curve(
         for s, x in zip(segments, rigid, strict=True)
     ]
     mismatch = float("nan") if links is None else _rms(motion.half_sum(remaining))
-    found += _told(mismatch, _rms(motion.half_sum(rigid)), joint, source)
+    found += _load_warnings(mismatch, _rms(motion.half_sum(rigid)), joint, source)
     data = CurveData(
         robot=robot,
         segments=segments,
-        load=tuple(_of_joint(x, joint, robot.n) for x in series),
+        load=tuple(_in_joint(x, joint, robot.n) for x in series),
         matching=motion.matching,
-        groups=group(motion.matching.speed, motion.half_sum(series), motion.matching.stretch),
+        groups=group_pairs(motion.matching.speed, motion.half_sum(series), motion.matching.stretch),
         friction=motion.half_difference(remaining),
         temperature_mean=mean,
     )
@@ -127,8 +133,8 @@ def friction_curve(
 
 
 @dataclass(frozen=True, eq=False)
-class _Motion:
-    """Segments with the pairs of instants that one joint's motion has in them."""
+class _MatchedMotion:
+    """Segments with the matched pairs of instants of one joint."""
 
     segments: tuple[Processed, ...]
     matching: Matching
@@ -144,9 +150,9 @@ class _Motion:
         return np.concatenate([s.filter(x) for s, x in zip(self.segments, series, strict=True)])
 
     def measured_load(self) -> list[Array]:
-        """Return the mean torque of both ways, interpolated by position (K,) per segment.
+        """Return the mean torque of both directions, interpolated by position (K,) per segment.
 
-        Each segment takes it from its own pairs, or from all where it has none.
+        Each segment uses its own pairs, or those of all segments if it has none.
         """
         mean = self.half_sum([_torque(s)[:, self.joint] for s in self.segments])
         ends = np.cumsum([0, *(len(s.filtered_time) for s in self.segments)])
@@ -184,7 +190,7 @@ def _link_parameters(arm: Robot | Fit) -> Array | None:
 
 
 def _armature(arm: Robot | Fit, joint: int) -> float:
-    """Return the identified armature of a joint, kg·m²; what links absorbed is in them."""
+    """Return the identified armature of a joint, kg·m², zero if the links absorbed it."""
     if not isinstance(arm, Fit):
         return 0.0
     return sum(
@@ -200,23 +206,25 @@ def _rigid(compiled: Compiled, segment: Processed, links: Array | None) -> Array
     return compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, links)
 
 
-def _told(mismatch: float, size: float, joint: int, source: Load) -> list[LieidWarning]:
+def _load_warnings(
+    mismatch: float, size: float, joint: int, source: LoadSource
+) -> list[LieidWarning]:
     if not mismatch > LOAD_MISMATCH * size:
         return []
     consequence = (
-        "its load dependence is" if source == "model" else "and its load is the measured one"
+        "but its load dependence is" if source == "model" else "and its load is the measured one"
     )
     return [
         LoadMismatchWarning(
-            f"joint {joint + 1}: the mean of both ways differs from the model's rigid torque by "
-            f"{mismatch:.3g} N·m RMS, {mismatch / max(size, 1e-300):.0%} of it: inertias, tool or "
-            "torque constants are off, or the torque has an offset; friction itself is not "
-            f"affected, {consequence}"
+            f"joint {joint + 1}: the mean torque of both directions differs from the model's rigid "
+            f"torque by {mismatch:.3g} N·m RMS, {mismatch / max(size, 1e-300):.0%} of it; check "
+            "inertias, tool, torque constants and the offset of the torque signal. The friction "
+            f"torque is not affected, {consequence}"
         )
     ]
 
 
-def _of_joint(series: Array, joint: int, n: int) -> Array:
+def _in_joint(series: Array, joint: int, n: int) -> Array:
     whole = np.zeros((len(series), n))
     whole[:, joint] = series
     return whole
@@ -236,6 +244,6 @@ def _name(recordings: Sequence[Recording]) -> str:
 
 
 def _unique(found: Sequence[LieidWarning]) -> tuple[LieidWarning, ...]:
-    """Drop repeats, and joints that stand still: here they should."""
+    """Remove repeated warnings, and those of joints that stand still as they should."""
     kept = {(type(w), str(w)): w for w in found if not isinstance(w, JointStillWarning)}
     return tuple(kept.values())

@@ -1,8 +1,9 @@
-"""A friction model fitted to a friction curve: bounds, several starts, the effects' columns."""
+"""Fit of a friction model to a friction curve, with bounds and several starting points."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,28 +13,21 @@ from lieid_casadi.compiled import compile
 from lieid_casadi.effects import Effect, Placement
 from lieid_casadi.effects.friction_models import FRICTION_MODELS
 from lieid_casadi.effects.placement import place
-from lieid_casadi.errors import (
-    BoundWarning,
-    EffectError,
-    ExtrapolationWarning,
-    LieidWarning,
-    NotDissipativeWarning,
-    UnidentifiableWarning,
-)
+from lieid_casadi.errors import EffectError
 from lieid_casadi.friction_curves.curve import FrictionCurve
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
+from lieid_casadi.friction_curves.friction_fit_warnings import friction_fit_warnings
 from lieid_casadi.identification.regression.shape_range import ShapeRange
-from lieid_casadi.model import Model, Parameter
+from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
-SAMPLED_STARTS = 40  # shapes drawn over their ranges, of which the best are descended from
-DESCENTS = 4
-FINALISTS = 2  # of them, that are followed on all instants
-SETTLED = 1e-4  # relative change of the misfit on all instants: far below what noise does to it
-STEP = 1e-5  # of a shape's range
-UNSEEN = 1e-9  # of the largest column: nothing of a column is left in half the difference
-FAR = 0.5  # of the largest measured friction: further out, an extrapolation is told
-RANK = 1e-7  # of scaled directions, below which the curve does not show one
+SAMPLED_STARTS = 40  # random starting points, the best of which are used
+DESCENTS = 4  # local searches
+FINALISTS = 2  # of them that are continued on all instants
+CONVERGED = 1e-4  # relative change of the cost on all instants, far below the effect of noise
+STEP = 1e-5  # finite difference relative to the range of a shape
+ZERO_COLUMN = 1e-9  # norm relative to the largest column below which a column counts as zero
+RANK = 1e-7  # relative singular value below which a direction is not determined by the curve
 
 
 def fit_friction(
@@ -43,30 +37,39 @@ def fit_friction(
     starts: int = DESCENTS,
     seed: int = 0,
 ) -> FrictionFit:
-    """Fit effects on the curve's joint to its points, weighted by their standard errors.
+    """Fit a friction model to a friction curve, weighted by the standard errors of its points.
 
-    Shapes are searched by trust-region least squares within their bounds from the best of many
-    drawn starts; for each of them the linear coefficients follow by bounded linear least squares
-    (variable projection). Columns are matched and averaged as the torque is.
+    Shape parameters are searched within their bounds by trust-region least squares from the best
+    of many random starting points; the linear coefficients follow for each of them by bounded
+    linear least squares (variable projection). The columns of the effects are matched and
+    averaged in the same way as the torque.
 
     Parameters
     ----------
     curve : FrictionCurve
     effects : str or sequence of str or Effect
-        The name of a friction model (`FRICTION_MODELS`), or effects without joints or with the
-        curve's own: ``"coulomb,viscous,load_friction"``.
+        Name of a friction model (`FRICTION_MODELS`), or effects such as
+        ``"coulomb,viscous,load_friction"``, without joint or with that of the curve.
     starts : int
-        Descents.
+        Number of local searches, at least 1.
     seed : int
-        Of the drawn starts.
+        Seed of the random starting points.
+
+    Returns
+    -------
+    FrictionFit
 
     Raises
     ------
     EffectError
-        Unknown effect, one that acts on or from another joint, or one that needs a temperature
-        that the recordings lack.
+        An effect is unknown, acts on or from another joint, or needs a temperature that the
+        recordings do not have.
+    ValueError
+        ``starts`` is below 1.
     """
-    problem = _Problem(curve, _placements(curve, effects))
+    if starts < 1:
+        raise ValueError(f"starts is {starts}; expected at least 1")
+    problem = _CurveProblem(curve, _placements(curve, effects))
     shapes = problem.search(starts, np.random.default_rng(seed))
     coefficients = problem.coefficients(shapes)
     predicted = problem.columns(shapes) @ coefficients
@@ -80,8 +83,7 @@ def fit_friction(
         predicted=predicted,
         warnings=(),
     )
-    told = [*_bounds(problem, coefficients, shapes), *_unseen(problem, hidden)]
-    return fit.with_warnings([*told, *_loose(fit), *_energy(fit)])
+    return replace(fit, warnings=friction_fit_warnings(fit, hidden))
 
 
 def _placements(
@@ -101,16 +103,16 @@ def _placements(
     for p in placed:
         if hasattr(p.effect, "along"):
             raise EffectError(
-                f"{p.effect.label} is not friction of one joint; fit it with identify"
+                f"{p.effect.label} is not friction of one joint; use identify instead"
             )
         if p.joint != joint or p.source is not None:
-            raise EffectError(f"effect {p.label} is not of joint {joint + 1}, whose curve this is")
+            raise EffectError(f"effect {p.label} does not act on joint {joint + 1} of the curve")
         if "temperature" in p.effect.signals and not curve.data.has_temperature:
             raise EffectError(f"{p.effect.label} needs temperature; expected columns temp1…temp{n}")
     return tuple(placed)
 
 
-class _Problem:
+class _CurveProblem:
     """Weighted least squares of a curve's points in coefficients and shapes."""
 
     def __init__(self, curve: FrictionCurve, placements: Sequence[Placement]) -> None:
@@ -134,7 +136,7 @@ class _Problem:
     def _solve(self, columns: Array) -> Array:
         matrix = columns * self.weight[:, None]
         scale = np.linalg.norm(matrix, axis=0)
-        scale[scale <= UNSEEN * scale.max(initial=0.0)] = np.inf
+        scale[scale <= ZERO_COLUMN * scale.max(initial=0.0)] = np.inf
         target = self.curve.friction * self.weight
         free = np.linalg.lstsq(matrix / scale, target, rcond=1e-10)[0] / scale
         if np.all((free >= self.lower) & (free <= self.upper)):
@@ -169,7 +171,7 @@ class _Problem:
 
         inside = np.clip(self.ranges.place(start), 1e-6, 1.0 - 1e-6)
         steps = np.full(len(start), 1e-6)
-        enough = 1e-8 if thinned else SETTLED
+        enough = 1e-8 if thinned else CONVERGED
         result = least_squares(
             residual, inside, bounds=(0.0, 1.0), diff_step=steps, max_nfev=50, ftol=enough
         )
@@ -192,7 +194,7 @@ class _Problem:
         matrix = matrix * self.weight[:, None]
         residual = self.residual(shapes)
         scale = np.linalg.norm(matrix, axis=0)
-        scale[scale <= UNSEEN * scale.max(initial=0.0)] = 1.0
+        scale[scale <= ZERO_COLUMN * scale.max(initial=0.0)] = 1.0
         _, sizes, vt = np.linalg.svd(matrix / scale, full_matrices=True)
         sizes = np.pad(sizes, (0, len(vt) - len(sizes)))
         seen = sizes > RANK * sizes[0]
@@ -215,76 +217,3 @@ def _spread(count: int, dimensions: int, random: np.random.Generator) -> Array:
 
 def _square(residual: Array) -> float:
     return float(np.sum(residual**2))
-
-
-def _bounds(problem: _Problem, coefficients: Array, shapes: Array) -> list[LieidWarning]:
-    found: list[LieidWarning] = []
-    stuck = problem.ranges.at_bound(shapes)
-    for shape, value, at_end in zip(problem.model.shapes, shapes, stuck, strict=True):
-        if at_end:
-            found.append(
-                BoundWarning(
-                    f"{shape.label} ran to its bound {value:.3g} {shape.unit} (range "
-                    f"{shape.lower:g} to {shape.upper:g}); its effect is hardly there"
-                )
-            )
-    for column, value in zip(problem.model.columns, coefficients, strict=True):
-        if np.isclose(value, column.lower) or np.isclose(value, column.upper):
-            found.append(BoundWarning(f"{column.label} is at its bound {value:.3g} {column.unit}"))
-    return found
-
-
-def _unseen(problem: _Problem, hidden: Sequence[Array]) -> list[LieidWarning]:
-    """Tell parameters that half the difference of both ways does not show."""
-    parameters: list[Parameter] = [*problem.model.columns, *problem.model.shapes]
-    found: list[LieidWarning] = []
-    for direction in hidden:
-        share = np.abs(direction) / np.abs(direction).max()
-        names = [p.label for p, x in zip(parameters, share, strict=True) if x > 0.05]
-        what = f"{names[0]} is" if len(names) == 1 else f"{', '.join(names)} together are"
-        found.append(UnidentifiableWarning(f"{what} not seen in this curve"))
-    return found
-
-
-def _loose(fit: FrictionFit) -> list[LieidWarning]:
-    """Tell parameters whose standard deviation exceeds their value."""
-    values = np.concatenate([fit.coefficients, fit.shapes])
-    loose = np.isfinite(fit.std) & (fit.std > np.abs(values))
-    names = [p.label for p, x in zip(fit.parameters, loose, strict=True) if x]
-    if not names:
-        return []
-    return [
-        UnidentifiableWarning(
-            f"{', '.join(names)}: standard deviation above the value itself; a model with fewer "
-            "parameters says the same, or runs over more speeds and loads say more"
-        )
-    ]
-
-
-def _energy(fit: FrictionFit) -> list[LieidWarning]:
-    """Tell where the fitted friction drives the joint, or runs off where nothing was measured."""
-    curve, unit = fit.curve, fit.curve.unit
-    slowest, fastest = float(curve.speed.min()), float(curve.speed.max())
-    speeds = np.geomspace(0.05 * slowest, fastest, 80)
-    loads = np.array([curve.load.min(), curve.load.max()])
-    friction = fit.friction(np.tile(speeds, 2), load=np.repeat(loads, len(speeds)))
-    below = np.tile(speeds, 2) < slowest
-    most = float(np.abs(curve.friction).max())
-    found: list[LieidWarning] = []
-    if np.any(friction[~below] < 0.0):
-        found.append(
-            NotDissipativeWarning(
-                f"joint {curve.joint + 1}: the fitted friction drives the joint at some speed "
-                f"from {slowest:.3g} to {fastest:.3g} rad/s"
-            )
-        )
-    worst = friction[below][np.argmax(np.abs(friction[below] - 0.5 * most))]
-    if not -FAR * most < worst < (1.0 + FAR) * most:
-        found.append(
-            ExtrapolationWarning(
-                f"joint {curve.joint + 1}: below {slowest:.3g} rad/s, where nothing was measured, "
-                f"the fitted friction runs to {worst:.3g} {unit} (measured: at most {most:.3g}); "
-                "record slower motion or take a model with fewer parameters"
-            )
-        )
-    return found

@@ -1,9 +1,8 @@
-"""Result of a friction model's fit to a friction curve."""
+"""Result: a friction model fitted to a friction curve."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,8 @@ from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.friction_curves.constant_speed import steady_columns
 from lieid_casadi.friction_curves.curve import FrictionCurve
+from lieid_casadi.html_table import html_table, number_cell
+from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model, Parameter
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FrictionFit:
-    """A friction model with numbers, fitted to one joint's curve.
+    """A friction model fitted to the curve of one joint.
 
     Attributes
     ----------
@@ -33,11 +34,13 @@ class FrictionFit:
     model : Model
         The robot with the effects on that joint.
     coefficients : (m,)
+        Linear coefficients, in the order of ``model.columns``.
     shapes : (s,)
+        Shape parameters, in the order of ``model.shapes``.
     covariance : (m + s, m + s)
-        Infinite where the curve says nothing.
+        Covariance of both; infinite variance where the curve does not determine a parameter.
     predicted : (G,)
-        Friction of the curve's points by the model, N·m.
+        Friction torque of the model at the curve's points, N·m.
     warnings : tuple of LieidWarning
     """
 
@@ -56,24 +59,24 @@ class FrictionFit:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Labels of the effects without the joint."""
+        """Labels of the effects, without the joint."""
         return tuple(p.effect.label for p in self.model.placements)
 
     @property
     def rms(self) -> float:
-        """RMS of measured − predicted friction over the points, N·m (6.4.2)."""
+        """RMS of measured − predicted friction over the points, N·m (section 6.4.2)."""
         return float(np.sqrt(np.mean((self.curve.friction - self.predicted) ** 2)))
 
     @property
     def correlation(self) -> float:
-        """Correlation coefficient of measured and predicted friction (6.4.2)."""
+        """Correlation coefficient of measured and predicted friction (section 6.4.2)."""
         if np.ptp(self.curve.friction) == 0.0 or np.ptp(self.predicted) == 0.0:
             return float("nan")
         return float(np.corrcoef(self.curve.friction, self.predicted)[0, 1])
 
     @property
     def bic(self) -> float:
-        """Schwarz's criterion up to a constant of the curve; smaller is better."""
+        """Bayesian information criterion up to a constant of the curve; smaller is better."""
         count = len(self.curve)
         weighted = (self.curve.friction - self.predicted) / self.curve.std
         square = float(np.mean(weighted**2))
@@ -98,9 +101,23 @@ class FrictionFit:
         temperature: ArrayLike = 0.0,
         position: ArrayLike = 0.0,
     ) -> Array:
-        """Return friction (P,) at constant speeds (P,), rad/s, positive.
+        """Return the friction torque at constant speeds.
 
-        ``temperature`` is relative to the mean of the recordings, °C.
+        Parameters
+        ----------
+        speed : (P,)
+            Positive speeds, rad/s.
+        load : (P,) or float
+            Load torque, N·m.
+        temperature : (P,) or float
+            °C relative to the mean of the recordings.
+        position : (P,) or float
+            Joint position, rad.
+
+        Returns
+        -------
+        (P,)
+            N·m.
         """
         columns = steady_columns(
             self.compiled,
@@ -113,51 +130,46 @@ class FrictionFit:
         )
         return np.asarray(columns @ self.coefficients)
 
-    def with_warnings(self, warnings: Sequence[LieidWarning]) -> FrictionFit:
-        """Return the fit with warnings."""
-        return replace(self, warnings=tuple(warnings))
-
     def parameter_table(self) -> list[dict[str, Any]]:
-        """Return one row per number: name, joint (from 1), value, std, unit."""
+        """Return one row per parameter: name, joint (from 1), value, std, unit."""
         values = np.concatenate([self.coefficients, self.shapes])
         return [
             {
                 "name": p.name,
                 "joint": p.joint + 1,
                 "value": float(value),
-                "std": float(std) if np.isfinite(std) else None,
+                "std": number_or_none(std),
                 "unit": p.unit,
             }
             for p, value, std in zip(self.parameters, values, self.std, strict=True)
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the model, its numbers and how well it fits."""
+        """Return effects, parameters and goodness of fit for JSON."""
         return {
             "joint": self.curve.joint + 1,
             "effects": list(self.effects),
             "parameters": self.parameter_table(),
             "rms": self.rms,
-            "correlation": None if np.isnan(self.correlation) else self.correlation,
+            "correlation": number_or_none(self.correlation),
             "bic": self.bic,
             "predicted": self.predicted.tolist(),
             "warnings": warning_list(self.warnings),
         }
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the curve and the model's friction at low and high load; return the figure."""
+        """Draw the curve and the model at low and high load and return the figure."""
         from lieid_casadi.friction_curves.plots import plot_fit
 
         return plot_fit(self, ax)
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{row['name']}</td><td>{row['value']:.4g}</td>"
-            f"<td>{'–' if row['std'] is None else format(row['std'], '.2g')}</td>"
-            f"<td>{row['unit']}</td></tr>"
+        rows = [
+            (row["name"], number_cell(row["value"], 4), number_cell(row["std"], 2), row["unit"])
             for row in self.parameter_table()
+        ]
+        caption = (
+            f"joint {self.curve.joint + 1}: RMS {self.rms:.3g} {self.curve.unit}, "
+            f"correlation {self.correlation:.4f}"
         )
-        return (
-            f"<p>joint {self.curve.joint + 1}: RMS {self.rms:.3g} {self.curve.unit}, "
-            f"correlation {self.correlation:.4f}</p><table>{rows}</table>"
-        )
+        return html_table(("parameter", "value", "std", "unit"), rows, caption=caption)

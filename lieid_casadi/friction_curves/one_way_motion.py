@@ -1,4 +1,4 @@
-"""Stretches in which one joint moves in one direction."""
+"""Passes: stretches of motion in which one joint moves in one direction."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
 LEAST_SAMPLES = 4
-ONE_DIRECTION = 0.99  # weight of the direction in a filtered sample: reversals are left out
+ONE_DIRECTION = 0.99  # least filtered sign of velocity, which excludes samples near reversals
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,16 +23,16 @@ class Pass:
     ----------
     segment : int
     samples : (S,) int
-        Positions among the segment's filtered samples, along increasing ``position``.
+        Indices of the segment's filtered samples, in order of increasing ``position``.
     position : (S,)
-        Increasing, rad.
+        Position of the joint, increasing, rad.
     speed : (S,)
-        Positive, rad/s.
+        Absolute velocity of the joint, rad/s.
     others : (S, n)
-        Positions of all joints.
+        Positions of all joints, rad.
     forward : bool
     time : float
-        s, of its middle.
+        Mean time of the pass, s.
     """
 
     segment: int
@@ -45,12 +45,12 @@ class Pass:
 
     @property
     def low(self) -> float:
-        """Least position, rad."""
+        """Smallest position, rad."""
         return float(self.position[0])
 
     @property
     def high(self) -> float:
-        """Greatest position, rad."""
+        """Largest position, rad."""
         return float(self.position[-1])
 
 
@@ -77,6 +77,6 @@ def _pass(
     times = segment.filtered_time[run]
     samples = run if forward else run[::-1]
     q, dq = segment.q[segment.kept][samples], segment.dq[segment.kept][samples]
-    # noise may step back a little where the joint is slow
+    # noise can reverse the order of positions slightly at low speed
     position = np.maximum.accumulate(q[:, joint])
     return Pass(number, samples, position, np.abs(dq[:, joint]), q, forward, float(np.mean(times)))

@@ -1,4 +1,4 @@
-"""Friction over speed, coloured by load."""
+"""Plots of friction over speed, coloured by load."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import plot_style
-from lieid_casadi.friction_curves.curve import FrictionCurve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from lieid_casadi.friction_curves.agreement import FrictionAgreement
+    from lieid_casadi.friction_curves.curve import FrictionCurve
     from lieid_casadi.friction_curves.friction_fit import FrictionFit
 
 Array = NDArray[np.float64]
 COLOURS = "viridis"
-ONE_LOAD = 0.2  # of the largest load: a smaller range is drawn in one colour
+ONE_LOAD = 0.2  # range of loads, relative to the largest, below which one colour is used
 LINES = 3
 
 
 def plot_curve(curve: FrictionCurve, ax: Axes | None = None) -> Figure:
-    """Draw the points with their standard errors."""
+    """Draw the points with their standard errors and return the figure."""
     if ax is None:
         ax = plot_style.new_figure(7.0, 4.2).subplots()
     plot_style.style(ax)
@@ -40,7 +40,9 @@ def plot_curve(curve: FrictionCurve, ax: Axes | None = None) -> Figure:
         bar.ax.tick_params(labelsize=plot_style.SMALL)
     else:
         ax.scatter(curve.speed, curve.friction, color=plot_style.FORWARD, s=16, zorder=3)
-    plot_style.title(ax, f"joint {curve.joint + 1} {curve.joint_name}: half of forward − backward")
+    plot_style.title(
+        ax, f"joint {curve.joint + 1} {curve.joint_name}: half of forward − backward torque"
+    )
     speed = "rad/s" if curve.unit == "N·m" else "m/s"
     plot_style.label(ax, x=f"|q̇| [{speed}]", y=f"friction [{curve.unit}]")
     _from_zero(ax, curve)
@@ -48,7 +50,7 @@ def plot_curve(curve: FrictionCurve, ax: Axes | None = None) -> Figure:
 
 
 def plot_fit(fit: FrictionFit, ax: Axes | None = None) -> Figure:
-    """Draw the points, and the model as lines at loads from least to greatest."""
+    """Draw the points, and the model as lines at loads from smallest to largest."""
     import matplotlib
 
     if ax is None:
@@ -74,7 +76,7 @@ def plot_fit(fit: FrictionFit, ax: Axes | None = None) -> Figure:
 
 
 def _from_zero(ax: Axes, curve: FrictionCurve) -> None:
-    """Let both axes begin at zero, whatever is drawn into them."""
+    """Start both axes at zero."""
     ax.autoscale(True)
     ax.set_xlim(left=0.0)
     if curve.friction.min() > 0.0:
@@ -86,7 +88,7 @@ def _loads_differ(curve: FrictionCurve) -> bool:
 
 
 def plot_agreement(agreement: FrictionAgreement, ax: Axes | None = None) -> Figure:
-    """Draw both determinations over speed, and two standard deviations of their difference."""
+    """Draw both determinations over speed with two standard deviations of their difference."""
     if ax is None:
         ax = plot_style.new_figure(7.0, 4.2).subplots()
     plot_style.style(ax)

@@ -1,4 +1,4 @@
-"""Instants of equal position and opposite velocity (Eq. 15)."""
+"""Pairs of instants with equal position and opposite velocity (Eq. 15)."""
 
 from __future__ import annotations
 
@@ -14,23 +14,26 @@ from lieid_casadi.friction_curves.one_way_motion import LEAST_SAMPLES, Pass, pas
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
-ALIKE = 1.3  # ratio of the two speeds up to which a pair is used
-STILL = 0.03  # rad: how far the other joints may differ between the two instants
+SPEED_RATIO = 1.3  # largest ratio of the two speeds of a pair
+OTHERS_APART = 0.03  # rad, largest difference of the other joints' positions in a pair
+SPEED_STEP = 0.05  # relative step in which the speeds of two passes are compared
 
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """Pairs of instants at one position of a joint, once forward and once backward.
+    """P pairs of instants at which a joint passes the same position forward and backward.
 
     Attributes
     ----------
     forward, backward : sparse (P, M)
-        Each row takes a value at one instant from the filtered samples of all segments, one
-        after the other.
+        Matrices that interpolate the M concatenated filtered samples of all segments at the
+        forward and at the backward instants.
     stretch : (P,) int
-        Which two passes a pair comes from.
-    position, forward_speed, backward_speed : (P,)
-        rad, rad/s, positive.
+        Number of the pair of passes that each pair of instants comes from.
+    position : (P,)
+        Position of the joint, rad.
+    forward_speed, backward_speed : (P,)
+        Absolute velocities, rad/s.
     """
 
     forward: csr_matrix[np.float64]
@@ -57,40 +60,55 @@ class Matching:
 def match(segments: Sequence[Processed], joint: int, *, name: str = "recording") -> Matching:
     """Match the forward and backward motion of a joint (from 0) by position.
 
-    Each pass goes with the opposite pass that covers the same positions at the most alike
-    speed, the nearest in time among equals.
+    Each pass is matched with the pass in the opposite direction that covers the same positions
+    at the most similar speed, and among equals with the nearest in time.
+
+    Parameters
+    ----------
+    segments : sequence of Processed
+    joint : int
+        From 0.
+    name : str
+        Name of the recordings in messages.
+
+    Returns
+    -------
+    Matching
 
     Raises
     ------
     RecordingError
-        The joint never moves, moves in one direction only, passes no position both ways, only
-        at unlike speeds, or only with the other joints elsewhere.
+        The joint never moves or moves in one direction only; no position is passed in both
+        directions; or only at different speeds, or with the other joints at other positions.
     """
     passes = passes_of(segments, joint)
     _check_directions(passes, segments, joint, name)
     starts = np.cumsum([0, *(len(s.filtered_time) for s in segments)])
-    couples = _couples(passes)
-    if not couples:
+    matched = _matched_passes(passes)
+    if not matched:
         raise RecordingError(
-            f"{name}: joint {joint + 1} passes no position both ways "
+            f"{name}: joint {joint + 1} passes no position in both directions "
             f"(forward {_extent(passes, forward=True)}, backward "
-            f"{_extent(passes, forward=False)} rad); record it over one range to and fro"
+            f"{_extent(passes, forward=False)} rad); record it forward and backward "
+            "over the same range"
         )
-    pairs = [_pairs(f, b, k, starts) for k, (f, b) in enumerate(couples)]
+    pairs = [_pairs(f, b, k, starts) for k, (f, b) in enumerate(matched)]
     joined = {key: np.concatenate([p[key] for p in pairs]) for key in pairs[0]}
-    alike = np.abs(np.log(joined["forward_speed"] / joined["backward_speed"])) <= np.log(ALIKE)
-    if not alike.any():
+    similar = np.abs(np.log(joined["forward_speed"] / joined["backward_speed"])) <= np.log(
+        SPEED_RATIO
+    )
+    if not similar.any():
         raise RecordingError(
-            f"{name}: joint {joint + 1} passes the same positions at unlike speeds only; "
-            "record both ways at the same speeds"
+            f"{name}: joint {joint + 1} passes the same positions only at different "
+            "speeds; record both directions at the same speeds"
         )
-    still = joined["apart"] <= STILL
-    if not (alike & still).any():
+    still = joined["apart"] <= OTHERS_APART
+    if not (similar & still).any():
         raise RecordingError(
-            f"{name}: when joint {joint + 1} comes back to a position, the other joints are "
-            "elsewhere; record it while they stand still, or fit friction with identify"
+            f"{name}: when joint {joint + 1} returns to a position, the other joints have moved; "
+            "record it while they stand still, or fit friction with identify"
         )
-    kept = {key: values[alike & still] for key, values in joined.items()}
+    kept = {key: values[similar & still] for key, values in joined.items()}
     return _matching(kept, int(starts[-1]))
 
 
@@ -101,22 +119,22 @@ def _check_directions(
         fastest = max(float(np.abs(s.dq[:, joint]).max()) for s in segments)
         raise RecordingError(
             f"{name}: joint {joint + 1} never moves in one direction for long enough (fastest "
-            f"{fastest:.2g} rad/s); record it moving to and fro"
+            f"{fastest:.2g} rad/s); record it moving forward and backward"
         )
     if all(p.forward for p in passes) or not any(p.forward for p in passes):
-        way, missing = ("forward", "backward") if passes[0].forward else ("backward", "forward")
+        found, missing = ("forward", "backward") if passes[0].forward else ("backward", "forward")
         raise RecordingError(
-            f"{name}: joint {joint + 1} moves {way} only; friction is half the difference of both "
-            f"ways, record it {missing} over the same positions too"
+            f"{name}: joint {joint + 1} moves {found} only; friction is half the difference of "
+            f"both directions, so record it {missing} over the same positions as well"
         )
 
 
-def _couples(passes: Sequence[Pass]) -> list[tuple[Pass, Pass]]:
-    """Return which forward pass goes with which backward pass."""
+def _matched_passes(passes: Sequence[Pass]) -> list[tuple[Pass, Pass]]:
+    """Return pairs of a forward and a backward pass."""
     chosen: dict[tuple[int, int], tuple[Pass, Pass]] = {}
     for p in passes:
         rated = [
-            (_unlikeness(p, other), k)
+            (_difference(p, other), k)
             for k, other in enumerate(passes)
             if other.forward != p.forward and _overlap(p, other)
         ]
@@ -133,16 +151,16 @@ def _overlap(a: Pass, b: Pass) -> bool:
     return high > low and int(inside.sum()) >= LEAST_SAMPLES
 
 
-def _unlikeness(a: Pass, b: Pass) -> tuple[float, bool, float]:
-    """Rate a pair of passes: ratio of speeds in steps of 5 %, then the time between them."""
+def _difference(a: Pass, b: Pass) -> tuple[float, bool, float]:
+    """Return a sort key of two passes: speed ratio in steps, another segment, time between."""
     inside = (a.position >= b.low) & (a.position <= b.high)
     speed = np.interp(a.position[inside], b.position, b.speed)
     ratio = float(np.median(np.abs(np.log(a.speed[inside] / speed))))
-    return round(ratio / 0.05), a.segment != b.segment, abs(a.time - b.time)
+    return round(ratio / SPEED_STEP), a.segment != b.segment, abs(a.time - b.time)
 
 
 def _pairs(f: Pass, b: Pass, stretch: int, starts: NDArray[np.intp]) -> dict[str, Array]:
-    """Return the pairs of two passes, at the samples of the forward one."""
+    """Return pairs of instants of two passes, one for each sample of the forward pass."""
     inside = (f.position >= b.low) & (f.position <= b.high)
     position = f.position[inside]
     place = np.interp(position, b.position, np.arange(len(b.position)))
@@ -179,7 +197,7 @@ def _matching(pairs: dict[str, Array], samples: int) -> Matching:
 
 
 def _selection(column: Array, weight: Array, width: int) -> csr_matrix[np.float64]:
-    """Return a matrix (P, width) that takes one weighted value per row."""
+    """Return a matrix (P, width) with one weight per row."""
     places = (np.arange(len(column)), column.astype(np.intp))
     return csr_matrix((weight, places), (len(column), width))
 

@@ -1,4 +1,4 @@
-"""Friction models of the literature on one curve, the most credible first."""
+"""Friction models of the literature fitted to one curve, ranked by BIC."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lieid_casadi.friction_curves.fit_curve import fit_friction
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
 
 Progress = Callable[[str, float], None]
-# a curve has no offset, and both ways together cannot tell motoring from generating
+# a curve contains neither the offset nor the difference between motoring and generating
 STATED = (
     "load_constant", "load_absolute", "load_square", "stribeck", "tustin", "simplified", "eq7",
     "paper", "gao2017", "gao2017_constant_temperature", "he2021", "madsen2020", "panda_sigmoid",
@@ -20,7 +20,7 @@ STATED = (
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class RankedFrictionModel:
     """A friction model of the literature and its fit to a curve."""
 
     model: FrictionModel
@@ -33,26 +33,31 @@ def rank_friction_models(
     *,
     seed: int = 0,
     progress: Progress | None = None,
-) -> tuple[Candidate, ...]:
-    """Fit friction models to a curve and return them by Schwarz's criterion, best first.
+) -> tuple[RankedFrictionModel, ...]:
+    """Fit friction models to a curve and rank them by the Bayesian information criterion (BIC).
 
-    Models that need a temperature are left out where the recordings have none. A lower
-    criterion is told from a higher one by about 6 or more (Kass, Raftery, JASA 1995).
+    Models that need a temperature are left out if the recordings have none. Differences of the
+    BIC below about 6 are not strong evidence (Kass, Raftery, JASA 1995).
 
     Parameters
     ----------
     curve : FrictionCurve
     names : sequence of str
-        Of `FRICTION_MODELS`.
+        Names of models in `FRICTION_MODELS`.
     seed : int
-        Of the drawn starts.
+        Seed of the random starting points.
     progress : callable, optional
-        Called with a model's name and the fraction done.
+        Called with the name of a model and the completed fraction (0 to 1).
+
+    Returns
+    -------
+    tuple of RankedFrictionModel
+        The model with the smallest BIC first.
 
     Raises
     ------
     EffectError
-        No such model.
+        A model with this name does not exist.
     """
     models = [friction_model(name) for name in names]
     fitting = [m for m in models if curve.data.has_temperature or not _needs_temperature(m)]
@@ -60,12 +65,12 @@ def rank_friction_models(
     for k, model in enumerate(fitting):
         if progress is not None:
             progress(model.name, k / len(fitting))
-        found.append(Candidate(model, fit_friction(curve, model.effects, seed=seed)))
-    return tuple(sorted(found, key=lambda candidate: candidate.fit.bic))
+        found.append(RankedFrictionModel(model, fit_friction(curve, model.effects, seed=seed)))
+    return tuple(sorted(found, key=lambda ranked: ranked.fit.bic))
 
 
 def _needs_temperature(model: FrictionModel) -> bool:
     return any("temperature" in make(effect).signals for effect in model.effects)
 
 
-__all__ = ["FRICTION_MODELS", "STATED", "Candidate", "rank_friction_models"]
+__all__ = ["FRICTION_MODELS", "STATED", "RankedFrictionModel", "rank_friction_models"]

@@ -1,4 +1,4 @@
-"""A two-link arm whose first joint's friction is known by a formula."""
+"""A simulated two-link arm whose first joint has friction of a known formula."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ COULOMB, VISCOUS, EXTRA, WIDTH, LOAD = 1.2, 0.8, 0.7, 0.12, 0.08
 
 
 def friction(speed, load):
-    """What the plant is told."""
+    """Return the friction of the plant at positive speed, N·m."""
     level = COULOMB + EXTRA * np.exp(-((speed / WIDTH) ** 2)) + LOAD * np.abs(load)
     return level + VISCOUS * speed
 

@@ -1,4 +1,4 @@
-"""``lieid friction``: tables, JSON, pictures, and one line for bad input."""
+"""``lieid friction``: tables, JSON, plots, and one line for bad input."""
 
 import json
 
@@ -25,7 +25,7 @@ def lieid_friction(*words):
     return main(["friction", "two_link", *map(str, words)])
 
 
-def test_the_literature_is_ranked_and_the_best_is_printed(run, tmp_path, capsys):
+def test_models_are_ranked_and_the_best_is_printed(run, tmp_path, capsys):
     out, picture = tmp_path / "f.json", tmp_path / "f.png"
     assert lieid_friction(run, "--joint", 1, "--json", out, "--plot", picture) == 0
     shown = capsys.readouterr().out
@@ -53,7 +53,7 @@ def test_given_effects_and_a_fit_of_the_arm(run, tmp_path, capsys):
     assert content["models"] == []
     assert content["agreement"]["agree"] is True
     assert content["curve"]["load_source"] == "model"
-    assert "the two agree" in capsys.readouterr().out
+    assert "the two determinations agree" in capsys.readouterr().out
 
 
 def test_a_model_by_its_name(run, tmp_path):
@@ -86,7 +86,7 @@ def test_bad_input_is_one_line(run, tmp_path, capsys, words, message):
     assert not out.exists()
 
 
-def test_one_direction_is_told_with_the_file(tmp_path, capsys):
+def test_one_direction_is_refused_with_the_file(tmp_path, capsys):
     t = np.arange(0.0, 8.0, 0.004)
     q, dq = (np.zeros((len(t), 2)) for _ in range(2))
     q[:, 0], dq[:, 0] = 0.2 * t, 0.2

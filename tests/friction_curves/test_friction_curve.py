@@ -1,4 +1,4 @@
-"""Friction curves on the plant, whose friction is written out apart from the effects."""
+"""Friction curves of the plant, whose friction does not use the library's effects."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def test_constant_speeds_give_the_friction_of_the_plant(curve):
     assert np.mean(np.abs(error) < 2 * curve.std) > 0.9
 
 
-def test_every_speed_and_several_loads_are_there(curve):
+def test_every_speed_and_several_loads_are_covered(curve):
     for speed in SPEEDS:
         assert np.abs(curve.speed / speed - 1.0).min() < 0.03
     assert np.ptp(curve.load) > 5.0
@@ -49,10 +49,10 @@ def test_the_measured_load_is_the_rigid_torque(curve):
     moving = np.abs(curve.data.segments[0].dq[:, 0]) > 0.02
     difference = curve.data.load[0][:, 0] - rigid[:, 0]
     assert np.abs(np.median(difference[moving])) < 0.02
-    assert np.quantile(np.abs(difference[moving]), 0.8) < 0.05  # but for accelerations
+    assert np.quantile(np.abs(difference[moving]), 0.8) < 0.05  # except during accelerations
 
 
-def test_offsets_and_unequal_directions_are_not_in_it(sweep):
+def test_offset_and_asymmetric_friction_are_not_in_the_curve(sweep):
     even = arm(plant.ViscousAsymmetric(0, 0.5), offset=-2.0)
     motion = plant.sweep(ROBOT, 0, speeds=SPEEDS, pose=[0.0, 0.4])
     t = np.arange(0.0, motion.duration, 0.004)
@@ -64,7 +64,7 @@ def test_offsets_and_unequal_directions_are_not_in_it(sweep):
 
 
 def lopsided(t):
-    """To and fro with quick starts one way: accelerations differ at equal positions."""
+    """Forward and backward motion with different accelerations at equal positions."""
     phase = 2 * np.pi * 0.15 * t
     q, dq, ddq = (np.zeros((len(t), 2)) for _ in range(3))
     w = 2 * np.pi * 0.15
@@ -74,14 +74,14 @@ def lopsided(t):
     return q, dq, ddq
 
 
-def test_any_motion_both_ways_with_unequal_accelerations():
-    """The rigid torque's difference is taken off with the model, where there is one."""
+def test_any_motion_in_both_directions_with_different_accelerations():
+    """The difference of the rigid torque is subtracted if there is a model."""
     t = np.arange(0.0, 60.0, 0.004)
     recording = measured(t, lopsided(t), hidden=arm(nominal=True))
     known = friction_curve(ROBOT, recording, 0, processing=CUTOFF)
     bare = replace(ROBOT, joints=tuple(replace(j, link=None) for j in ROBOT.joints))
     unknown = friction_curve(bare, recording, 0, processing=CUTOFF)
-    # the mean speed of a pair stands for both: up to 30 % apart
+    # the two speeds of a pair differ by up to 30 %, and their mean is used
     error = np.abs(known.friction - friction(known.speed, known.load))
     without = np.abs(unknown.friction - friction(unknown.speed, unknown.load))
     assert np.median(error) < 0.03
@@ -98,7 +98,7 @@ def test_forward_and_backward_may_be_two_recordings(sweep):
 
 
 def test_standard_errors_cover():
-    """Over twenty runs the points scatter as their standard errors say."""
+    """The scatter of the points over twenty runs matches their standard errors."""
     motion = plant.sweep(ROBOT, 0, speeds=(0.2, 0.2, 0.2, 0.2), pose=[0.0, 0.4])
     t = np.arange(0.0, motion.duration, 0.004)
     runs = [
@@ -112,7 +112,7 @@ def test_standard_errors_cover():
     assert 0.9 < np.mean(np.abs(errors) < 2.0) < 0.99
 
 
-def test_inertias_that_are_off_are_told(sweep):
+def test_wrong_inertias_are_reported(sweep):
     heavy = plant.Arm(ROBOT, 1.5 * ROBOT.link_parameters, arm().friction)
     motion = plant.sweep(ROBOT, 0, speeds=SPEEDS[3:], pose=[0.0, 0.4])
     t = np.arange(0.0, motion.duration, 0.004)
@@ -124,17 +124,17 @@ def test_inertias_that_are_off_are_told(sweep):
     assert not any(isinstance(w, LoadMismatchWarning) for w in right.warnings)
 
 
-def ramp(t, way, joint=0):
+def ramp(t, direction, joint=0):
     q, dq, ddq = (np.zeros((len(t), 2)) for _ in range(3))
-    q[:, joint], dq[:, joint] = way * 0.2 * t, way * 0.2
+    q[:, joint], dq[:, joint] = direction * 0.2 * t, direction * 0.2
     return q, dq, ddq
 
 
 def test_one_direction_only():
     t = np.arange(0.0, 8.0, 0.004)
-    for way, text in ((1.0, "moves forward only"), (-1.0, "moves backward only")):
+    for direction, text in ((1.0, "moves forward only"), (-1.0, "moves backward only")):
         with pytest.raises(RecordingError, match=f"run: joint 1 {text}.*record it"):
-            friction_curve(ROBOT, measured(t, ramp(t, way)), 0, processing=CUTOFF)
+            friction_curve(ROBOT, measured(t, ramp(t, direction)), 0, processing=CUTOFF)
 
 
 def test_no_position_both_ways():
@@ -160,13 +160,13 @@ def test_a_joint_that_never_moves():
 
 
 def test_other_joints_elsewhere():
-    """The second joint is up on the way out and down on the way back."""
+    """The second joint is at another position in the backward motion."""
     t = np.arange(0.0, 30.0, 0.004)
     q, dq, ddq = lopsided(t)
     q[:, 1] = 0.4 * np.tanh(3 * dq[:, 0])
     dq[:, 1] = np.gradient(q[:, 1], t)
     ddq[:, 1] = np.gradient(dq[:, 1], t)
-    with pytest.raises(RecordingError, match="the other joints are elsewhere"):
+    with pytest.raises(RecordingError, match="the other joints have moved"):
         friction_curve(ROBOT, measured(t, (q, dq, ddq)), 0, processing=CUTOFF)
 
 

@@ -1,4 +1,4 @@
-"""Joint 2 of a real UR10e: its friction runs beside what the excitation runs say."""
+"""Friction of joint 2 of a real UR10e from friction runs and from excitation."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from real_arms import UR10E, needs
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import LoadMismatchWarning
-from lieid_casadi.friction_curves import compare_friction, fit_friction, friction_curve, two_stage
+from lieid_casadi.friction_curves import compare_friction, fit_friction, friction_curve
 from lieid_casadi.recording import Processing
 
 pytestmark = needs(UR10E / "joint_2_alone_currents.csv.gz")
@@ -54,8 +54,8 @@ def test_curve_and_load_dependence_agree_with_the_excitation_runs(robot, alone, 
     assert agreement.relative < 0.05
 
 
-def test_without_the_load_the_curve_is_not_one(robot, alone, whole):
-    """At one speed friction is up to 8 N·m apart under unlike loads."""
+def test_friction_depends_on_the_load(robot, alone, whole):
+    """At one speed friction differs by up to 8 N·m between loads."""
     curve = friction_curve(whole, alone, 1, processing=CUTOFF)
     plain, loaded = fit_friction(curve, "coulomb,viscous"), fit_friction(curve, EFFECTS)
     assert plain.rms > 4 * loaded.rms
@@ -64,7 +64,7 @@ def test_without_the_load_the_curve_is_not_one(robot, alone, whole):
     assert np.ptp(curve.friction[middle]) > 6.0
 
 
-def test_nominal_inertias_are_off_and_the_fits_are_not(robot, alone, whole):
+def test_wrong_nominal_inertias_are_reported(robot, alone, whole):
     nominal = friction_curve(robot, alone, 1, processing=CUTOFF)
     assert any(isinstance(w, LoadMismatchWarning) for w in nominal.warnings)
     fitted = friction_curve(whole, alone, 1, processing=CUTOFF)
@@ -72,13 +72,15 @@ def test_nominal_inertias_are_off_and_the_fits_are_not(robot, alone, whole):
     assert not any(isinstance(w, LoadMismatchWarning) for w in fitted.warnings)
 
 
-def test_two_stages_are_as_good_as_one_fit(robot, alone, excitation, whole):
+def test_stages_are_as_good_as_one_fit(robot, alone, excitation, whole):
     model = lieid.Model(robot, "armature,coulomb,viscous,offset,load_friction:3")
-    stages = two_stage(
+    stages = lieid.identify_in_stages(
         model, excitation, {1: alone}, EFFECTS, processing=CUTOFF, friction_processing=CUTOFF
     )
     test = lieid.Recording.load(UR10E / "excitation_14_harmonics.csv.gz")
-    one, two, simple = (lieid.compare(f, test).rms[1] for f in (whole, stages.fit, stages.rigid))
+    one, two, simple = (
+        lieid.compare(f, test).rms[1] for f in (whole, stages.fit, stages.first_stage)
+    )
     assert two < 0.65 * simple
     assert two < 1.1 * one
     (agreement,) = stages.compare(whole)

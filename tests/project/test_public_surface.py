@@ -8,9 +8,9 @@ import lieid_casadi as lieid
 PUBLIC = {
     "Coefficient", "Comparison", "Compiled", "Diagnosis", "DriveGains", "Effect", "Excitation",
     "Fit", "Joint", "LieidError", "LieidWarning", "Limits", "Model", "PayloadEstimate",
-    "Processing", "Recording", "Robot", "Shape", "Signals", "SymbolicDynamics", "__version__",
-    "compare", "compile", "diagnose", "drive_gains", "effect", "excite", "extend", "identify",
-    "identify_payload", "register", "robots", "symbolic",
+    "Processing", "Recording", "Robot", "Shape", "Signals", "StagedFit", "SymbolicDynamics",
+    "__version__", "compare", "compile", "diagnose", "drive_gains", "effect", "excite", "extend",
+    "identify", "identify_in_stages", "identify_payload", "register", "robots", "symbolic",
 }  # fmt: skip
 
 
