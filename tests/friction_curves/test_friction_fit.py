@@ -220,11 +220,14 @@ def test_verdict_states_uncertainties_that_are_too_small(fit, whole):
 def test_differences_by_chance_agree():
     """p-values of two runs that differ only by noise are not too small."""
     motion = plant.sweep(ROBOT, 0, speeds=(0.1, 0.2, 0.4), pose=[0.0, 0.4])
-    t = np.arange(0.0, motion.duration, 0.004)
+    t = np.arange(0.0, motion.duration, 0.008)
     fits = [
         fit_friction(
             friction_curve(
-                ROBOT, measured(t, motion.at(t), torque_noise=0.2, seed=k), 0, processing=CUTOFF
+                ROBOT,
+                measured(t, motion.at(t), torque_noise=0.2, seed=k, rate=125.0),
+                0,
+                processing=CUTOFF,
             ),
             "coulomb,viscous,load_friction",
         )
