@@ -109,7 +109,7 @@ def _content(fit: Fit, prefix: str, made: Functions) -> dict[str, Any]:
         "robot": comment(robot.name),
         "method": fit.method,
         "recordings": [
-            {"name": comment(s.name).replace("|", "/"), "sha256": comment(s.sha256)}
+            {"name": comment(s.name), "sha256": comment(s.sha256)}
             for s in fit.provenance.recordings
         ],
         "n": model.n,

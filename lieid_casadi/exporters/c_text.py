@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 import unicodedata
 from collections.abc import Iterable
 from functools import cache
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +31,18 @@ def comment(text: str) -> str:
     shown = "".join(c if unicodedata.category(c)[0] != "C" else " " for c in text)
     shown = " ".join(shown.replace("\\", "/").split())
     return shown.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
+
+
+def markdown(text: str) -> str:
+    r"""Return text in one line in which nothing is markup for Markdown or HTML.
+
+    Examples
+    --------
+    >>> markdown("<b>|`a_1`")
+    '&lt;b&gt;\\|\\`a\\_1\\`'
+    """
+    shown = escape(comment(text), quote=False)
+    return re.sub(r"([\\`*_{}\[\]()#+!|~$])", r"\\\1", shown)
 
 
 def numbers(values: NDArray[np.float64]) -> str:
@@ -70,4 +84,5 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters["numbers"] = numbers
+    environment.filters["markdown"] = markdown
     return environment

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from xml.sax.saxutils import quoteattr
-
 from lieid_casadi.exporters.joint_friction import JointFriction, joint_frictions
 from lieid_casadi.exporters.urdf_bodies import number
+from lieid_casadi.exporters.xml_text import attribute, comment
 from lieid_casadi.identification.fit import Fit
 
 ATTRIBUTES = (("armature", "armature"), ("damping", "damping"), ("friction", "frictionloss"))
@@ -22,15 +21,15 @@ def mjcf_snippet(fit: Fit, *, file: str) -> str:
     Parameters
     ----------
     file : str
-        The name it will have, told in its comment.
+        Its name, which its comment shows.
     """
     robot = fit.model.robot
     lines = [
-        HEAD.format(robot=robot.name.replace("--", "- -"), file=file),
+        HEAD.format(robot=comment(robot.name), file=comment(file)),
         "<mujocoinclude>\n  <default>\n",
     ]
     for joint, numbers in zip(robot.joints, joint_frictions(fit), strict=True):
-        lines.append(f"    <default class={quoteattr('identified_' + joint.name)}>\n")
+        lines.append(f"    <default class={attribute('identified_' + joint.name)}>\n")
         lines.append(f"      <joint{_attributes(numbers)}/>\n    </default>\n")
     lines.append("  </default>\n</mujocoinclude>\n")
     return "".join(lines)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from xml.sax.saxutils import quoteattr
-
 from lieid_casadi.exporters.joint_friction import JointFriction, joint_frictions
 from lieid_casadi.exporters.urdf_bodies import (
     Split,
@@ -13,6 +11,7 @@ from lieid_casadi.exporters.urdf_bodies import (
     split,
 )
 from lieid_casadi.exporters.xml_edit import Element, XmlText
+from lieid_casadi.exporters.xml_text import attribute
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot import Joint
 
@@ -73,7 +72,7 @@ def _write_friction(document: XmlText, joint: Element, friction: JointFriction) 
         return
     dynamics = joint.find("dynamics")
     attributes = (dynamics.attributes if dynamics is not None else {}) | new
-    written = "".join(f" {name}={quoteattr(value)}" for name, value in attributes.items())
+    written = "".join(f" {name}={attribute(value)}" for name, value in attributes.items())
     document.replace_child(joint, "dynamics", f"<dynamics{written}/>")
 
 

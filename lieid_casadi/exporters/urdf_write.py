@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.exporters.joint_friction import JointFriction
 from lieid_casadi.exporters.urdf_bodies import inertial_text, number
+from lieid_casadi.exporters.xml_text import attribute
 from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.pose import roll_pitch_yaw
 
@@ -34,8 +34,8 @@ def written_urdf(
     names = _link_names(robot)
     lines = [
         '<?xml version="1.0" encoding="utf-8"?>',
-        f"<robot name={quoteattr(robot.name)}>",
-        f"  <link name={quoteattr(names[0])}/>",
+        f"<robot name={attribute(robot.name)}>",
+        f"  <link name={attribute(names[0])}/>",
     ]
     notes, before = [], np.eye(4)
     for i, (joint, body, friction) in enumerate(zip(robot.joints, bodies, frictions, strict=True)):
@@ -49,8 +49,8 @@ def written_urdf(
         if np.any(shift[:3, 3]):
             notes.append(f"{names[i + 1]}: its frame was moved onto the axis of {joint.name}")
     tool = _seen_from(before, robot.joints[-1].home @ robot.tool)
-    lines += [f"  <link name={quoteattr(names[-1])}/>"]
-    lines += [f'  <joint name={quoteattr(names[-1] + "_joint")} type="fixed">']
+    lines += [f"  <link name={attribute(names[-1])}/>"]
+    lines += [f'  <joint name={attribute(names[-1] + "_joint")} type="fixed">']
     lines += [*_between(tool, names[-2:]), "  </joint>", "</robot>", ""]
     return "\n".join(lines), notes
 
@@ -70,7 +70,7 @@ def _point_on_axis(joint: Joint) -> Array:
 
 def _link(name: str, body: Array) -> list[str]:
     inertial = inertial_text(body).replace("\n", "\n    ")
-    return [f"  <link name={quoteattr(name)}>", f"    {inertial}", "  </link>"]
+    return [f"  <link name={attribute(name)}>", f"    {inertial}", "  </link>"]
 
 
 def _joint(joint: Joint, place: Array, names: Sequence[str], friction: JointFriction) -> list[str]:
@@ -78,7 +78,7 @@ def _joint(joint: Joint, place: Array, names: Sequence[str], friction: JointFric
     bounded = np.isfinite(limits.position_lower) and np.isfinite(limits.position_upper)
     axis = joint.axis[:3] if joint.revolute else joint.axis[3:]
     kind = "prismatic" if not joint.revolute else "revolute" if bounded else "continuous"
-    lines = [f'  <joint name={quoteattr(joint.name)} type="{kind}">']
+    lines = [f'  <joint name={attribute(joint.name)} type="{kind}">']
     lines += _between(place, names)
     lines.append(f'    <axis xyz="{_numbers(axis)}"/>')
     stated = {"effort": limits.torque, "velocity": limits.velocity}
@@ -102,8 +102,8 @@ def _between(place: Array, names: Sequence[str]) -> list[str]:
     rpy = roll_pitch_yaw(place[:3, :3])
     return [
         f'    <origin xyz="{_numbers(place[:3, 3])}" rpy="{_numbers(rpy)}"/>',
-        f"    <parent link={quoteattr(names[0])}/>",
-        f"    <child link={quoteattr(names[1])}/>",
+        f"    <parent link={attribute(names[0])}/>",
+        f"    <child link={attribute(names[1])}/>",
     ]
 
 

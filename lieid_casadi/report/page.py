@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Sequence
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.report.section import Section
 
@@ -33,6 +34,16 @@ def render(title: str, sections: Sequence[Section]) -> str:
     return page.render(title=title, parts=parts, version=__version__)
 
 
+def _visible(value: Any) -> Any:
+    """Write out characters that change the direction of writing or cannot be seen."""
+    if type(value) is not str:
+        return value
+    return "".join(
+        f"\\u{ord(c):04x}" if unicodedata.category(c)[0] == "C" and c not in "\n\t" else c
+        for c in value
+    )
+
+
 @cache
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -41,6 +52,7 @@ def _environment() -> Environment:
         loader=PackageLoader("lieid_casadi.report", "sections"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_visible,
         trim_blocks=True,
         lstrip_blocks=True,
     )

@@ -1,6 +1,7 @@
 """Bad input through the command line: status 2, one line that names the place, nothing written."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -235,6 +236,12 @@ def test_bad_input_writes_nothing(run, tmp_path):
 @pytest.mark.parametrize(
     "arguments",
     [
+        ["excite", "two_link", "-o", "out", "--seed", "-1"],
+        ["diagnose", "two_link", "--train", "x.csv", "--seed", "1.5"],
+        ["friction", "two_link", "x.csv", "--joint", "1", "--seed", "x"],
+        ["demo", "--seed", "-1"],
+        ["identify", "two_link", "x.csv", "--cutoff", "nan"],
+        ["excite", "two_link", "-o", "out", "--duration", "inf"],
         ["identify", "two_link"],
         ["identify", "two_link", "x.csv", "--method", "magic"],
         ["identify", "two_link", "x.csv", "--cutoff", "fast"],
@@ -245,6 +252,68 @@ def test_bad_input_writes_nothing(run, tmp_path):
 )
 def test_usage(run, arguments):
     refused(run(*arguments))
+
+
+OWN = """import casadi as ca
+import lieid_casadi as lieid
+@lieid.effect("own_broken", formula="a·q", coefficients={{"a": "N·m"}}, signals=["q"])
+def own(s, shape):
+    return [{column}]
+{last}
+"""
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "words"),
+    [
+        ("x = 1\nraise RuntimeError('two\\nlines')\n", 2, "RuntimeError: two lines"),
+        ("def f(:\n", 1, "SyntaxError"),
+        ("import nothing_like_this\n", 1, "ModuleNotFoundError"),
+        ("import sys\n\nsys.exit(0)\n", 3, "SystemExit"),
+        ("1 / 0\n", 1, "ZeroDivisionError"),
+        (OWN.format(column="s.nothing", last=""), 5, "AttributeError"),
+        (OWN.format(column="s.q", last="own(1, 2)"), 6, "TypeError"),
+    ],
+)
+def test_an_exception_in_the_effects_file_names_the_line(run, tmp_path, good, content, line, words):
+    path, out = tmp_path / "own.py", tmp_path / "out"
+    path.write_text(content)
+    effects = "own_broken:1" if "own_broken" in content else "coulomb"
+    options = ["--effects", effects, "--effects-file", path, "-o", out]
+    refused(run("identify", "two_link", good, *options), f"{path}, line {line}: {words}")
+    assert not out.exists()
+    from lieid_casadi.effects.effect import REGISTER
+
+    REGISTER.pop("own_broken", None)
+
+
+def test_names_cannot_control_the_terminal(run, tmp_path, good):
+    evil = "\x1b[2J\u202e:warning:[bold]"
+    path = tmp_path / "arm.yaml"
+    screw = "[0, 1, 0, 0, 0, 0]"
+    path.write_text(
+        json.dumps({"name": evil, "joints": [{"name": evil}]}).replace(
+            '"name": "\\u001b[2J\\u202e:warning:[bold]"}',
+            f'"name": {json.dumps(evil)}, "screw": {screw}}}',
+        )
+    )
+    status, out, err = run("show", path)
+    assert status == 0, err
+    for text in (out, run("show", tmp_path / f"{evil}.yaml")[2], run(evil)[2]):
+        assert "\x1b" not in text
+        assert "\u202e" not in text
+        assert r"\x1b[2J\u202e:warning:[bold]" in text
+
+
+def test_names_that_are_not_utf8(run, tmp_path, good):
+    """Bytes of file names that are not UTF-8 do not stop the output."""
+    path = tmp_path / os.fsdecode(b"run\xff.csv")
+    path.write_bytes(Path(good).read_bytes())
+    fit, report = tmp_path / "fit.json", tmp_path / "r.html"
+    status, _, err = run("identify", "two_link", path, "-o", fit, "--html", report)
+    assert status == 0, err
+    assert run("compare", fit, path)[0] == 0
+    refused(run("identify", path, good), r"run\udcff.csv")
 
 
 def test_cutoff_beyond_the_rate(run, good):

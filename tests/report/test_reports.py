@@ -84,7 +84,7 @@ def test_pictures_are_inside(page):
 
 def test_verdict_comes_first_and_numbers_follow(page, comparison):
     text = " ".join(" ".join(page.text).split())
-    verdict = text.index("On monday.csv (11 s) the error is")
+    verdict = text.index("monday.csv (11 s): the error is")
     assert verdict < text.index("Warnings") < text.index("Error per joint")
     for rms in comparison.rms:
         assert f"{rms:.3g}" in text
@@ -118,6 +118,11 @@ def test_names_from_strangers_are_text(fit, comparison):
     text = "".join(page.text)
     assert EVIL in text
     assert str(warning) in text
+    turned = Page(
+        render("\u202eturned", [Section("", "verdict.html", {"sentence": "a\x1b\u2066b"})])
+    )
+    assert r"\u202eturned" in turned.text
+    assert r"a\u001b\u2066b" in "".join(turned.text)
 
 
 def test_a_fit_without_a_test_has_a_report_too(fit):

@@ -1,0 +1,87 @@
+"""Names of robots, joints and recordings stay text in everything that is exported."""
+
+import dataclasses
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from exporters.c_arms import made_fit
+
+import lieid_casadi as lieid
+from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.joint_friction import joint_frictions
+from lieid_casadi.exporters.mjcf import mjcf_snippet
+from lieid_casadi.exporters.urdf_write import written_urdf
+from lieid_casadi.exporters.xml_text import comment
+
+NAMES = [
+    "a--b",
+    "a---><evil/>",
+    "--",
+    "-",
+    "ends with -",
+    "<![CDATA[ & ]]>",
+    "\x07bell \x1b[2J \u202eturned",
+    "new\nline",
+    "<script>alert(1)</script>",
+    "| `code` | ![x](y) | $z$",
+]
+
+
+def named(name):
+    robot = lieid.robots.two_link()
+    joints = tuple(
+        dataclasses.replace(joint, name=f"{name}{k}") for k, joint in enumerate(robot.joints)
+    )
+    return made_fit(dataclasses.replace(robot, name=name, joints=joints), "coulomb,armature")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_mujoco_files_are_well_formed(name):
+    fit = named(name)
+    text = mjcf_snippet(fit, file=f"{name}.xml")
+    root = ElementTree.fromstring(text)
+    assert [element.tag for element in root.iter()] == [
+        "mujocoinclude", "default", "default", "joint", "default", "joint",
+    ]  # fmt: skip
+    assert "\u202e" not in text.partition("-->")[0]
+    classes = [e.get("class") for e in root.iter("default")][1:]
+    if name.isprintable():
+        assert classes == [f"identified_{name}{k}" for k in range(2)]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_urdf_files_are_well_formed(name):
+    fit = named(name)
+    bodies = fit.link_parameters.reshape(-1, 10)
+    text, _ = written_urdf(fit.model.robot, bodies, joint_frictions(fit))
+    root = ElementTree.fromstring(text)
+    assert {element.tag for element in root} == {"link", "joint"}
+    if name.isprintable():
+        assert root.get("name") == name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_comments_end_where_they_should(name):
+    (element,) = ElementTree.fromstring(f"<a><!-- {comment(name)} --><b/></a>")
+    assert element.tag == "b"
+
+
+def test_names_are_no_markup_in_the_readme(tmp_path):
+    fit = named("<img src=x onerror=alert(1)> | `a` [b](javascript:c) # d")
+    sources = tuple(
+        dataclasses.replace(s, name="<b>|</b>\u202e") for s in fit.provenance.recordings
+    )
+    fit = dataclasses.replace(
+        fit, provenance=dataclasses.replace(fit.provenance, recordings=sources)
+    )
+    assert np.isfinite(fit.values).all()
+    export_c(fit, tmp_path / "arm")
+    text = (tmp_path / "arm" / "README.md").read_text()
+    assert "<img" not in text
+    assert "<b>" not in text
+    assert "\u202e" not in text
+    assert "[b](" not in text
+    title, row = text.splitlines()[0], next(x for x in text.splitlines() if "&lt;b&gt;" in x)
+    assert title.startswith("# &lt;img")
+    assert row.replace("\\|", "").count("|") == 3
