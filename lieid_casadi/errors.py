@@ -102,6 +102,14 @@ class DropoutWarning(LieidWarning):
     """Samples are missing; segments are not joined across gaps."""
 
 
+class IrregularTimeWarning(LieidWarning):
+    """Time stamps come in clusters: they are not the instants of the measurements."""
+
+
+class ConstantTorqueWarning(LieidWarning):
+    """A joint's torque has the same value in every row: it was probably not recorded."""
+
+
 class VelocityMismatchWarning(LieidWarning):
     """dq is not the derivative of q."""
 

@@ -23,7 +23,7 @@ from lieid_casadi.recording.readers.registry import (
     write_measurement,
 )
 from lieid_casadi.recording.readers.tables import measurement_of_columns
-from lieid_casadi.recording.sample_timing import gap_limit, sample_period
+from lieid_casadi.recording.sample_timing import gap_limit, sample_rate
 from lieid_casadi.recording.units import convert_units
 
 
@@ -42,8 +42,8 @@ class Recording(Measurement):
 
     @property
     def rate(self) -> float:
-        """Samples per second: one over the median time between rows, Hz."""
-        return 1.0 / sample_period(self.t)
+        """Samples per second, Hz: one over the median time between rows (see `sample_rate`)."""
+        return sample_rate(self.t)
 
     @classmethod
     def from_arrays(
@@ -218,7 +218,7 @@ class Recording(Measurement):
         )
         if last - first < 2:
             raise RecordingError(
-                f"{self.name or 'recording'}{part}: {max(last - first, 0)} rows in that part, "
+                f"{self.title}{part}: {max(last - first, 0)} rows in that part, "
                 f"expected some of {self.t[0]:g} to {self.t[-1]:g} s"
             )
         return replace(self.rows(int(first), int(last)), name=self.name + part)

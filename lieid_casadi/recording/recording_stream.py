@@ -26,7 +26,7 @@ from lieid_casadi.recording.readers.registry import (
     read_measurement,
 )
 from lieid_casadi.recording.recording import Recording
-from lieid_casadi.recording.sample_timing import gap_limit, sample_period
+from lieid_casadi.recording.sample_timing import gap_limit, sample_rate
 from lieid_casadi.recording.units import convert_units, unit_factors
 
 #: Number of rows in each sample of a long recording, and number of samples.
@@ -90,8 +90,8 @@ class RecordingStream:
 
     @property
     def rate(self) -> float:
-        """Samples per second: one over the median time between rows, Hz."""
-        return 1.0 / sample_period(self.t)
+        """Samples per second, Hz: one over the median time between rows (see `sample_rate`)."""
+        return sample_rate(self.t)
 
     @property
     def duration(self) -> float:

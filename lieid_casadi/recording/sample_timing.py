@@ -46,6 +46,15 @@ def mean_rate(t: Array) -> float:
     return float(inside.size / inside.sum())
 
 
+def sample_rate(t: Array) -> float:
+    """Return the rate of uniform instants that follow the stamps, Hz (t: (N,), N ≥ 2).
+
+    One over the median step, but at most four times the mean rate: stamps in clusters have a
+    median step that says nothing about the spacing of the measurements.
+    """
+    return min(1.0 / sample_period(t), INSTANTS_PER_ROW * mean_rate(t))
+
+
 def uniform_count(t: Array, rate: float) -> int:
     """Return the number of uniform instants from the first stamp to the last.
 

@@ -1,4 +1,4 @@
-"""Is this recording what it says it is? What is wrong is refused, what is odd is told."""
+"""All checks of a recording: errors for what is certainly wrong, warnings for the rest."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from lieid_casadi.recording.checks.torque import check_torque
 from lieid_casadi.recording.checks.units import check_units
 from lieid_casadi.recording.faults import require_sound
 from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.sample_timing import require_plausible_rate
 
 if TYPE_CHECKING:
     from lieid_casadi.robot.robot import Robot
@@ -46,16 +47,17 @@ def check(
     Returns
     -------
     tuple of LieidWarning
-        The recording's own warnings first, then dropouts, units and limits, velocity
-        against position, joints at rest, rate, torque.
+        The recording's own warnings first, then dropouts and irregular stamps, units and
+        limits, velocity against position, joints at rest, rate, torque.
 
     Raises
     ------
     RecordingError
-        What is certainly wrong: NaN or Inf, time that does not increase, another number of
-        joints, degrees.
+        What is certainly wrong: NaN or Inf, time that does not increase or is not in seconds,
+        another number of joints, degrees.
     """
     require_sound(recording)
+    require_plausible_rate(recording.t, recording.title)
     _require_joints(recording, robot)
     nominal = _nominal(recording, nominal_torque)
     blocks = block_means(recording, nominal)
@@ -73,7 +75,7 @@ def check(
 def _require_joints(recording: Recording, robot: Robot | None) -> None:
     if robot is not None and robot.n != recording.n:
         raise RecordingError(
-            f"{recording.name or 'recording'}: found {recording.n} joints "
+            f"{recording.title}: found {recording.n} joints "
             f"(q1…q{recording.n}), expected {robot.n} as the robot {robot.name} has"
         )
 

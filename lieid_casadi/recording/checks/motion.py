@@ -8,6 +8,7 @@ import numpy as np
 
 from lieid_casadi.errors import (
     DropoutWarning,
+    IrregularTimeWarning,
     JointStillWarning,
     LieidWarning,
     LowRateWarning,
@@ -19,18 +20,37 @@ from lieid_casadi.recording.checks.block_means import Blocks
 from lieid_casadi.recording.joint_names import joints_text
 from lieid_casadi.recording.processing.spectrum import motion_band
 from lieid_casadi.recording.recording import Recording
-from lieid_casadi.recording.sample_timing import dropout_limit, gap_limit, sample_period
+from lieid_casadi.recording.sample_timing import (
+    dropout_limit,
+    gap_limit,
+    mean_rate,
+    sample_period,
+)
 
 if TYPE_CHECKING:
     from lieid_casadi.robot.robot import Robot
 
 DEGREES = 180.0 / np.pi
+#: Mean step over median step beyond which stamps come in clusters.
+CLUSTERED = 2.0
+#: Ratio of dq's integral to the way of q, and what it means.
+UNIT_RATIOS = (
+    (DEGREES, "dq in degrees per second and q in radians: convert dq with numpy.deg2rad"),
+    (1.0 / DEGREES, "q in degrees and dq in radians per second: convert q with numpy.deg2rad"),
+    (1e3, "t in milliseconds: convert with --units ms"),
+    (1e6, "t in microseconds: convert with --units us"),
+    (1e9, "t in nanoseconds: convert with --units ns"),
+)
 #: A joint that stays within this never moves, rad (a tenth of it in m).
 STILL = 1e-3
 
 
 def check_time(recording: Recording) -> list[LieidWarning]:
-    """Lost samples, and gaps that split the recording into segments."""
+    """Lost samples, gaps that split the recording into segments, and clustered stamps."""
+    return [*_dropouts(recording), *_clusters(recording)]
+
+
+def _dropouts(recording: Recording) -> list[LieidWarning]:
     steps = np.diff(recording.t)
     lost = steps > dropout_limit(recording.t)
     if not lost.any():
@@ -40,9 +60,22 @@ def check_time(recording: Recording) -> list[LieidWarning]:
     split = f"; split into {gaps + 1} segments at the gaps" if gaps else "; interpolated"
     return [
         DropoutWarning(
-            f"{recording.name or 'recording'}: {int(lost.sum())} dropouts, the longest "
+            f"{recording.title}: {int(lost.sum())} dropouts, the longest "
             f"{steps.max():.3g} s at a sample period of {sample_period(recording.t):.3g} s, "
             f"the first at t = {first:.6g} s{split}"
+        )
+    ]
+
+
+def _clusters(recording: Recording) -> list[LieidWarning]:
+    period, mean = sample_period(recording.t), 1.0 / mean_rate(recording.t)
+    if mean < CLUSTERED * period:
+        return []
+    return [
+        IrregularTimeWarning(
+            f"{recording.title}: the stamps come in clusters (median step {period:.3g} s, mean "
+            f"step {mean:.3g} s): these look like times of arrival; record the time of each "
+            "measurement, or velocities and accelerations are wrong"
         )
     ]
 
@@ -53,26 +86,24 @@ def check_velocity(recording: Recording, blocks: Blocks) -> list[LieidWarning]:
     Raises
     ------
     RecordingError
-        One of them is in degrees and the other in radians, on most of the moving joints.
+        One of them is in degrees and the other in radians, or t is not in seconds, on most of
+        the moving joints.
     """
     if recording.dq is None or blocks.integrated is None or len(blocks.travelled) < 8:
         return []
-    title = recording.name or "recording"
+    title = recording.title
     way, integral = blocks.travelled, blocks.integrated
     moving = _moving_enough(way, recording)
     if not moving.any():
         return []
     gain, correlation = _gain_and_correlation(way, integral)
-    for factor, message in (
-        (DEGREES, "dq in degrees per second and q in radians"),
-        (1.0 / DEGREES, "q in degrees and dq in radians per second"),
-    ):
-        in_degrees = moving & (np.abs(gain / factor - 1.0) < 0.15) & (correlation > 0.9)
-        if in_degrees.sum() > 0.5 * moving.sum():
-            joint = int(np.argmax(in_degrees))
+    for factor, meaning in UNIT_RATIOS:
+        in_unit = moving & (np.abs(gain / factor - 1.0) < 0.15) & (correlation > 0.9)
+        if in_unit.sum() > 0.5 * moving.sum():
+            joint = int(np.argmax(in_unit))
             raise RecordingError(
                 f"{title}: column dq{joint + 1}: found {gain[joint]:.3g} times the derivative of "
-                f"q{joint + 1}, expected 1: {message}? Convert with numpy.deg2rad"
+                f"q{joint + 1}, expected 1; this looks like {meaning}"
             )
     wrong = moving & ((correlation < 0.9) | (np.abs(np.log(np.maximum(gain, 1e-12))) > 0.22))
     if not wrong.any():
@@ -95,8 +126,8 @@ def check_still(recording: Recording, robot: Robot | None) -> list[LieidWarning]
         return []
     return [
         JointStillWarning(
-            f"{recording.name or 'recording'}: {joints_text(still)} never moved: friction and "
-            "inertia there stay unseen"
+            f"{recording.title}: {joints_text(still)} never moved: friction and inertia of a "
+            "joint at rest are not identifiable"
         )
     ]
 
@@ -108,7 +139,7 @@ def check_rate(recording: Recording) -> list[LieidWarning]:
         return []
     return [
         LowRateWarning(
-            f"{recording.name or 'recording'}: {recording.rate:.3g} Hz is a low rate for motion "
+            f"{recording.title}: {recording.rate:.3g} Hz is a low rate for motion "
             f"up to {band:.3g} Hz, expected {10.0 * band:.3g} Hz or more: accelerations are "
             "underestimated"
         )

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from lieid_casadi.errors import (
+    ConstantTorqueWarning,
     LieidWarning,
     TorqueClippedWarning,
     TorqueOrderWarning,
@@ -37,8 +38,8 @@ def check_torque(recording: Recording, blocks: Blocks, robot: Robot | None) -> l
     """Exchanged, swapped or clipped torques."""
     if recording.tau is None:
         return []
-    title = recording.name or "recording"
-    found = _clipped(recording, title, robot)
+    title = recording.title
+    found = [*_constant(recording, title), *_clipped(recording, title, robot)]
     moving = np.ptp(blocks.q, axis=0) > ENOUGH_MOTION if len(blocks.q) else np.zeros(0, bool)
     columns = 7 * int(moving.sum())
     if blocks.tau is None or len(blocks.q) < 4 * columns or not moving.any():
@@ -48,6 +49,21 @@ def check_torque(recording: Recording, blocks: Blocks, robot: Robot | None) -> l
         pairs = ", ".join(f"tau{j + 1} runs like joint {k + 1}" for j, k in exchanged.items())
         return [*found, TorqueOrderWarning(f"{title}: torques of joints exchanged? {pairs}")]
     return found + _swapped(blocks, moving, title)
+
+
+def _constant(recording: Recording, title: str) -> list[LieidWarning]:
+    """Joints whose torque has one value only."""
+    assert recording.tau is not None
+    constant = np.ptp(recording.tau, axis=0) == 0.0
+    if not constant.any():
+        return []
+    values = ", ".join(f"{value:g}" for value in np.unique(recording.tau[0, constant])[:4])
+    return [
+        ConstantTorqueWarning(
+            f"{title}: torque of {joints_text(constant)} is {values} N·m in every row: was it "
+            "recorded? The parameters of these joints are not identifiable from it"
+        )
+    ]
 
 
 def _exchanged(blocks: Blocks, moving: Mask) -> dict[int, int]:

@@ -20,7 +20,7 @@ FAR_BEYOND = 2.0
 TWO_TURNS = 4.0 * np.pi
 #: No joint of an arm is that fast, rad/s; a hint only.
 FASTEST = 30.0
-REMEDY = "convert q and dq with numpy.deg2rad"
+REMEDY = "convert with --units deg (units='deg' in Python)"
 
 
 def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
@@ -31,7 +31,7 @@ def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]
     RecordingError
         Joints far beyond their limits or, without limits, half of them beyond two turns.
     """
-    title = recording.name or "recording"
+    title = recording.title
     revolute = np.ones(recording.n, dtype=bool)
     if robot is not None:
         revolute = np.array([joint.revolute for joint in robot.joints])

@@ -9,6 +9,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.signal import butter, sosfiltfilt
 
 from lieid_casadi.recording.arrays import Array
+from lieid_casadi.recording.sample_timing import uniform_count
 
 #: A cut-off above this part of the rate leaves too little below Nyquist to filter.
 HIGHEST_CUTOFF = 0.45
@@ -46,8 +47,7 @@ def central_difference(x: Array, rate: float) -> Array:
 
 def uniform_time(t: Array, rate: float) -> Array:
     """Uniform instants from the first stamp to the last, nearest to the rate."""
-    count = max(2, round((t[-1] - t[0]) * rate) + 1)
-    return np.linspace(t[0], t[-1], count)
+    return np.linspace(t[0], t[-1], uniform_count(t, rate))
 
 
 def smooth_at(t: Array, x: Array, instants: Array) -> Array:

@@ -85,7 +85,7 @@ def mean_period(recording: Recording, margin: float) -> Recording:
     period = detect_period(recording)
     if period is None:
         raise RecordingError(
-            f"{recording.name or 'recording'}: no period found, expected two full periods or "
+            f"{recording.title}: no period found, expected two full periods or "
             "more of the same motion: leave out the averaging over periods"
         )
     count = max(8, round(period * recording.rate))

@@ -20,7 +20,7 @@ from lieid_casadi.recording.processing.resampling import signals_on_grid
 from lieid_casadi.recording.processing.spectrum import choose_cutoff
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.recording_stream import RecordingStream, scratch
-from lieid_casadi.recording.sample_timing import sample_period
+from lieid_casadi.recording.sample_timing import require_plausible_rate, sample_rate
 
 #: Weight of rest in a filtered sample that counts as moving.
 REST_LEFT = 0.1
@@ -175,8 +175,8 @@ def process(
     Raises
     ------
     RecordingError
-        Nothing long enough is left after trimming, a cut-off that the rate cannot show, or
-        periods to be averaged where there are none.
+        Stamps that are not in seconds, no segment long enough after trimming, a cut-off
+        beyond what the rate can show, or periods to be averaged where there are none.
     MissingDependency
         RLOESS without the extra ``[loess]``.
     """
@@ -185,6 +185,8 @@ def process(
     given = list(recordings)
     if not given:
         raise RecordingError("no recordings, expected at least one")
+    for recording in given:
+        require_plausible_rate(recording.t, recording.title)
     options = options or Processing()
     cutoff = options.cutoff or float(np.median([_cutoff_of(r) for r in given]))
     options = replace(options, cutoff=cutoff)
@@ -221,7 +223,7 @@ def _too_short(segment: Recording | RecordingStream, cutoff: float, trim: float)
     left = segment.duration - 2.0 * trim
     if len(segment) >= 5 and left >= 1.0 / cutoff:
         return None
-    where = f"{segment.name or 'recording'}: {segment.t[0]:g} to {segment.t[-1]:g} s"
+    where = f"{segment.title}: {segment.t[0]:g} to {segment.t[-1]:g} s"
     return (
         f"{where} is too short: {max(left, 0.0):.3g} s are left after trimming {trim:g} s at "
         f"both ends, expected {1.0 / cutoff:.3g} s or more (one period of the cut-off)"
@@ -232,10 +234,10 @@ def _process_segment(
     segment: Recording | RecordingStream, options: Processing, cutoff: float
 ) -> Processed:
     t, rows, told = without_repeats(segment)
-    rate = 1.0 / sample_period(t)
+    rate = sample_rate(t)
     if cutoff >= HIGHEST_CUTOFF * rate:
         raise RecordingError(
-            f"{segment.name or 'recording'}: cutoff {cutoff:g} Hz, expected less than "
+            f"{segment.title}: cutoff {cutoff:g} Hz, expected less than "
             f"{HIGHEST_CUTOFF * rate:.3g} Hz at a rate of {rate:.4g} Hz"
         )
     signals = signals_on_grid(

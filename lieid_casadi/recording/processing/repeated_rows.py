@@ -56,7 +56,7 @@ def without_repeats(
 
     new = f"; the others are {1e3 * sample_period(stamps):.4g} ms apart" if uniform else ""
     told = RepeatedRowsWarning(
-        f"{segment.name or 'recording'}: {left} of {len(t)} rows repeat the one before in all "
+        f"{segment.title}: {left} of {len(t)} rows repeat the one before in all "
         f"signals while the arm moves, and were left out{new}: the source was slower than the "
         "recorder"
     )

@@ -21,6 +21,7 @@ from lieid_casadi.recording.processing.overlap_windows import filter_memory
 from lieid_casadi.recording.processing.robust_loess import robust_loess
 from lieid_casadi.recording.processing.velocity import Look, Velocity, velocity_of
 from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.sample_timing import uniform_count
 
 #: A stay in the dead zone for this long is rest (stiction holds the joint), not a reversal, s.
 REST_TIME = 0.03
@@ -51,7 +52,7 @@ class Grid:
     @classmethod
     def of(cls, t: Array, rate: float, cutoff: float) -> Grid:
         """The grid of a segment with stamps t at about a rate, Hz."""
-        count = max(2, round((t[-1] - t[0]) * rate) + 1)
+        count = uniform_count(t, rate)
         rate = (count - 1) / (t[-1] - t[0])
         step = max(1, int(rate / max(GRID_OVER_CUTOFF * cutoff, LEAST_GRID)))
         return cls(float(t[0]), float(t[-1]), count, step)

@@ -25,6 +25,8 @@ LEAST_BANDS, MOST_BANDS = 6.0, 25.0
 TORQUE_RATE = 400.0
 #: Rows that are looked at: a spectrum needs no more.
 ENOUGH_ROWS = 1 << 19
+#: Motion, rad or m, and rows that a band is determined from; less is noise about rest.
+LEAST_MOTION, LEAST_ROWS = 0.01, 9
 #: Joints that move less say nothing about the band of their torque, rad or m.
 ENOUGH_MOTION = 0.05
 #: Part of the top speed that is in the dead zone even without noise. On test recordings a
@@ -45,7 +47,7 @@ def choose_cutoff(recording: Recording) -> float:
     stamps, rows, _ = without_repeats(longest)
     longest = rows(0, min(len(stamps), ENOUGH_ROWS))
     highest = 0.25 * longest.rate
-    band = motion_band(longest) if len(longest) > 8 else None
+    band = motion_band(longest)
     if band is None:
         return _two_digits(min(5.0, highest), highest)
     explained = _explained_band(longest)
@@ -102,15 +104,19 @@ def _noise_takes_over(q: Array, dq: Array, tau: Array, rate: float, moving: Mask
 def motion_band(recording: Recording) -> float | None:
     """Frequency, Hz, below which 99 % of the velocity's power lies; None at rest.
 
-    Median over the joints that move; the lower one of measured velocity and differenced
-    position, since either may be noisy.
+    In the longest segment; median over the joints that move by more than 0.01; the lower one
+    of measured velocity and differenced position, since either may be noisy.
     """
-    rate = recording.rate
-    grid = uniform_time(recording.t, rate)
-    derived = central_difference(smooth_at(recording.t, recording.q, grid), rate)
+    longest = max(recording.segments(), key=len)
+    moves = np.ptp(longest.q, axis=0) > LEAST_MOTION
+    if len(longest) < LEAST_ROWS or not moves.any():
+        return None
+    rate = longest.rate
+    grid = uniform_time(longest.t, rate)
+    derived = central_difference(smooth_at(longest.t, longest.q[:, moves], grid), rate)
     bands = [_band(derived, rate)]
-    if recording.dq is not None:
-        bands.append(_band(smooth_at(recording.t, recording.dq, grid), rate))
+    if longest.dq is not None:
+        bands.append(_band(smooth_at(longest.t, longest.dq[:, moves], grid), rate))
     return min((band for band in bands if band is not None), default=None)
 
 
