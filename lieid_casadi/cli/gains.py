@@ -53,6 +53,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--plot", type=PictureFile, metavar="FILE", help="draw the gains")
     shared_options.add_effects(parser)
+    shared_options.add_reading_options(parser)
     shared_options.add_processing(parser)
     shared_options.add_outputs(parser)
     shared_options.add_threads(parser)
@@ -71,8 +72,8 @@ def run(args: argparse.Namespace) -> None:
     with output.progress("gains") as report:
         gains = drive_gains(
             robot,
-            _currents(args.unloaded, robot),
-            _currents(args.loaded, robot),
+            _currents(args.unloaded, args, robot),
+            _currents(args.loaded, args, robot),
             mass=args.mass,
             com=args.com,
             effects=args.effects,
@@ -87,10 +88,11 @@ def run(args: argparse.Namespace) -> None:
     print_gains(gains)
 
 
-def _currents(paths: list[str], robot: Robot) -> list[Recording]:
+def _currents(paths: list[str], args: argparse.Namespace, robot: Robot) -> list[Recording]:
     from lieid_casadi.recording import Recording
 
-    return [Recording.load(path, n=robot.n) for path in paths]
+    options = shared_options.reading_options_of(args, robot)
+    return [Recording.load(path, **options) for path in paths]
 
 
 def print_gains(gains: DriveGains) -> None:

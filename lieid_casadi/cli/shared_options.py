@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli.option_types import InputPath, OutputFile, OutputFolder, number
 from lieid_casadi.errors import UsageError
@@ -31,6 +31,23 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--torque-constants", metavar="K1,…,Kn", help="N·m/A, for recordings with currents i1…in"
     )
+    add_reading_options(parser)
+
+
+def add_reading_options(parser: argparse.ArgumentParser) -> None:
+    """Add --units and --inflate-limit."""
+    parser.add_argument(
+        "--units",
+        default="",
+        metavar="UNIT[,UNIT]",
+        help="units of the recordings that are not SI: deg, and ms, us or ns",
+    )
+    parser.add_argument(
+        "--inflate-limit",
+        type=number,
+        metavar="MIB",
+        help="size that a compressed recording may inflate to; default: 1024",
+    )
 
 
 def add_processing(parser: argparse.ArgumentParser) -> None:
@@ -43,6 +60,12 @@ def add_processing(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--average-periods", action="store_true", help="average periodic recordings over periods"
+    )
+    parser.add_argument(
+        "--smoothing",
+        choices=["butterworth", "rloess"],
+        default="butterworth",
+        help="rloess smooths accelerations and torques by robust local regression first",
     )
 
 
@@ -129,7 +152,8 @@ def recordings_of(paths: Sequence[str], args: argparse.Namespace, robot: Robot) 
     from lieid_casadi.recording import Recording
 
     constants = _torque_constants(args, robot)
-    return [Recording.load(path, torque_constants=constants, n=robot.n) for path in paths]
+    options = reading_options_of(args, robot)
+    return [Recording.load(path, torque_constants=constants, **options) for path in paths]
 
 
 def training_of(
@@ -139,14 +163,33 @@ def training_of(
     from lieid_casadi.recording import load_or_stream
 
     constants = _torque_constants(args, robot)
-    return [load_or_stream(path, torque_constants=constants, n=robot.n) for path in paths]
+    options = reading_options_of(args, robot)
+    return [load_or_stream(path, torque_constants=constants, **options) for path in paths]
+
+
+def reading_options_of(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
+    """Return the arguments of `Recording.load` that the robot and the options give."""
+    import numpy as np
+
+    options: dict[str, Any] = {
+        "n": robot.n,
+        "units": args.units,
+        "revolute": np.array([joint.revolute for joint in robot.joints]),
+    }
+    if args.inflate_limit is not None:
+        if not args.inflate_limit > 0.0:
+            raise UsageError(f"--inflate-limit {args.inflate_limit:g}: expected MiB above 0")
+        options["inflate_limit"] = int(args.inflate_limit * 2**20)
+    return options
 
 
 def processing_of(args: argparse.Namespace) -> Processing:
     """Return the filter options."""
     from lieid_casadi.recording import Processing
 
-    return Processing(cutoff=args.cutoff, average_periods=args.average_periods)
+    return Processing(
+        cutoff=args.cutoff, average_periods=args.average_periods, smoother=args.smoothing
+    )
 
 
 def load_effects_file(path: str | None) -> None:

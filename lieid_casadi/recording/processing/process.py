@@ -41,7 +41,7 @@ class Processing:
     average_periods
         Replace periodic motion by its mean period. Erases drift and warm-up.
     smoother
-        ``rloess`` smooths ddq and tau by robust local regression first (paper, 6.2).
+        ``rloess`` smooths ddq and tau by robust local quadratic regression first (paper, 6.2).
     """
 
     cutoff: float | None = None
@@ -177,8 +177,6 @@ def process(
     RecordingError
         Stamps that are not in seconds, no segment long enough after trimming, a cut-off
         beyond what the rate can show, or periods to be averaged where there are none.
-    MissingDependency
-        RLOESS without the extra ``[loess]``.
     """
     if isinstance(recordings, Recording | RecordingStream):
         recordings = [recordings]

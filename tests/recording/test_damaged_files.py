@@ -1,0 +1,190 @@
+"""Files that inflate without bound, or whose structure states what their bytes do not hold."""
+
+import gzip
+import io
+import struct
+import tracemalloc
+import zipfile
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+from recording import bag_files
+from recording.planar_arm import measured
+
+from lieid_casadi.errors import RecordingError, UnknownColumnWarning
+from lieid_casadi.recording import Recording, stream
+from lieid_casadi.recording.readers import registry
+
+
+@pytest.fixture(scope="module")
+def run():
+    return measured(duration=4.0, rate=50.0)
+
+
+def refused(file, **options):
+    with pytest.raises(RecordingError) as caught:
+        Recording.load(file, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# -- bounded inflation ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", ["csv.gz", "npz"])
+def test_the_limit_of_inflation_is_stated_and_can_be_raised(tmp_path, run, suffix):
+    file = tmp_path / f"run.{suffix}"
+    run.save(file)
+    message = refused(file, inflate_limit=1 << 12)
+    assert "inflates to more than the limit of 0.00391 MiB" in message
+    assert "--inflate-limit" in message
+    assert len(Recording.load(file, inflate_limit=1 << 20)) == len(run)
+
+
+def test_a_gzip_bomb_takes_no_memory(tmp_path):
+    file = tmp_path / "run.csv.gz"
+    rows = b"".join(b"%d,1\n" % k for k in range(1000))
+    with gzip.open(file, "wb", compresslevel=1) as out:
+        out.write(b"t,q1\n")
+        for _ in range(500):
+            out.write(rows)
+    tracemalloc.start()
+    try:
+        refused(file, inflate_limit=1 << 20)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 8 << 20
+
+
+def test_arrays_with_unknown_names_are_not_inflated(tmp_path, run):
+    file = tmp_path / "run.npz"
+    run.save(file)
+    with zipfile.ZipFile(file, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("video.npy", bytes(1 << 24))
+    tracemalloc.start()
+    try:
+        recording = Recording.load(file, inflate_limit=1 << 20)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 4 << 20
+    assert [type(w) for w in recording.warnings] == [UnknownColumnWarning]
+    assert "video" in str(recording.warnings[0])
+
+
+@pytest.mark.parametrize("format_", ["mcap", "bz2", "lz4"])
+def test_chunks_of_bags_inflate_to_a_limit(tmp_path, run, format_):
+    messages = bag_files.arm_messages(run)
+    if format_ == "mcap":
+        mode = bag_files.CompressionMode.STORAGE
+        bag = bag_files.write(tmp_path / "bag", messages, bag_files.StoragePlugin.MCAP, mode)
+        (file,) = bag.glob("*.mcap")
+    else:
+        compression = bag_files.Writer1.CompressionFormat[format_.upper()]
+        file = bag_files.write_ros1(tmp_path / "run.bag", messages, compression)
+    assert len(Recording.load(file)) == len(run)
+    assert "inflates to more than the limit" in refused(file, inflate_limit=1 << 12)
+
+
+# -- statements that the bytes do not hold --------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4000000000, 2), }", "of shape"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, 2), }", "of shape (-1, 2)"),
+        ("{'descr': '|O', 'fortran_order': False, 'shape': (2, 2), }", "expected real numbers"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (1.5,), }", "not an NPZ"),
+        ("nonsense", "not an NPZ of plain arrays"),
+    ],
+)
+def test_arrays_with_impossible_headers(tmp_path, run, header, message):
+    text = header.encode() + b"\n"
+    content = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + bytes(32)
+    file = tmp_path / "run.npz"
+    with zipfile.ZipFile(file, "w") as archive:
+        array = io.BytesIO()
+        np.save(array, run.t)
+        archive.writestr("t.npy", array.getvalue())
+        archive.writestr("q.npy", content)
+    assert message in refused(file)
+
+
+def test_encrypted_and_unknown_compression(tmp_path, run):
+    file = tmp_path / "run.npz"
+    run.save(file)
+    data = file.read_bytes()
+    directory = data.index(b"PK\x01\x02")
+    for offset, value in ((8, 1), (10, 99)):
+        changed = bytearray(data)
+        struct.pack_into("<H", changed, directory + offset, value)
+        file.write_bytes(bytes(changed))
+        assert "not an NPZ of plain arrays" in refused(file)
+
+
+@pytest.mark.parametrize("column", [[[1.0]] * 3, [b"\xff"] * 3, [10**9] * 3])
+def test_parquet_columns_that_hold_no_numbers(tmp_path, column):
+    values = pyarrow.array(column)
+    if pyarrow.types.is_integer(values.type):
+        values = values.cast("timestamp[ns]")
+    table = pyarrow.table({"t": [0.0, 0.1, 0.2], "q1": values})
+    pyarrow.parquet.write_table(table, tmp_path / "run.parquet")
+    assert "column q1" in refused(tmp_path / "run.parquet")
+
+
+def test_thirty_thousand_columns(tmp_path):
+    """Every column is looked at once: the time is linear (a minute if it were quadratic)."""
+    joints = 15_000
+    names = [f"{signal}{j + 1}" for signal in ("q", "x") for j in range(joints)]
+    row = ",".join(["0"] * len(names))
+    text = "\n".join([",".join(["t", *names]), f"0,{row}", f"1,{row}", f"2,{row}"])
+    (tmp_path / "run.csv").write_text(text)
+    recording = Recording.load(tmp_path / "run.csv")
+    assert recording.q.shape == (3, joints)
+    assert len(str(recording.warnings[0])) < 200
+
+
+def test_damaged_quotes_are_located(tmp_path):
+    (tmp_path / "run.csv").write_text('t,q1,load\n0,1,"a\n0.1,2,"b"\n0.2,"3"x,c\n')
+    assert "line 4, column q1: found '3x', expected a number" in refused(tmp_path / "run.csv")
+
+
+def test_a_line_without_end_is_refused(tmp_path, monkeypatch):
+    from lieid_casadi.recording.readers import csv_lines
+
+    monkeypatch.setattr(csv_lines, "LONGEST_LINE", 1000)
+    (tmp_path / "run.csv").write_text("t,q1\n" + "1" * 2000)
+    assert "line 2: found more than 1000 characters" in refused(tmp_path / "run.csv")
+
+
+# -- streams of files that change -----------------------------------------------------
+
+
+def test_a_rewritten_file_is_read_again(tmp_path, run):
+    file = tmp_path / "run.csv"
+    run.save(file)
+    old = stream(file)
+    run.rows(0, 100).save(file)
+    new = stream(file)
+    assert (len(new), len(old)) == (100, len(run))
+    np.testing.assert_array_equal(new.rows(0, 100).q, run.q[:100])
+    with pytest.raises(RecordingError, match="changed while it was being read"):
+        old.rows(0, 10)
+
+
+# -- the registry ---------------------------------------------------------------------
+
+
+def test_every_format_states_its_suffixes_once():
+    suffixes = [s for made in registry.recording_formats() for s in made.suffixes]
+    assert len(set(suffixes)) == len(suffixes)
+    assert {".csv", ".csv.gz", ".npz", ".parquet", ".mcap", ".bag", ".db3"} <= set(suffixes)
+
+
+def test_an_unknown_suffix_lists_those_that_are_read(tmp_path):
+    (tmp_path / "run.xls").write_text("")
+    assert ".csv, .csv.gz, .npz, .parquet" in refused(tmp_path / "run.xls")
