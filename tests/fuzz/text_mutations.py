@@ -165,7 +165,7 @@ def mutate_json(data: bytes, rng: random.Random) -> bytes:
 def mutate_yaml(data: bytes, rng: random.Random) -> bytes:
     """Return YAML after a change of its tree or of its text, or with aliases in it."""
     kind = rng.random()
-    if kind < 0.5:
+    if kind < 0.5 or b"bomb:" in data:  # the tree of an alias bomb is too large to walk
         return mutate_text(data, rng)
     if kind < 0.55:
         return data + alias_bomb(rng.choice((3, 12, 40)))
