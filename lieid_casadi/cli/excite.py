@@ -31,7 +31,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--inertial-only", action="store_true", help="leave effects out of the regressor"
     )
-    parser.add_argument("--scaling", choices=("si", "units", "prior"), default="si")
+    parser.add_argument("--scaling", choices=("si", "units", "prior", "unit_norm"), default="si")
     _add_motion(parser)
     _add_limits(parser)
     _add_search(parser)

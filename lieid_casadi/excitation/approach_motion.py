@@ -1,4 +1,4 @@
-"""The way from the arm's rest pose into the trajectory, and back."""
+"""The motion from the rest pose to the start of the trajectory; backwards, the return."""
 
 from __future__ import annotations
 
@@ -15,14 +15,22 @@ from lieid_casadi.excitation.limits.joint_limits import MotionRange
 
 Array = NDArray[np.float64]
 PEAK_VELOCITY, PEAK_ACCELERATION = 1.875, 5.7736  # of the quintic from 0 to 1 in 1 s
-SPARE = 1.05  # slower than the limits ask for
-SLOWER = (1.0, 1.5, 2.5, 4.0)  # durations that are tried, in parts of the quickest
-GRID = 400
+MARGIN = 1.05  # on the shortest duration that the joint limits permit
+DURATIONS = (1.0, 1.5, 2.5, 4.0)  # that are tried, in parts of the shortest
+GRID = 400  # samples of the verification
 
 
 @dataclass(frozen=True, eq=False)
 class RestToRest:
-    """A quintic from rest to rest between two poses (n,)."""
+    """A quintic motion from rest to rest.
+
+    Attributes
+    ----------
+    start, end : (n,)
+        Poses, rad.
+    duration : float
+        s.
+    """
 
     start: Array
     end: Array
@@ -31,13 +39,15 @@ class RestToRest:
     def at(self, t: Array) -> MotionSamples:
         """Return the motion at times 0 … duration."""
         if self.duration <= 0.0:
-            raise ValueError("a run-in without duration has no motion")
+            raise ValueError("a motion of zero duration has no samples")
         u = np.clip(np.asarray(t) / self.duration, 0.0, 1.0)[:, None]
-        way, rate = self.end - self.start, 1.0 / self.duration
+        distance, rate = self.end - self.start, 1.0 / self.duration
         shape = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
         first = 30.0 * u**2 * (1.0 - u) ** 2 * rate
         second = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) * rate**2
-        return MotionSamples(np.asarray(t), self.start + shape * way, first * way, second * way)
+        return MotionSamples(
+            np.asarray(t), self.start + shape * distance, first * distance, second * distance
+        )
 
 
 def approach_motion(
@@ -48,35 +58,43 @@ def approach_motion(
     *,
     step: float = 1e-3,
 ) -> RestToRest:
-    """Return the way from the rest pose to the trajectory's start, within all limits.
+    """Return a motion from the rest pose to the start of the trajectory, within all limits.
 
-    Its duration is a multiple of ``step`` (s), so that samples end at rest.
+    Parameters
+    ----------
+    rest, start : (n,)
+        Poses, rad.
+    limits : MotionRange
+    sets : sequence of ConstraintSet
+        Verified at 400 samples.
+    step : float
+        The duration is a multiple of it, s, so that the last sample is at rest.
 
     Raises
     ------
     NoSolution
-        Names the limit that the straight way breaks however slow it is.
+        Names the limit that the straight joint-space motion violates at every speed.
     """
-    way = np.abs(start - rest)
-    if not way.max() > 1e-9:
+    distance = np.abs(start - rest)
+    if not distance.max() > 1e-9:
         return RestToRest(rest, start, 0.0)
-    quickest = SPARE * max(
-        float(np.max(PEAK_VELOCITY * way / limits.velocity)),
-        float(np.max(np.sqrt(PEAK_ACCELERATION * way / limits.acceleration))),
+    shortest = MARGIN * max(
+        float(np.max(PEAK_VELOCITY * distance / limits.velocity)),
+        float(np.max(np.sqrt(PEAK_ACCELERATION * distance / limits.acceleration))),
     )
-    broken = ""
-    for factor in SLOWER:
-        path = RestToRest(rest, start, float(np.ceil(factor * quickest / step)) * step)
-        broken = _broken(path, sets)
-        if not broken:
+    violated = ""
+    for factor in DURATIONS:
+        path = RestToRest(rest, start, float(np.ceil(factor * shortest / step)) * step)
+        violated = _violated_limit(path, sets)
+        if not violated:
             return path
     raise NoSolution(
-        f"the way from the rest pose to the trajectory's start breaks a limit: {broken}; "
-        "give a start pose that is free on all sides (--start-pose) and start there"
+        f"the motion from the rest pose to the start of the trajectory violates a limit: "
+        f"{violated}; choose another start pose (--start-pose), or leave out --free-start"
     )
 
 
-def _broken(path: RestToRest, sets: Sequence[ConstraintSet]) -> str:
+def _violated_limit(path: RestToRest, sets: Sequence[ConstraintSet]) -> str:
     motion = path.at(np.linspace(0.0, path.duration, GRID))
     for limits in sets:
         excess = limits.excess(limits.values(motion))

@@ -1,4 +1,4 @@
-"""A design problem: what is asked for, and the machinery that evaluates it."""
+"""A design problem: its specification, and the functions that evaluate it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.excitation.basis.families import Basis
 from lieid_casadi.excitation.basis.trajectory import Parametrization, SampledBasis, period_grid
-from lieid_casadi.excitation.criteria.criterion import Criterion, LogDet
+from lieid_casadi.excitation.criteria.criterion import Criterion, LogDet, unit_norm_gram
 from lieid_casadi.excitation.criteria.information_matrix import InformationMatrix
 from lieid_casadi.excitation.criteria.objective_value import ObjectiveValue
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet, SampledConstraints
@@ -19,29 +19,40 @@ from lieid_casadi.excitation.limits.symbolic_limits import Limit
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
-SIGN_WIDTH = 0.02  # of the velocity limit: how sharp the smooth sign is
-MARGIN = 1e-3  # of each limit's scale: kept free while optimizing
-COARSE = 4  # grid of the optimization, in samples of the criterion
-FAR = 0.3  # of −log det per parameter, from Δ₂
-FINE = 20  # grid of the verification
+SIGN_WIDTH = 0.02  # width of the smooth sign, in parts of the velocity limit
+MARGIN = 1e-3  # distance from a limit during the optimization, in parts of its scale
+COARSE = 4  # grid points of the optimization per sample of the criterion
+FINE = 20  # grid points of the verification per sample of the criterion
+FAR = 0.3  # distance of −log det per parameter from Δ₂ above which its gradient is omitted
 
 
 @dataclass(frozen=True, eq=False)
 class ExcitationDesign:
-    """What is asked for; picklable, so that it can be solved in another process.
+    """Specification of a design; picklable, so that another process can solve it.
 
     Attributes
     ----------
+    model : Model
+        Its regressor is the one that the criterion evaluates.
+    basis : Basis
     samples : int
         Of the criterion, over one period.
+    range : MotionRange
+        Joint limits.
     limits : tuple of Limit
-        Beside the joint limits.
+        Limits besides the joint limits.
     pose : (n,)
-        Start pose; where the trajectory may start anywhere (``fixed`` False), the middle of it.
-    column_scale : (P,)
-        Factors of the full regressor's columns; ones for plain SI.
+        Start pose; where the trajectory may start anywhere (``fixed`` False), its middle. Rad.
+    fixed : bool
+        Whether the trajectory starts and ends at ``pose``.
+    criterion : str
+    column_scale : (P,) or None
+        Factors of the full regressor's columns, ones for plain SI; None: columns of the base
+        regressor, scaled to unit norm.
     solver : str
         ``ipopt`` or ``sqp``.
+    condition_threshold, neg_log_det_threshold : float, optional
+        Δ₁ and Δ₂ of the criterion ``combined`` (Eq. 20).
     """
 
     model: Model
@@ -52,12 +63,14 @@ class ExcitationDesign:
     pose: Array
     fixed: bool
     criterion: str
-    column_scale: Array
+    column_scale: Array | None
     solver: str = "ipopt"
+    condition_threshold: float | None = None
+    neg_log_det_threshold: float | None = None
 
 
 class ExcitationProblem:
-    """A design with everything compiled that its solution needs."""
+    """A design with the compiled functions that its solution needs."""
 
     def __init__(self, design: ExcitationDesign) -> None:
         self.design = design
@@ -76,13 +89,18 @@ class ExcitationProblem:
 
     @cached_property
     def metric(self) -> Array:
-        """L (p, p): LᵀGL has the eigenvalues of the full scaled regressor's Gram matrix."""
+        """L (p, p): LᵀGL has the nonzero eigenvalues of the full scaled regressor's Gram matrix.
+
+        The identity for base columns of unit norm.
+        """
+        if self.design.column_scale is None:
+            return np.eye(self.design.model.base.count)
         scaled = self.design.model.base.combination * self.design.column_scale
         return np.asarray(np.linalg.cholesky(scaled @ scaled.T))
 
     @cached_property
     def samples(self) -> SampledBasis:
-        """The criterion's samples."""
+        """Grid of the criterion."""
         return self._grid(self.design.samples)
 
     def constraints(self, factor: int, *, margin: float = MARGIN) -> SampledConstraints:
@@ -100,8 +118,9 @@ class ExcitationProblem:
         return self.information.at(self.samples.motion(z)).gram()
 
     def condition_number(self, gram: Array) -> float:
-        """Return σ₁/σ_r of the full scaled regressor."""
-        return condition_number(gram, self.metric)
+        """Return the condition number of the scaled regressor with G (p, p)."""
+        scaled = gram if self.design.column_scale is not None else unit_norm_gram(gram)
+        return condition_number(scaled, self.metric)
 
     def objective(self, criterion: Criterion, ceiling: float | None = None) -> ExcitationObjective:
         """Return f(z) of a criterion, with −log det G / p ≤ ceiling where one is given."""
@@ -117,12 +136,12 @@ class ExcitationObjective:
     ceiling: float | None
 
     def __call__(self, z: Array) -> ObjectiveValue:
-        """Return the outcome at free variables (m,)."""
+        """Return value, gradient and −log det above its ceiling at free variables (m,)."""
         p = self.problem
         stacked = p.information.at(p.samples.motion(z))
         gram = stacked.gram()
 
-        def pulled(slope: Array) -> Array:
+        def in_variables(slope: Array) -> Array:
             return p.samples.gradient(p.information.gradient(stacked, slope))
 
         value, slope = self.criterion.evaluate(gram)
@@ -130,9 +149,9 @@ class ExcitationObjective:
         if self.ceiling is not None:
             volume, volume_slope = LogDet().evaluate(gram)
             excess, slopes = np.array([volume - self.ceiling]), np.zeros((1, len(z)))
-            if excess[0] > -FAR:  # else no step would come near it
-                slopes[0] = pulled(volume_slope)
-        return ObjectiveValue(value, pulled(slope), gram, excess, slopes)
+            if excess[0] > -FAR:  # farther away no step reaches the ceiling
+                slopes[0] = in_variables(volume_slope)
+        return ObjectiveValue(value, in_variables(slope), gram, excess, slopes)
 
 
 def condition_number(gram: Array, metric: Array) -> float:

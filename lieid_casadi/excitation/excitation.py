@@ -1,4 +1,4 @@
-"""Result of a design: the trajectory, how good it is, and that it keeps to every limit."""
+"""Result of a design: the trajectory, its quality, and the verified limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lieid_casadi.errors import LieidWarning
 from lieid_casadi.excitation.approach_motion import RestToRest
 from lieid_casadi.excitation.basis.trajectory import MotionSamples, Trajectory
 from lieid_casadi.excitation.criteria.quality import Quality
-from lieid_casadi.excitation.solvers.staged_solve import IterationRecord
+from lieid_casadi.excitation.solvers.tracker import IterationRecord
 from lieid_casadi.model import Model
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StartSummary:
-    """What one random start came to; NaN where it found nothing."""
+    """Result of one random start; NaN where it found no trajectory."""
 
     seed: int
     condition_number: float
@@ -52,13 +52,13 @@ class Excitation:
         One period.
     periods : int
     rest_pose : (n,)
-        Where the whole motion begins and ends.
+        Pose at which the whole motion begins and ends, rad.
     approach : RestToRest
-        From the rest pose to the trajectory's start; the run-out is its reverse.
+        Motion from the rest pose to the start of the trajectory; at the end it runs backwards.
     rate : float
         Of the files, Hz.
     samples : int
-        Of the criterion, over one period.
+        Of the criterion over one period.
     quality : Quality
         Condition number and singular values at the samples.
     criterion, scaling, solver : str
@@ -71,9 +71,11 @@ class Excitation:
     history : tuple of IterationRecord
         Of the best start.
     build_seconds, solve_seconds : float
-        Deriving and compiling; optimizing and verifying, all starts.
+        For derivation and compilation; for optimization and verification of all starts.
     interrupted : bool
-        Whether the user ended the search; the trajectory is the best so far.
+        Whether the user interrupted the search; the trajectory is the best so far.
+    warnings : tuple of LieidWarning
+        Effects that the design could not take into account.
     """
 
     model: Model
@@ -98,7 +100,7 @@ class Excitation:
 
     @property
     def condition_number(self) -> float:
-        """σ₁/σ_r of the stacked full regressor (scaled as ``scaling`` says)."""
+        """σ₁/σ_r of the stacked full regressor (scaled according to ``scaling``)."""
         return self.quality.condition_number
 
     @property
@@ -108,12 +110,12 @@ class Excitation:
 
     @property
     def start(self) -> float:
-        """Time at which the part that counts begins, s."""
+        """Time at which the periods of the trajectory begin, s."""
         return self.approach.duration
 
     @property
     def end(self) -> float:
-        """Time at which the part that counts ends, s."""
+        """Time at which they end, s."""
         return self.start + self.periods * self.trajectory.duration
 
     @property
@@ -122,13 +124,13 @@ class Excitation:
         return self.end + self.approach.duration
 
     def motion(self, rate: float | None = None) -> MotionSamples:
-        """Return the whole motion, run-in and run-out included, at a rate in Hz."""
+        """Return samples of the whole motion at a rate in Hz."""
         step = 1.0 / (self.rate if rate is None else rate)
         count = int(np.floor(self.duration / step + 1e-9)) + 1
         return self.at(step * np.arange(count, dtype=np.float64))
 
     def at(self, t: Array) -> MotionSamples:
-        """Return the whole motion at times from 0 to ``duration``."""
+        """Return the whole motion at times (N,) from 0 to ``duration``, s."""
         time = np.asarray(t, dtype=float)
         n = self.model.n
         parts = np.zeros((3, len(time), n))
@@ -141,15 +143,15 @@ class Excitation:
         for mask, part in (
             (inside, self.trajectory.at(phase)),
             (before, self.approach.at(time[before]) if before.any() else None),
-            (after, self._run_out(time[after]) if after.any() else None),
+            (after, self._return_motion(time[after]) if after.any() else None),
         ):
             if part is not None:
                 parts[:, mask] = part.q, part.dq, part.ddq
         return MotionSamples(time, *parts)
 
-    def _run_out(self, time: Array) -> MotionSamples:
-        run_out = RestToRest(self.approach.end, self.approach.start, self.approach.duration)
-        return run_out.at(time - self.end)
+    def _return_motion(self, time: Array) -> MotionSamples:
+        backwards = RestToRest(self.approach.end, self.approach.start, self.approach.duration)
+        return backwards.at(time - self.end)
 
     @property
     def coefficients(self) -> dict[str, Any]:
@@ -220,13 +222,13 @@ class Excitation:
         }
 
     def summary(self) -> str:
-        """Say in words how good the trajectory is and what stays weak."""
+        """Return a text summary: quality, active limits, weakest directions."""
         from lieid_casadi.excitation.summary import summary
 
         return summary(self)
 
     def plot(self, ax: None = None) -> Figure:
-        """Return a figure: positions within limits, the tool's path, the criterion's history."""
+        """Return a figure: positions within limits, path of the tool, history of the criterion."""
         from lieid_casadi.excitation.plots import plot
 
         return plot(self)

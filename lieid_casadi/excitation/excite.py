@@ -1,4 +1,4 @@
-"""``excite``: from a model to the trajectory that identifies it best."""
+"""``excite``: design of an optimal excitation trajectory for a model."""
 
 from __future__ import annotations
 
@@ -50,6 +50,8 @@ def excite(
     samples: int = 100,
     rate: float = 1000.0,
     scaling: str | ArrayLike = "si",
+    condition_threshold: float | None = None,
+    neg_log_det_threshold: float | None = None,
     solver: str = "ipopt",
     starts: int = 4,
     seed: int = 0,
@@ -57,65 +59,87 @@ def excite(
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
     executor: Executor | None = None,
 ) -> Excitation:
-    """Design an optimal excitation trajectory that is safe to run as it is.
+    """Design an optimal excitation trajectory within limits.
 
-    The regressor that counts is the model's own, effects included, as far as it follows from motion
-    and time; warnings name what does not (temperature, memory, effects on the whole arm).
+    The criterion evaluates the model's own regressor, effects included, as far as its columns
+    follow from the motion and the time; warnings name the effects that do not (temperature,
+    memory, effects on the whole arm).
 
     Parameters
     ----------
+    model : Model
     criterion : str
         ``combined`` (the paper's C1: condition number with a bound on −log det), ``condition``
         (C2), ``hadamard`` (C3), ``logdet`` (C4), ``a_optimal`` or ``e_optimal``.
     inertial_only : bool
         Leave the model's effects out, for comparison with the literature.
     constraints : sequence of Limit, optional
-        Beside the joint limits: `Torque`, `CartesianSpeed`, `Wall`, `Obstacle`, `SelfCollision`.
-        If left out: torque, where the robot states inertias and torque limits.
+        Limits besides the joint limits: `Torque`, `CartesianSpeed`, `Wall`, `Obstacle`,
+        `SelfCollision`. Default: `Torque`, if the robot states inertias and torque limits.
     start_pose : (n,), optional
-        Pose at rest at start and end, rad; the middle of the joint ranges if left out.
+        Pose at rest at start and end, rad. Default: the middle of the joint ranges.
     free_start : bool
-        Let the trajectory start (at rest) where it likes; a run-in leads there from the start pose.
+        Let the trajectory start (at rest) at any pose; a motion from the start pose leads there.
     acceleration : float or (n,), optional
-        Limits in place of the robot's, rad/s²; 5 where neither states one.
+        Limits in place of the robot's, rad/s². Default: 5 where the robot states none.
     family : str
         ``fourier`` (Eq. 19), ``modified_fourier`` or ``spline``.
-    duration, harmonics, periods
-        Length of a period in s, harmonics of its frequency, how often it is repeated.
+    duration : float
+        Length of one period, s.
+    harmonics : int
+        Of the period's frequency.
+    periods : int
+        How often the period is repeated.
     samples : int
         Of the criterion over a period; limits are verified on a grid 20 times finer.
     rate : float
         Of the files, Hz.
     scaling : str or (P,)
         Of the full regressor's columns: ``si``, ``units`` (by the arm's mass and length),
-        ``prior`` (by the size of the stated parameters), or factors.
+        ``prior`` (by the size of the stated parameters), ``unit_norm`` (base columns of unit
+        norm), or factors.
+    condition_threshold : float, optional
+        Δ₁ of ``combined`` (Eq. 20): a start ends at the first feasible trajectory whose condition
+        number is at most this. Default: it is minimized.
+    neg_log_det_threshold : float, optional
+        Δ₂ of ``combined`` (Eq. 20): bound on −log det of the base regressor's Gram matrix, SI.
+        Default: the value that minimizing 1/∏ of the column norms reaches, plus 0.5 a parameter.
     solver : str
-        ``ipopt``, or ``sqp``: a sequential quadratic programme of this library, which needs less
-        time and ends at slightly larger condition numbers (tests/benchmarks/excitation_ipopt.py).
+        ``ipopt``, or ``sqp``: a sequential quadratic program of this library
+        (tests/benchmarks/excitation_ipopt.py compares them).
     starts : int
-        Random starts, of which the best is kept.
+        Number of random starts; the best trajectory is returned.
+    seed : int
+        Of the first start; the others follow. The same seed gives the same local optimum on every
+        machine, to the amplified rounding of its linear algebra (condition numbers differ by
+        about 1 %).
     max_iterations : int, optional
         Most iterations of one start; without it each stage of the search ends by its own
-        tolerance. There is no limit in seconds: the same seed gives the same trajectory on a
-        busy machine.
+        tolerance. There is no limit in seconds, so that results do not depend on the load of the
+        machine.
     progress : callable
         Called with what is done and the fraction that is done.
     executor : Executor, optional
-        Any of `concurrent.futures`; without one the starts run one after the other. Ctrl-C then
-        keeps the best trajectory so far.
+        Of `concurrent.futures`, with the same result; without one the starts run one after the
+        other, and an interrupt (Ctrl-C) keeps the best trajectory so far.
+
+    Returns
+    -------
+    Excitation
 
     Raises
     ------
     ExcitationError
-        Limits that are missing or contradict each other, a start pose outside of them.
+        Limits that are missing or contradictory, a start pose outside of them.
     NoSolution
-        No start led to a trajectory within all limits; says which limit and what to relax.
+        No start led to a trajectory within all limits; names the limit and what to relax.
     """
     began = time.monotonic()
     design = make_design(
         model, criterion=criterion, inertial_only=inertial_only, constraints=constraints,
         start_pose=start_pose, free_start=free_start, acceleration=acceleration, samples=samples,
         basis=families.make(family, duration=duration, harmonics=harmonics), scaling=scaling,
+        condition_threshold=condition_threshold, neg_log_det_threshold=neg_log_det_threshold,
         solver=solver,
     )  # fmt: skip
     for name, count in (
@@ -136,20 +160,17 @@ def excite(
     )  # fmt: skip
     best = best_of(attempts)
     solved = time.monotonic()
-    way = RestToRest(design.pose, design.pose, 0.0)
+    approach = RestToRest(design.pose, design.pose, 0.0)
     trajectory = problem.parametrization.trajectory(best.z)
     if free_start:
-        here = trajectory.at(np.zeros(1)).q[0]
-        way = approach_motion(design.pose, here, design.range, problem.sets, step=1.0 / rate)
-    judged = quality(
-        design.model,
-        trajectory.at(period_grid(duration, samples)),
-        None if np.all(design.column_scale == 1.0) else design.column_scale,
-    )
+        begin = trajectory.at(np.zeros(1)).q[0]
+        approach = approach_motion(design.pose, begin, design.range, problem.sets, step=1.0 / rate)
+    motion = trajectory.at(period_grid(duration, samples))
     violation, active = verification(problem, best.z)
     return Excitation(
         model=design.model, trajectory=trajectory, periods=periods, rest_pose=design.pose,
-        approach=way, rate=rate, samples=samples, quality=judged, criterion=criterion,
+        approach=approach, rate=rate, samples=samples, criterion=criterion,
+        quality=quality(design.model, motion, design.column_scale),
         scaling=scaling if isinstance(scaling, str) else "given", solver=solver,
         max_violation=violation, active_limits=active, starts=tuple(_start(a) for a in attempts),
         history=best.history,
@@ -171,9 +192,16 @@ def make_design(
     acceleration: ArrayLike | None = None,
     samples: int = 100,
     scaling: str | ArrayLike = "si",
+    condition_threshold: float | None = None,
+    neg_log_det_threshold: float | None = None,
     solver: str = "ipopt",
 ) -> ExcitationDesign:
-    """Check what is asked for and put it together; see `excite`."""
+    """Check the arguments of `excite` and return the design that they specify.
+
+    Raises
+    ------
+    ExcitationError
+    """
     if criterion not in NAMES:
         raise ExcitationError(f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}")
     if solver not in SOLVERS:
@@ -181,30 +209,52 @@ def make_design(
     if samples < 4 * basis.size:
         raise ExcitationError(
             f"samples: {samples}; expected {4 * basis.size} at least for {basis.size} "
-            "coefficients a joint"
+            "coefficients per joint"
         )
-    seen = Model(model.robot) if inertial_only else design_model(model)[0]
-    robot = seen.robot
+    check_thresholds(criterion, condition_threshold, neg_log_det_threshold)
+    reduced = Model(model.robot) if inertial_only else design_model(model)[0]
+    robot = reduced.robot
     limits = motion_range(robot, acceleration)
     check_duration(robot, limits, basis.duration)
     pose = limits.middle if start_pose is None else np.asarray(start_pose, dtype=float)
     check_start_pose(robot, limits, pose)
     if constraints is None:
-        known = robot.has_inertia and bool(np.isfinite(robot.limit("torque")).any())
-        constraints = (Torque(),) if known else ()
+        limited = robot.has_inertia and bool(np.isfinite(robot.limit("torque")).any())
+        constraints = (Torque(),) if limited else ()
     return ExcitationDesign(
-        seen, basis, samples, limits, tuple(constraints), pose, not free_start, criterion,
-        column_scale(seen, scaling), solver,
+        reduced, basis, samples, limits, tuple(constraints), pose, not free_start, criterion,
+        column_scale(reduced, scaling), solver, condition_threshold, neg_log_det_threshold,
     )  # fmt: skip
 
 
+def check_thresholds(
+    criterion: str, condition_threshold: float | None, neg_log_det_threshold: float | None
+) -> None:
+    """Refuse thresholds that the criterion does not have.
+
+    Raises
+    ------
+    ExcitationError
+    """
+    given = {
+        "condition_threshold": condition_threshold, "neg_log_det_threshold": neg_log_det_threshold,
+    }  # fmt: skip
+    for name, value in given.items():
+        if value is not None and criterion != "combined":
+            raise ExcitationError(
+                f"{name}: only the criterion 'combined' has it, not {criterion!r}"
+            )
+    if condition_threshold is not None and not condition_threshold >= 1.0:
+        raise ExcitationError(f"condition_threshold: {condition_threshold:g}; expected at least 1")
+
+
 def best_of(attempts: Sequence[StartAttempt]) -> OptimizedStart:
-    """Return the best solution.
+    """Return the best solution of several starts.
 
     Raises
     ------
     NoSolution
-        No attempt has one; with the reason of the first.
+        No start has one; with the reason of the first.
     """
     solutions = [a.solution for a in attempts if a.solution is not None]
     if not solutions:
@@ -214,7 +264,7 @@ def best_of(attempts: Sequence[StartAttempt]) -> OptimizedStart:
 
 
 def verification(problem: ExcitationProblem, z: Array) -> tuple[float, tuple[ActiveLimit, ...]]:
-    """Return the largest violation on the fine grid, and which limits bind."""
+    """Return the largest violation on the fine grid in the limit's unit, and the active limits."""
     exact = problem.constraints(FINE, margin=0.0)
     motion = exact.sampled.motion(z)
     worst, used = 0.0, []

@@ -1,6 +1,6 @@
-"""Constant-speed runs of one joint, forward and back over the same positions (paper, 6.4.2).
+"""Constant-speed runs of one joint, forward and backward over the same positions (6.4.2).
 
-Half the difference of the torques of both directions at one position is friction (Eq. 15).
+Half the difference of the torques of both directions at a position is the friction (Eq. 15).
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ SPEEDS = np.deg2rad(
 )  # fmt: skip
 DWELL = 0.5  # s at rest between runs
 STEEPEST = 1.875  # of the quintic step from 0 to 1 in 1 s
-SPARE = 1.1  # longer than the acceleration limit asks for
+RAMP_MARGIN = 1.1  # on the shortest ramp that the acceleration limit permits
 SHORTEST_RAMP = 0.2  # s
-WITHIN = 0.9  # of the position range
+RANGE_USED = 0.9  # of the position range
 
 
 @dataclass(frozen=True)
 class ConstantSpeed:
-    """A part at constant speed: rad/s with its sign, from ``start`` to ``end`` in s."""
+    """A part at constant speed: signed speed in rad/s, from ``start`` to ``end`` in s."""
 
     speed: float
     start: float
@@ -46,14 +46,14 @@ class ConstantSpeed:
 
 @dataclass(frozen=True, eq=False)
 class FrictionSweep:
-    """Runs of one joint (from 0), the others resting at the start pose.
+    """Runs of one joint (from 0) while the others rest at the start pose.
 
     Attributes
     ----------
     parts : tuple of ConstantSpeed
-        Slowest first, forward and back in turn.
+        Slowest first, forward and backward in turn.
     left_out : tuple of float
-        Speeds beyond the joint's limit, or that its range has no room for, rad/s.
+        Speeds beyond the joint's limit, or for which its range is too short, rad/s.
     """
 
     model: Model
@@ -63,7 +63,7 @@ class FrictionSweep:
     left_out: tuple[float, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the runs are; the joint counts from 1."""
+        """Return a description of the runs; joints are numbered from 1."""
         return {
             "robot": self.model.robot.name,
             "joint": self.joint + 1,
@@ -117,23 +117,28 @@ def friction_sweep(
 
     Parameters
     ----------
+    model : Model
     joint : int
         From 0.
     speeds : (k,)
-        rad/s; the paper's 28 from 0.1 to 30 °/s if left out.
+        rad/s. Default: the paper's 28 speeds from 0.1 to 30 °/s.
     seconds : float
-        Longest part at constant speed; slow runs cover that much less of the range.
+        Longest part at constant speed; slow runs cover a smaller part of the range.
     start_pose : (n,), optional
-        The middle of the joint ranges if left out.
+        rad. Default: the middle of the joint ranges.
+    acceleration : float or (n,), optional
+        Limits in place of the robot's, rad/s².
     constraints : sequence of Limit
-        Beside the joint limits; verified along the whole motion.
+        Limits besides the joint limits, verified along the whole motion.
+    rate : float
+        Of the samples, Hz.
 
     Raises
     ------
     ExcitationError
         No such joint, a start pose outside the limits.
     NoSolution
-        A limit that the runs break; names it.
+        The runs violate a limit; names it.
     """
     robot = model.robot
     if not 0 <= joint < robot.n:
@@ -146,8 +151,8 @@ def friction_sweep(
     runs, left_out = _runs(limits, joint, pose[joint], np.sort(np.abs(speeds)), seconds)
     if not runs:
         raise NoSolution(
-            f"friction sweep: joint {joint + 1} has no room for any speed around "
-            f"{pose[joint]:g}; choose a start pose nearer to the middle of its range"
+            f"friction sweep: the range of joint {joint + 1} around {pose[joint]:g} is too short "
+            "for every speed; choose a start pose nearer to the middle of the range"
         )
     motion, parts = _motion(pose, joint, runs, rate, float(limits.acceleration[joint]))
     sets = [s for s in (limit.on(robot) for limit in constraints) if s is not None]
@@ -157,7 +162,7 @@ def friction_sweep(
 
 @dataclass(frozen=True)
 class _Run:
-    """From rest to rest: a smooth ramp to ``speed``, a steady part, a ramp down (s)."""
+    """From rest to rest: a smooth ramp up to ``speed``, a steady part, a ramp down (s)."""
 
     speed: float
     ramp: float
@@ -172,37 +177,39 @@ class _Run:
         return 2.0 * self.ramp + self.steady
 
     def at(self, t: Array) -> Array:
-        """Return way, speed and acceleration (3, N) since the start of the run."""
+        """Return distance, speed and acceleration (3, N) since the start of the run."""
         up = np.clip(t / self.ramp, 0.0, 1.0)
         down = np.clip((t - self.ramp - self.steady) / self.ramp, 0.0, 1.0)
-        way = self.ramp * (_step_integral(up) + down - _step_integral(down))
-        way = way + np.clip(t - self.ramp, 0.0, self.steady)
-        slope = (_step_slope(up) - _step_slope(down)) / self.ramp
-        return np.asarray(self.speed * np.stack([way, _step(up) - _step(down), slope]))
+        distance = self.ramp * (_smooth_step_integral(up) + down - _smooth_step_integral(down))
+        distance = distance + np.clip(t - self.ramp, 0.0, self.steady)
+        slope = (_smooth_step_slope(up) - _smooth_step_slope(down)) / self.ramp
+        return np.asarray(
+            self.speed * np.stack([distance, _smooth_step(up) - _smooth_step(down), slope])
+        )
 
 
-def _step(u: Array) -> Array:
+def _smooth_step(u: Array) -> Array:
     return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
 
 
-def _step_integral(u: Array) -> Array:
+def _smooth_step_integral(u: Array) -> Array:
     return np.asarray(u**4 * (2.5 - 3.0 * u + u**2))
 
 
-def _step_slope(u: Array) -> Array:
+def _smooth_step_slope(u: Array) -> Array:
     return np.asarray(30.0 * u**2 * (1.0 - u) ** 2)
 
 
 def _runs(
     limits: MotionRange, joint: int, centre: float, speeds: Array, seconds: float
 ) -> tuple[list[_Run], list[float]]:
-    """Return the runs that the joint has room for, and the speeds that are left out."""
+    """Return the runs that fit the joint's range, and the speeds that are left out."""
     low, high = limits.position[joint]
-    room = min(2.0 * WITHIN * min(centre - low, high - centre), 2.0 * np.pi)
+    available = min(2.0 * RANGE_USED * min(centre - low, high - centre), 2.0 * np.pi)
     runs, left_out = [], []
     for speed in speeds.tolist():
-        ramp = max(SHORTEST_RAMP, SPARE * STEEPEST * speed / limits.acceleration[joint])
-        steady = min(seconds, room / speed - ramp)
+        ramp = max(SHORTEST_RAMP, RAMP_MARGIN * STEEPEST * speed / limits.acceleration[joint])
+        steady = min(seconds, available / speed - ramp)
         if speed > limits.velocity[joint] or steady < ramp:
             left_out.append(speed)
         else:
@@ -212,32 +219,32 @@ def _runs(
 
 @dataclass
 class _Path:
-    """Position, speed, acceleration of one joint, put together part by part."""
+    """Position, speed and acceleration of one joint, composed part by part."""
 
     rate: float
-    now: float = 0.0
-    here: float = 0.0
+    time: float = 0.0
+    position: float = 0.0
 
     def __post_init__(self) -> None:
         self.times = [np.zeros(1)]
-        self.ways = [np.zeros((3, 1))]
+        self.distances = [np.zeros((3, 1))]
 
-    def add(self, duration: float, way: Callable[[Array], Array], sign: float = 1.0) -> None:
-        """Add a part that moves by ``sign * way`` from where the path is."""
+    def add(self, duration: float, distance: Callable[[Array], Array], sign: float = 1.0) -> None:
+        """Append a part that moves by ``sign * distance(t)`` from the end of the path."""
         count = max(2, round(duration * self.rate))
         local = duration * np.arange(1, count + 1) / count
-        part = sign * way(local)
-        part[0] += self.here
-        self.times.append(self.now + local)
-        self.ways.append(part)
-        self.now += duration
-        self.here = float(part[0, -1])
+        part = sign * distance(local)
+        part[0] += self.position
+        self.times.append(self.time + local)
+        self.distances.append(part)
+        self.time += duration
+        self.position = float(part[0, -1])
 
 
 def _motion(
     pose: Array, joint: int, runs: Sequence[_Run], rate: float, acceleration: float
 ) -> tuple[MotionSamples, list[ConstantSpeed]]:
-    """Put the runs together: to the start, forward, back, to the next start."""
+    """Compose the runs: to the start, forward, backward, to the next start."""
     path, parts = _Path(rate), []
     fastest = max(run.speed for run in runs)
 
@@ -245,13 +252,13 @@ def _motion(
         path.add(DWELL, lambda t: np.zeros((3, len(t))))
 
     def go(target: float) -> None:
-        way = np.array([target - path.here])
+        distance = np.array([target - path.position])
         slowest = max(
             1.0,
-            PEAK_VELOCITY * abs(way[0]) / fastest,
-            float(np.sqrt(SPARE * PEAK_ACCELERATION * abs(way[0]) / acceleration)),
+            PEAK_VELOCITY * abs(distance[0]) / fastest,
+            float(np.sqrt(RAMP_MARGIN * PEAK_ACCELERATION * abs(distance[0]) / acceleration)),
         )
-        quintic = RestToRest(np.zeros(1), way, slowest)
+        quintic = RestToRest(np.zeros(1), distance, slowest)
 
         def moved(t: Array) -> Array:
             motion = quintic.at(t)
@@ -263,15 +270,15 @@ def _motion(
         go(-0.5 * run.travel)
         for sign in (1.0, -1.0):
             rest()
-            begins = path.now + run.ramp
+            begins = path.time + run.ramp
             parts.append(ConstantSpeed(sign * run.speed, begins, begins + run.steady))
             path.add(run.duration, run.at, sign)
     rest()
     go(0.0)
-    time, way = np.concatenate(path.times), np.concatenate(path.ways, axis=1)
+    time, moved = np.concatenate(path.times), np.concatenate(path.distances, axis=1)
     signals = np.zeros((3, len(time), len(pose)))
     signals[0] = pose
-    signals[:, :, joint] += way
+    signals[:, :, joint] += moved
     return MotionSamples(time, *signals), parts
 
 
@@ -281,6 +288,6 @@ def _verify(motion: MotionSamples, sets: Sequence[ConstraintSet]) -> None:
         k, sample = np.unravel_index(int(np.argmax(excess)), excess.shape)
         if excess[k, sample] > 1e-9:
             raise NoSolution(
-                f"friction sweep: {limits.labels[k]} passes its limit by {excess[k, sample]:.3g} "
+                f"friction sweep: {limits.labels[k]} exceeds its limit by {excess[k, sample]:.3g} "
                 f"{limits.units[k]} at {motion.t[sample]:.3g} s; choose another start pose"
             )

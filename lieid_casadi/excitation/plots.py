@@ -18,7 +18,7 @@ POINTS = 600
 
 
 def plot(excitation: Excitation) -> Figure:
-    """Return positions within limits, the tool's path and the criterion's history."""
+    """Return positions within limits, the path of the tool and the history of the criterion."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.0, 7.5), layout="constrained")
@@ -36,27 +36,27 @@ def plot(excitation: Excitation) -> Figure:
 
 
 def plot_positions(excitation: Excitation, t: Array, q: Array, ax: Axes) -> None:
-    """Draw each joint's position in parts of its range, one lane a joint."""
+    """Draw the position of each joint in parts of its range, one row per joint."""
     robot = excitation.model.robot
     low, high = robot.limit("position_lower"), robot.limit("position_upper")
     low = np.where(np.isfinite(low), low, q.min(axis=0))
     high = np.where(np.isfinite(high), high, q.max(axis=0))
     for j in range(robot.n):
         share = (q[:, j] - low[j]) / max(high[j] - low[j], 1e-9)
-        lane = robot.n - 1 - j
-        ax.fill_between([t[0], t[-1]], lane + 0.06, lane + 0.94, color="0.93", linewidth=0)
-        ax.plot(t, lane + 0.06 + 0.88 * share, linewidth=1.4)
+        row = robot.n - 1 - j
+        ax.fill_between([t[0], t[-1]], row + 0.06, row + 0.94, color="0.93", linewidth=0)
+        ax.plot(t, row + 0.06 + 0.88 * share, linewidth=1.4)
     for edge in {excitation.start, excitation.end} - {0.0, excitation.duration}:
         ax.axvline(edge, color="0.4", linestyle=":", linewidth=1.0)
     ax.set_yticks(np.arange(robot.n) + 0.5, [f"q{j}" for j in range(robot.n, 0, -1)])
     ax.set_ylim(0.0, robot.n)
     ax.set_xlim(t[0], t[-1])
     ax.set_xlabel("time, s")
-    ax.set_title("positions; grey is the joint's range")
+    ax.set_title("positions; grey: range of the joint")
 
 
 def plot_tool_path(excitation: Excitation, q: Array, ax: Axes) -> None:
-    """Draw the tool's path in space."""
+    """Draw the path of the tool in the base frame."""
     path = tool_path(excitation, q)
     ax.plot(*path.T, linewidth=1.0)
     ax.plot(*path[:1].T, marker="o", markersize=5, linestyle="", color="black")
@@ -65,7 +65,7 @@ def plot_tool_path(excitation: Excitation, q: Array, ax: Axes) -> None:
 
 
 def tool_path(excitation: Excitation, q: Array) -> Array:
-    """Return the tool's positions (N, 3) in the base frame."""
+    """Return the positions of the tool (N, 3) in the base frame, m."""
     import casadi as ca
 
     from lieid_casadi.dynamics.motion_symbols import Motion

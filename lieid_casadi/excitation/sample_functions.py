@@ -1,4 +1,4 @@
-"""Functions of one motion sample, evaluated on many: compiled, or by CasADi's virtual machine."""
+"""Functions of one motion sample, evaluated on many samples: compiled, or by CasADi itself."""
 
 from __future__ import annotations
 
@@ -25,11 +25,13 @@ class SampleKernel:
 
     Parameters
     ----------
+    name : str
+        Of the function, unique in the problem.
     symbols : Symbols
-        What the expression is written in; sines and cosines of q are inputs of their own.
+        Symbols of the expression; sines and cosines of q are separate inputs.
     matrix : SX
     further : mapping, optional
-        Name → symbol (w,) of further inputs; each is given per sample, (N, w).
+        Name → symbol (w,) of further inputs, given per sample as (N, w).
     """
 
     def __init__(
@@ -81,7 +83,7 @@ class SampleKernel:
         return out
 
     def _make_evaluation(self) -> Evaluation:
-        # Kernels asks its functions by name; any object that has them will do
+        # Kernels reads its functions as attributes
         functions = cast(KernelFunctions, SimpleNamespace(**{self._name: self._sparse}))
         compiled = Kernels(functions).get([self._name])
         if compiled is not None:
@@ -92,7 +94,12 @@ class SampleKernel:
 def reverse_derivative(values: ca.SX, seed: ca.SX, symbols: Symbols) -> ca.SX:
     """Return seedᵀ·∂values/∂(q, dq, ddq) (3 n, 1) by reverse differentiation.
 
-    Sines and cosines are symbols of their own; their part follows by the chain rule.
+    Parameters
+    ----------
+    values : SX (k,)
+    seed : SX (k,)
+    symbols : Symbols
+        Sines and cosines are separate symbols; their part follows by the chain rule.
     """
     s = symbols
     inputs = ca.vertcat(s.q, s.sin, s.cos, s.dq, s.ddq)

@@ -1,4 +1,4 @@
-"""A design in words."""
+"""Text summary of a design."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SOLVERS = {"ipopt": "Ipopt", "sqp": "sequential quadratic programming"}
 
 
 def summary(excitation: Excitation) -> str:
-    """Return a few paragraphs: how good, against what, which limits bind, what stays weak."""
+    """Return a few paragraphs: quality, reference, active limits, weakest directions."""
     e, q = excitation, excitation.quality
     unit = "SI" if e.scaling == "si" else f"columns scaled by {e.scaling}"
     effects = ", ".join(e.model.effects) or "no effects"
@@ -22,25 +22,25 @@ def summary(excitation: Excitation) -> str:
     against = ""
     if random:
         against = (
-            f" The same search began at {np.median(random):.3g} (median over {len(random)} random "
-            "starts after one step)."
+            f" Random starts had {np.median(random):.3g} after one iteration (median of "
+            f"{len(random)})."
         )
     lines = [
         f"Excitation of {e.model.robot.name}: {e.duration:.4g} s, of which {e.start:.4g} to "
-        f"{e.end:.4g} s count ({e.periods} × {e.trajectory.duration:.4g} s).",
+        f"{e.end:.4g} s are the trajectory ({e.periods} × {e.trajectory.duration:.4g} s).",
         f"Condition number {e.condition_number:.4g} (σ₁ {q.singular_values[0]:.4g}, "
         f"σ_r {q.singular_values[q.rank - 1]:.4g} of the full regressor at {e.samples} samples, "
         f"{unit}, {effects}); −log det {e.neg_log_det:.4g} for {q.rank} base parameters. "
         f"Solved by {SOLVERS[e.solver]}.{against}",
-        f"Every limit holds on a grid 20 times finer than the samples "
+        f"The stated limits are met on a grid 20 times finer than the samples "
         f"(largest excess {e.max_violation:.1g}).",
     ]
     if e.active_limits:
         names = ", ".join(limit.quantity for limit in e.active_limits[:6])
         more = f" and {len(e.active_limits) - 6} more" if len(e.active_limits) > 6 else ""
-        lines.append(f"Limits that bind: {names}{more}.")
+        lines.append(f"Active limits: {names}{more}.")
     weak = "; ".join(f"{w.text} (σ {w.singular_value:.3g})" for w in q.weak)
-    lines.append(f"What torques show least (directions by their base parameters): {weak}.")
+    lines.append(f"Directions of the base parameters that change the torques least: {weak}.")
     if e.interrupted:
         lines.append("The search was interrupted; this is the best trajectory so far.")
     lines += [f"! {warning}" for warning in e.warnings]
@@ -48,6 +48,6 @@ def summary(excitation: Excitation) -> str:
 
 
 def html(excitation: Excitation) -> str:
-    """Return the words as HTML paragraphs, for notebooks."""
+    """Return the summary as HTML paragraphs, for notebooks."""
     paragraphs = summary(excitation).split("\n")
     return "".join(f"<p>{escape.escape(text)}</p>" for text in paragraphs)

@@ -18,7 +18,8 @@ from lieid_casadi.excitation import CartesianSpeed, SelfCollision, Torque, capsu
 from lieid_casadi.excitation.basis.families import make
 from lieid_casadi.excitation.design_problem import FINE, ExcitationProblem
 from lieid_casadi.excitation.excite import make_design, verification
-from lieid_casadi.excitation.solvers.staged_solve import random_start, solve
+from lieid_casadi.excitation.solvers.random_start import random_start
+from lieid_casadi.excitation.solvers.staged_solve import solve
 
 UR10E = Path(__file__).parents[3] / "shared" / "recordings" / "ur10e" / "ur10e.urdf"
 SPEED = 1.0  # m/s

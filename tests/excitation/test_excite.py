@@ -233,7 +233,7 @@ def test_interrupt_before_anything_is_feasible():
 
 def test_an_unreachable_workspace_names_the_limit():
     ceiling = Wall((0.0, 0.0, 1.0), 0.3, "ceiling")
-    with pytest.raises(NoSolution, match=r"from the ceiling passes its limit by .* m at .* s"):
+    with pytest.raises(NoSolution, match=r"from the ceiling exceeds its limit by .* m at .* s"):
         excite(lieid.Model(PANDA), constraints=[ceiling], starts=1)
 
 
@@ -265,6 +265,8 @@ def robot_with(**changes):
         ({}, {"scaling": "imperial"}, "scaling: 'imperial'"),
         ({}, {"scaling": [1.0, 2.0]}, "expected 20 positive factors"),
         ({}, {"starts": 0}, "starts: 0; expected 1"),
+        ({}, {"condition_threshold": 0.5}, "condition_threshold: 0.5; expected at least 1"),
+        ({}, {"criterion": "logdet", "condition_threshold": 9.0}, "only the criterion 'combined'"),
         ({}, {"periods": 0}, "periods: 0; expected 1"),
         ({}, {"max_iterations": 0}, "max_iterations: 0; expected 1"),
         ({}, {"seed": -1}, "seed: -1; expected 0"),
@@ -293,10 +295,36 @@ def test_combined_keeps_more_volume_than_the_condition_number_alone():
     assert c1.condition_number < 2.0 * c2.condition_number < c3.condition_number
 
 
-def test_scaling_is_used_and_named():
-    model = lieid.Model(PANDA)
-    plain = excite(model, constraints=(), criterion="condition", starts=1)
-    prior = excite(model, constraints=(), criterion="condition", starts=1, scaling="prior")
+def test_thresholds_of_the_combined_criterion_end_the_search():
+    """Eq. 20 as printed: below Δ₁ with −log det at most Δ₂, verified, in fewer iterations."""
+    options = {"duration": 6.0, "starts": 1, "criterion": "combined"}
+    model = lieid.Model(lieid.robots.two_link())
+    full = excite(model, **options)
+    threshold = 1.3 * full.condition_number
+    bound = full.neg_log_det + 0.5
+    early = excite(model, condition_threshold=threshold, neg_log_det_threshold=bound, **options)
+    assert full.condition_number < early.condition_number <= threshold
+    assert early.neg_log_det <= bound
+    assert early.max_violation == 0.0
+    assert len(early.history) < len(full.history)
+
+
+def test_unit_norm_scaling_is_named_and_used():
+    model = lieid.Model(lieid.robots.two_link(), effects="coulomb,viscous")
+    options = {"duration": 6.0, "starts": 1, "criterion": "condition"}
+    scaled = excite(model, scaling="unit_norm", **options)
+    plain = excite(model, **options)
+    assert scaled.to_dict()["scaling"] == "unit_norm"
+    motion = scaled.trajectory.at(0.06 * np.arange(100))
+    base = lieid.compile(model).base_regressor(motion.q, motion.dq, motion.ddq).reshape(200, -1)
+    assert np.isclose(scaled.condition_number, np.linalg.cond(base / np.linalg.norm(base, axis=0)))
+    assert scaled.condition_number < plain.condition_number
+
+
+def test_prior_scaling_is_named_and_used():
+    model = lieid.Model(lieid.robots.two_link())
+    options = {"duration": 6.0, "starts": 1, "criterion": "condition"}
+    plain, prior = excite(model, **options), excite(model, scaling="prior", **options)
     assert prior.to_dict()["scaling"] == "prior"
     assert prior.condition_number != plain.condition_number
 

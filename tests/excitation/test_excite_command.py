@@ -1,4 +1,4 @@
-"""``lieid excite``: files, keys, exit statuses."""
+"""``lieid excite``: files, keys and exit statuses."""
 
 import io
 import json
@@ -60,10 +60,10 @@ def test_the_ros_message(folder):
     assert all(isinstance(x, float) for x in last["positions"] + last["accelerations"])
 
 
-def test_the_words(folder):
-    words = (folder / "summary.txt").read_text()
-    assert "Condition number" in words
-    assert "What torques show least" in words
+def test_the_summary(folder):
+    text = (folder / "summary.txt").read_text()
+    assert "Condition number" in text
+    assert "change the torques least" in text
 
 
 def test_the_plot_is_a_figure_of_its_own():
@@ -94,7 +94,7 @@ def test_a_folder_with_content_needs_force(folder, capsys):
     [
         (["--start-pose", "0", "99"], 2, "joint 2"),
         (["--duration", "0.2"], 2, "too short for the acceleration limit"),
-        (["--wall", "0", "0", "1", "-5"], 3, "passes its limit by"),
+        (["--wall", "0", "0", "1", "-5"], 3, "exceeds its limit by"),
         (["--acceleration", "0"], 2, "acceleration"),
         (["--friction-sweep", "7"], 2, "no joint 7"),
         (["--obstacle", "1", "1", "1", "0", "0", "0"], 2, "lower corner"),
@@ -138,7 +138,7 @@ def test_limits_of_every_option():
 
 
 def test_interrupted_with_a_trajectory_kept(tmp_path, monkeypatch):
-    import lieid_casadi.excitation as room
+    import lieid_casadi.excitation as package
 
     calls = []
 
@@ -150,8 +150,8 @@ def test_interrupted_with_a_trajectory_kept(tmp_path, monkeypatch):
 
         return original(model, **{**options, "progress": progress, "starts": 4})
 
-    original = room.excite
-    monkeypatch.setattr(room, "excite", quick)
+    original = package.excite
+    monkeypatch.setattr(package, "excite", quick)
     target = tmp_path / "out"
     assert main(["excite", "two_link", "-o", str(target), *QUICK]) == 130
     assert json.loads((target / "excitation.json").read_text())["interrupted"] is True

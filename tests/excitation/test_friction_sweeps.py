@@ -81,7 +81,7 @@ def test_files(sweep, tmp_path):
 def test_bad_requests():
     with pytest.raises(ExcitationError, match="no joint 9; the arm has 1 to 7"):
         friction_sweep(PANDA, 8)
-    with pytest.raises(NoSolution, match="no room for any speed"):
+    with pytest.raises(NoSolution, match="too short for every speed"):
         friction_sweep(PANDA, 0, speeds=[5.0])
     with pytest.raises(NoSolution, match="torque of joint"):
         friction_sweep(PANDA, 1, speeds=[0.1], constraints=[Torque(0.01)])

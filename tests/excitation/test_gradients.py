@@ -1,4 +1,4 @@
-"""Every gradient and Jacobian of a design against differences."""
+"""Gradients and Jacobians of a design against finite differences."""
 
 import numpy as np
 import pytest
@@ -22,12 +22,13 @@ from lieid_casadi.excitation.criteria.criterion import (
     EOptimal,
     Hadamard,
     LogDet,
+    UnitNormColumns,
     stages,
 )
 from lieid_casadi.excitation.criteria.information_matrix import InformationMatrix
 from lieid_casadi.excitation.design_problem import ExcitationProblem
 from lieid_casadi.excitation.excite import make_design
-from lieid_casadi.excitation.solvers.staged_solve import random_start
+from lieid_casadi.excitation.solvers.random_start import random_start
 
 STEP = 1e-6
 
@@ -40,11 +41,12 @@ def gram(size, seed=0):
 CRITERIA = [
     Hadamard(), LogDet(), AOptimal(np.eye(6)), EOptimal(np.eye(6), 3.0),
     Condition(np.eye(6), 1.0), Condition(np.tril(np.full((6, 6), 0.5)) + np.eye(6), 8.0),
+    UnitNormColumns(Condition(np.eye(6), 4.0)), UnitNormColumns(LogDet()),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("criterion", CRITERIA, ids=lambda c: f"{c.name}")
-def test_slope_of_a_criterion(criterion):
+def test_derivative_of_a_criterion(criterion):
     g = gram(6)
     change = np.random.default_rng(1).normal(size=(6, 6))
     change = STEP * (change + change.T)
@@ -55,7 +57,7 @@ def test_slope_of_a_criterion(criterion):
     assert np.isfinite(value)
 
 
-def test_the_smooth_condition_number_bounds_the_true_one_and_comes_near_it():
+def test_the_smooth_condition_number_is_a_close_upper_bound():
     g = gram(8, seed=3)
     sizes = np.linalg.eigvalsh(g)
     true = 0.5 * np.log(sizes[-1] / sizes[0])
@@ -64,7 +66,19 @@ def test_the_smooth_condition_number_bounds_the_true_one_and_comes_near_it():
     assert values[-1] - true < np.log(8) / 64.0
 
 
-def test_criteria_with_known_values():
+def test_unit_norm_columns():
+    g = gram(6)
+    norms = np.sqrt(np.diag(g))
+    assert np.isclose(
+        UnitNormColumns(LogDet()).evaluate(g)[0],
+        -np.linalg.slogdet(g / np.outer(norms, norms))[1] / 6,
+    )
+    scale = np.diag(np.arange(1.0, 7.0))
+    value = UnitNormColumns(Condition(np.eye(6), 4.0)).evaluate
+    assert np.isclose(value(g)[0], value(scale @ g @ scale)[0])
+
+
+def test_values_of_criteria():
     g = np.diag([4.0, 9.0])
     assert np.isclose(LogDet().evaluate(g)[0], -0.5 * np.log(36.0))
     assert np.isclose(Hadamard().evaluate(g)[0], -0.5 * np.log(6.0))
@@ -72,7 +86,7 @@ def test_criteria_with_known_values():
     assert np.isclose(EOptimal(np.eye(2), 200.0).evaluate(g)[0], -np.log(4.0), atol=1e-3)
 
 
-def test_names_and_an_unknown_one():
+def test_names_of_criteria():
     for name in NAMES[1:]:
         assert stages(name, np.eye(3))
     with pytest.raises(ExcitationError, match="expected one of combined"):
@@ -103,8 +117,8 @@ def test_gradient_of_an_objective_in_the_free_variables(robot, effects):
         np.testing.assert_allclose(here.slopes @ direction, bounded, rtol=1e-4, atol=1e-7)
 
 
-def test_information_is_the_models_own_regressor():
-    """With signs that are sharp at these speeds, Y_b is that of the compiled model."""
+def test_information_matrix_uses_the_regressor_of_the_model():
+    """With a sign that is sharp at these speeds, Y_b equals that of the compiled model."""
     model = lieid.Model(lieid.robots.two_link(), effects=["coulomb", "load_friction", "viscous"])
     rng = np.random.default_rng(0)
     q, dq, ddq = rng.normal(size=(3, 20, 2))
@@ -120,7 +134,7 @@ def test_information_is_the_models_own_regressor():
 
 
 @pytest.mark.parametrize("effect", ["temperature_friction", "presliding", "bias_drift"])
-def test_what_no_motion_excites_is_refused(effect):
+def test_effects_that_no_motion_excites_are_refused(effect):
     from lieid_casadi.effects.effect import REGISTER
 
     if effect not in REGISTER:

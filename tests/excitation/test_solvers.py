@@ -102,9 +102,9 @@ def test_an_unknown_solver(tmp_path, capsys):
     target = tmp_path / "x"
     with pytest.raises(SystemExit, match="2"):
         main(["excite", "two_link", "-o", str(target), "--solver", "snopt"])
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert "snopt" in told
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "snopt" in message
     assert not target.exists()
 
 
@@ -202,7 +202,7 @@ class Rosenbrock:
 def test_ipopt_with_an_exact_hessian():
     program = Rosenbrock()
     multipliers = run_ipopt(
-        program, np.zeros(2), np.zeros(1), reach=2.0, barrier=1e-9, iterations=100
+        program, np.zeros(2), np.zeros(1), radius=2.0, barrier=1e-9, iterations=100
     )
     z = program.iterates[-1]
     np.testing.assert_allclose(z, [0.78641, 0.61770], atol=1e-5)
@@ -216,20 +216,20 @@ def test_ipopt_with_an_exact_hessian():
 def test_what_our_functions_raise_comes_through_ipopt(failure, where, capfd):
     program = Rosenbrock(failure, where)
     with pytest.raises(type(failure)):
-        run_ipopt(program, np.zeros(2), np.zeros(1), reach=2.0, barrier=1e-9, iterations=100)
+        run_ipopt(program, np.zeros(2), np.zeros(1), radius=2.0, barrier=1e-9, iterations=100)
     assert program.left == 0
     assert capfd.readouterr() == ("", "")
 
 
 def test_an_interrupt_while_casadi_prepares(monkeypatch):
-    import lieid_casadi.excitation.solvers.nonlinear_program as room
+    import lieid_casadi.excitation.solvers.nonlinear_program as module
 
     def interrupted(self):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(room._Function, "get_n_in", interrupted)
+    monkeypatch.setattr(module._Function, "get_n_in", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        run_ipopt(Rosenbrock(), np.zeros(2), np.zeros(1), reach=2.0, barrier=1e-9, iterations=100)
+        run_ipopt(Rosenbrock(), np.zeros(2), np.zeros(1), radius=2.0, barrier=1e-9, iterations=100)
 
 
 def test_a_run_stops_where_a_limit_was_overlooked(problem):

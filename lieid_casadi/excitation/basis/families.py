@@ -1,4 +1,4 @@
-"""Families of periodic or finite trajectories that are linear in their coefficients."""
+"""Families of trajectories that are linear in their coefficients."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lieid_casadi.errors import ExcitationError
 
 Array = NDArray[np.float64]
-DEGREE = 5  # of the splines and of the polynomial that joins the ends
+DEGREE = 5  # of the splines, and of the polynomial of the modified Fourier series
 
 
 class Basis(Protocol):
@@ -68,11 +68,11 @@ class Fourier:
 
 @dataclass(frozen=True)
 class ModifiedFourier:
-    """Fourier series beside a polynomial of degree 5 that joins the ends.
+    """Fourier series plus a polynomial of degree 5 that meets the end conditions.
 
     As in W. Wu, S. Zhu, X. Wang, H. Liu, "Closed-loop dynamic parameter identification of robot
-    manipulators using modified Fourier series", IJARS 2012: the end conditions take coefficients
-    of the polynomial instead of harmonics.
+    manipulators using modified Fourier series", IJARS 2012: the end conditions reduce the freedom
+    of the polynomial in place of that of the harmonics.
     """
 
     harmonics: int = 5
@@ -87,7 +87,7 @@ class ModifiedFourier:
     def evaluate(self, t: Array) -> Array:
         """Return the functions and two derivatives (3, N, m)."""
         series = Fourier(self.harmonics, self.duration).evaluate(t)
-        # in u ∈ [−1, 1] the powers are of one size
+        # powers of u ∈ [−1, 1] have the same size
         u, rate = 2.0 * t / self.duration - 1.0, 2.0 / self.duration
         k = np.arange(1, DEGREE + 1)
         powers = u[:, None] ** k
@@ -98,7 +98,7 @@ class ModifiedFourier:
 
 @dataclass(frozen=True)
 class Spline:
-    """Uniform quintic B-spline; not periodic, three times as smooth as acceleration needs."""
+    """Uniform quintic B-spline; not periodic, with continuous fourth derivative."""
 
     intervals: int = 11
     duration: float = 20.0
@@ -106,7 +106,7 @@ class Spline:
 
     @property
     def size(self) -> int:
-        """Number of functions: the constant and all B-splines but one (they sum to 1)."""
+        """Number of functions: the constant and all B-splines except one (they sum to 1)."""
         return self.intervals + DEGREE
 
     @cached_property
@@ -139,8 +139,12 @@ def make(
     ----------
     family : str
         ``fourier`` (Eq. 19), ``modified_fourier`` or ``spline``.
+    duration : float
+        Of one period, s.
+    harmonics : int
+        Of the Fourier series.
     intervals : int, optional
-        Of the spline; as many free coefficients as the Fourier series if left out.
+        Of the spline; by default it has as many free coefficients as the Fourier series.
 
     Raises
     ------
@@ -156,6 +160,6 @@ def make(
     if family == "modified_fourier":
         return ModifiedFourier(harmonics, duration)
     if family == "spline":
-        # six end conditions against three: equal freedom
+        # six end conditions in place of three: the same number of free coefficients
         return Spline(2 * harmonics - 1 if intervals is None else intervals, duration)
     raise ExcitationError(f"family: {family!r}; expected fourier, modified_fourier or spline")

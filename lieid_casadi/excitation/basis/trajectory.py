@@ -1,4 +1,4 @@
-"""Trajectories: coefficients over a basis, with the end conditions eliminated (Eqs. 19-20)."""
+"""Trajectories as coefficients of a basis, with the end conditions eliminated (Eqs. 19-20)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,15 @@ DEPENDENT = 1e-9  # part of a row, beyond the rows before it, below which it add
 
 @dataclass(frozen=True, eq=False)
 class MotionSamples:
-    """Samples of a motion: time (N,) in s; q, dq, ddq (N, n) in rad and s (m where sliding)."""
+    """Samples of a motion.
+
+    Attributes
+    ----------
+    t : (N,)
+        Time, s.
+    q, dq, ddq : (N, n)
+        Joint positions, velocities and accelerations: rad, rad/s, rad/s²; m for prismatic joints.
+    """
 
     t: Array
     q: Array
@@ -33,8 +41,9 @@ class Trajectory:
 
     Attributes
     ----------
+    basis : Basis
     coefficients : (n, m)
-        Of the basis' functions; for `Fourier`: q₀, a_1 … a_H, b_1 … b_H.
+        Of the functions of the basis; for `Fourier`: q₀, a_1 … a_H, b_1 … b_H.
     """
 
     basis: Basis
@@ -54,7 +63,7 @@ class Trajectory:
 
 
 def period_grid(duration: float, samples: int) -> Array:
-    """Return equidistant times over one period, the end left out."""
+    """Return equidistant times (samples,) over one period, without its end."""
     return duration * np.arange(samples) / samples
 
 
@@ -63,15 +72,17 @@ class Parametrization:
     """Free variables z (n d,) of the trajectories that meet the end conditions.
 
     At both ends velocity and acceleration vanish (Eq. 20); with ``fixed`` the position there is
-    ``pose``, without it the trajectory may start anywhere. The conditions are linear: the
-    coefficients are those of the resting pose plus null-space directions times z.
+    ``pose``, otherwise it is free. The conditions are linear: the coefficients are those of the
+    pose at rest plus null-space directions times z.
 
     Attributes
     ----------
+    basis : Basis
     pose : (n,)
-        Start pose, or the pose that z = 0 stands for.
-    size_of_unit : (n, 3), optional
-        Position, velocity and acceleration that count as 1 when the directions are scaled.
+        Start pose, or the pose at z = 0; rad.
+    fixed : bool
+    size_of_unit : (n, 3)
+        Position, velocity and acceleration that the scaled directions reach at z = 1.
     """
 
     basis: Basis
@@ -105,13 +116,13 @@ class Parametrization:
 
     @cached_property
     def scales(self) -> Array:
-        """Length (n, d) of each direction so that a unit of z fills about one limit."""
+        """Length (n, d) of each direction, such that a unit of z reaches about one limit."""
         grid = period_grid(self.basis.duration, 200)
         peaks = np.abs(self.basis.evaluate(grid) @ self._directions).max(axis=1)  # (3, d)
         return np.asarray(1.0 / (peaks[None] / self.size_of_unit[:, :, None]).max(axis=1))
 
     def functions(self, t: Array) -> Array:
-        """Return ∂(q, dq, ddq)_j/∂z_j (n, 3, N, d) at times t; joints do not mix."""
+        """Return ∂(q, dq, ddq)_j/∂z_j (n, 3, N, d) at times t (N,), s."""
         plain = self.basis.evaluate(t) @ self._directions
         return np.asarray(plain[None] * self.scales[:, None, None, :])
 
@@ -156,7 +167,7 @@ def null_space(rows: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SampledBasis:
-    """A parametrization at fixed times: motions of z and gradients back, by products alone."""
+    """A parametrization at fixed times: motions of z and gradients by matrix products."""
 
     parametrization: Parametrization
     t: Array

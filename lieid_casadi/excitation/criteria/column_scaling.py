@@ -1,4 +1,4 @@
-"""Scales of the full regressor's columns: what counts as one unit of each parameter."""
+"""Scales of the full regressor's columns: the unit of each parameter in a condition number."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ from lieid_casadi.errors import ExcitationError
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
-NAMES = ("si", "units", "prior")
-LEAST = 0.01  # of a group's typical size: what a parameter that is stated as 0 may be off by
+NAMES = ("si", "units", "prior", "unit_norm")
+LEAST_SIZE = 0.01  # of a group's typical size: prior deviation of a parameter stated as 0
 
 
-def column_scale(model: Model, scaling: str | ArrayLike) -> Array:
-    """Return the factors (P,) of the full regressor's columns.
+def column_scale(model: Model, scaling: str | ArrayLike) -> Array | None:
+    """Return the factors (P,) of the full regressor's columns; None for ``unit_norm``.
 
-    ``si`` leaves them alone. ``units`` measures in the arm's own mass and length, and friction in
-    typical torques of its joints. ``prior`` takes the sizes of the stated parameters as prior
-    standard deviations, friction again in typical torques.
+    Parameters
+    ----------
+    model : Model
+    scaling : str or (P,)
+        ``si``: factors of one. ``units``: units from the arm's own mass and length, and for
+        friction from typical torques of its joints. ``prior``: the sizes of the stated parameters
+        as prior standard deviations, for friction again typical torques. ``unit_norm``: columns of
+        the base regressor scaled to unit norm, which depends on the trajectory.
 
     Raises
     ------
@@ -30,9 +35,11 @@ def column_scale(model: Model, scaling: str | ArrayLike) -> Array:
         factors = np.asarray(scaling, dtype=float)
         if factors.shape != (count,) or not np.all(np.isfinite(factors) & (factors > 0.0)):
             raise ExcitationError(
-                f"scaling: expected {count} positive factors, one a column of the full regressor"
+                f"scaling: expected {count} positive factors, one per column of the full regressor"
             )
         return factors
+    if scaling == "unit_norm":
+        return None
     if scaling == "si":
         return np.ones(count)
     if scaling not in NAMES:
@@ -45,7 +52,7 @@ def column_scale(model: Model, scaling: str | ArrayLike) -> Array:
         if scaling == "units":
             scale[:, group] = typical
         else:
-            scale[:, group] = np.maximum(np.abs(links[:, group]), LEAST * typical)
+            scale[:, group] = np.maximum(np.abs(links[:, group]), LEAST_SIZE * typical)
     return np.concatenate([scale.ravel(), _friction_scale(model)])
 
 

@@ -1,4 +1,4 @@
-"""What an excitation minimizes: functions of the base regressor's Gram matrix G = YᵀY."""
+"""Excitation criteria: functions of the base regressor's Gram matrix G = YᵀY."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ from numpy.typing import NDArray
 from lieid_casadi.errors import ExcitationError
 
 Array = NDArray[np.float64]
-SMALLEST = 1e-14  # of the largest eigenvalue; below it a direction counts as not excited
+SMALLEST = 1e-14  # of the largest eigenvalue; smaller ones are replaced by it
 
 
 class Criterion(ABC):
-    """A function of G (p, p), to be minimized, with its slope."""
+    """A function of G (p, p) to be minimized, with its derivative."""
 
     name: ClassVar[str]
-    meaning: ClassVar[str]
 
     @abstractmethod
     def evaluate(self, gram: Array) -> tuple[float, Array]:
-        """Return the value and its slope ∂f/∂G (p, p), symmetric."""
+        """Return the value and its derivative ∂f/∂G (p, p), symmetric."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,15 +36,14 @@ class Condition(Criterion):
     ----------
     metric : (p, p)
         L with LLᵀ = K·D²·Kᵀ (K the base combination, D the column scales): the eigenvalues of
-        LᵀGL are those of the full scaled regressor that do not vanish.
+        LᵀGL are the nonzero ones of the full scaled regressor's Gram matrix.
     power : float
-        p; small ones see all directions, large ones the extremes.
+        p; with a small one all directions contribute, with a large one the extremes.
     """
 
     metric: Array
     power: float
     name = "condition"
-    meaning = "log of the condition number"
 
     def evaluate(self, gram: Array) -> tuple[float, Array]:
         """See `Criterion`."""
@@ -64,7 +62,6 @@ class LogDet(Criterion):
     """−log det G / p (C4, D-optimality): the volume of the parameters' confidence region."""
 
     name = "logdet"
-    meaning = "−log det of the base regressor's Gram matrix, per parameter"
 
     def evaluate(self, gram: Array) -> tuple[float, Array]:
         """See `Criterion`."""
@@ -82,7 +79,6 @@ class Hadamard(Criterion):
     """
 
     name = "hadamard"
-    meaning = "log of one over the product of the base regressor's column norms, per column"
 
     def evaluate(self, gram: Array) -> tuple[float, Array]:
         """See `Criterion`."""
@@ -96,7 +92,6 @@ class AOptimal(Criterion):
 
     metric: Array
     name = "a_optimal"
-    meaning = "log of the sum of variances"
 
     def evaluate(self, gram: Array) -> tuple[float, Array]:
         """See `Criterion`."""
@@ -114,7 +109,6 @@ class EOptimal(Criterion):
     metric: Array
     power: float
     name = "e_optimal"
-    meaning = "log of the largest variance of any direction"
 
     def evaluate(self, gram: Array) -> tuple[float, Array]:
         """See `Criterion`."""
@@ -126,11 +120,47 @@ class EOptimal(Criterion):
         return float(value), -(turned * (below / below.sum() / sizes)) @ turned.T
 
 
+@dataclass(frozen=True, eq=False)
+class UnitNormColumns(Criterion):
+    """A criterion of the base regressor with columns scaled to unit norm.
+
+    With R = D⁻¹GD⁻¹, D = diag(G)^½ and S = ∂f/∂R, the derivative is
+    ∂f/∂G = D⁻¹SD⁻¹ − diag(SR)/diag(G).
+    """
+
+    criterion: Criterion
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Name of the criterion."""
+        return self.criterion.name
+
+    def evaluate(self, gram: Array) -> tuple[float, Array]:
+        """See `Criterion`."""
+        scaled = unit_norm_gram(gram)
+        value, slope = self.criterion.evaluate(scaled)
+        norms = np.sqrt(np.diag(gram))
+        change = np.diag((slope * scaled).sum(axis=1) / norms**2)
+        return value, slope / np.outer(norms, norms) - change
+
+
+def unit_norm_gram(gram: Array) -> Array:
+    """Return the Gram matrix (p, p) of the same columns, scaled to unit norm."""
+    norms = np.sqrt(np.diag(gram))
+    return np.asarray(gram / np.outer(norms, norms))
+
+
 @dataclass(frozen=True)
 class CriterionStage:
-    """Part of an optimization: one criterion for at most so many iterations.
+    """Part of an optimization.
 
-    ``tolerance`` is the predicted decrease at which the stage is done.
+    Attributes
+    ----------
+    criterion : Criterion
+    iterations : int
+        At most.
+    tolerance : float
+        Decrease of the criterion below which the stage ends.
     """
 
     criterion: Criterion
@@ -140,37 +170,41 @@ class CriterionStage:
 
 NAMES = ("combined", "condition", "hadamard", "logdet", "a_optimal", "e_optimal")
 POWERS = (1.0, 2.0, 4.0, 8.0, 16.0, 64.0)
-SCHEDULE = (30, 30, 40, 60, 60, 100)  # iterations of each power
+ITERATIONS = (30, 30, 40, 60, 60, 100)  # of each power
 TOLERANCES = (1e-4, 1e-4, 1e-4, 1e-4, 3e-5, 3e-5)
 
 
-def condition_stages(metric: Array) -> tuple[CriterionStage, ...]:
-    """Return the continuation that ends near the condition number itself."""
-    return tuple(
-        CriterionStage(Condition(metric, power), count, tolerance)
-        for power, count, tolerance in zip(POWERS, SCHEDULE, TOLERANCES, strict=True)
-    )
+def stages(name: str, metric: Array, *, unit_norm: bool = False) -> tuple[CriterionStage, ...]:
+    """Return the stages of a criterion by its name; `make_plan` composes ``combined``.
 
-
-def stages(name: str, metric: Array) -> tuple[CriterionStage, ...]:
-    """Return the stages of a criterion by its name; ``combined`` is put together elsewhere.
+    Parameters
+    ----------
+    name : str
+        ``condition``, ``hadamard``, ``logdet``, ``a_optimal`` or ``e_optimal``.
+    metric : (p, p)
+        See `Condition`.
+    unit_norm : bool
+        Whether criteria with a metric take the base columns scaled to unit norm.
 
     Raises
     ------
     ExcitationError
         Unknown name.
     """
-    if name == "condition":
-        return condition_stages(metric)
+
+    def scaled(criterion: Criterion) -> Criterion:
+        return UnitNormColumns(criterion) if unit_norm else criterion
+
     if name == "hadamard":
         return (CriterionStage(Hadamard(), 200, 1e-5),)
     if name == "logdet":
         return (CriterionStage(LogDet(), 200, 1e-5),)
     if name == "a_optimal":
-        return (CriterionStage(LogDet(), 15), CriterionStage(AOptimal(metric), 200, 1e-4))
-    if name == "e_optimal":
-        return tuple(
-            CriterionStage(EOptimal(metric, power), count, tolerance)
-            for power, count, tolerance in zip(POWERS, SCHEDULE, TOLERANCES, strict=True)
-        )
-    raise ExcitationError(f"criterion: {name!r}; expected one of {', '.join(NAMES)}")
+        return (CriterionStage(LogDet(), 15), CriterionStage(scaled(AOptimal(metric)), 200, 1e-4))
+    if name not in ("condition", "e_optimal"):
+        raise ExcitationError(f"criterion: {name!r}; expected one of {', '.join(NAMES)}")
+    smooth = Condition if name == "condition" else EOptimal
+    return tuple(
+        CriterionStage(scaled(smooth(metric, power)), count, tolerance)
+        for power, count, tolerance in zip(POWERS, ITERATIONS, TOLERANCES, strict=True)
+    )

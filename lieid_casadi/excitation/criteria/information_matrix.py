@@ -1,4 +1,4 @@
-"""How much a motion tells of the parameters: the Gram matrix of the base regressor."""
+"""Information of a motion about the parameters: the Gram matrix of the base regressor."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ from lieid_casadi.excitation.sample_functions import SampleKernel, reverse_deriv
 from lieid_casadi.model import EffectSignals, Model
 
 Array = NDArray[np.float64]
-SIGN_WIDTH = 0.03  # tanh(q̇/width) in place of sgn(q̇), in parts of the speed limit
 
 
 @dataclass(frozen=True, eq=False)
 class StackedRegressor:
-    """Y_b over N samples, as columns (p, n·N), one row per base parameter."""
+    """Base regressor Y_b of N samples, transposed: rows (p, n·N), one per base parameter."""
 
     motion: MotionSamples
     rows: Array
@@ -36,18 +35,19 @@ class StackedRegressor:
 class InformationMatrix:
     """The base regressor of [Y, effect columns] along a motion, and gradients through it.
 
-    Signs of velocities are smooth here, sgn(q̇) ≈ tanh(q̇/width): gradients exist. The result of a
-    design is judged with the model's own, sharp columns.
+    The signs of velocities are smooth here, sgn(q̇) ≈ tanh(q̇/width), so that gradients exist. The
+    quality of a design is evaluated with the model's own, sharp columns (see `quality`).
 
     Parameters
     ----------
+    model : Model
     sign_width : (n,)
         Width of the smooth sign, rad/s.
 
     Raises
     ------
     ExcitationError
-        An effect whose columns do not follow from motion and time at one instant; see
+        An effect whose columns do not follow from the motion and the time of one instant; see
         `design_model`.
     """
 
@@ -68,9 +68,9 @@ class InformationMatrix:
                 for i, j in zip(self._values.rows, self._values.columns, strict=True)
             )
         )
-        pulled = reverse_derivative(flat, seed, symbols)
-        self._pulled = SampleKernel(
-            "base_columns_reverse", symbols, pulled, {"seed": seed, **further}
+        reverse = reverse_derivative(flat, seed, symbols)
+        self._reverse = SampleKernel(
+            "base_columns_reverse", symbols, reverse, {"seed": seed, **further}
         )
         self._columns, self._rows = self._values.columns, self._values.rows
         self.size = kept
@@ -83,26 +83,49 @@ class InformationMatrix:
         return StackedRegressor(motion, stacked.reshape(self.size, n * samples))
 
     def gradient(self, stacked: StackedRegressor, slope: Array) -> Array:
-        """Return ∂f/∂(q, dq, ddq) (n, 3, N) of a function f(G), given ∂f/∂G (p, p), symmetric."""
+        """Return the gradient of a function f(G) with respect to the motion.
+
+        Parameters
+        ----------
+        stacked : StackedRegressor
+        slope : (p, p)
+            ∂f/∂G, symmetric.
+
+        Returns
+        -------
+        (n, 3, N)
+            ∂f/∂(q, dq, ddq).
+        """
         n, samples = self.model.n, len(stacked.motion)
         seeds = (2.0 * slope @ stacked.rows).reshape(self.size, n, samples)
         seed = np.ascontiguousarray(seeds[self._columns, self._rows].T)
-        pulled = self._pulled.dense(stacked.motion, seed=seed, **self._time(stacked.motion))[
+        reverse = self._reverse.dense(stacked.motion, seed=seed, **self._time(stacked.motion))[
             :, 0, :
         ]
-        return np.ascontiguousarray(pulled.reshape(3, n, samples).transpose(1, 0, 2))
+        return np.ascontiguousarray(reverse.reshape(3, n, samples).transpose(1, 0, 2))
 
     def _time(self, motion: MotionSamples) -> dict[str, Array]:
         return {"time": motion.t[:, None]} if self._timed else {}
 
 
 def base_regressor(model: Model, symbols: Symbols, sign_width: Array, time: ca.SX) -> ca.SX:
-    """Return the kept columns (n, p) of [Y, effect columns] with a smooth sign."""
+    """Return the base columns (n, p) of [Y, effect columns] with a smooth sign.
+
+    Parameters
+    ----------
+    model : Model
+    symbols : Symbols
+        Of the motion.
+    sign_width : (n,)
+        Width of the smooth sign, rad/s.
+    time : SX
+        Symbol of the time, s.
+    """
     unreachable = [p.label for p in model.placements if not follows_from_motion(p.effect)]
     if unreachable:
         raise ExcitationError(
             f"{', '.join(unreachable)}: depends on temperature, the past or the whole arm, "
-            "which a design does not see; leave it out"
+            "not on the motion of one instant; leave it out of the design"
         )
     n = model.n
     sign = ca.tanh(symbols.dq / ca.DM(sign_width))

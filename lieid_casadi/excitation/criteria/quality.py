@@ -1,4 +1,4 @@
-"""How good a motion is: singular values of the full regressor, and what stays weak."""
+"""Quality of a motion: singular values of the regressor, and the weakest directions."""
 
 from __future__ import annotations
 
@@ -11,16 +11,21 @@ from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
-NAMED = 3  # base parameters that a weak direction is named by
-WEAK = 3  # directions that are told
+NAMED = 3  # base parameters that name a weak direction
+WEAK = 3  # directions that are reported
+NAMED_SHARE = 0.1  # smallest part of a direction that is named
 
 
 @dataclass(frozen=True)
 class WeakDirection:
-    """A direction of the parameters that torques show least.
+    """A direction of the parameters that changes the torques least.
 
-    ``singular_value`` is the torque's root sum of squares per unit of parameter along it;
-    ``parameters`` are its largest parts among the base parameters (name, share in [−1, 1]).
+    Attributes
+    ----------
+    singular_value : float
+        Root sum of squares of the torques per unit of parameter along the direction.
+    parameters : tuple of (str, float)
+        Largest components among the base parameters: name, share in [−1, 1].
     """
 
     singular_value: float
@@ -30,19 +35,20 @@ class WeakDirection:
     def text(self) -> str:
         """E.g. ``0.9 Ixx7 − 0.4 Iyy7``."""
         first, *rest = self.parameters
-        words = [f"{first[1]:.2g} {first[0]}"]
-        words += [f"{'−' if share < 0 else '+'} {abs(share):.2g} {name}" for name, share in rest]
-        return " ".join(words)
+        terms = [f"{first[1]:.2g} {first[0]}"]
+        terms += [f"{'−' if share < 0 else '+'} {abs(share):.2g} {name}" for name, share in rest]
+        return " ".join(terms)
 
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """What a motion's samples tell of the parameters.
+    """How well the samples of a motion determine the parameters.
 
     Attributes
     ----------
-    singular_values : (P,)
-        Of the stacked full (scaled) regressor, largest first; beyond the rank they are rounding.
+    singular_values : (P,) or (p,)
+        Of the stacked full (scaled) regressor, largest first; those beyond the rank are rounding.
+        Of the base regressor, where its columns were scaled to unit norm.
     rank : int
         Structural rank r.
     neg_log_det : float
@@ -50,7 +56,7 @@ class Quality:
     weak : tuple of WeakDirection
         The smallest first.
     deviations : (p,)
-        Standard deviation of each base parameter per N·m of white torque noise on every joint.
+        Standard deviation of each base parameter for white torque noise of 1 N·m on every joint.
     """
 
     singular_values: Array
@@ -65,36 +71,38 @@ class Quality:
         return float(self.singular_values[0] / self.singular_values[self.rank - 1])
 
 
-def quality(model: Model, motion: MotionSamples, column_scale: Array | None = None) -> Quality:
-    """Judge samples of a motion by the model's own columns, sharp signs included.
+def quality(model: Model, motion: MotionSamples, column_scale: Array | None) -> Quality:
+    """Evaluate the model's own columns, sharp signs included, at samples of a motion.
 
     Parameters
     ----------
-    column_scale : (P,), optional
-        Factors of the full regressor's columns.
+    model : Model
+    motion : MotionSamples
+    column_scale : (P,) or None
+        Factors of the full regressor's columns; None: base columns scaled to unit norm.
     """
     base, full = stacked_regressors(model, motion)
-    scale = np.ones(full.shape[1]) if column_scale is None else column_scale
-    sizes = np.linalg.svd(full * scale, compute_uv=False)
-    gram = base.T @ base
-    rank = model.base.count
-    scaled = model.base.combination * scale
-    metric = np.linalg.cholesky(scaled @ scaled.T)
+    if column_scale is None:
+        norms = np.linalg.norm(base, axis=0)
+        sizes, metric = np.linalg.svd(base / norms, compute_uv=False), np.diag(1.0 / norms)
+    else:
+        sizes = np.linalg.svd(full * column_scale, compute_uv=False)
+        scaled = model.base.combination * column_scale
+        metric = np.linalg.cholesky(scaled @ scaled.T)
     _, small, rows = np.linalg.svd(base @ metric, full_matrices=False)
     directions = metric @ rows.T
-    names = [model.base.names[k] for k in model.base.kept]
+    names, rank = [model.base.names[k] for k in model.base.kept], model.base.count
     weak = tuple(
         _direction(float(small[-1 - k]), directions[:, -1 - k], names)
         for k in range(min(WEAK, rank))
     )
     variances = np.diag(metric @ (rows.T / small**2) @ rows @ metric.T)
-    return Quality(
-        np.asarray(sizes), rank, -float(np.linalg.slogdet(gram)[1]), weak, np.sqrt(variances)
-    )
+    volume = float(np.linalg.slogdet(base.T @ base)[1])
+    return Quality(np.asarray(sizes), rank, -volume, weak, np.sqrt(variances))
 
 
 def stacked_regressors(model: Model, motion: MotionSamples) -> tuple[Array, Array]:
-    """Return the base (N n, p) and the full (N n, P) regressor of samples."""
+    """Return the base (N·n, p) and the full (N·n, P) regressor of a motion's samples."""
     from lieid_casadi.compiled import compile
 
     arm = compile(model)
@@ -114,5 +122,5 @@ def _direction(size: float, direction: Array, names: list[str]) -> WeakDirection
     largest = np.argsort(-np.abs(shares))[:NAMED]
     if shares[largest[0]] < 0.0:
         shares = -shares
-    parts = [(names[k], float(shares[k])) for k in largest if abs(shares[k]) > 0.1]
+    parts = [(names[k], float(shares[k])) for k in largest if abs(shares[k]) > NAMED_SHARE]
     return WeakDirection(size, tuple(parts))

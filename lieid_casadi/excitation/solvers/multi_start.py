@@ -1,4 +1,4 @@
-"""Several random starts of one problem, here or on any executor."""
+"""Several random starts of one problem, in this process or on an executor."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import NoSolution
@@ -19,7 +19,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class StartAttempt:
-    """What one start came to: a solution, or the reason why there is none."""
+    """Result of one random start: a solution, or the reason why there is none."""
 
     seed: int
     seconds: float
@@ -38,13 +38,25 @@ def solve_all(
 ) -> list[StartAttempt]:
     """Return one attempt per seed; the result does not depend on the executor.
 
-    Ctrl-C ends the search; attempts that are complete, and the best iterate of the current one,
-    are kept.
+    An interrupt (Ctrl-C) ends the search; complete attempts and the best iterate of the current
+    one are kept.
+
+    Parameters
+    ----------
+    problem : ExcitationProblem
+    seeds : sequence of int
+        One per start.
+    progress : callable, optional
+        Called with what is done and the fraction that is done.
+    executor : Executor, optional
+        Of `concurrent.futures`; without one the starts run one after the other.
+    max_iterations : int, optional
+        Of each start.
 
     Raises
     ------
     KeyboardInterrupt
-        Nothing feasible was found before it.
+        Before a feasible trajectory was found.
     """
     if executor is not None:
         jobs = [
@@ -58,18 +70,15 @@ def solve_all(
     attempts = []
     for k, seed in enumerate(seeds):
 
-        def told(stage: str, fraction: float, k: int = k) -> None:
+        def report(stage: str, fraction: float, k: int = k) -> None:
             progress(f"start {k + 1} of {len(seeds)}: {stage}", (k + fraction) / len(seeds))
 
         try:
-            attempts.append(attempt(problem, seed, progress=told, max_iterations=max_iterations))
+            attempts.append(attempt(problem, seed, progress=report, max_iterations=max_iterations))
         except KeyboardInterrupt:
             if not any(a.solution for a in attempts):
                 raise
-            attempts[-1] = StartAttempt(
-                attempts[-1].seed, attempts[-1].seconds, attempts[-1].solution,
-                attempts[-1].reason, interrupted=True,
-            )  # fmt: skip
+            attempts[-1] = replace(attempts[-1], interrupted=True)
             break
         if attempts[-1].interrupted:
             break
@@ -83,7 +92,7 @@ def attempt(
     progress: Progress = lambda stage, fraction: None,
     max_iterations: int | None = None,
 ) -> StartAttempt:
-    """Solve from one start; a start without a solution is no error."""
+    """Solve from one start; a start without a solution does not raise."""
     began = time.monotonic()
     try:
         solution = solve(problem, seed, progress=progress, max_iterations=max_iterations)
@@ -98,7 +107,7 @@ def attempt_design(design: ExcitationDesign, seed: int, max_iterations: int | No
     return attempt(_problem(design), seed, max_iterations=max_iterations)
 
 
-_last = threading.local()  # the problem that this thread solved last: a problem is not shared
+_last = threading.local()  # the last problem of each thread; threads share none
 
 
 def _problem(design: ExcitationDesign) -> ExcitationProblem:

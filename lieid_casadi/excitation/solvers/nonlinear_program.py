@@ -1,4 +1,8 @@
-"""One run of Ipopt, through CasADi, on a program whose functions are ours."""
+"""One run of Ipopt, called through CasADi, on a program that consists of Python functions.
+
+A CasADi graph of the whole program would hold the criterion's eigenvalue decomposition, which
+CasADi does not differentiate, and thousands of limits, of which some hundred matter at a time.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +16,18 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Values = Sequence[float | Array]
-PUSH = 1e-4  # from a limit, of slacks that start on it
-CONVERGED = 1e-6  # optimality error; what uses Ipopt stops it earlier
-SILENT = {"print_level": 0, "sb": "yes"}
+PUSH = 1e-4  # distance from their bound of slacks that start on it
+CONVERGED = 1e-6  # optimality error; the callers stop Ipopt earlier
+QUIET = {"print_level": 0, "sb": "yes"}
 
 
 class NonlinearProgram(Protocol):
     """min f(z) with g(z) ≤ 0; every method takes z (m,)."""
 
     pattern: NDArray[np.bool_]
-    """Entries (rows, m) of ∂g/∂z that may differ from zero."""
+    """Entries (rows, m) of ∂g/∂z that can be nonzero."""
     linear: bool
-    """Whether ∂g/∂z never changes."""
+    """Whether ∂g/∂z is constant."""
 
     def value(self, z: Array) -> float:
         """Return f."""
@@ -38,17 +42,17 @@ class NonlinearProgram(Protocol):
         """Return ∂g/∂z (rows, m)."""
 
     def hessian(self, z: Array, multipliers: Array) -> Array:
-        """Return the Lagrangian's Hessian (m, m), or what stands for it."""
+        """Return the Lagrangian's Hessian (m, m), or an approximation."""
 
     def done(self, z: Array) -> bool:
-        """Take note of an iterate (the first is where the run begins); whether to stop there."""
+        """Record an iterate (the first is the start of the run); return whether to stop there."""
 
 
 @dataclass(eq=False)
 class CallbackFailure:
-    """What our functions raised; C++ between them and us would print it and go on.
+    """The first exception of a callback; C++ code above the callback would only print it.
 
-    From then on all of them are not a number, and Ipopt gives up.
+    From then on every callback returns NaN, so that Ipopt ends.
     """
 
     exception: BaseException | None = None
@@ -59,37 +63,42 @@ def run_ipopt(
     z: Array,
     multipliers: Array,
     *,
-    reach: float,
+    radius: float,
     barrier: float,
     iterations: int,
 ) -> Array:
-    """Run Ipopt from z; return the multipliers (rows,). The iterates go to ``program.done``.
+    """Run Ipopt from z and return the multipliers (rows,); iterates go to ``program.done``.
 
     Parameters
     ----------
+    program : NonlinearProgram
+    z : (m,)
+        Start.
     multipliers : (rows,)
-        To start with.
-    reach : float
-        How far each variable may go from z.
+        First multipliers.
+    radius : float
+        Largest change of each variable.
     barrier : float
-        Barrier parameter μ, kept: what a run ends at is on the central path.
+        Barrier parameter μ, constant during the run, so that it ends on the central path.
+    iterations : int
+        At most.
 
     Raises
     ------
     BaseException
-        Whatever the program's methods raise, Ctrl-C among it.
+        Any exception of the program's methods, KeyboardInterrupt included.
     """
     failure = CallbackFailure()
     try:
-        found = _run(program, z, multipliers, failure, reach, barrier, iterations)
+        multipliers = _run(program, z, multipliers, failure, radius, barrier, iterations)
     except RuntimeError as error:
-        # Ctrl-C while CasADi asks a function for its shapes
+        # KeyboardInterrupt while CasADi asks a function for its shapes
         if "KeyboardInterrupt" in str(error):
             raise KeyboardInterrupt from error
         raise
     if failure.exception is not None:
         raise failure.exception
-    return found
+    return multipliers
 
 
 def _run(
@@ -97,13 +106,13 @@ def _run(
     z: Array,
     multipliers: Array,
     failure: CallbackFailure,
-    reach: float,
+    radius: float,
     barrier: float,
     iterations: int,
 ) -> Array:
     """Return the multipliers; see `run_ipopt`."""
     x = ca.MX.sym("z", len(z))
-    # CasADi keeps no reference to Python's side of a function: these live as long as the solver
+    # CasADi keeps no reference to the Python objects: keep them as long as the solver
     functions = _functions(program, len(z), failure)
     options: dict[str, Any] = {
         "grad_f": functions["grad_f"], "jac_g": functions["jac_g"],
@@ -111,7 +120,7 @@ def _run(
         "no_nlp_grad": True, "print_time": False, "show_eval_warnings": False,
         "error_on_fail": False,
         "ipopt": {
-            **SILENT, "max_iter": iterations, "tol": CONVERGED, "nlp_scaling_method": "none",
+            **QUIET, "max_iter": iterations, "tol": CONVERGED, "nlp_scaling_method": "none",
             "mu_strategy": "monotone", "mu_init": barrier, "mu_target": barrier,
             "warm_start_init_point": "yes", "warm_start_slack_bound_push": PUSH,
             "warm_start_slack_bound_frac": PUSH, "warm_start_bound_push": PUSH,
@@ -121,14 +130,14 @@ def _run(
     }  # fmt: skip
     nlp = {"x": x, "f": functions["f"](x), "g": functions["g"](x)}
     solver = ca.nlpsol("excitation", "ipopt", nlp, options)
-    result = solver(x0=z, lbx=z - reach, ubx=z + reach, lbg=-np.inf, ubg=0.0, lam_g0=multipliers)
+    result = solver(x0=z, lbx=z - radius, ubx=z + radius, lbg=-np.inf, ubg=0.0, lam_g0=multipliers)
     return np.asarray(result["lam_g"].full().ravel())
 
 
 def _functions(
     program: NonlinearProgram, size: int, failure: CallbackFailure
 ) -> dict[str, _Function]:
-    """Return the functions in CasADi's names and signatures."""
+    """Return the functions under CasADi's names, with CasADi's signatures."""
     rows = len(program.pattern)
     slopes = ca.DM(program.pattern.astype(float))
     sparsity = ca.sparsify(slopes).sparsity()
@@ -142,21 +151,21 @@ def _functions(
     def hessian(z: Array, _: Array, of_objective: Array, multipliers: Array) -> Values:
         return [of_objective[0] * p.hessian(z, multipliers)[upper]]
 
-    def made(name: str, inputs: list[Any], outputs: list[Any], rule: Rule) -> _Function:
+    def function(name: str, inputs: list[Any], outputs: list[Any], rule: Rule) -> _Function:
         return _Function(name, inputs, outputs, rule, failure)
 
     return {
-        "f": made("f", [z_], [one], lambda z: [p.value(z)]),
-        "g": made("g", [z_], [g_], lambda z: [p.limits(z)]),
-        "grad_f": made(
+        "f": function("f", [z_], [one], lambda z: [p.value(z)]),
+        "g": function("g", [z_], [g_], lambda z: [p.limits(z)]),
+        "grad_f": function(
             "grad_f", [z_, none], [one, z_], lambda z, _: [p.value(z), p.gradient(z)]
         ),
-        "jac_g": made(
+        "jac_g": function(
             "jac_g", [z_, none], [g_, sparsity],
             lambda z, _: [p.limits(z), p.slopes(z)[entries]],
         ),
-        "hess_lag": made("hess_lag", [z_, none, one, g_], [triangle], hessian),
-        "iteration_callback": made(
+        "hess_lag": function("hess_lag", [z_, none, one, g_], [triangle], hessian),
+        "iteration_callback": function(
             "iteration_callback", [_of_result(k, z_, g_) for k in range(ca.nlpsol_n_out())], [one],
             lambda z, *_: [float(p.done(z))],
         ),
@@ -173,7 +182,7 @@ Rule = Callable[..., Values]
 
 
 class _Function(ca.Callback):
-    """A CasADi function by a Python rule that gives the nonzeros of each output."""
+    """A CasADi function of a Python rule that returns the nonzeros of each output."""
 
     def __init__(
         self,
@@ -204,6 +213,6 @@ class _Function(ca.Callback):
             try:
                 values = self._rule(*(np.asarray(argument).ravel() for argument in arguments))
                 return [ca.DM(s, v) for s, v in zip(self._outputs, values, strict=True)]
-            except BaseException as exception:  # noqa: BLE001 (raised again beyond Ipopt)
+            except BaseException as exception:  # noqa: BLE001 (raised again after Ipopt)
                 self._failure.exception = exception
         return [ca.DM(s, np.full(s.nnz(), np.nan)) for s in self._outputs]

@@ -1,9 +1,9 @@
-"""Small dense quadratic programs by Lawson and Hanson's non-negative least squares.
+"""Small dense quadratic programs by the non-negative least squares of Lawson and Hanson.
 
 min ½dᵀHd + gᵀd with A·d ≤ b becomes, in x = Lᵀd + L⁻¹g with H = LLᵀ, the least-distance problem
 min ‖x‖ with G·x ≥ h, and that the non-negative least squares problem of its multipliers (Lawson,
-Hanson, "Solving least squares problems", 1974, chapter 23). Its size is that of the rows, of
-which an iteration has some fifty: a fraction of a millisecond.
+Hanson, "Solving least squares problems", 1974, chapter 23). Its size is that of the rows, about
+fifty in an iteration.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-INCOMPATIBLE = 1e-14  # least squared distance of the multipliers' problem
+INCOMPATIBLE = 1e-14  # smallest squared distance of the multipliers' problem with a solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,23 +26,30 @@ class QuadraticSolution:
 
 
 def solve(hessian: Array, gradient: Array, matrix: Array, limit: Array) -> QuadraticSolution | None:
-    """Return the solution of min ½dᵀHd + gᵀd with A·d ≤ b; None if there is none.
-
-    None too where rounding has taken the Hessian's definiteness.
+    """Return the solution of min ½dᵀHd + gᵀd with A·d ≤ b.
 
     Parameters
     ----------
     hessian : (m, m)
-        Positive definite.
+        H, positive definite.
     gradient : (m,)
-    matrix, limit : (rows, m), (rows,)
+        g.
+    matrix : (rows, m)
+        A.
+    limit : (rows,)
+        b.
+
+    Returns
+    -------
+    QuadraticSolution or None
+        None if the rows are incompatible, or if H is not positive definite to rounding.
     """
     from scipy.linalg import cho_factor, solve_triangular
     from scipy.optimize import nnls
 
     try:
         factor, _ = cho_factor(hessian, lower=True)
-    except np.linalg.LinAlgError:  # rounding took its definiteness
+    except np.linalg.LinAlgError:
         return None
     free = solve_triangular(factor, gradient, lower=True)
     if not len(limit):

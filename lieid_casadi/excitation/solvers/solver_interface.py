@@ -1,10 +1,10 @@
-"""What a solver of excitation problems is: objective, iterates, and one method."""
+"""What a solver of excitation problems is: its iterates, its Hessian, and one method."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,31 @@ from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.criteria.objective_value import ObjectiveValue
 from lieid_casadi.excitation.limits.constraint_sets import SampledConstraints
 
+if TYPE_CHECKING:
+    from scipy.optimize import BFGS
+
 Array = NDArray[np.float64]
-
-
 Objective = Callable[[Array], ObjectiveValue]
+SMALLEST_MOVE = 1e-14  # length of a move below which rounding would shape the Hessian
+LEAST_CURVATURE = 1e-3  # of the first Hessian
 
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """An iterate: everything known at z."""
+    """A point z (m,) of the search with the objective, the motion and the limits there.
+
+    Attributes
+    ----------
+    z : (m,)
+        Free variables of the trajectory.
+    outcome : ObjectiveValue
+    motion : MotionSamples
+        On the grid of the constraints.
+    excess : list of pairs (k, N)
+        Scaled excesses past the upper and lower limits, one pair per constraint set.
+    violation : float
+        Largest scaled excess; at most 0 where every limit holds with its margin.
+    """
 
     z: Array
     outcome: ObjectiveValue
@@ -32,7 +48,7 @@ class Iterate:
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
-    """What progress shows: the state after iteration ``number`` of stage ``stage``."""
+    """Progress of a search: the state after iteration ``number`` of stage ``stage``."""
 
     stage: int
     number: int
@@ -40,10 +56,10 @@ class Iteration:
 
 
 class Solver(Protocol):
-    """Minimizes one objective after the other; what it learned of one serves the next.
+    """Minimizes one objective after the other; its Hessian carries over from one to the next.
 
     Every solver is made with ``constraints``, ``size`` (of z) and ``report`` (called with each
-    `Iteration`; may raise to stop). No solver looks at a clock: the same start gives the same
+    `Iteration`; may raise to stop). No solver reads a clock: the same start gives the same
     iterates on a busy machine.
 
     Attributes
@@ -59,7 +75,15 @@ class Solver(Protocol):
     ) -> Array:
         """Return the last iterate z (m,) of one stage.
 
-        ``tolerance`` is the decrease of the objective below which the stage is done.
+        Parameters
+        ----------
+        objective : callable
+        z : (m,)
+            Start.
+        iterations : int
+            At most.
+        tolerance : float
+            Decrease of the objective below which the stage ends.
         """
 
 
@@ -70,3 +94,22 @@ def evaluate_iterate(constraints: SampledConstraints, objective: Objective, z: A
     excess = constraints.excess(motion)
     violation = max(constraints.largest(excess), float(outcome.excess.max(initial=-1.0)))
     return Iterate(z, outcome, motion, excess, violation)
+
+
+def initial_hessian(gradient: Array) -> BFGS:
+    """Return a BFGS approximation with Powell's damping that begins at ‖gradient‖ · 1."""
+    from scipy.optimize import BFGS
+
+    hessian = BFGS(
+        exception_strategy="damp_update",
+        min_curvature=0.2,
+        init_scale=max(LEAST_CURVATURE, float(np.linalg.norm(gradient))),
+    )
+    hessian.initialize(len(gradient), "hess")
+    return hessian
+
+
+def update_hessian(hessian: BFGS, move: Array, change: Array) -> None:
+    """Update by the change (m,) of the Lagrangian's gradient along a move (m,)."""
+    if np.linalg.norm(move) > SMALLEST_MOVE and change.any():
+        hessian.update(move, change)

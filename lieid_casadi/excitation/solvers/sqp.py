@@ -1,15 +1,15 @@
 """Sequential quadratic programming over a semi-infinite constraint set.
 
-Each iteration takes the limits' peaks on a fine time grid as its rows (exchange inside the
-iteration), solves a small dense quadratic program with a damped BFGS Hessian, adds rows where the
-step would break another limit, and searches along the step on the exact penalty f + ρ·max excess
-(Fletcher's Sl∞QP).
+Each iteration takes the peaks of the limits on a fine time grid as rows, solves a small dense
+quadratic program with a damped BFGS Hessian, adds rows where the step would violate another limit,
+and searches along the step on the exact penalty function f + ρ·max excess (Fletcher's Sl∞QP).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,38 +17,50 @@ from numpy.typing import NDArray
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintRows, SampledConstraints
 from lieid_casadi.excitation.solvers import quadratic_program
 from lieid_casadi.excitation.solvers.quadratic_program import QuadraticSolution
-from lieid_casadi.excitation.solvers.quasi_newton import damped_bfgs, first_hessian
 from lieid_casadi.excitation.solvers.solver_interface import (
     Iterate,
     Iteration,
     Objective,
     evaluate_iterate,
+    initial_hessian,
+    update_hessian,
 )
 
+if TYPE_CHECKING:
+    from scipy.optimize import BFGS
+
 Array = NDArray[np.float64]
-NEAR = -0.3  # scaled excess from which a peak is a row
-ROUNDS = 5  # of rows added to one quadratic program
-OVERLOOKED = 2e-3  # scaled excess after a step from which a peak becomes a row
-LONGEST = 1.0  # of a step, per variable
-SHORTEST = 1e-3  # share of a step that is still tried
+ROW_THRESHOLD = -0.3  # scaled excess above which a peak becomes a row
+ROW_ROUNDS = 5  # how often rows are added to one quadratic program
+NEW_ROW_THRESHOLD = 2e-3  # scaled excess after a step above which a peak becomes a row
+LONGEST_STEP = 1.0  # per variable
+SHORTEST_FRACTION = 1e-3  # smallest fraction of a step that is tried
 
 
 @dataclass(eq=False)
 class Sqp:
-    """The solver; its Hessian and penalty carry over from stage to stage.
+    """Solver whose Hessian and penalty carry over from stage to stage.
 
     Parameters
     ----------
     constraints : SampledConstraints
+    size : int
+        Number of free variables m.
     report : callable
-        Called with each `Iteration` and its z; may raise to stop.
+        Called with each `Iteration`; may raise to stop.
+    penalty : float
+        ρ, increased as needed.
+    hessian : BFGS, optional
+        Approximation to begin with.
+    stage : int
+        Number of the next stage, from 0.
     """
 
     constraints: SampledConstraints
     size: int
     report: Callable[[Iteration], None] = lambda iteration: None
     penalty: float = 1.0
-    hessian: Array | None = None
+    hessian: BFGS | None = None
     stage: int = 0
 
     def minimize(
@@ -56,20 +68,20 @@ class Sqp:
     ) -> Array:
         """Return the last iterate of one stage."""
         state = self._state(objective, z)
-        still = 0
+        stall = 0
         for k in range(iterations):
             rows, step, slack = self._direction(state)
             self._raise_penalty(step, state.violation, slack)
-            promise = -float(state.outcome.gradient @ step.step) + self.penalty * (
+            predicted = -float(state.outcome.gradient @ step.step) + self.penalty * (
                 max(state.violation, 0.0) - slack
             )
-            after = self._search(objective, state, step, rows, promise)
+            after = self._search(objective, state, step, rows, predicted)
             self._update_hessian(state, after, rows, step.multipliers)
             gain = self._merit(state) - self._merit(after)
             state = after
             self.report(Iteration(self.stage, k, state))
-            still = still + 1 if gain < tolerance else 0
-            if still >= 2:
+            stall = stall + 1 if gain < tolerance else 0
+            if stall >= 2:
                 break
         self.stage += 1
         return state.z
@@ -81,14 +93,14 @@ class Sqp:
         return state.outcome.value + self.penalty * max(state.violation, 0.0)
 
     def _direction(self, state: Iterate) -> tuple[ConstraintRows, QuadraticSolution, float]:
-        """Return the rows, the step and the excess that the quadratic program leaves."""
+        """Return the rows, the step and the excess after it in the quadratic program."""
         c = self.constraints
-        rows = c.peaks(state.excess, NEAR)
+        rows = c.peaks(state.excess, ROW_THRESHOLD)
         matrix, values = c.jacobian(state.motion, rows), c.at(state.excess, rows)
-        for last in [False] * (ROUNDS - 1) + [True]:
+        for last in [False] * (ROW_ROUNDS - 1) + [True]:
             step, slack = self._solve(state, matrix, values, state.outcome.excess)
             ahead = c.excess(c.sampled.motion(state.z + step.step))
-            new = c.peaks(ahead, max(slack, 0.0) + OVERLOOKED).without(rows)
+            new = c.peaks(ahead, max(slack, 0.0) + NEW_ROW_THRESHOLD).without(rows)
             if last or not len(new):
                 break
             rows = rows.joined(new)
@@ -99,26 +111,28 @@ class Sqp:
     def _solve(
         self, state: Iterate, matrix: Array, values: Array, further: Array
     ) -> tuple[QuadraticSolution, float]:
-        """Return the step, multipliers of the given rows first, and the excess it leaves."""
+        """Return the step, multipliers of the given rows first, and the excess after it."""
         gradient = state.outcome.gradient
         if self.hessian is None:
-            self.hessian = first_hessian(gradient)
+            self.hessian = initial_hessian(gradient)
         matrix = np.vstack([matrix, state.outcome.slopes])
         values = np.concatenate([values, further])
         worst = max(float(values.max(initial=0.0)), 0.0)
         if worst <= 1e-9:
-            step = quadratic_program.solve(self.hessian, gradient, matrix, np.maximum(-values, 0.0))
+            step = quadratic_program.solve(
+                self.hessian.get_matrix(), gradient, matrix, np.maximum(-values, 0.0)
+            )
             if step is not None:
                 return _shortened(step), 0.0
-        return self._elastic(gradient, matrix, values, worst)
+        return self._elastic(self.hessian, gradient, matrix, values, worst)
 
     def _elastic(
-        self, gradient: Array, matrix: Array, values: Array, worst: float
+        self, approximation: BFGS, gradient: Array, matrix: Array, values: Array, worst: float
     ) -> tuple[QuadraticSolution, float]:
-        """Return the step of the program whose rows may be exceeded at the penalty's price."""
+        """Return the step of the program whose rows may be exceeded at the cost of the penalty."""
         hessian = np.zeros((self.size + 1, self.size + 1))
-        hessian[:-1, :-1] = self.hessian
-        hessian[-1, -1] = self.penalty  # a little convexity of the slack, in its own scale
+        hessian[:-1, :-1] = approximation.get_matrix()
+        hessian[-1, -1] = self.penalty  # a small curvature of the slack, in its own scale
         elastic = np.zeros((len(matrix) + 1, self.size + 1))
         elastic[:-1, :-1], elastic[:, -1] = matrix, -1.0
         step = quadratic_program.solve(
@@ -143,7 +157,7 @@ class Sqp:
         state: Iterate,
         step: QuadraticSolution,
         rows: ConstraintRows,
-        promise: float,
+        predicted: float,
     ) -> Iterate:
         """Return the state after the step, shortened until the penalty function falls."""
         start, length = self._merit(state), 1.0
@@ -151,24 +165,24 @@ class Sqp:
         while True:
             after = self._state(objective, state.z + length * direction)
             gained = start - self._merit(after)
-            if gained >= 1e-4 * length * promise:
+            if gained >= 1e-4 * length * predicted:
                 return after
-            if length < SHORTEST:  # the model misled: forget its curvature
+            if length < SHORTEST_FRACTION:  # the quadratic model is wrong: discard its curvature
                 self.hessian = None
                 return state
             if length == 1.0 and after.violation > max(state.violation, 0.0):
                 corrected = self._corrected(state, after, step, rows)
                 if corrected is not None:
                     second = self._state(objective, state.z + corrected)
-                    if start - self._merit(second) >= 1e-4 * promise:
+                    if start - self._merit(second) >= 1e-4 * predicted:
                         return second
-            curvature = length * promise - gained
-            length *= min(0.5, max(0.1, 0.5 * length * promise / max(curvature, 1e-300)))
+            curvature = length * predicted - gained
+            length *= min(0.5, max(0.1, 0.5 * length * predicted / max(curvature, 1e-300)))
 
     def _corrected(
         self, state: Iterate, after: Iterate, step: QuadraticSolution, rows: ConstraintRows
     ) -> Array | None:
-        """Return the step with the excess that linear rows overlooked (second-order correction)."""
+        """Return the step corrected for the curvature of the limits (second-order correction)."""
         c = self.constraints
         every = rows.joined(c.peaks(after.excess, 0.0))
         matrix = c.jacobian(state.motion, every)
@@ -186,20 +200,20 @@ class Sqp:
         move = after.z - before.z
         change = after.outcome.gradient - before.outcome.gradient
         nonlinear = np.array([not limits.linear for limits in self.constraints.sets])
-        held = (multipliers[: len(rows)] > 1e-8) & nonlinear[rows.sets]
+        active = (multipliers[: len(rows)] > 1e-8) & nonlinear[rows.sets]
         further = multipliers[len(rows) :]
         change = change + further @ (after.outcome.slopes - before.outcome.slopes)
-        if held.any():
-            chosen = rows.chosen(held)
+        if active.any():
+            chosen = rows.chosen(active)
             jacobian = self.constraints.jacobian
             slopes = jacobian(after.motion, chosen) - jacobian(before.motion, chosen)
-            change = change + multipliers[: len(rows)][held] @ slopes
-        self.hessian = damped_bfgs(self.hessian, move, change)
+            change = change + multipliers[: len(rows)][active] @ slopes
+        update_hessian(self.hessian, move, change)
 
 
 def _shortened(step: QuadraticSolution) -> QuadraticSolution:
-    """Return the step within the longest allowed; what it promises holds for a part of it too."""
+    """Return the step, shortened to the longest allowed."""
     longest = float(np.abs(step.step).max(initial=0.0))
-    if longest <= LONGEST:
+    if longest <= LONGEST_STEP:
         return step
-    return QuadraticSolution(step.step * (LONGEST / longest), step.multipliers)
+    return QuadraticSolution(step.step * (LONGEST_STEP / longest), step.multipliers)
