@@ -18,8 +18,6 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
-#: Models that replace coulomb and viscous instead of being added to them.
-NOT_TRIED = ("sigmoid_friction",)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +138,7 @@ def list_candidates(
     found = []
     for label in REGISTER:
         effect = make(label)
-        if effect.option or effect.name in NOT_TRIED or not _has_signals(effect, segments):
+        if effect.option or not effect.candidate or not _has_signals(effect, segments):
             continue
         if model_fixed:
             effect = incremental(effect, [p.effect.name for p in model.placements])
@@ -206,10 +204,10 @@ def shape_limits(
     lower, upper : float
         In the unit of the shape parameter.
     """
-    if shape.unit == "s":
+    if shape.resolved_by == "duration":
         longest = max(float(segment.t[-1] - segment.t[0]) for segment in segments)
         low, high = (part * longest for part in options.time_constant_range)
-    elif shape.unit == "rad/s" and shape.lower > 0.0:
+    elif shape.resolved_by == "speed":
         top = max(float(np.percentile(np.abs(s.dq[:, joint]), 99.0)) for s in segments)
         low = options.least_velocity_scale * max(float(s.dead_zone[joint]) for s in segments)
         high = options.largest_velocity_scale * top

@@ -257,17 +257,18 @@ class MissingEffects(SearchProblem):
         return bool(falls and self._mean_square(after) < self._mean_square(before))
 
     def _below_sample_time(self, placement: Placement, fit: Fit) -> str:
-        """Return why a delay is too short to be identified, or an empty text."""
-        if placement.effect.name != "torque_delay":
-            return ""
-        labels = [column.label for column in fit.model.columns]
-        delay = fit.effect_coefficients[labels.index(f"torque_delay.delta:{placement.joint + 1}")]
-        slowest = min(segment.recording.rate for segment in self.segments)
-        if abs(delay) * slowest < self.options.least_delay_samples:
-            return (
-                f"{1000 * delay:.2g} ms is less than one sample; differentiating the position "
-                "shifts the velocity by as much"
-            )
+        """Return which coefficient is too small for the sampling rate, or an empty text."""
+        rate = min(segment.recording.rate for segment in self.segments)
+        parameters = fitted_parameters(fit, placement)
+        for coefficient in placement.effect.coefficients:
+            if coefficient.resolved_by != "sample_time":
+                continue
+            value = parameters[coefficient.name]
+            if abs(value) * rate < self.options.least_delay_samples:
+                return (
+                    f"{coefficient.name} = {value:.2g} {coefficient.unit} is less than one sample; "
+                    "differentiating the position shifts the velocity by as much"
+                )
         return ""
 
 
