@@ -135,22 +135,22 @@ def _asker() -> Callable[[Proposal], bool]:
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
-    """Print the verdict, the errors model by model, rivals, and what was turned down."""
-    from lieid_casadi.diagnosis.text_summary import rows, where
+    """Print the verdict, the errors of all models, rivals, and rejected candidates."""
+    from lieid_casadi.diagnosis.text_summary import error_table, location
 
     output.say(diagnosis.sentence)
-    columns, table = rows(diagnosis)
+    columns, table = error_table(diagnosis)
     measured, _ = diagnosis.shown
     cutoff = diagnosis.fit.processing.cutoff
     output.table(f"RMS error on the {measured}, N·m (low-pass {cutoff:.3g} Hz)", columns, table)
     if diagnosis.steps:
         output.table(
             "Found",
-            ["effect", "on", "size, N·m", "held-out before", "after", "cannot be told from"],
+            ["effect", "on", "size, N·m", "held-out before", "after", "fits as well"],
             [
                 [
                     step.effect,
-                    where(step.joints),
+                    location(step.joints),
                     step.evidence.effect_size,
                     step.evidence.held_out_before,
                     step.evidence.held_out_after,
@@ -164,21 +164,21 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         )
     _print_unexplained(diagnosis)
     if diagnosis.rejected:
-        output.table("Turned down", ["candidate", "why"], [list(r) for r in diagnosis.rejected])
+        output.table("Rejected", ["candidate", "why"], [list(r) for r in diagnosis.rejected])
     output.say(f"{diagnosis.tried} candidates were tried. {diagnosis.aliases.sentence}".rstrip())
     output.show_warnings(diagnosis.warnings)
 
 
 def _print_unexplained(diagnosis: Diagnosis) -> None:
-    """Print the lines that make what stays an effect of the user's own."""
+    """Print the unexplained residual as code of a user-defined effect."""
     from lieid_casadi.diagnosis.residual.user_effect_code import own_effects
-    from lieid_casadi.diagnosis.text_summary import again
+    from lieid_casadi.diagnosis.text_summary import rerun_options
 
     own = own_effects(diagnosis.unexplained)
     if own.labels:
         output.say(
-            "What stays as an effect of your own: keep these lines in a file F.py and run again "
-            f"with {again(diagnosis, own.labels)}\n"
+            "The unexplained residual as a user-defined effect: save these lines as F.py and run "
+            f"again with the options {rerun_options(diagnosis, own.labels)}\n"
         )
         lines = ["    " + line if line else "" for line in own.code.splitlines()]
         output.say("\n".join([*lines, ""]))

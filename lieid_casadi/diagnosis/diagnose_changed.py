@@ -61,8 +61,8 @@ def diagnose_changed(
         mode="changed",
         verdict="unexplained" if parts else "effect_found" if steps else "sufficient",
         joint_names=before.joint_names,
-        noise_floor=problem.expected,
-        noise_source="held_out",
+        noise_floor=before.noise_floor,
+        noise_source=before.noise_source,
         baseline_effects=tuple(fit.model.effects),
         baseline_train=None,
         baseline_test=before.rms,
@@ -76,6 +76,7 @@ def diagnose_changed(
         train=fit.provenance.recordings,
         test=before.recordings,
         baseline_moving=first,
+        expected=problem.expected,
     )
 
 

@@ -26,7 +26,7 @@ from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processing, Recording, period_noise, process
+from lieid_casadi.recording import Processing, Recording, process
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def diagnose_missing(
     problem.run(lambda fraction: report("search for missing effects", 0.1 + 0.8 * fraction))
     report("describe the residual", 0.9)
     parts = _unexplained(problem, tests)
-    floor, source = _noise_floor(train, problem)
+    last_errors = tested(problem.fit) or compare(problem.fit, train)
     before, last = tested(first), problem.context
     warnings = [*first.warnings, *problem.fit.warnings, *_same_recording(first, tests)]
     warnings += [] if before is None else before.warnings
@@ -89,8 +89,8 @@ def diagnose_missing(
         mode="missing",
         verdict="unexplained" if parts else "effect_found" if steps else "sufficient",
         joint_names=tuple(joint.name for joint in model.robot.joints),
-        noise_floor=floor,
-        noise_source=source,
+        noise_floor=last_errors.noise_floor,
+        noise_source=last_errors.noise_source,
         baseline_effects=tuple(model.effects),
         baseline_train=first.rms_train,
         baseline_test=None if before is None else before.rms,
@@ -131,21 +131,6 @@ def _aliases(problem: MissingEffects) -> Aliases:
     """Return the candidates that cannot be identified beside the first model."""
     candidates = problem.first.candidates.whitened(problem.white, problem.first.runs)
     return aliases(candidates, problem.first.baseline(problem.white))
-
-
-def _noise_floor(train: Sequence[Recording], problem: MissingEffects) -> tuple[Array, str]:
-    """Return the noise (n,) of the filtered torque, N·m, and its source.
-
-    It is estimated from the differences between periods of a periodic motion, otherwise from the
-    residual.
-    """
-    cutoff = problem.context.segments[0].cutoff
-    floors = [(period_noise(r, cutoff=cutoff), r.duration) for r in train]
-    periodic = [(floor, duration) for floor, duration in floors if floor is not None]
-    if periodic:
-        squares = [floor**2 for floor, _ in periodic]
-        return np.sqrt(np.average(squares, axis=0, weights=[d for _, d in periodic])), "periods"
-    return np.array([noise.sigma for noise in problem.white]), "autoregression"
 
 
 def _same_recording(fit: Fit, tests: Sequence[Recording]) -> list[LieidWarning]:

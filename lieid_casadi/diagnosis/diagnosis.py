@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from lieid_casadi.diagnosis.search.search_results import AcceptedEffect
 
 Array = NDArray[np.float64]
-SHOWN_RIVALS = 3  # of each step, in JSON
 
 
 @dataclass(frozen=True)
@@ -79,6 +78,8 @@ class DiagnosisStep:
         From 0; target and source for couplings, none for effects on the whole arm.
     parameters : dict
         Estimated coefficients and shape parameters by name.
+    units : dict
+        Unit of each parameter.
     rms_train, rms_test : (n,) or None
         Error of each joint after this step, N·m. ``rms_test`` is None without a test,
         ``rms_train`` if the model is kept.
@@ -96,6 +97,7 @@ class DiagnosisStep:
     effect: str
     joints: tuple[int, ...]
     parameters: dict[str, float]
+    units: dict[str, str]
     rms_train: Array | None
     rms_test: Array | None
     evidence: Evidence
@@ -126,6 +128,7 @@ class DiagnosisStep:
             effect=accepted.candidate.name,
             joints=accepted.candidate.joints,
             parameters=accepted.parameters,
+            units=accepted.units,
             rms_train=rms_train,
             rms_test=rms_test,
             evidence=Evidence(
@@ -148,13 +151,14 @@ class DiagnosisStep:
             "joints": [j + 1 for j in self.joints],
             "label": self.label,
             "parameters": self.parameters,
+            "units": self.units,
             "rms_train": _numbers(self.rms_train),
             "rms_test": _numbers(self.rms_test),
             "rms_test_moving": _numbers(self.moving),
             "evidence": self.evidence.to_dict(),
             "indistinguishable": [
                 {"effect": c.name, "joints": [j + 1 for j in c.joints], "kind": kind}
-                for c, kind in self.indistinguishable[:SHOWN_RIVALS]
+                for c, kind in self.indistinguishable
             ],
         }
 
@@ -171,10 +175,10 @@ class Diagnosis:
         ``sufficient``, ``effect_found`` or ``unexplained``.
     joint_names : tuple of str
     noise_floor : (n,)
-        Error that a model without any missing effect would have, N·m.
+        Error that a model without any missing effect would have, N·m; see
+        `lieid_casadi.comparison.noise_floor`. Of the test if there is one.
     noise_source : str
-        How the noise floor was estimated: ``periods`` of a periodic motion, ``autoregression`` of
-        the residual, ``held_out`` errors of the fit.
+        How the noise floor was estimated, a key of `lieid_casadi.comparison.noise_floor.SOURCES`.
     baseline_effects : tuple of str
         Of the first model.
     baseline_train, baseline_test : (n,) or None
@@ -195,6 +199,9 @@ class Diagnosis:
         The recordings.
     baseline_moving : (n,) or None
         Test error of the first model for joints in motion, N·m.
+    expected : (n,) or None
+        Held-out error of the fit, N·m: what its error is if nothing has changed. None if the
+        model is fitted again.
     """
 
     mode: str
@@ -215,6 +222,7 @@ class Diagnosis:
     train: tuple[Source, ...]
     test: tuple[Source, ...]
     baseline_moving: Array | None = None
+    expected: Array | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid diagnose --json`` writes."""
@@ -223,6 +231,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "noise_floor": _numbers(self.noise_floor),
             "noise_source": self.noise_source,
+            "expected": _numbers(self.expected),
             "baseline": {
                 "effects": list(self.baseline_effects),
                 "rms_train": _numbers(self.baseline_train),

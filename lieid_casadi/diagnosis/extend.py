@@ -1,4 +1,4 @@
-"""Add named effects to a fit and refit: before and after."""
+"""``extend``: add named effects to a fit, refit, and compare before and after."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import compare
-from lieid_casadi.effects import parse_effects
+from lieid_casadi.effects import Placement, parse_effects
 from lieid_casadi.errors import EffectError
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.model import Model
@@ -30,6 +30,7 @@ class Extension:
     Attributes
     ----------
     added : tuple of str
+        Labels of the added effects.
     before, after : Fit
         Both on the same training recordings.
     rms_train, rms_test : (2, n)
@@ -44,35 +45,41 @@ class Extension:
 
     @property
     def parameters(self) -> list[dict[str, Any]]:
-        """The rows of the parameter table that are new."""
+        """The rows of the parameter table that belong to the added effects."""
         old = {(row["name"], row["joint"]) for row in self.before.parameter_table()}
         table = self.after.parameter_table()
         return [row for row in table if (row["name"], row["joint"]) not in old]
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid extend --json`` writes."""
-        tested = self.rms_test is not None
-        pairs = {"rms_train": self.rms_train, "rms_test": self.rms_test}
+        before, after = (self._model_dict(k) for k in (0, 1))
+        errors = self.rms_train if self.rms_test is None else self.rms_test
         return {
             "added": list(self.added),
-            "before": {"effects": self.before.model.effects}
-            | {k: None if v is None else v[0].tolist() for k, v in pairs.items()},
-            "after": {"effects": self.after.model.effects}
-            | {k: None if v is None else v[1].tolist() for k, v in pairs.items()},
-            "fall": (1.0 - (pairs["rms_test"] if tested else self.rms_train)[1]  # type: ignore[index]
-                     / (pairs["rms_test"] if tested else self.rms_train)[0]).tolist(),  # type: ignore[index]
+            "before": before,
+            "after": after,
+            "fall": (1.0 - errors[1] / errors[0]).tolist(),
             "parameters": self.parameters,
             "fit": self.after.to_dict(),
-        }  # fmt: skip
+        }
+
+    def _model_dict(self, row: int) -> dict[str, Any]:
+        """Return effects and errors of the model before (0) or after (1)."""
+        fit = (self.before, self.after)[row]
+        return {
+            "effects": fit.model.effects,
+            "rms_train": self.rms_train[row].tolist(),
+            "rms_test": None if self.rms_test is None else self.rms_test[row].tolist(),
+        }
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw both models' errors per joint; not shown."""
-        from lieid_casadi.diagnosis.waterfall_plot import draw_waterfall
+        """Draw the errors of both models per joint; not shown."""
+        from lieid_casadi.diagnosis.waterfall_plot import draw_errors
 
         pair = self.rms_train if self.rms_test is None else self.rms_test
-        measured = "training" if self.rms_test is None else "test"
+        recordings = "training" if self.rms_test is None else "test"
         labels = ["before", f"+ {', '.join(self.added)}"]
-        return draw_waterfall(list(pair), labels, None, measured, ax)
+        return draw_errors(list(pair), labels, floor=None, recordings=recordings, ax=ax)
 
 
 def extend(
@@ -87,20 +94,28 @@ def extend(
 
     Parameters
     ----------
+    fit : Fit
+        Its model, method and filter options are used.
     effects : str
         ``stribeck:4,load_friction:2+3``; joints from 1.
+    train : Recording or sequence of Recording
+    test : Recording or sequence of Recording, optional
+    progress : callable, optional
+        Called with the name of a stage and the fraction done, 0 to 1.
 
     Raises
     ------
     EffectError
-        An unknown effect, one that the model has, or a joint that does not move.
+        An unknown effect, one that the model has already, or a joint that does not move.
     """
     model = fit.model
     wanted = parse_effects(effects, model.n)
     have = {placement.label for placement in model.placements}
-    known = [p.label for p in wanted if p.label in have]
-    if known:
-        raise EffectError(f"the model has {', '.join(known)} already")
+    present = [p.label for p in wanted if p.label in have]
+    if present:
+        raise EffectError(
+            f"the model has {', '.join(present)} already; expected effects that it lacks"
+        )
     _check_motion(wanted, train)
     larger = Model.of_placements(model.robot, (*model.placements, *wanted))
     report = progress or (lambda stage, fraction: None)
@@ -117,7 +132,7 @@ def extend(
     return Extension(added, before, after, np.array([before.rms_train, after.rms_train]), rms_test)
 
 
-def _check_motion(wanted: Sequence[Any], train: Recording | Sequence[Recording]) -> None:
+def _check_motion(wanted: Sequence[Placement], train: Recording | Sequence[Recording]) -> None:
     recordings = [train] if isinstance(train, Recording) else list(train)
     for placement in wanted:
         for joint in (placement.joint, placement.source):
@@ -126,5 +141,5 @@ def _check_motion(wanted: Sequence[Any], train: Recording | Sequence[Recording])
             if all(np.ptp(r.q[:, joint]) < 1e-6 for r in recordings):
                 raise EffectError(
                     f"{placement.label}: joint {joint + 1} does not move in the training "
-                    "recordings; expected motion to see the effect"
+                    "recordings, so that the effect cannot be identified; use other recordings"
                 )

@@ -1,4 +1,4 @@
-"""A diagnosis in words and tables."""
+"""A diagnosis in sentences and tables."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lieid_casadi.comparison.noise_floor import SOURCES
+from lieid_casadi.html_table import html_table
+
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis.diagnosis import Diagnosis, DiagnosisStep
+    from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 
 
-def where(joints: tuple[int, ...]) -> str:
-    """Return ``joint 3``, ``joint 5 from joint 6`` or ``the whole arm`` (joints from 0 given)."""
+def location(joints: tuple[int, ...]) -> str:
+    """Return ``joint 3``, ``joint 5 from joint 6`` or ``the whole arm`` (joints from 0)."""
     if not joints:
         return "the whole arm"
     if len(joints) == 2:
@@ -22,64 +26,101 @@ def where(joints: tuple[int, ...]) -> str:
 
 
 def sentence(d: Diagnosis) -> str:
-    """Return the verdict in words."""
-    subject = "The model lacks" if d.mode == "missing" else "Since the fit has changed:"
-    named = [f"{step.effect} on {where(step.joints)}" for step in d.steps]
+    """Return the verdict: effects with parameters and rivals, and the unexplained residual."""
     parts = []
-    if named:
-        parts.append(f"{subject} {', '.join(named)}.")
+    if d.steps:
+        subject = "The model lacks " if d.mode == "missing" else "Changed since the fit: "
+        parts.append(subject + "; ".join(_findings(d.steps)) + ".")
+    elif d.verdict == "sufficient" and d.mode == "missing":
+        parts.append("No effect of the library improves the model significantly.")
     elif d.verdict == "sufficient":
-        parts.append(
-            "Nothing in the library improves the model."
-            if d.mode == "missing"
-            else "Nothing has changed."
-        )
-    parts += [
-        f"On joint {u.joint + 1} {100 * u.fraction:.0f} % of the remaining error's variance "
-        f"follows {', '.join(u.depends_on)}, which no effect of the library explains"
-        + ("." if u.formula is None else f"; it looks like {u.formula.text}.")
-        for u in d.unexplained
-    ]
+        parts.append("Nothing has changed significantly since the fit.")
+    parts += [_residual_sentence(part) for part in d.unexplained]
     return " ".join(parts)
 
 
-def again(d: Diagnosis, labels: Sequence[str]) -> str:
-    """Return the options that run a diagnosis again with effects of the user's own in F.py."""
+def _findings(steps: Sequence[DiagnosisStep]) -> list[str]:
+    """Return one finding for each effect; steps with one effect on several joints are joined."""
+    groups: dict[tuple[str, ...], list[DiagnosisStep]] = {}
+    for step in steps:
+        together = len(step.joints) == 1 and not step.indistinguishable
+        groups.setdefault((step.effect,) if together else (step.label, ""), []).append(step)
+    return [_finding(group) for group in groups.values()]
+
+
+def _finding(steps: Sequence[DiagnosisStep]) -> str:
+    """Return effect, joints, parameters, fall of the error, and rivals."""
+    first = steps[0]
+    rivals = [c.placement.label for c, _ in first.indistinguishable]
+    named = f"{first.effect} on {_joined_locations(steps)}"
+    alternatives = f", or {' or '.join(rivals)}, which fit as well" if rivals else ""
+    values = []
+    for name, unit in first.units.items():
+        numbers = _and([f"{step.parameters[name]:.3g}" for step in steps])
+        values.append(f"{name} = {numbers}" if unit == "1" else f"{name} = {numbers} {unit}")
+    falls = _and(
+        [
+            f"from {step.evidence.held_out_before:.3g} to {step.evidence.held_out_after:.3g}"
+            for step in steps
+        ]
+    )
+    return f"{named} ({', '.join(values)}; error {falls} N·m){alternatives}"
+
+
+def _joined_locations(steps: Sequence[DiagnosisStep]) -> str:
+    if len(steps) == 1:
+        return location(steps[0].joints)
+    return f"joints {_and([str(step.joints[0] + 1) for step in steps])}"
+
+
+def _and(words: Sequence[str]) -> str:
+    """Return ``a``, ``a and b`` or ``a, b and c``."""
+    return " and ".join([*([", ".join(words[:-1])] if len(words) > 1 else []), words[-1]])
+
+
+def _residual_sentence(part: Unexplained) -> str:
+    text = (
+        f"On joint {part.joint + 1}, {100 * part.fraction:.0f} % of the variance of the residual "
+        f"depends on {_and(part.depends_on)} and is not explained by any effect of the library"
+    )
+    if part.formula is None:
+        return text + "."
+    return f"{text}; it is approximately {part.formula.text} in SI units."
+
+
+def rerun_options(d: Diagnosis, labels: Sequence[str]) -> str:
+    """Return the options that repeat a diagnosis with user-defined effects in a file F.py."""
     if d.mode == "changed":  # the model is kept; registered effects are tried
         return "--effects-file F.py"
     return f"--effects-file F.py --effects '{','.join([*d.fit.model.effects, *labels])}'"
 
 
-def rows(d: Diagnosis) -> tuple[list[str], list[list[object]]]:
-    """Return headings and one row per model, first to last: errors per joint."""
+def error_table(d: Diagnosis) -> tuple[list[str], list[list[object]]]:
+    """Return headings, and one row per model with the error of each joint, N·m."""
     _, errors = d.shown
     heading = [f"{j + 1} {name}" for j, name in enumerate(d.joint_names)]
     names = ["+".join(d.baseline_effects) or "rigid", *(f"+ {step.label}" for step in d.steps)]
-    sure = [None, *(_sure(step) for step in d.steps)]
+    p_values = [None, *(_p_value(step) for step in d.steps)]
     table: list[list[object]] = [
-        [name, *map(float, values), p] for name, values, p in zip(names, errors, sure, strict=True)
+        [name, *map(float, values), p]
+        for name, values, p in zip(names, errors, p_values, strict=True)
     ]
-    table.append(["noise floor", *map(float, d.noise_floor), None])
+    if d.expected is not None:
+        table.append(["expected (held-out error of the fit)", *map(float, d.expected), None])
+    table.append([f"noise floor ({SOURCES[d.noise_source]})", *map(float, d.noise_floor), None])
     return ["model", *heading, "p"], table
 
 
-def _sure(step: DiagnosisStep) -> str:
+def _p_value(step: DiagnosisStep) -> str:
     exponent = step.evidence.log10_p
     return f"{10.0**exponent:.2g}" if exponent > -15 else f"1e{max(exponent, -1e6):.0f}"
 
 
 def html(d: Diagnosis) -> str:
     """Return the verdict and the table as HTML."""
-    headings, table = rows(d)
-    head = "".join(f"<th>{escape(h)}</th>" for h in headings)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(_cell(cell))}</td>" for cell in row) + "</tr>"
-        for row in table
-    )
-    return (
-        f"<p><b>{escape(sentence(d))}</b></p>"
-        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    )
+    headings, table = error_table(d)
+    cells = [[_cell(cell) for cell in row] for row in table]
+    return f"<p><b>{escape(sentence(d))}</b></p>{html_table(headings, cells)}"
 
 
 def _cell(cell: object) -> str:

@@ -1,4 +1,4 @@
-"""The fall of the error, effect by effect."""
+"""Bar chart of the errors of successive models."""
 
 from __future__ import annotations
 
@@ -18,20 +18,38 @@ Array = NDArray[np.float64]
 
 
 def plot_waterfall(d: Diagnosis, ax: Axes | None = None) -> Figure:
-    """Draw each joint's error over its noise floor, from the first model to the last."""
-    measured, known = d.shown
+    """Draw the error of each joint for all models, and the noise floor; not shown.
+
+    See `draw_errors`.
+    """
+    recordings, errors = d.shown
     labels = ["first model", *(f"+ {step.label}" for step in d.steps)]
-    return draw_waterfall(known, labels, d.noise_floor, measured, ax)
+    return draw_errors(errors, labels, floor=d.noise_floor, recordings=recordings, ax=ax)
 
 
-def draw_waterfall(
+def draw_errors(
     series: Sequence[Array],
     labels: Sequence[str],
+    *,
     floor: Array | None,
-    measured: str,
+    recordings: str,
     ax: Axes | None,
 ) -> Figure:
-    """Draw errors (n,) of successive models, the first one's as 1, joint by joint."""
+    """Draw the errors of successive models relative to the first one, joint by joint; not shown.
+
+    Parameters
+    ----------
+    series : sequence of (n,)
+        Error of each joint, N·m, one array per model.
+    labels : sequence of str
+        One per model.
+    floor : (n,) or None
+        Noise floor, N·m.
+    recordings : str
+        On which the errors were measured: ``test``.
+    ax : Axes, optional
+        To draw into; a new figure without it.
+    """
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
@@ -53,6 +71,6 @@ def draw_waterfall(
             ax.plot([j - 0.4, j + 0.4], [part, part], "k--", linewidth=1.0)
     ax.set_xticks(range(joints), [f"{j + 1}" for j in range(joints)])
     ax.set_xlabel("joint" if floor is None else "joint (dashed: noise floor)")
-    ax.set_ylabel(f"RMS error on the {measured}\nfirst model = 1")
+    ax.set_ylabel(f"RMS error on the {recordings}\nfirst model = 1")
     ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure

@@ -1,4 +1,4 @@
-"""Effects on the whole arm and on what is measured, against the plant that has them."""
+"""Effects computed along a whole segment, compared with the simulated arm."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,8 @@
-"""The whole diagnosis on the plant: what is hidden is named, and nothing else."""
+"""Diagnosis of simulated arms: hidden effects are named, and nothing else."""
 
 import json
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -8,17 +10,21 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
+from lieid_casadi.diagnosis.screening.candidates import Candidate
+from lieid_casadi.effects import Placement, make
 from lieid_casadi.errors import EffectError, IdentificationError, SameRecordingWarning
 
 ROBOT = lieid.robots.two_link()
 MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
 
 
+@cache
 def arm_with(*hidden, seed=0):
     arm = plant.demo_arm(ROBOT, seed=seed, hidden=None)
     return arm.with_effects(*(plant.hidden_effect(arm, n, j, strength=s) for n, j, s in hidden))
 
 
+@cache
 def run(arm, seed, name=""):
     trajectory = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=seed)
     t = np.arange(0.0, 15.0, 0.001)
@@ -26,9 +32,18 @@ def run(arm, seed, name=""):
     return plant.measure_along(arm, t, *trajectory.at(t), sensors=sensors, seed=seed, name=name)
 
 
+@cache
 def two_runs(*hidden, seed=0):
     arm = arm_with(*hidden, seed=seed)
     return run(arm, seed + 1, "train"), run(arm, seed + 2, "test")
+
+
+@cache
+def diagnosis_of(*hidden, seed=0):
+    return lieid.diagnose(MODEL, *two_runs(*hidden, seed=seed))
+
+
+LOAD_FRICTION = ("load_friction", 0, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -44,34 +59,63 @@ def two_runs(*hidden, seed=0):
 )
 def test_one_hidden_effect_is_named(name, joint, strength):
     train, test = two_runs((name, joint, strength))
-    diagnosis = lieid.diagnose(MODEL, train, test)
+    diagnosis = diagnosis_of((name, joint, strength))
     assert [(s.effect, s.joints[0]) for s in diagnosis.steps] == [(name, joint)]
     assert diagnosis.verdict == "effect_found"
     (step,) = diagnosis.steps
     assert step.rms_test[joint] < 0.8 * diagnosis.baseline_test[joint]
-    knowing = lieid.identify(
+    with_the_effect = lieid.identify(
         lieid.Model(ROBOT, [*MODEL.effects, step.label]), train, processing=diagnosis.fit.processing
     )
-    assert step.rms_test[joint] < 1.02 * lieid.compare(knowing, test).rms[joint]
-    assert step.rms_test[joint] < 1.3 * diagnosis.noise_floor[joint]
+    assert step.rms_test[joint] < 1.02 * lieid.compare(with_the_effect, test).rms[joint]
+    expected = lieid.compare(diagnosis.fit, test)
+    np.testing.assert_array_equal(diagnosis.noise_floor, expected.noise_floor)
+    assert diagnosis.noise_source == expected.noise_source
     assert step.evidence.confirmed
     assert step.evidence.log10_p < -5
 
 
+def test_the_sentence_states_effect_joint_size_and_fall():
+    diagnosis = diagnosis_of(LOAD_FRICTION)
+    (step,) = diagnosis.steps
+    before, after = step.evidence.held_out_before, step.evidence.held_out_after
+    assert diagnosis.sentence == (
+        f"The model lacks load_friction on joint 1 (f_tau = {step.parameters['f_tau']:.3g}; "
+        f"error from {before:.3g} to {after:.3g} N·m)."
+    )
+
+
+def with_steps(diagnosis, *steps):
+    return replace(diagnosis, steps=steps)
+
+
+def test_steps_with_one_effect_are_one_finding_and_rivals_are_alternatives():
+    diagnosis = diagnosis_of(LOAD_FRICTION)
+    (step,) = diagnosis.steps
+    other = replace(step, label="load_friction:2", joints=(1,))
+    text = with_steps(diagnosis, step, other).sentence
+    assert "load_friction on joints 1 and 2 (f_tau = " in text
+    rival = Candidate(Placement(make("stribeck"), 1), np.ones((1, 1)))
+    text = with_steps(
+        diagnosis, step, replace(other, indistinguishable=((rival, "data"),))
+    ).sentence
+    assert "load_friction on joint 1 (" in text
+    assert text.endswith("N·m), or stribeck:2, which fit as well.")
+
+
 def test_two_hidden_effects_are_named():
-    train, test = two_runs(("load_friction", 0, 1.5), ("viscous_polynomial", 1, 10.0))
-    diagnosis = lieid.diagnose(MODEL, train, test)
+    diagnosis = diagnosis_of(("load_friction", 0, 1.5), ("viscous_polynomial", 1, 10.0))
     assert {s.label for s in diagnosis.steps} == {"load_friction:1", "viscous_polynomial:2"}
 
 
 @pytest.mark.parametrize("seed", [10, 20, 30])
 def test_nothing_hidden_is_sufficient(seed):
-    diagnosis = lieid.diagnose(MODEL, *two_runs(seed=seed))
+    diagnosis = diagnosis_of(seed=seed)
     assert diagnosis.steps == ()
     assert diagnosis.verdict == "sufficient"
 
 
-def test_what_no_effect_explains_is_told():
+def test_a_torque_that_is_no_effect_is_unexplained():
     arm = plant.demo_arm(ROBOT, hidden=None)
     size = 0.2 * float(plant.torque_scale(ROBOT)[1])
     odd = plant.ForeignTorque(
@@ -88,37 +132,41 @@ def test_what_no_effect_explains_is_told():
 
 
 def test_json_has_the_stated_keys():
-    train, test = two_runs(("load_friction", 0, 2.0))
-    said = lieid.diagnose(MODEL, train, test).to_dict()
-    json.dumps(said, allow_nan=False)
-    assert {"mode", "verdict", "noise_floor", "baseline", "steps", "unexplained"} <= set(said)
-    assert set(said["baseline"]) == {"effects", "rms_train", "rms_test"}
-    (step,) = said["steps"]
+    content = diagnosis_of(LOAD_FRICTION).to_dict()
+    json.dumps(content, allow_nan=False)
+    assert {"mode", "verdict", "noise_floor", "baseline", "steps", "unexplained"} <= set(content)
+    assert set(content["baseline"]) == {"effects", "rms_train", "rms_test"}
+    (step,) = content["steps"]
     assert step["effect"] == "load_friction"
     assert step["joints"] == [1]
     assert len(step["rms_test"]) == 2
     assert isinstance(step["indistinguishable"], list)
-    assert said["mode"] == "missing"
+    assert content["mode"] == "missing"
 
 
 def test_without_a_test_errors_are_cross_validated():
-    train, _ = two_runs(("load_friction", 0, 2.0))
+    train, _ = two_runs(LOAD_FRICTION)
     diagnosis = lieid.diagnose(MODEL, train)
     assert [s.label for s in diagnosis.steps] == ["load_friction:1"]
     assert diagnosis.baseline_test is None
     assert diagnosis.steps[0].evidence.confirmed is None
 
 
-def test_the_same_recording_confirms_nothing():
+def test_a_training_recording_as_the_test_is_a_warning():
     train, _ = two_runs()
     diagnosis = lieid.diagnose(MODEL, train, train)
     assert any(isinstance(w, SameRecordingWarning) for w in diagnosis.warnings)
 
 
-def test_the_same_seed_says_the_same():
-    train, test = two_runs(("stribeck", 0, 2.0))
-    first, second = (lieid.diagnose(MODEL, train, test, seed=3).to_dict() for _ in range(2))
-    assert first == second
+def test_the_same_seed_gives_the_same_result():
+    hidden = ("stribeck", 0, 2.0)
+    again = lieid.diagnose(MODEL, *two_runs(hidden), seed=0)
+    assert again.to_dict() == diagnosis_of(hidden).to_dict()
+
+
+@cache
+def unchanged_fit():
+    return lieid.identify(MODEL, [run(arm_with(), 1), run(arm_with(), 2)])
 
 
 @pytest.mark.parametrize(
@@ -129,26 +177,25 @@ def test_the_same_seed_says_the_same():
         ("stribeck", 0, "stribeck:1"),
     ],
 )
-def test_what_has_changed_is_named(name, joint, label):
-    before, after = arm_with(), arm_with((name, joint, 2.0))
-    fit = lieid.identify(MODEL, [run(before, 1), run(before, 2)])
-    diagnosis = lieid.diagnose(fit, run(after, 3))
+def test_a_change_is_named(name, joint, label):
+    diagnosis = lieid.diagnose(unchanged_fit(), run(arm_with((name, joint, 2.0)), 3))
     assert [s.label for s in diagnosis.steps] == [label]
     assert diagnosis.mode == "changed"
     assert diagnosis.steps[0].rms_train is None
 
 
-def test_nothing_has_changed():
-    arm = arm_with()
-    fit = lieid.identify(MODEL, [run(arm, 1), run(arm, 2)])
+def test_an_unchanged_arm_is_sufficient():
+    arm, fit = arm_with(), unchanged_fit()
     diagnosis = lieid.diagnose(fit, run(arm, 3))
     assert (diagnosis.steps, diagnosis.verdict) == ((), "sufficient")
+    assert diagnosis.sentence == "Nothing has changed significantly since the fit."
+    assert "expected (held-out error of the fit)" in diagnosis._repr_html_()
     with pytest.raises(IdentificationError, match="no test"):
         lieid.diagnose(fit, run(arm, 3), run(arm, 4))
 
 
 def test_extend_shows_the_fall():
-    train, test = two_runs(("load_friction", 0, 2.0))
+    train, test = two_runs(LOAD_FRICTION)
     fit = lieid.identify(MODEL, train)
     extension = lieid.extend(fit, "load_friction:1", train, test)
     assert extension.rms_test[1, 0] < 0.8 * extension.rms_test[0, 0]
@@ -158,15 +205,15 @@ def test_extend_shows_the_fall():
 
 
 def test_commands(tmp_path):
-    train, test = two_runs(("load_friction", 0, 2.0))
+    train, test = two_runs(LOAD_FRICTION)
     paths = [str(tmp_path / f"{name}.csv.gz") for name in ("train", "test")]
     for recording, path in zip((train, test), paths, strict=True):
         recording.save(path)
     fit, out = str(tmp_path / "fit.json"), str(tmp_path / "out.json")
     command = ["diagnose", "two_link", "--train", paths[0], "--test", paths[1]]
     assert main([*command, "-o", fit, "--json", out, "--plot", str(tmp_path / "fall.png")]) == 0
-    said = json.loads((tmp_path / "out.json").read_text())
-    assert said["steps"][0]["label"] == "load_friction:1"
+    content = json.loads((tmp_path / "out.json").read_text())
+    assert content["steps"][0]["label"] == "load_friction:1"
     assert (tmp_path / "fall.png").stat().st_size > 1000
     assert main(["diagnose", fit, paths[1], "--json", out]) == 0
     assert json.loads((tmp_path / "out.json").read_text())["mode"] == "changed"
@@ -176,18 +223,17 @@ def test_commands(tmp_path):
     assert main(["diagnose", fit]) == 2
 
 
-def test_what_the_model_absorbs_is_never_named_and_told():
-    train, test = two_runs()
-    said = lieid.diagnose(MODEL, train, test)
-    assert "armature:1" in said.aliases.absorbed  # Izz of the first link is the same column
-    assert not {label for label, _ in said.aliases.weak} & set(said.aliases.absorbed)
-    assert "armature:1" in said.aliases.sentence
-    assert said.to_dict()["absorbed"] == list(said.aliases.absorbed)
+def test_effects_that_the_model_absorbs_are_listed():
+    content = diagnosis_of(seed=10)
+    assert "armature:1" in content.aliases.absorbed  # Izz of the first link is the same column
+    assert not {label for label, _ in content.aliases.weak} & set(content.aliases.absorbed)
+    assert "armature:1" in content.aliases.sentence
+    assert content.to_dict()["absorbed"] == list(content.aliases.absorbed)
 
 
-def test_table_and_picture_show_the_same_errors_of_joints_in_motion():
-    train, test = two_runs(("load_friction", 0, 2.0))
-    found = lieid.diagnose(MODEL, train, test)
+def test_table_and_figure_show_the_same_errors_of_joints_in_motion():
+    train, test = two_runs(LOAD_FRICTION)
+    found = diagnosis_of(LOAD_FRICTION)
     measured, errors = found.shown
     assert measured == "test, joints in motion"
     np.testing.assert_array_equal(errors[-1], lieid.compare(found.fit, test).rms_moving)

@@ -1,4 +1,4 @@
-"""What has changed, on a UR10e: nothing between motions; what is put on a recording is told."""
+"""Changes of a UR10e: none between motions; torques added to a recording are named."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def test_nothing_has_changed_between_motions(fit, name):
     assert found.steps == ()
 
 
-def test_a_body_at_the_tool_is_told(fit):
+def test_a_body_at_the_tool_is_named(fit):
     bare = pin.buildModelFromUrdf(str(UR10E / "ur10e.urdf"))
     loaded = pin.buildModelFromUrdf(str(UR10E / "ur10e.urdf"))
     loaded.inertias[6] += pin.Inertia(3.0, np.array([0.0, 0.0, 0.1]), 0.01 * np.eye(3))
@@ -56,7 +56,7 @@ def test_a_body_at_the_tool_is_told(fit):
         ("torque_gain", 2, lambda r: 0.1 * r.tau[:, 2]),
     ],
 )
-def test_what_is_put_on_one_joint_is_told(fit, effect, joint, torque):
+def test_a_torque_added_to_one_joint_is_named(fit, effect, joint, torque):
     recording = recorded("excitation_14_harmonics")
     tau = recording.tau.copy()
     tau[:, joint] += torque(recording)

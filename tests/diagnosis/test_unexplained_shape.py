@@ -1,6 +1,7 @@
-"""What no effect of the library explains: its shape, a formula, and an effect of one's own."""
+"""Unexplained residual: its shape, a formula, and the code of a user-defined effect."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
 SIZE = plant.torque_scale(ROBOT)
 
 
+@cache
 def run(arm, seed, name=""):
     trajectory = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=seed)
     t = np.arange(0.0, 15.0, 0.001)
@@ -37,9 +39,14 @@ def run(arm, seed, name=""):
     return plant.measure_along(arm, t, *trajectory.at(t), sensors=sensors, seed=seed, name=name)
 
 
+@cache
+def plain_arm():
+    return plant.demo_arm(ROBOT, hidden=None)
+
+
+@cache
 def runs(joint, torque):
-    arm = plant.demo_arm(ROBOT, hidden=None)
-    hidden = arm.with_effects(plant.ForeignTorque(joint, torque))
+    hidden = plain_arm().with_effects(plant.ForeignTorque(joint, torque))
     return run(hidden, 1, "train"), run(hidden, 2, "test")
 
 
@@ -57,11 +64,11 @@ def drag_of_other(s):
 
 @pytest.fixture(autouse=True)
 def register_as_before():
-    """Effects that a test registers are gone after it."""
-    known = dict(REGISTER)
+    """Remove the effects that a test registers."""
+    registered = dict(REGISTER)
     yield
     REGISTER.clear()
-    REGISTER.update(known)
+    REGISTER.update(registered)
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +83,8 @@ def with_bump():
     return lieid.diagnose(MODEL, train, test), train, test
 
 
-def with_own_effect(diagnosis, train, test):
-    """Test errors of the model with the effect that the diagnosis writes."""
+def with_user_effect(diagnosis, train, test):
+    """Return the code, the fit with the effect that it registers, and the error on the test."""
     own = own_effects(diagnosis.unexplained)
     exec(compile(own.code, "own.py", "exec"), {})
     wanted = lieid.Model(ROBOT, [*diagnosis.fit.model.effects, *own.labels])
@@ -85,9 +92,10 @@ def with_own_effect(diagnosis, train, test):
     return own, fit, lieid.compare(fit, test).rms
 
 
+@cache
 def noise(seed=2):
-    """Test error of a model that lacks nothing."""
-    arm = plant.demo_arm(ROBOT, hidden=None)
+    """Return the error on the test of a complete model."""
+    arm = plain_arm()
     return lieid.compare(lieid.identify(MODEL, run(arm, 1)), run(arm, seed)).rms
 
 
@@ -106,9 +114,9 @@ def test_the_formula_is_found(by_angle):
     assert "sin(2 q2)·dq2" in by_angle[0].sentence
 
 
-def test_with_the_effect_of_ones_own_the_error_falls_to_the_noise(by_angle):
+def test_with_the_user_effect_the_error_falls_to_the_noise(by_angle):
     diagnosis, train, test = by_angle
-    own, fit, after = with_own_effect(diagnosis, train, test)
+    own, fit, after = with_user_effect(diagnosis, train, test)
     assert own.labels == ("own_2:2",)
     assert len(own.code.split("\n\n\n")[1].splitlines()) <= 10
     assert after[1] < 1.2 * noise()[1] < 0.1 * diagnosis.baseline_test[1]
@@ -140,7 +148,7 @@ def test_the_map_is_the_hidden_torque(by_angle):
     assert (shape.value[seen] <= shape.high[seen]).all()
 
 
-def test_a_curve_without_a_formula(with_bump):
+def test_a_bump_is_a_curve_without_a_formula(with_bump):
     diagnosis, train, test = with_bump
     part = diagnosis.unexplained[0]
     assert part.depends_on[0] == "q2"
@@ -148,16 +156,18 @@ def test_a_curve_without_a_formula(with_bump):
     (q,), value = part.shapes[0].grid, part.shapes[0].value
     assert q[np.argmax(value)] == pytest.approx(0.3, abs=0.1)
     truth = 0.3 * SIZE[1] / (1.0 + ((q - 0.3) / 0.15) ** 2)
-    assert np.corrcoef(truth, value)[0, 1] > 0.9  # it is narrower than the curve bends
-    own, _, after = with_own_effect(diagnosis, train, test)
+    assert (
+        np.corrcoef(truth, value)[0, 1] > 0.9
+    )  # the bump is narrower than the smooth functions resolve
+    own, _, after = with_user_effect(diagnosis, train, test)
     assert own.labels == ("own_2:2",)
     assert after[1] < 0.5 * diagnosis.baseline_test[1]
 
 
-def test_another_joint_acts_through_an_effect_on_pairs():
+def test_a_torque_that_depends_on_another_joint_is_a_coupling():
     train, test = runs(0, drag_of_other)
     diagnosis = lieid.diagnose(MODEL, train, test)
-    own, _, after = with_own_effect(diagnosis, train, test)
+    own, _, after = with_user_effect(diagnosis, train, test)
     assert own.labels == ("own_1_2:1<2",)
     assert "ca.fabs(s.other.dq)" in own.code
     assert after[0] < 1.2 * noise()[0] < 0.1 * diagnosis.baseline_test[0]
@@ -172,8 +182,8 @@ def within(shape, truth):
 
 
 @pytest.mark.parametrize("seed", [3, 7])
-def test_the_band_holds_the_curve(seed):
-    """Of another joint's angle, up to the constant that ``offset`` takes."""
+def test_the_band_contains_the_curve(seed):
+    """A function of another joint's angle, apart from the constant that ``offset`` absorbs."""
     arm = plant.demo_arm(ROBOT, hidden=None, seed=seed)
     size = 0.2 * SIZE[0]
     wave = plant.ForeignTorque(0, lambda s: size * np.sin(3.0 * s.q[..., 1] + 1.0))
@@ -187,8 +197,8 @@ def test_the_band_holds_the_curve(seed):
     assert np.median(shape.high - shape.low) < 0.5 * size
 
 
-def test_what_has_changed_has_a_formula_too():
-    arm = plant.demo_arm(ROBOT, hidden=None)
+def test_a_change_that_is_no_effect_has_a_formula():
+    arm = plain_arm()
     fit = lieid.identify(MODEL, [run(arm, 1), run(arm, 2)])
     after = run(arm.with_effects(plant.ForeignTorque(1, viscous_by_angle)), 3)
     diagnosis = lieid.diagnose(fit, after)
@@ -219,21 +229,21 @@ def test_json_keeps_its_keys_and_has_more(by_angle, with_bump):
 def test_the_report_shows_shape_and_code(by_angle, with_bump):
     for diagnosis, *_ in (by_angle, with_bump):
         page = diagnosis_report(diagnosis)
-        assert "What stays unexplained" in page
+        assert "Unexplained residual" in page
         assert "@lieid.effect(" in page
         assert "--effects-file F.py --effects &#39;coulomb,viscous,offset,own_2:2&#39;" in page
         figure = diagnosis.plot_unexplained()
         assert len(figure.axes) >= 1
 
 
-def test_a_report_without_it_has_no_such_section():
-    arm = plant.demo_arm(ROBOT, hidden=None)
+def test_the_report_of_a_sufficient_model_has_no_such_section():
+    arm = plain_arm()
     page = diagnosis_report(lieid.diagnose(MODEL, run(arm, 1), run(arm, 2)))
-    assert "What stays unexplained" not in page
+    assert "Unexplained residual" not in page
 
 
-def test_the_command_line_goes_round(tmp_path, capsys):
-    """The lines that are printed, kept in a file, make the next run find nothing more."""
+def test_the_printed_code_completes_the_model(tmp_path, capsys):
+    """Saved in a file and used in the next run, the printed code leaves nothing to find."""
     train, test = runs(1, viscous_by_angle)
     train.save(tmp_path / "a.csv")
     test.save(tmp_path / "b.csv")
@@ -246,12 +256,12 @@ def test_the_command_line_goes_round(tmp_path, capsys):
     (tmp_path / "own.py").write_text("\n".join(line[4:] for line in lines) + "\n")
     own = ["--effects-file", str(tmp_path / "own.py")]
     assert main([*command, *own, "--effects", "coulomb,viscous,offset,own_2:2"]) == 0
-    assert "Nothing in the library improves the model." in capsys.readouterr().out
+    assert "No effect of the library improves the model significantly." in capsys.readouterr().out
 
 
-def test_a_formula_that_the_test_contradicts_is_not_told(by_angle):
+def test_the_test_confirms_a_formula_or_contradicts_it(by_angle):
     diagnosis, train, test = by_angle
-    clean = run(plant.demo_arm(ROBOT, hidden=None), 2)
+    clean = run(plain_arm(), 2)
     (part,), fit = diagnosis.unexplained, diagnosis.fit
     own, same, other = (ScreeningContext.of(
             fit, process([r], fit.processing), DiagnosisOptions(), with_candidates=False
@@ -283,7 +293,7 @@ def test_waves_and_powers_of_an_angle_are_not_mixed():
     assert len(dictionaries(["dq1"], (True,))) == 1
 
 
-def test_products_of_two_other_joints_are_told():
+def test_products_of_two_other_joints_are_a_comment_in_the_code():
     line = FUNCTIONS["dq"][1]
     term = Term((("dq1", line), ("dq3", line)))
     formula = Formula((term,), (1.0,), (0.1,), ("N·m·s²/rad²",), 1.0)
@@ -292,7 +302,7 @@ def test_products_of_two_other_joints_are_told():
     assert own.code.startswith("# joint 2, dq1·dq3: depends on two other joints")
 
 
-def test_names_of_an_earlier_round_are_left_alone(by_angle):
+def test_registered_names_are_not_used_again(by_angle):
     for name in ("own_2", "own_2b", "own_2c"):
         own = own_effects(by_angle[0].unexplained)
         assert own.labels == (f"{name}:2",)
@@ -311,8 +321,8 @@ def test_sparse_regression_finds_the_columns(wanted):
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.9])
-def test_the_band_is_as_wide_as_estimates_scatter(memory):
-    """Also where errors depend on those before them, within blocks."""
+def test_standard_deviations_match_the_scatter_of_estimates(memory):
+    """Of independent errors, and of errors that are correlated within blocks."""
     random, rows = np.random.default_rng(1), 2000
     model, column = np.ones((rows, 1)), np.sin(np.arange(rows) / 100.0)[:, None]
     values, stated = [], []

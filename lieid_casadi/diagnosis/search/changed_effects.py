@@ -19,7 +19,11 @@ from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_gain
 from lieid_casadi.diagnosis.search.effect_search import Offer, SearchProblem, unexplained_parts
 from lieid_casadi.diagnosis.search.parameter_checks import is_unresolved, unresolved_text
-from lieid_casadi.diagnosis.search.search_results import AcceptedEffect, RejectedEffect
+from lieid_casadi.diagnosis.search.search_results import (
+    AcceptedEffect,
+    RejectedEffect,
+    parameter_units,
+)
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
@@ -109,10 +113,13 @@ class ChangedEffects(SearchProblem):
         point = candidate.grid[offer.candidates.point[offer.group]]
         self.context = offer.context
         self._points.append(point.tobytes())
+        parameters = _parameters(candidate, point, offer.baseline, columns)
+        robot = self.context.fit.model.robot
         self.accepted.append(
             AcceptedEffect(
                 candidate,
-                _parameters(candidate, point, offer.baseline, columns),
+                parameters,
+                parameter_units(robot, candidate.placement, parameters),
                 self.expected * np.array([before, after]),
                 joint,
                 offer.significance,

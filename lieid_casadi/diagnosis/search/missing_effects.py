@@ -27,6 +27,7 @@ from lieid_casadi.diagnosis.search.search_results import (
     AcceptedEffect,
     Proposal,
     RejectedEffect,
+    parameter_units,
 )
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
@@ -151,10 +152,12 @@ class MissingEffects(SearchProblem):
             placement.label, offer.significance.log10_p, joint + 1, 100 * (1.0 - after / before),
         )  # fmt: skip
         self.fit = fit
+        parameters = fitted_parameters(fit, placement)
         self.accepted.append(
             AcceptedEffect(
                 candidate,
-                fitted_parameters(fit, placement),
+                parameters,
+                parameter_units(fit.model.robot, placement, parameters),
                 errors,
                 joint,
                 offer.significance,

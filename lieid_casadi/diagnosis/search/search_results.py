@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.screening.candidates import Candidate
+from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
+from lieid_casadi.model import Model
+from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -41,6 +45,8 @@ class AcceptedEffect:
     candidate : Candidate
     parameters : dict
         Coefficients and shape parameters by name.
+    units : dict
+        Unit of each parameter.
     errors : (2, n)
         Error of each joint before and after, N·m: held out if the model is fitted again, of the
         new recording if it is kept.
@@ -57,12 +63,22 @@ class AcceptedEffect:
 
     candidate: Candidate
     parameters: dict[str, float]
+    units: dict[str, str]
     errors: Array
     joint: int
     significance: Significance
     rivals: tuple[tuple[Candidate, str], ...]
     confirmed: bool | None = None
     fit: Fit | None = None
+
+
+def parameter_units(
+    robot: Robot, placement: Placement, parameters: Iterable[str]
+) -> dict[str, str]:
+    """Return the unit of named parameters of a placed effect, N for N·m on a prismatic joint."""
+    model = Model.of_placements(robot, (placement,))
+    units = {p.name.rpartition(".")[2]: p.unit for p in (*model.columns, *model.shapes)}
+    return {name: units[name] for name in parameters}
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What a diagnosis found, how sure it is, and what it turned down."""
+"""Sections of a diagnosis: findings, evidence, rejected candidates, unexplained residual."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ if TYPE_CHECKING:
 
 def finding_section(diagnosis: Diagnosis) -> Section:
     """Return the verdict in one sentence and the error of each model on the way."""
-    from lieid_casadi.diagnosis.text_summary import rows
+    from lieid_casadi.diagnosis.text_summary import error_table
 
-    headings, table = rows(diagnosis)
+    headings, table = error_table(diagnosis)
     measured, _ = diagnosis.shown
     errors = {
         "title": f"RMS error on the {measured}, N·m",
         "headings": headings,
         "rows": [[_text(cell) for cell in row] for row in table],
-        "note": "Each row adds one effect to the row above and fits everything again. p: "
-        "family-wise, for everything that was tried. The test chooses nothing.",
+        "note": "Each row adds one effect to the row above and fits all parameters again. p: "
+        "family-wise p-value over all candidates. Steps are selected on the training recordings.",
     }
     data = {"sentence": diagnosis.sentence, "tables": [errors]}
     return Section("Verdict", "diagnosis.html", data)
 
 
 def waterfall_section(diagnosis: Diagnosis) -> Section:
-    """Return the picture of the error falling."""
+    """Return the figure of the errors of all models."""
     return picture_section("From the first model to the last", diagnosis.plot(), "")
 
 
 def evidence_section(diagnosis: Diagnosis) -> Section:
-    """Return how sure each step is, its rivals and its parameters."""
-    from lieid_casadi.diagnosis.text_summary import where
+    """Return evidence, rivals and parameters of each step."""
+    from lieid_casadi.diagnosis.text_summary import location
 
     steps = [
         [
             step.effect,
-            where(step.joints),
+            location(step.joints),
             ", ".join(f"{name} = {value:.4g}" for name, value in step.parameters.items()),
             _text(step.evidence.effect_size),
             f"{step.evidence.held_out_before:.3g} → {step.evidence.held_out_after:.3g}",
@@ -57,14 +57,19 @@ def evidence_section(diagnosis: Diagnosis) -> Section:
         "title": "Evidence",
         "headings": [
             "effect", "on", "parameters", "size, N·m", "held-out error, N·m", "test confirms",
-            "cannot be told from",
+            "fits as well",
         ],
         "rows": steps,
-        "note": "exact: no data can tell the two apart; data: this data cannot.",
+        "note": "exact: no data can separate the two; data: these data cannot.",
     }  # fmt: skip
     left = {
         "title": "Unexplained",
-        "headings": ["joint", "part of the error's variance", "follows", "looks like, N·m"],
+        "headings": [
+            "joint",
+            "part of the residual's variance",
+            "depends on",
+            "approximately, N·m",
+        ],
         "rows": [
             [
                 f"{u.joint + 1}",
@@ -77,7 +82,7 @@ def evidence_section(diagnosis: Diagnosis) -> Section:
         "note": "Cross-validated.",
     }
     rejected = {
-        "title": f"Turned down ({diagnosis.tried} candidates were tried)",
+        "title": f"Rejected ({diagnosis.tried} candidates were tried)",
         "headings": ["effect", "because"],
         "rows": [list(pair) for pair in diagnosis.rejected],
         "note": diagnosis.aliases.sentence,
@@ -88,18 +93,18 @@ def evidence_section(diagnosis: Diagnosis) -> Section:
 
 
 def unexplained_section(diagnosis: Diagnosis) -> Section:
-    """Return the shape of what stays unexplained, and the lines that make it an effect."""
+    """Return the shape of the unexplained residual, and its code as a user-defined effect."""
     from lieid_casadi.diagnosis.residual.user_effect_code import own_effects
-    from lieid_casadi.diagnosis.text_summary import again
+    from lieid_casadi.diagnosis.text_summary import rerun_options
 
     own = own_effects(diagnosis.unexplained)
     drawn = any(part.shapes for part in diagnosis.unexplained)
     data = {
         "uri": data_uri(diagnosis.plot_unexplained()) if drawn else "",
         "code": own.code,
-        "options": again(diagnosis, own.labels) if own.labels else "",
+        "options": rerun_options(diagnosis, own.labels) if own.labels else "",
     }
-    return Section("What stays unexplained", "unexplained.html", data)
+    return Section("Unexplained residual", "unexplained.html", data)
 
 
 def _text(cell: object) -> str:
