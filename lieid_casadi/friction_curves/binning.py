@@ -69,13 +69,17 @@ def group_pairs(speed: Array, load: Array, stretch: NDArray[np.intp]) -> PairGro
 
 
 def standard_errors(
-    groups: PairGroups, values: Array, stretch: NDArray[np.intp], trends: Array
+    groups: PairGroups,
+    values: Array,
+    stretch: NDArray[np.intp],
+    samples: NDArray[np.intp],
+    trends: Array,
 ) -> Array:
     """Return the standard error (G,) of the average of each group.
 
     Neighbouring pairs are correlated, batches of them are not. The variance is estimated from the
     means of batches and shrunk towards the variance common to all groups, which dominates in
-    groups with few batches.
+    groups with few batches. Samples that occur in several pairs count once.
 
     Parameters
     ----------
@@ -84,6 +88,8 @@ def standard_errors(
         Value of each pair.
     stretch : (P,) int
         Stretch of motion that each pair comes from.
+    samples : (P, 2) int
+        The two samples of each pair.
     trends : (P, k)
         Quantities whose linear influence within the groups is not counted as scatter.
     """
@@ -99,12 +105,24 @@ def standard_errors(
     squares = np.bincount(owner, size * means**2)
     count = np.bincount(owner)
     freedom = np.maximum(count - 1.0, 0.0)
-    pairs = np.bincount(member)
+    pairs = np.bincount(member) / _reuse(member, samples[inside])
     if freedom.sum() == 0.0:
         return np.asarray(np.sqrt(np.mean(residual**2) / np.maximum(pairs / BATCH, 1.0)))
     common = squares[freedom > 0].sum() / freedom.sum()
     variance = (PRIOR_WEIGHT * common + squares) / (PRIOR_WEIGHT + freedom)
     return np.asarray(np.sqrt(variance / pairs))
+
+
+def _reuse(member: NDArray[np.intp], samples: NDArray[np.intp]) -> Array:
+    """Return the factor (G,) on the variance of averages due to samples in several pairs.
+
+    A sample with weight w contributes w² to the variance: with c occurrences in a group, the
+    factor is Σ c² / Σ c over its samples.
+    """
+    width = int(samples.max()) + 1
+    keys, count = np.unique(member[:, None] * width + samples, return_counts=True)
+    group = keys // width
+    return np.asarray(np.bincount(group, count**2) / np.bincount(group, count))
 
 
 def _off_mean(values: Array, member: NDArray[np.intp]) -> Array:

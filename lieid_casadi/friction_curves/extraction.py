@@ -120,6 +120,7 @@ def friction_curve(
             data.groups,
             data.friction,
             motion.matching.stretch,
+            motion.matching.samples,
             np.column_stack([motion.matching.speed, np.abs(motion.half_sum(series))]),
         ),
         count=data.groups.count,

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, lsq_linear
 
 from lieid_casadi.compiled import compile
 from lieid_casadi.effects import Effect, Placement
@@ -18,6 +17,11 @@ from lieid_casadi.friction_curves.curve import FrictionCurve
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
 from lieid_casadi.friction_curves.friction_fit_warnings import friction_fit_warnings
 from lieid_casadi.identification.regression.shape_range import ShapeRange
+from lieid_casadi.identification.regression.variable_projection import (
+    SeparableProblem,
+    forward_differences,
+    minimize_shapes,
+)
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
@@ -25,9 +29,10 @@ SAMPLED_STARTS = 40  # random starting points, the best of which are used
 DESCENTS = 4  # local searches
 FINALISTS = 2  # of them that are continued on all instants
 CONVERGED = 1e-4  # relative change of the cost on all instants, far below the effect of noise
-STEP = 1e-5  # finite difference relative to the range of a shape
+EVALUATIONS = 50  # of the residual in one local search
 ZERO_COLUMN = 1e-9  # norm relative to the largest column below which a column counts as zero
 RANK = 1e-7  # relative singular value below which a direction is not determined by the curve
+INVOLVED = 1e-3  # scaled component of such a direction that makes a parameter unknown
 
 
 def fit_friction(
@@ -71,7 +76,7 @@ def fit_friction(
         raise ValueError(f"starts is {starts}; expected at least 1")
     problem = _CurveProblem(curve, _placements(curve, effects))
     shapes = problem.search(starts, np.random.default_rng(seed))
-    coefficients = problem.coefficients(shapes)
+    coefficients = problem.all_instants.solve(shapes).coefficients
     predicted = problem.columns(shapes) @ coefficients
     covariance, hidden = problem.covariance(shapes, coefficients)
     fit = FrictionFit(
@@ -121,99 +126,69 @@ class _CurveProblem:
         self.compiled = compile(self.model)
         self.ranges = ShapeRange.of(self.model.shapes)
         self.weight = 1.0 / np.maximum(curve.std, 1e-3 * np.median(curve.std) + 1e-12)
-        self.lower = np.array([c.lower for c in self.model.columns])
-        self.upper = np.array([c.upper for c in self.model.columns])
+        self.all_instants = self._separable(thinned=False)
+        self.some_instants = self._separable(thinned=True)
+
+    def _separable(self, *, thinned: bool) -> SeparableProblem:
+        return SeparableProblem(
+            columns=lambda shapes: self.weight[:, None] * self.columns(shapes, thinned=thinned),
+            target=self.weight * self.curve.friction,
+            ranges=self.ranges,
+            bounds=(
+                np.array([c.lower for c in self.model.columns]),
+                np.array([c.upper for c in self.model.columns]),
+            ),
+            negligible=ZERO_COLUMN,
+        )
 
     def columns(self, shapes: Array, *, thinned: bool = False) -> Array:
-        """Return the columns' averages per point (G, m)."""
+        """Return the columns averaged per point (G, m)."""
         data, joint = self.curve.data, self.curve.joint
         return data.columns(self.compiled, joint, shapes, thinned=thinned)
 
-    def coefficients(self, shapes: Array) -> Array:
-        """Return the best coefficients (m,) at given shapes."""
-        return self._solve(self.columns(shapes))
-
-    def _solve(self, columns: Array) -> Array:
-        matrix = columns * self.weight[:, None]
-        scale = np.linalg.norm(matrix, axis=0)
-        scale[scale <= ZERO_COLUMN * scale.max(initial=0.0)] = np.inf
-        target = self.curve.friction * self.weight
-        free = np.linalg.lstsq(matrix / scale, target, rcond=1e-10)[0] / scale
-        if np.all((free >= self.lower) & (free <= self.upper)):
-            return np.asarray(free)
-        finite = np.where(np.isinf(scale), 1.0, scale)
-        bounds = (self.lower * finite, self.upper * finite)
-        return np.asarray(lsq_linear(matrix / finite, target, bounds).x / finite)
-
-    def residual(self, shapes: Array, *, thinned: bool = False) -> Array:
-        """Return the weighted residual (G,) with the best coefficients."""
-        columns = self.columns(shapes, thinned=thinned)
-        return (self.curve.friction - columns @ self._solve(columns)) * self.weight
-
-    def search(self, descents: int, random: np.random.Generator) -> Array:
-        """Return the best shapes (s,): found on some of the instants, then on all."""
-        first = self.model.initial_shapes
-        if not len(first):
-            return first
-
-        def misfit(shapes: Array) -> float:
-            return _square(self.residual(shapes, thinned=True))
-
-        drawn = self.ranges.shapes(_spread(SAMPLED_STARTS, len(first), random))
-        starts = sorted([first, *drawn], key=misfit)
-        found = sorted((self._descend(x, thinned=True) for x in starts[:descents]), key=misfit)
-        final = [self._descend(shapes, thinned=False) for shapes in found[:FINALISTS]]
-        return min(final, key=lambda shapes: _square(self.residual(shapes)))
-
-    def _descend(self, start: Array, *, thinned: bool) -> Array:
-        def residual(place: Array) -> Array:
-            return self.residual(self.ranges.shapes(place), thinned=thinned)
-
-        inside = np.clip(self.ranges.place(start), 1e-6, 1.0 - 1e-6)
-        steps = np.full(len(start), 1e-6)
-        enough = 1e-8 if thinned else CONVERGED
-        result = least_squares(
-            residual, inside, bounds=(0.0, 1.0), diff_step=steps, max_nfev=50, ftol=enough
+    def search(self, starts: int, random: np.random.Generator) -> Array:
+        """Return the best shapes (s,), searched on a subset of the instants, then on all."""
+        initial = self.model.initial_shapes
+        if not len(initial):
+            return initial
+        cost = self.some_instants.cost
+        drawn = self.ranges.shapes(_latin_hypercube(SAMPLED_STARTS, len(initial), random))
+        best = sorted([initial, *drawn], key=cost)[:starts]
+        found = sorted(
+            (minimize_shapes(self.some_instants, x, max_evaluations=EVALUATIONS) for x in best),
+            key=cost,
         )
-        return self.ranges.shapes(np.asarray(result.x))
-
-    def slopes(self, shapes: Array, coefficients: Array) -> Array:
-        """Return ∂friction/∂shape (G, s)."""
-        here = self.columns(shapes) @ coefficients
-        steps = STEP * self.ranges.slope(shapes)
-        moved = [
-            self.columns(shapes + step * unit) @ coefficients
-            for step, unit in zip(steps, np.eye(len(shapes)), strict=True)
+        final = [
+            minimize_shapes(self.all_instants, x, ftol=CONVERGED, max_evaluations=EVALUATIONS)
+            for x in found[:FINALISTS]
         ]
-        changes = [(m - here) / step for m, step in zip(moved, steps, strict=True)]
-        return np.array(changes).reshape(len(shapes), len(here)).T
+        return min(final, key=self.all_instants.cost)
 
     def covariance(self, shapes: Array, coefficients: Array) -> tuple[Array, list[Array]]:
-        """Return the covariance (m + s, m + s), infinite where nothing is known, and why."""
-        matrix = np.column_stack([self.columns(shapes), self.slopes(shapes, coefficients)])
-        matrix = matrix * self.weight[:, None]
-        residual = self.residual(shapes)
+        """Return the covariance (m + s, m + s) and the directions that are not determined.
+
+        Parameters of these directions have infinite variance.
+        """
+        slopes = forward_differences(self.columns, self.ranges, shapes, coefficients)
+        matrix = self.weight[:, None] * np.column_stack([self.columns(shapes), slopes])
         scale = np.linalg.norm(matrix, axis=0)
         scale[scale <= ZERO_COLUMN * scale.max(initial=0.0)] = 1.0
         _, sizes, vt = np.linalg.svd(matrix / scale, full_matrices=True)
         sizes = np.pad(sizes, (0, len(vt) - len(sizes)))
-        seen = sizes > RANK * sizes[0]
-        inverse = vt[seen].T / sizes[seen] / scale[:, None]
-        freedom = max(len(residual) - int(seen.sum()), 1)
-        covariance = inverse @ inverse.T * max(1.0, _square(residual) / freedom)
-        hidden = [direction / scale for direction in vt[~seen]]
+        determined = sizes > RANK * sizes[0]
+        inverse = vt[determined].T / sizes[determined] / scale[:, None]
+        freedom = max(len(matrix) - int(determined.sum()), 1)
+        dispersion = max(1.0, self.all_instants.cost(shapes) / freedom)
+        covariance = inverse @ inverse.T * dispersion
+        hidden = [direction / scale for direction in vt[~determined]]
         for direction in hidden:
-            unknown = np.abs(direction) * scale > 1e-3
+            unknown = np.abs(direction) * scale > INVOLVED
             covariance[unknown] = covariance[:, unknown] = 0.0
             covariance[unknown, unknown] = np.inf
         return covariance, hidden
 
 
-def _spread(count: int, dimensions: int, random: np.random.Generator) -> Array:
-    """Return points (count, dimensions) of a Latin hypercube."""
+def _latin_hypercube(count: int, dimensions: int, random: np.random.Generator) -> Array:
+    """Return points (count, dimensions) between 0 and 1."""
     ranks = np.array([random.permutation(count) for _ in range(dimensions)]).T
     return (ranks + random.uniform(size=ranks.shape)) / count
-
-
-def _square(residual: Array) -> float:
-    return float(np.sum(residual**2))

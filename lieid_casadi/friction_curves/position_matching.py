@@ -30,6 +30,8 @@ class Matching:
         forward and at the backward instants.
     stretch : (P,) int
         Number of the pair of passes that each pair of instants comes from.
+    samples : (P, 2) int
+        Filtered samples nearest to the forward and to the backward instant.
     position : (P,)
         Position of the joint, rad.
     forward_speed, backward_speed : (P,)
@@ -39,6 +41,7 @@ class Matching:
     forward: csr_matrix[np.float64]
     backward: csr_matrix[np.float64]
     stretch: NDArray[np.intp]
+    samples: NDArray[np.intp]
     position: Array
     forward_speed: Array
     backward_speed: Array
@@ -183,6 +186,7 @@ def _pairs(f: Pass, b: Pass, stretch: int, starts: NDArray[np.intp]) -> dict[str
 def _matching(pairs: dict[str, Array], samples: int) -> Matching:
     count = len(pairs["position"])
     share = pairs["share"]
+    nearest = np.where(share < 0.5, pairs["before"], pairs["after"])
     forward = _selection(pairs["forward"], np.ones(count), samples)
     backward = _selection(pairs["before"], 1.0 - share, samples)
     backward = backward + _selection(pairs["after"], share, samples)
@@ -190,6 +194,7 @@ def _matching(pairs: dict[str, Array], samples: int) -> Matching:
         forward,
         backward,
         pairs["stretch"].astype(np.intp),
+        np.column_stack([pairs["forward"], nearest]).astype(np.intp),
         pairs["position"],
         pairs["forward_speed"],
         pairs["backward_speed"],
