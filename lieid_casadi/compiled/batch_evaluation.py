@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -252,9 +253,9 @@ def _address(array: NDArray[Any]) -> int:
 
 
 def default_threads() -> int:
-    """Return $LIEID_THREADS, else two, or one where the program may use only one processor."""
+    """Return $LIEID_THREADS (1 to 9999), else two, or one if only one processor may be used."""
     stated = os.environ.get("LIEID_THREADS", "")
-    if stated.isdigit() and int(stated) > 0:
+    if re.fullmatch("[1-9][0-9]{0,3}", stated):
         return int(stated)
     return min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
 

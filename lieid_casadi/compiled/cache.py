@@ -1,8 +1,9 @@
-"""Compiled libraries on disk, between runs of a program.
+"""Compiled libraries on disk, kept between runs of a program.
 
-A library is followed by its checksum: a file that a crash or a full disk cut short is not loaded
-but built again. Files come into being under another name and are moved into place, so that two
-processes may build the same one at once.
+A library runs with the user's rights when it is loaded. It is therefore used only if its file and
+folder belong to the user and nobody else may write to them. A checksum follows each library: a file
+that a crash or a full disk cut short is not loaded but built again. Files are written under another
+name and renamed, so that two processes may build the same one at once.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
+import stat
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -18,25 +20,47 @@ logger = logging.getLogger("lieid_casadi")
 
 MARK = b"lieid-casadi:1:"
 TAIL = len(MARK) + hashlib.sha256().digest_size
-KEEP = 2000  # libraries of some 60 kB; the oldest go
+KEEP = 2000  # libraries of about 60 kB; beyond it the oldest are deleted
 
 
-def cache_folder() -> Path:
-    """Return ``$LIEID_CACHE_DIR``, else lieid-casadi in ``$XDG_CACHE_HOME`` or ~/.cache."""
+def cache_folder() -> Path | None:
+    """Return the folder of compiled libraries, None if the environment names none.
+
+    It is ``$LIEID_CACHE_DIR``, else ``lieid-casadi`` in ``$XDG_CACHE_HOME`` or ``~/.cache``. A
+    relative ``XDG_CACHE_HOME`` is ignored, as its specification asks, and so is a home directory
+    that is unknown or relative.
+    """
     stated = os.environ.get("LIEID_CACHE_DIR")
     if stated:
-        return Path(stated)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path(os.path.expanduser("~"), ".cache")) / "lieid-casadi"
+        return Path(stated).absolute()
+    home = Path(os.path.expanduser("~"))
+    for base in (Path(os.environ.get("XDG_CACHE_HOME", "")), home / ".cache"):
+        if base.is_absolute():
+            return base / "lieid-casadi"
+    return None
 
 
 def find(key: str) -> Path | None:
-    """Return the whole library of a key, or None."""
-    for folder in (cache_folder(), *_spare_folders):
-        path = folder / f"{key}.so"
-        if is_whole(path):
+    """Return the path of a key's library if it is complete and safe to load, else None."""
+    folder = cache_folder()
+    for place in (*([folder] if folder else []), *_private_folders):
+        path = place / f"{key}.so"
+        if path.exists() and not unsafe(place) and not unsafe(path) and is_whole(path):
             return path
     return None
+
+
+def unsafe(path: Path) -> str:
+    """Return why a file or folder must not be loaded from, empty if it may."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        return error.strerror or str(error)
+    if status.st_uid != os.geteuid():
+        return f"it belongs to user {status.st_uid}"
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return f"others may write to it (mode {stat.S_IMODE(status.st_mode):o})"
+    return ""
 
 
 def is_whole(path: Path) -> bool:
@@ -49,7 +73,7 @@ def is_whole(path: Path) -> bool:
 
 
 def store(key: str, library: bytes) -> Path:
-    """Put a library into the cache, or into a temporary folder if the cache is not writable.
+    """Write a library to the cache, or to a private temporary folder if the cache is not usable.
 
     Raises
     ------
@@ -57,14 +81,26 @@ def store(key: str, library: bytes) -> Path:
         Neither can be written.
     """
     folder = cache_folder()
+    reason = "the home directory is unknown"
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            reason = unsafe(folder)
+            if not reason:
+                path = _write(folder, key, library)
+                _prune(folder)
+                return path
+        except OSError as error:
+            reason = error.strerror or str(error)
+    return _write(_private_folder(folder, reason), key, library)
+
+
+def discard(path: Path) -> None:
+    """Delete a library that cannot be used."""
     try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        path = _write(folder, key, library)
-        _prune(folder)
-        return path
+        path.unlink(missing_ok=True)
     except OSError as error:
-        spare = _spare_folder(folder, error.strerror or str(error))
-        return _write(spare, key, library)
+        logger.debug("%s cannot be deleted: %s", path, error)
 
 
 def _write(folder: Path, key: str, library: bytes) -> Path:
@@ -99,19 +135,19 @@ def _prune(folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-_spare_folders: list[Path] = []
-_open_folders: list[tempfile.TemporaryDirectory[str]] = []  # removed when the program ends
+_private_folders: list[Path] = []
+_open_folders: list[tempfile.TemporaryDirectory[str]] = []  # deleted when the program ends
 
 
 @cache
-def _spare_folder(unwritable: Path, reason: str) -> Path:
-    folder = tempfile.TemporaryDirectory(prefix="lieid-casadi-")
+def _private_folder(unusable: Path | None, reason: str) -> Path:
+    folder = tempfile.TemporaryDirectory(prefix="lieid-casadi-")  # mode 700
     _open_folders.append(folder)
-    _spare_folders.append(Path(folder.name))
+    _private_folders.append(Path(folder.name))
     logger.warning(
-        "cache folder %s is not writable (%s): compiled models last for this run only; "
-        "make it writable or set LIEID_CACHE_DIR",
-        unwritable,
+        "cache folder %s is not used (%s): compiled models are kept for this run only; make it a "
+        "folder of your own that only you can write to, or set LIEID_CACHE_DIR to one",
+        unusable or "~/.cache/lieid-casadi",
         reason,
     )
     return Path(folder.name)

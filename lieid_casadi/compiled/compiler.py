@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import platform
 import shlex
@@ -21,6 +22,9 @@ FLAGS = (
     "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi",
 )  # fmt: skip
 DEFAULT_TIMEOUT = 30.0  # s; a kernel takes well below one
+LONGEST_TIMEOUT = 86_400.0  # s
+
+logger = logging.getLogger("lieid_casadi")
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ def available_targets() -> tuple[Target, ...]:
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler: its command, and what tells it from another version of itself."""
+    """A C compiler: its command, and a text that changes with its version."""
 
     command: tuple[str, ...]
     identity: str
@@ -78,9 +82,12 @@ def find_compiler() -> Compiler:
     Raises
     ------
     CompilerError
-        None is there.
+        There is none, or the quoting in ``$CC`` is wrong.
     """
-    stated = shlex.split(os.environ.get("CC", ""))
+    try:
+        stated = shlex.split(os.environ.get("CC", ""))
+    except ValueError as error:
+        raise CompilerError(f"$CC is {os.environ['CC']!r}: {error}") from None
     for command in [stated] if stated else [["cc"], ["gcc"], ["clang"]]:
         found = shutil.which(command[0])
         if found:
@@ -94,6 +101,16 @@ def find_compiler() -> Compiler:
 
 def build(compiler: Compiler, target: Target, source: Path, library: Path, include: Path) -> None:
     """Compile one C file to a shared library.
+
+    Parameters
+    ----------
+    compiler : Compiler
+    target : Target
+        Instruction set.
+    source, library : Path
+        The C file, and the file to write.
+    include : Path
+        Folder of the headers.
 
     Raises
     ------
@@ -130,8 +147,17 @@ def build(compiler: Compiler, target: Target, source: Path, library: Path, inclu
 
 
 def timeout() -> float:
-    """Return how long a compiler may take, s."""
-    try:
-        return float(os.environ.get("LIEID_COMPILER_TIMEOUT", DEFAULT_TIMEOUT))
-    except ValueError:
+    """Return how long a compiler may take, s: ``$LIEID_COMPILER_TIMEOUT`` if usable, else 30."""
+    stated = os.environ.get("LIEID_COMPILER_TIMEOUT", "")
+    if not stated:
         return DEFAULT_TIMEOUT
+    with contextlib.suppress(ValueError):
+        if 0.0 < float(stated) <= LONGEST_TIMEOUT:
+            return float(stated)
+    logger.warning(
+        "LIEID_COMPILER_TIMEOUT is %r; expected seconds above 0 and at most %g; %g s is used",
+        stated[:60],
+        LONGEST_TIMEOUT,
+        DEFAULT_TIMEOUT,
+    )
+    return DEFAULT_TIMEOUT

@@ -53,7 +53,7 @@ RIGID = frozenset(
 
 
 class Kernels:
-    """The kernels of one model, for one instruction set; any thread may ask.
+    """The kernels of one model for one instruction set; safe to use from several threads.
 
     Parameters
     ----------
@@ -70,18 +70,18 @@ class Kernels:
     def get(self, names: Iterable[str]) -> tuple[Runtime, tuple[Kernel, ...]] | None:
         """Return the runtime and kernels of functions; None without a working compiler.
 
-        The first failure of a process is told once, with its remedy.
+        The first failure of a process is logged once, with its remedy.
         """
         names = tuple(names)
-        if _Failure.reason is None:
+        if CompilerFailure.reason is None:
             try:
                 return self._runtime_and(names)
             except UnsupportedOperation as error:
                 logger.warning("%s; CasADi's virtual machine evaluates it", error)
             except CompilerError as error:
-                _Failure.tell(str(error))
+                CompilerFailure.report(str(error))
             except OSError as error:
-                _Failure.tell(f"compiled code cannot be stored: {error}")
+                CompilerFailure.report(f"compiled code cannot be stored: {error}")
         return None
 
     def _runtime_and(self, names: tuple[str, ...]) -> tuple[Runtime, tuple[Kernel, ...]]:
@@ -109,13 +109,14 @@ class Kernels:
         return _library(load_kernel, self.target, text, lambda: text)
 
 
-class _Failure:
-    """Why this process works without a compiler; set once, so that a hang is met once."""
+class CompilerFailure:
+    """Why this process works without a compiler; set once, so that a hang occurs once."""
 
     reason: str | None = None
 
     @classmethod
-    def tell(cls, reason: str) -> None:
+    def report(cls, reason: str) -> None:
+        """Keep and log the first reason."""
         if cls.reason is None:
             cls.reason = reason
             logger.warning(
@@ -145,13 +146,13 @@ def target_of(lanes: int | None) -> Target:
 
 def reducer(lanes: int | None = None) -> Reducer | None:
     """Return the reduction to triangular factors; None without a working compiler."""
-    if _Failure.reason is None:
+    if CompilerFailure.reason is None:
         try:
             return _reducer(lanes)
         except CompilerError as error:
-            _Failure.tell(str(error))
+            CompilerFailure.report(str(error))
         except OSError as error:
-            _Failure.tell(f"compiled code cannot be stored: {error}")
+            CompilerFailure.report(f"compiled code cannot be stored: {error}")
     return None
 
 
@@ -176,16 +177,33 @@ def _library(
     compiler = find_compiler()
     key = _key(compiler, target, content)
     with _lock:
-        known = _libraries.get(key)
-    if known is not None:
-        return known  # type: ignore[return-value]  # the key's content says which
-    path = disk.find(key)
-    if path is None:
+        loaded_before = _libraries.get(key)
+    if loaded_before is not None:
+        return loaded_before  # type: ignore[return-value]  # the key's content determines its type
+    loaded = _from_cache(load, key)
+    if loaded is None:
         path = disk.store(key, _compiled(compiler, target, source()))
-    loaded = load(path)
+        try:
+            loaded = load(path)
+        except CompilerError:
+            disk.discard(path)
+            raise
     with _lock:
         _libraries[key] = loaded
     return loaded
+
+
+def _from_cache(load: Callable[[Path], Loaded], key: str) -> Loaded | None:
+    """Return a library of the cache; one that cannot be used is deleted, to be built again."""
+    path = disk.find(key)
+    if path is None:
+        return None
+    try:
+        return load(path)
+    except CompilerError as error:
+        logger.info("%s; it is built again", error)
+        disk.discard(path)
+        return None
 
 
 def _compiled(compiler: Compiler, target: Target, text: str) -> bytes:

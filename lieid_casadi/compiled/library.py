@@ -1,9 +1,11 @@
-"""Libraries that the compiler made, loaded: kernels, and the runtime that runs them."""
+"""Loading of compiled libraries: kernels, and the runtime that runs them."""
 
 from __future__ import annotations
 
+import _ctypes
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,14 +40,12 @@ class Kernel:
 
 
 def load_kernel(path: Path) -> Kernel:
-    """Load a kernel.
+    """Load a kernel; `CompilerError` if the system refuses it or it lacks a symbol."""
+    with _opened(path) as library:
+        return _kernel(library)
 
-    Raises
-    ------
-    CompilerError
-        The system refuses the library.
-    """
-    library = _open(path)
+
+def _kernel(library: ctypes.CDLL) -> Kernel:
     rows, columns, count = (ctypes.c_int32 * 3).in_dll(library, "lieid_shape")
     names = ctypes.cast(library.lieid_arguments, ctypes.c_char_p).value or b""
     arguments = tuple(
@@ -116,8 +116,12 @@ class Runtime:
 
 
 def load_runtime(path: Path) -> Runtime:
-    """Load the runtime."""
-    library = _open(path)
+    """Load the runtime; `CompilerError` if the system refuses it or it lacks a symbol."""
+    with _opened(path) as library:
+        return _runtime(library)
+
+
+def _runtime(library: ctypes.CDLL) -> Runtime:
     pointer, whole = ctypes.c_void_p, ctypes.c_int64
     dense, columns = library.lieid_dense, library.lieid_columns
     dense.argtypes = [
@@ -142,8 +146,12 @@ class Reducer:
 
 
 def load_reducer(path: Path) -> Reducer:
-    """Load the reducer."""
-    library = _open(path)
+    """Load the reducer; `CompilerError` if the system refuses it or it lacks a symbol."""
+    with _opened(path) as library:
+        return _reducer(library)
+
+
+def _reducer(library: ctypes.CDLL) -> Reducer:
     pointer, whole = ctypes.c_void_p, ctypes.c_int64
     blocks, matrix = library.lieid_reduce, library.lieid_reduce_matrix
     blocks.argtypes = [
@@ -154,8 +162,15 @@ def load_reducer(path: Path) -> Reducer:
     return Reducer(blocks, matrix)
 
 
-def _open(path: Path) -> ctypes.CDLL:
+@contextmanager
+def _opened(path: Path) -> Iterator[ctypes.CDLL]:
+    """Open a library, and close it if a symbol is missing: a new file may take its path."""
     try:
-        return ctypes.CDLL(str(path))
+        library = ctypes.CDLL(str(path))
     except OSError as error:
         raise CompilerError(f"{path} cannot be loaded: {error}") from None
+    try:
+        yield library
+    except (AttributeError, ValueError) as error:  # from a function, from a variable
+        _ctypes.dlclose(library._handle)
+        raise CompilerError(f"{path} cannot be used: {error}") from None

@@ -2,6 +2,7 @@
 
 import pytest
 
+from lieid_casadi.compiled import cache as disk
 from lieid_casadi.compiled import kernels
 from lieid_casadi.compiled.compiler import find_compiler
 from lieid_casadi.errors import CompilerError
@@ -23,7 +24,9 @@ def fresh_process(monkeypatch, tmp_path):
     cache = tmp_path / "cache"
     monkeypatch.setenv("LIEID_CACHE_DIR", str(cache))
     monkeypatch.setattr(kernels, "_libraries", {})
-    monkeypatch.setattr(kernels._Failure, "reason", None)
+    monkeypatch.setattr(kernels.CompilerFailure, "reason", None)
+    monkeypatch.setattr(disk, "_private_folders", [])
+    disk._private_folder.cache_clear()
     return cache
 
 

@@ -97,23 +97,22 @@ def test_two_processes_may_compile_at_once(tmp_path):
         )
         for _ in range(2)
     ]
-    told = [process.communicate()[0].split() for process in running]
-    assert told[0] == told[1]
-    assert told[0][1] == "CompiledEvaluation"
+    printed = [process.communicate()[0].split() for process in running]
+    assert printed[0] == printed[1]
+    assert printed[0][1] == "CompiledEvaluation"
     assert all(cache.is_whole(path) for path in tmp_path.iterdir())
     assert len(libraries(tmp_path)) == 3
 
 
-def test_a_cache_that_cannot_be_written_is_told_once(fresh_process, caplog):
+def test_a_cache_that_cannot_be_written_gives_one_notice(fresh_process, caplog):
     fresh_process.write_text("a file where the folder should be")
     arm = two_link()
     gravity(arm)
     arm.jacobian(Q)
     assert isinstance(arm._evaluation("gravity"), CompiledEvaluation)
-    told = [r.message for r in caplog.records if r.name == "lieid_casadi"]
-    assert len(told) == 1
-    assert str(fresh_process) in told[0]
-    assert "LIEID_CACHE_DIR" in told[0]
+    (notice,) = [r.message for r in caplog.records if r.name == "lieid_casadi"]
+    assert str(fresh_process) in notice
+    assert "LIEID_CACHE_DIR" in notice
     assert fresh_process.read_text() == "a file where the folder should be"
 
 
@@ -147,6 +146,8 @@ def test_an_old_library_makes_room(fresh_process, monkeypatch):
         ({"LIEID_CACHE_DIR": "/a/b", "XDG_CACHE_HOME": "/x"}, "/a/b"),
         ({"XDG_CACHE_HOME": "/x"}, "/x/lieid-casadi"),
         ({"HOME": "/home/me"}, "/home/me/.cache/lieid-casadi"),
+        ({"XDG_CACHE_HOME": "x/y", "HOME": "/home/me"}, "/home/me/.cache/lieid-casadi"),
+        ({"LIEID_CACHE_DIR": "."}, os.getcwd()),
     ],
 )
 def test_where_the_cache_is(monkeypatch, variables, folder):
@@ -155,3 +156,83 @@ def test_where_the_cache_is(monkeypatch, variables, folder):
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     assert cache.cache_folder() == Path(folder)
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o707, 0o777, 0o720, 0o702, 0o775])
+def test_modes_that_let_others_write_are_unsafe(tmp_path, mode):
+    assert not cache.unsafe(tmp_path)
+    tmp_path.chmod(mode)
+    assert cache.unsafe(tmp_path) == f"others may write to it (mode {mode:o})"
+
+
+def test_a_folder_that_others_may_write_to_is_not_used(fresh_process, monkeypatch, caplog):
+    expected = gravity(two_link())
+    forget(monkeypatch)
+    fresh_process.chmod(0o770)
+    loaded, load = [], kernels.load_kernel
+    monkeypatch.setattr(kernels, "load_kernel", lambda path: loaded.append(path) or load(path))
+    np.testing.assert_array_equal(gravity(two_link()), expected)
+    assert len(loaded) == 1
+    assert fresh_process not in loaded[0].parents
+    assert "others may write to it" in caplog.text
+
+
+def test_a_library_that_others_may_write_to_is_built_again(fresh_process, monkeypatch):
+    expected = gravity(two_link())
+    for path in fresh_process.glob("*.so"):
+        path.chmod(0o702)
+        assert cache.find(path.stem) is None
+    forget(monkeypatch)
+    np.testing.assert_array_equal(gravity(two_link()), expected)
+    assert all(cache.find(path.stem) == path for path in fresh_process.glob("*.so"))
+
+
+def test_files_of_another_user_are_not_loaded(fresh_process, monkeypatch, caplog):
+    gravity(two_link())
+    (path, *_) = fresh_process.glob("*.so")
+    owner = os.geteuid()
+    monkeypatch.setattr(cache.os, "geteuid", lambda: owner + 1)
+    assert cache.find(path.stem) is None
+    spare = cache.store(path.stem, b"library")
+    assert fresh_process not in spare.parents
+    assert f"it belongs to user {owner}" in caplog.text
+
+
+def test_without_a_home_libraries_go_to_a_private_folder(monkeypatch):
+    for name in ("LIEID_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", "relative/home")
+    assert cache.cache_folder() is None
+    path = cache.store("some-key", b"library")
+    assert path.parent.stat().st_mode & 0o777 == 0o700
+    assert not Path("relative").exists()
+
+
+@pytest.mark.parametrize("source", ["not a library", "int lieid_shape[3];"])
+def test_a_library_of_valid_checksum_that_cannot_be_used_is_built_once(
+    fresh_process, monkeypatch, tmp_path, source
+):
+    expected = gravity(two_link())
+    library, text = tmp_path / "other.so", tmp_path / "other.c"
+    text.write_text(source)
+    if "int" in source:
+        command = [os.environ.get("CC", "cc"), "-shared", "-fPIC", str(text), "-o", str(library)]
+        subprocess.run(command, check=True)
+    else:
+        library.write_text(source)
+    names = libraries(fresh_process)
+    # another path: the system's loader returns a path that is open in this process again
+    monkeypatch.setenv("LIEID_CACHE_DIR", str(tmp_path / "other-cache"))
+    for name in names:
+        cache.store(Path(name).stem, library.read_bytes())
+    forget(monkeypatch)
+    built = []
+    build = kernels.build
+    monkeypatch.setattr(kernels, "build", lambda *a: built.append(a) or build(*a))
+    arm = two_link()
+    np.testing.assert_array_equal(gravity(arm), expected)
+    assert isinstance(arm._evaluation("gravity"), CompiledEvaluation)
+    assert len(built) == len(names)
+    forget(monkeypatch)
+    gravity(two_link())
+    assert len(built) == len(names)  # the new libraries are in the cache

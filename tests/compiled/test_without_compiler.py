@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
-from lieid_casadi.compiled import compile
-from lieid_casadi.compiled.batch_evaluation import MachineEvaluation
-from lieid_casadi.compiled.compiler import available_targets, build, find_compiler
+from lieid_casadi.compiled import compile, kernels
+from lieid_casadi.compiled.batch_evaluation import MachineEvaluation, default_threads
+from lieid_casadi.compiled.compiler import (
+    DEFAULT_TIMEOUT,
+    available_targets,
+    build,
+    find_compiler,
+    timeout,
+)
 from lieid_casadi.errors import CompilerError
 
 Q = np.linspace(-1.0, 1.0, 40).reshape(20, 2)
@@ -23,7 +29,7 @@ def program(path, text):
     return str(path)
 
 
-def check_fallback(caplog, *told):
+def check_fallback(caplog, *expected):
     """The whole interface works, and one warning says why it is slow and what to do."""
     arm = compile(MODEL)
     regressor = arm.regressor(Q, Q, Q, out=np.full((20, 2, 20), np.nan), threads=2)
@@ -37,7 +43,7 @@ def check_fallback(caplog, *told):
     compile(lieid.Model(lieid.robots.two_link())).jacobian(Q)
     notices = [r.getMessage() for r in caplog.records if r.name == "lieid_casadi"]
     assert len(notices) == 1
-    for text in (*told, "virtual machine", "Remedy: install a C compiler"):
+    for text in (*expected, "virtual machine", "Remedy: install a C compiler"):
         assert text in notices[0]
 
 
@@ -50,6 +56,38 @@ def test_no_compiler_on_the_path(fresh_process, monkeypatch, tmp_path, caplog):
 def test_a_compiler_that_does_not_exist(fresh_process, monkeypatch, caplog):
     monkeypatch.setenv("CC", "no-such-compiler -m64")
     check_fallback(caplog, "'no-such-compiler'")
+
+
+@pytest.mark.parametrize("stated", ["'gcc", 'gcc "-O2', "gcc \\"])
+def test_bad_quoting_in_cc(fresh_process, monkeypatch, caplog, stated):
+    monkeypatch.setenv("CC", stated)
+    check_fallback(caplog, "$CC is", "No ")
+
+
+def test_a_folder_as_compiler(fresh_process, monkeypatch, caplog, tmp_path):
+    monkeypatch.setenv("CC", str(tmp_path))
+    check_fallback(caplog, "is not on the path")
+
+
+@pytest.mark.parametrize("stated", ["nan", "inf", "-1", "0", "1e300", "soon"])
+def test_a_time_limit_that_is_none(monkeypatch, caplog, stated):
+    monkeypatch.setenv("LIEID_COMPILER_TIMEOUT", stated)
+    assert timeout() == DEFAULT_TIMEOUT
+    assert f"LIEID_COMPILER_TIMEOUT is '{stated}'; expected seconds" in caplog.text
+
+
+@pytest.mark.parametrize("stated", ["²", "0", "-3", "9" * 5000, "two"])
+def test_a_number_of_threads_that_is_none(monkeypatch, stated):
+    monkeypatch.setenv("LIEID_THREADS", stated)
+    assert default_threads() in (1, 2)
+
+
+def test_no_temporary_folder(fresh_process, monkeypatch, caplog, compiler):
+    def refuse(*_, **__):
+        raise FileNotFoundError(2, "No usable temporary directory found")
+
+    monkeypatch.setattr(kernels.tempfile, "TemporaryDirectory", refuse)
+    check_fallback(caplog, "No usable temporary directory")
 
 
 def test_a_failing_compiler(fresh_process, monkeypatch, tmp_path, caplog):
@@ -68,6 +106,7 @@ def test_a_compiler_that_writes_rubbish(fresh_process, monkeypatch, tmp_path, ca
     rubbish = 'while [ "$1" != -o ]; do shift; done; echo rubbish > "$2"'
     monkeypatch.setenv("CC", program(tmp_path / "cc", rubbish))
     check_fallback(caplog, "cannot be loaded")
+    assert not list(fresh_process.glob("*.so"))
 
 
 def test_a_hanging_compiler_ends_with_its_children(fresh_process, monkeypatch, tmp_path, caplog):

@@ -40,7 +40,7 @@ def stacked(arm, q, dq, ddq, tau):
 
 
 def without_compiler(monkeypatch):
-    monkeypatch.setattr(kernels._Failure, "reason", "reported before")
+    monkeypatch.setattr(kernels.CompilerFailure, "reason", "reported before")
 
 
 @pytest.mark.parametrize("threads", [1, 2])
