@@ -61,7 +61,14 @@ def title(ax: Axes, text: str) -> None:
 
 
 def label(ax: Axes, *, x: str = "", y: str = "") -> None:
-    """Set the labels of the axes."""
+    """Set the labels of the axes.
+
+    Parameters
+    ----------
+    ax : Axes
+    x, y : str
+        Quantity and unit; unchanged if empty.
+    """
     if x:
         ax.set_xlabel(x, fontsize=SMALL, color=TEXT)
     if y:

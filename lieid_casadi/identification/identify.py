@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.errors import IdentificationError, unique_warnings
+from lieid_casadi.errors import IdentificationError, LieidWarning, unique_warnings
 from lieid_casadi.identification import fit_warnings
 from lieid_casadi.identification.feasible.feasible_fit import certify, make_feasible
 from lieid_casadi.identification.feasible.options import FeasibleOptions
@@ -98,22 +98,14 @@ def identify(
     if isinstance(recordings, Recording | RecordingStream):
         recordings = [recordings]
     given = list(recordings)
-    samples = [_sample(recording) for recording in given]
     report = progress or (lambda stage, fraction: None)
     _check_method(method, feasible)
-    check_recordings(model, samples)
-    compiled = compile(model)
-    report("check", 0.0)
-    found = [w for recording in samples for w in check_with_model(compiled, recording)]
-    report("process", 0.1)
-    segments, mean = center_temperature(process(given, processing))
-    check_magnitudes(segments)
+    compiled, segments, mean, found = _prepared(model, given, processing, report)
     report("regress", 0.3)
     design = Design(compiled, segments)
     state, settled = fixed_point(design, "wls" if method == "feasible" else method, report, start)
     folds = _folds(segments, state)
     unweighted = combine(joint_factors(state.rows), np.ones(model.n))
-    found += [w for segment in segments for w in segment.warnings]
     found += fit_warnings.of_regression(model, segments, state, unweighted, settled=settled)
     rms, rms_raw = _training_rms(compiled, segments, state)
     estimate: Estimate = lambda factor: solve(factor).values  # noqa: E731
@@ -147,6 +139,25 @@ def identify(
     )
     report("done", 1.0)
     return fit
+
+
+def _prepared(
+    model: Model,
+    given: Sequence[Recording | RecordingStream],
+    processing: Processing | None,
+    report: Progress,
+) -> tuple[Compiled, tuple[Processed, ...], Array | None, list[LieidWarning]]:
+    """Return the compiled model, processed segments, mean temperatures (n,), and warnings."""
+    samples = [_sample(recording) for recording in given]
+    check_recordings(model, samples)
+    compiled = compile(model)
+    report("check", 0.0)
+    found = [w for recording in samples for w in check_with_model(compiled, recording)]
+    report("process", 0.1)
+    segments, mean = center_temperature(process(given, processing))
+    check_magnitudes(segments)
+    found += [w for segment in segments for w in segment.warnings]
+    return compiled, segments, mean, found
 
 
 def _sample(recording: Recording | RecordingStream) -> Recording:

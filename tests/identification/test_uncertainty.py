@@ -8,7 +8,10 @@ from lieid_casadi import plant
 from lieid_casadi.errors import IdentificationError, ModelError
 from lieid_casadi.identification.regression.design_matrix import JointRows, Rows
 from lieid_casadi.identification.uncertainty.bootstrap import bootstrap
-from lieid_casadi.identification.uncertainty.covariance import hac_covariance, residual_memory
+from lieid_casadi.identification.uncertainty.covariance import (
+    hac_covariance,
+    residual_correlation_length,
+)
 from lieid_casadi.recording import Processing
 
 ROBOT = lieid.robots.two_link()
@@ -128,7 +131,7 @@ def test_gaps_between_segments_are_not_bridged():
         np.sqrt(np.diag(hac_covariance(r, ones, r.residuals(values), unit))) for r in (rows, parts)
     )
     np.testing.assert_allclose(cut, whole, rtol=0.25)
-    assert residual_memory(parts, parts.residuals(values)) < 10
+    assert residual_correlation_length(parts, parts.residuals(values)) < 10
 
 
 def test_no_noise_has_no_variance():

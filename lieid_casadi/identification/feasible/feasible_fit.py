@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import (
-    BoundWarning,
     ConvergenceWarning,
     LieidWarning,
     NoSolution,
-    NotDissipativeWarning,
 )
 from lieid_casadi.identification.feasible.certificate import (
     Certificate,
@@ -24,6 +22,7 @@ from lieid_casadi.identification.feasible.certificate import (
 )
 from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
 from lieid_casadi.identification.feasible.dissipation import dissipation_rows, largest_speed
+from lieid_casadi.identification.feasible.feasible_warnings import at_bounds, driving
 from lieid_casadi.identification.feasible.options import FeasibleOptions
 from lieid_casadi.identification.feasible.problem import FeasibleProblem
 from lieid_casadi.identification.feasible.reference_bodies import reference_bodies
@@ -37,7 +36,6 @@ from lieid_casadi.recording import Processed
 Array = NDArray[np.float64]
 WEIGHTS = tuple(10.0**k for k in range(-5, 2))  # values of λ tried by cross-validation
 ROUNDS = 10  # largest number of iterations over the load
-DRIVING = 0.1  # of a joint's noise: a warning is given if friction drives the joint by more
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +108,7 @@ def make_feasible(
                 "use method wls, or remove load-dependent effects"
             ),
         )
-    found = (*found, *_at_bounds(design, start, state), *_driving(design, start, problem))
+    found = (*found, *at_bounds(design, start, state), *driving(design, start, problem))
 
     def estimate(factor: Factor) -> Array:
         return np.asarray(problem.combination @ solver.solve(factor, weight))
@@ -257,44 +255,6 @@ def _follow_load(
         factor = _weighted(rows, start.weighting.rows)
         weighting = replace(start.weighting, factor=factor)
     return state, False
-
-
-def _at_bounds(design: Design, start: FitState, state: FitState) -> list[LieidWarning]:
-    """Return warnings about coefficients that a bound keeps from the least-squares value."""
-    found: list[LieidWarning] = []
-    before, after = start.solution.values, state.solution.values
-    for parameter, free, held in zip(design.model.base_columns, before, after, strict=True):
-        if not parameter.lower <= free <= parameter.upper:
-            found.append(
-                BoundWarning(
-                    f"{parameter.label} = {held:.3g} {parameter.unit} is limited by its bound "
-                    f"[{parameter.lower:g}, {parameter.upper:g}]; least squares gives {free:.3g}: "
-                    "another effect is missing from the model, or this effect is not present"
-                )
-            )
-    return found
-
-
-def _driving(design: Design, start: FitState, problem: FeasibleProblem) -> list[LieidWarning]:
-    """Return warnings about joints that least-squares friction would drive at a permitted speed."""
-    columns = design.model.columns
-    friction = start.parameters[10 * problem.n :]
-    recorded = np.max([np.abs(s.dq).max(axis=0) for s in design.segments], axis=0)
-    permitted = largest_speed(design.model, design.segments, problem.options.velocity)
-    found: list[LieidWarning] = []
-    for joint in range(problem.n):
-        own = np.array([c.joint == joint for c in columns], dtype=bool)
-        rows = problem.friction[np.any(problem.friction[:, own] != 0.0, axis=1)]
-        if len(rows) and float((rows @ friction).min()) < -DRIVING * start.weighting.noise[joint]:
-            found.append(
-                NotDissipativeWarning(
-                    f"joint {joint + 1}: friction by least squares would drive the joint at some "
-                    f"speed up to {permitted[joint]:.3g} rad/s (recorded: up to "
-                    f"{recorded[joint]:.3g}); it is constrained to dissipate, which increases the "
-                    "error of this joint: add the missing friction effect, or state a lower speed"
-                )
-            )
-    return found
 
 
 def _weighted(rows: Rows, weights: Sequence[Array]) -> Factor:

@@ -60,8 +60,8 @@ def reference_bodies(model: Model, factor: Factor) -> tuple[Array, tuple[LieidWa
                 )
             )
         links.append(corrected)
-    known = _with_spheres(model, np.array(links), factor)
-    return np.array([pseudo_inertia(link) for link in known]), tuple(found)
+    stated = _with_spheres(model, np.array(links), factor)
+    return np.array([pseudo_inertia(link) for link in stated]), tuple(found)
 
 
 def _corrected(link: Array) -> Array:
@@ -80,8 +80,8 @@ def _with_spheres(model: Model, links: Array, factor: Factor) -> Array:
     if not missing.any():
         return links
     spheres = np.array([_sphere(model.robot, i) for i in range(model.n)])
-    known = np.where(missing[:, None], 0.0, links)
-    density = _density(model, factor, known, np.where(missing[:, None], spheres, 0.0))
+    stated = np.where(missing[:, None], 0.0, links)
+    density = _density(model, factor, stated, np.where(missing[:, None], spheres, 0.0))
     return np.where(missing[:, None], density * spheres, links)
 
 
@@ -95,23 +95,23 @@ def _sphere(robot: Robot, i: int) -> Array:
     return link_parameters(mass, centre, 0.4 * mass * radius**2 * np.eye(3))
 
 
-def _density(model: Model, factor: Factor, known: Array, spheres: Array) -> float:
+def _density(model: Model, factor: Factor, stated: Array, spheres: Array) -> float:
     """Return the density that fits best, with free effect coefficients, kg/m³.
 
     Parameters
     ----------
     model : Model
     factor : Factor
-    known : (n, 10)
+    stated : (n, 10)
         Nominal links, zero where not stated.
     spheres : (n, 10)
-        Of unit density, zero where a link is known.
+        Of unit density, zero where a link is stated.
     """
     combination, links = model.base.combination, 10 * model.n
     r, z = factor.r[:, :-1], factor.r[:, -1]
     columns = r @ combination
     matrix = np.column_stack([columns[:, :links] @ spheres.ravel(), columns[:, links:]])
-    target = z - columns[:, :links] @ known.ravel()
+    target = z - columns[:, :links] @ stated.ravel()
     scale = np.linalg.norm(matrix, axis=0)
     scale[scale == 0.0] = 1.0
     best = np.linalg.lstsq(matrix / scale, target, rcond=1e-9)[0][0] / scale[0]

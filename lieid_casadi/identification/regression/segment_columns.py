@@ -70,7 +70,13 @@ class ModelAlongSegment:
         return np.asarray(self.load + self.joint_columns @ self.coefficients)
 
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Return the rigid torque (K, n) of another motion."""
+        """Return the rigid torque (K, n) of another motion, N·m.
+
+        Parameters
+        ----------
+        q, dq, ddq : (K, n)
+            rad, rad/s, rad/s².
+        """
         return self.compiled.inverse_dynamics(q, dq, ddq, self._links)
 
     def smooth(self, x: Array) -> Array:

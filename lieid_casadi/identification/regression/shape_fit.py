@@ -86,6 +86,7 @@ class _WeightedDesign:
 
     @classmethod
     def of(cls, design: Design, links: Array | None, noise: Array) -> _WeightedDesign:
+        """Return the problem of `fit_shapes`, with the same parameters."""
         rows = design.rows(design.model.initial_shapes, links)
 
         def weighted(per_joint: Sequence[Array]) -> Array:

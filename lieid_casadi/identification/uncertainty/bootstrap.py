@@ -29,7 +29,7 @@ from lieid_casadi.identification.regression.least_squares import (
 )
 from lieid_casadi.identification.regression.rows import JointRows, Rows
 from lieid_casadi.identification.temperature import relative_temperature
-from lieid_casadi.identification.uncertainty.covariance import residual_memory
+from lieid_casadi.identification.uncertainty.covariance import residual_correlation_length
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Recording, process
 
@@ -127,7 +127,7 @@ def bootstrap(
     design = Design(fit.compiled, segments)
     rows = design.rows(fit.shapes, fit.parameters)
     weights = np.ones(fit.model.n) if fit.method == "ols" else 1.0 / fit.noise
-    correlated = residual_memory(rows, rows.residuals(fit.values))
+    correlated = residual_correlation_length(rows, rows.residuals(fit.values))
     length = max(LENGTH * correlated, int(rows.segments[-1]) // MOST_BLOCKS)
     blocks = block_factors(rows, weights, block=length)
     step = float(np.median(np.diff(segments[0].filtered_time)))

@@ -87,12 +87,12 @@ def _score_covariances(
         for j, joint in enumerate(rows.joints)
     ]
     products = _filtered_products(line, rows, raised)
-    return products, _score_products(line, rows, scores, spectrum.memory)
+    return products, _score_products(line, rows, scores, spectrum.correlation_length)
 
 
-def residual_memory(rows: Rows, residuals: Sequence[Array]) -> int:
+def residual_correlation_length(rows: Rows, residuals: Sequence[Array]) -> int:
     """Return the number of instants over which residuals (R,) per joint are correlated."""
-    return residual_spectrum(TimeLine.of(rows), rows, residuals).memory
+    return residual_spectrum(TimeLine.of(rows), rows, residuals).correlation_length
 
 
 def _filtered_products(line: TimeLine, rows: Rows, density: NDArray[np.complex128]) -> Array:
@@ -184,13 +184,13 @@ def _cross_power(line: TimeLine, joint: JointRows, a: Array, b: Array) -> Array:
     return total
 
 
-def _score_products(line: TimeLine, rows: Rows, noise: Sequence[Array], memory: int) -> Array:
-    """Return the scores' covariance summed over lags (p, p), Parzen's kernel over 2·memory."""
+def _score_products(line: TimeLine, rows: Rows, noise: Sequence[Array], lags: int) -> Array:
+    """Return the scores' covariance summed over lags (p, p), with Parzen's kernel of 2·lags."""
     scores = np.zeros((int(rows.segments[-1]), rows.count))
     for joint, e in zip(rows.joints, noise, strict=True):
         # each instant occurs at most once per joint
         scores[np.ix_(joint.instant, joint.columns)] += joint.matrix * e[:, None]
-    kernel = _parzen(line.size, 2 * memory)
+    kernel = _parzen(line.size, 2 * lags)
     used = np.flatnonzero(kernel > NEGLIGIBLE * kernel.max())
     total = np.zeros((rows.count, rows.count))
     everywhere = np.arange(len(scores), dtype=np.intp)

@@ -77,7 +77,7 @@ class ExogeneityTest:
 
 @dataclass(frozen=True, eq=False)
 class Instrumental:
-    """Instrumental-variable estimate beside the least-squares fit that it checks.
+    """Instrumental-variable estimate for comparison with a least-squares fit.
 
     Attributes
     ----------
@@ -237,8 +237,8 @@ class _InstrumentalRows:
         largest = float(np.linalg.norm(noise, axis=0).max(initial=0.0))
         basis = np.linalg.svd(self.x / size, full_matrices=False)
         basis_used = basis[0][:, basis[1] > RANK_TOLERANCE * basis[1][0]]
-        beside = noise - basis_used @ (basis_used.T @ noise)
-        directions, sizes, _ = np.linalg.svd(beside, full_matrices=False)
+        projected = noise - basis_used @ (basis_used.T @ noise)
+        directions, sizes, _ = np.linalg.svd(projected, full_matrices=False)
         count = min(int(np.sum(sizes > NEGLIGIBLE)), DIRECTIONS)
         if count == 0:
             return ExogeneityTest(largest, 0.0, 0, 1.0)

@@ -21,7 +21,7 @@ MOST_EXPLAINABLE = 0.9  # of the residual
 def motion_ratio_of(
     residual: Array, at: NDArray[np.intp], redundancy: float, rows_per_block: int
 ) -> float:
-    """Return the RMS residual in the worst tenth of the motion over that of all of it.
+    """Return the RMS residual that one tenth of the motion exceeds, relative to that of all of it.
 
     It is 1 if blocks of the residual differ no more than by chance (χ² test at the 95 % level).
 

@@ -115,8 +115,8 @@ class Noise:
         1, a_1 … a_p.
     sigma, spread : float
         Of the white part, and of e itself, N·m.
-    rises : float
-        How many times the spread errors of the model may reach on other motion.
+    motion_ratio : float
+        Estimated ratio of model errors on other motion to ``spread``, at least 1.
     """
 
     filter: Array

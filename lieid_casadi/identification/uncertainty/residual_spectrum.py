@@ -71,7 +71,7 @@ class ResidualSpectrum:
         Hermitian and positive semidefinite at each frequency.
     variance : (n,)
         Of each joint's residual.
-    memory : int
+    correlation_length : int
         Number of lags in which residuals are correlated.
     window : (size,)
         Window on the lags.
@@ -79,7 +79,7 @@ class ResidualSpectrum:
 
     density: NDArray[np.complex128]
     variance: Array
-    memory: int
+    correlation_length: int
     window: Array
 
     def smoothed(self, line: TimeLine, joint: JointRows, power: Array) -> Array:
@@ -116,16 +116,16 @@ def residual_spectrum(line: TimeLine, rows: Rows, residuals: Sequence[Array]) ->
 
     own = [covariance(j, j) for j in range(n)]
     instants = int(rows.segments[-1])
-    memory = max((_memory(c[: line.longest], instants) for c in own), default=1)
+    length = max((_correlation_length(c[: line.longest], instants) for c in own), default=1)
     lag = np.arange(line.size)
-    window = np.clip(2.0 - np.minimum(lag, line.size - lag) / memory, 0.0, 1.0)
+    window = np.clip(2.0 - np.minimum(lag, line.size - lag) / length, 0.0, 1.0)
     density = np.empty((line.size // 2 + 1, n, n), dtype=np.complex128)
     for j in range(n):
         for k in range(n):
             cut = window * (own[j] if j == k else covariance(j, k))
             density[:, j, k] = rfft(cut)
     variance = np.array([c[0] for c in own])
-    return ResidualSpectrum(_positive(density), variance, memory, window)
+    return ResidualSpectrum(_positive(density), variance, length, window)
 
 
 def _pairs(line: TimeLine, one: JointRows, other: JointRows) -> Array:
@@ -135,7 +135,7 @@ def _pairs(line: TimeLine, one: JointRows, other: JointRows) -> Array:
     return np.asarray(np.maximum(np.round(counts), 1.0))
 
 
-def _memory(covariance: Array, instants: int) -> int:
+def _correlation_length(covariance: Array, instants: int) -> int:
     """Return the lag after which no correlation is significant."""
     if len(covariance) < 2 or covariance[0] <= 0.0:
         return 1
