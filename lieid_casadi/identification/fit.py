@@ -15,7 +15,7 @@ from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification.feasible.certificate import Certificate
 from lieid_casadi.identification.prediction import predict_recording, torque_along
 from lieid_casadi.identification.provenance import Provenance
-from lieid_casadi.identification.recording_checks import check_joints, check_magnitudes
+from lieid_casadi.identification.recording_checks import check_joints
 from lieid_casadi.identification.regression.conditioning import Conditioning
 from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.identification.uncertainty.noise_model import Noise
@@ -133,11 +133,8 @@ class Fit:
             If the recording has another number of joints.
         EffectError
             If an effect needs a temperature that the recording lacks.
-        RecordingError
-            If a signal has an impossible magnitude.
         """
         self.check_joints(recording)
-        check_magnitudes([recording])
         return predict_recording(
             self.compiled,
             recording,

@@ -17,7 +17,6 @@ from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import training_errors
 from lieid_casadi.identification.provenance import Provenance, Source
 from lieid_casadi.identification.recording_checks import (
-    check_magnitudes,
     check_recordings,
     check_with_model,
 )
@@ -155,7 +154,6 @@ def _prepared(
     found = [w for recording in samples for w in check_with_model(compiled, recording)]
     report("process", 0.1)
     segments, mean = center_temperature(process(given, processing))
-    check_magnitudes(segments)
     found += [w for segment in segments for w in segment.warnings]
     return compiled, segments, mean, found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,13 +12,11 @@ from lieid_casadi.errors import (
     IdentificationError,
     LieidWarning,
     ModelError,
-    RecordingError,
 )
 from lieid_casadi.identification.prediction import predict_recording
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processed, Processing, Recording, check
+from lieid_casadi.recording import Processing, Recording, check
 
-LARGEST = 1e12  # of any signal, SI; squares of larger numbers lose all meaning
 NOMINAL_CUTOFF = 5.0  # Hz, of the nominal torque that measured torque is checked against
 
 
@@ -29,8 +27,6 @@ def check_recordings(model: Model, recordings: Sequence[Recording]) -> None:
     ------
     IdentificationError
         No recordings.
-    RecordingError
-        A signal of impossible magnitude.
     ModelError
         Another number of joints than the robot's, or no torque.
     EffectError
@@ -46,24 +42,6 @@ def check_recordings(model: Model, recordings: Sequence[Recording]) -> None:
                 f"{name}: no torque; expected columns tau1…tau{model.n}, "
                 "or currents with --torque-constants"
             )
-    check_magnitudes(recordings)
-
-
-def check_magnitudes(recordings: Iterable[Recording | Processed]) -> None:
-    """Raise `RecordingError` if a signal is larger than any arm can produce."""
-    for each in recordings:
-        name = (each.recording if isinstance(each, Processed) else each).name or "recording"
-        for signal in ("q", "dq", "ddq", "tau"):
-            values = getattr(each, signal)
-            if values is None or not len(values):
-                continue
-            sizes = np.maximum(values.max(axis=0), -values.min(axis=0))
-            joint = int(np.argmax(sizes))
-            if not sizes[joint] <= LARGEST:
-                raise RecordingError(
-                    f"{name}: {signal}{joint + 1} reaches {sizes[joint]:.3g} in SI units; "
-                    f"expected at most {LARGEST:g}, check the units of this column"
-                )
 
 
 def check_joints(model: Model, recording: Recording) -> None:

@@ -81,14 +81,15 @@ def test_errors_are_drawn_against_each_signal(comparison):
             assert sorted(map(tuple, points)) == sorted(map(tuple, expected))
 
 
-@pytest.mark.parametrize("name", ["$x^2", "a_b", "\\frac", "{}", "ü" * 200, ""])
-def test_any_name_can_be_png(comparison, name):
-    named = replace(comparison, joint_names=(name, "elbow"))
-    png(named.plot())
-    png(named.plot_errors())
+@pytest.mark.parametrize("names", [("$x^2", "a_b"), ("\\frac", "{}"), ("ü" * 200, "")])
+def test_any_name_can_be_drawn(comparison, names):
+    named = replace(comparison, joint_names=names)
+    for figure in (named.plot(), named.plot_errors()):
+        figure.set_layout_engine("none")  # texts are parsed without it too
+        figure.draw_without_rendering()
 
 
-def test_an_unknown_noise_floor_is_not_png(comparison):
+def test_an_unknown_noise_floor_is_not_drawn(comparison):
     unknown = replace(comparison, noise_floor=np.full(2, np.nan), noise_source="none")
     for figure in (unknown.plot(), unknown.plot_errors()):
         png(figure)

@@ -175,6 +175,7 @@ def _wander(rng, n, samples=1000):
 
 def test_bounds_on_masses_and_centres_of_mass_hold(panda_run):
     options = FeasibleOptions(
+        regularization=1e-3,
         total_mass=(20.0, 20.0),
         link_mass={2: (4.0, 4.5), 6: (0.0, 0.5)},
         com_box={3: ((-0.01, -0.01, -0.01), (0.01, 0.2, 0.2))},
@@ -267,7 +268,11 @@ def test_an_impossible_nominal_inertia_is_corrected_and_reported(panda_run):
     links[6, 4:] = 0.0  # all mass in one point away from the origin, and less than that
     robot = with_links(ROBOT, links)
     fit = lieid.identify(
-        lieid.Model(robot, EFFECTS), panda_run[1], method="feasible", processing=CUTOFF
+        lieid.Model(robot, EFFECTS),
+        panda_run[1],
+        method="feasible",
+        processing=CUTOFF,
+        feasible=FeasibleOptions(regularization=1e-3),
     )
     assert fit.certificate.holds
     (warning,) = [w for w in fit.warnings if isinstance(w, NominalInertiaWarning)]

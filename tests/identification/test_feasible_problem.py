@@ -51,8 +51,20 @@ def problem_of(model, factor, rng, **options):
     )
 
 
-@pytest.mark.parametrize("weight", [1e-4, 1e-2, 1.0])
-@pytest.mark.parametrize("options", [{}, {"total_mass": (1.0, 4.0), "margin": 0.05}])
+BOUNDED = {"total_mass": (1.0, 4.0), "margin": 0.05}
+
+
+@pytest.mark.parametrize(
+    ("weight", "options"),
+    [
+        (1e-4, {}),
+        (1e-2, BOUNDED),
+        *(
+            pytest.param(weight, options, marks=pytest.mark.slow)
+            for weight, options in ((1e-2, {}), (1.0, {}), (1e-4, BOUNDED), (1.0, BOUNDED))
+        ),
+    ],
+)
 def test_clarabel_and_ipopt_agree(weight, options):
     rng = np.random.default_rng(3)
     model = lieid.Model(lieid.robots.panda(), "coulomb,viscous,viscous_polynomial,armature")

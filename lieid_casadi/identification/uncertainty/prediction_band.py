@@ -11,7 +11,6 @@ from scipy.stats import norm
 
 from lieid_casadi.errors import ModelError
 from lieid_casadi.identification.prediction import on_recording_times, torque_along
-from lieid_casadi.identification.recording_checks import check_magnitudes
 from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.recording.processing.process import Processed
 from lieid_casadi.recording.recording import Recording
@@ -71,7 +70,6 @@ def predict_band(fit: Fit, recording: Recording, *, level: float = 0.95) -> Pred
     if not 0.0 < level < 1.0:
         raise ModelError(f"level is {level}, expected a probability between 0 and 1")
     fit.check_joints(recording)
-    check_magnitudes([recording])
 
     def torque_and_variance(segment: Processed) -> Array:
         torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes)
