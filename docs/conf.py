@@ -1,98 +1,107 @@
-"""API reference: one page a room, made from the docstrings."""
+"""Documentation site: python -m sphinx -W docs OUT, offline once the packages are installed."""
 
-import importlib
-import pkgutil
-import re
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import lieid_casadi
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "extensions"))
+
+import lieid_casadi  # noqa: E402
 
 project = "lieid-casadi"
-author = "The lieid-casadi developers"
-copyright = author
+author = copyright = "The lieid-casadi developers"
 version = release = lieid_casadi.__version__
 
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
-exclude_patterns = ["_build"]
-html_theme = "alabaster"
-html_theme_options = {"description": "Identification and diagnosis of robot arm dynamics"}
-html_sidebars = {"**": ["about.html", "navigation.html", "searchbox.html"]}
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "myst_nb",
+    "sphinxcontrib.programoutput",
+    "mathml",
+    "api_pages",
+    "cli_reference",
+    "thresholds",
+    "effect_atlas",
+]
+exclude_patterns = ["_build", "_work", "method/_constants.md", "extensions", "scripts"]
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"lieid-casadi {version}"
+html_theme_options = {
+    "show_toc_level": 2,
+    "navigation_with_keys": False,
+    "show_prev_next": True,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "secondary_sidebar_items": ["page-toc"],
+}
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_show_sourcelink = False
+html_math_renderer = "mathml"
+html_js_files = []
+
+myst_enable_extensions = ["dollarmath", "deflist", "colon_fence", "attrs_inline"]
+myst_heading_anchors = 3
+nb_execution_mode = "force"
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_ipywidgets_js = {}  # no page uses widgets, whose scripts come from a network
+
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_type_aliases = {"ArrayLike": "ArrayLike", "NDArray": "NDArray"}
 autodoc_mock_imports = ["rosbags", "pyarrow", "pandas"]
 napoleon_google_docstring = False
 napoleon_use_ivar = True
-napoleon_use_param = False  # shapes such as (n,) stand where types do, and are not names to link
+napoleon_use_param = False  # shapes such as (n,) stand where types do, and are no names to link
 napoleon_use_rtype = False
 suppress_warnings = ["ref.python"]  # the same, for attributes
 
-# In the order in which data flows; what is not named comes after, by name.
-ORDER = (
-    "robots",
-    "robot",
-    "dynamics",
-    "effects",
-    "model",
-    "compiled",
-    "excitation",
-    "recording",
-    "identification",
-    "comparison",
-    "diagnosis",
-    "discrimination",
-    "payload",
-    "gains",
-    "report",
-    "plant",
-    "errors",
-)
-LEFT_OUT = ("cli",)  # `lieid --help` is its reference
+programoutput_prompt_template = "$ {command}\n{output}"
+
+# Commands of the guides run in a folder that holds what `lieid demo` writes, with the scripts of
+# this interpreter first on the path: pages show what the commands printed in this build.
+WORK = HERE / "_work"
+NOTEBOOK = "find_the_missing_effect"
+PROGRAMS = {
+    "demo": "lieid demo",
+    "uncertainty": f"{sys.executable} examples/uncertainty.py 10",
+    "downstream_controller": (
+        f"{sys.executable} examples/downstream_controller.py --robot two_link --seconds 5"
+    ),
+}
+os.environ["PATH"] = f"{sysconfig.get_path('scripts')}{os.pathsep}{os.environ['PATH']}"
+os.environ["COLUMNS"] = "96"
+os.environ["MPLBACKEND"] = "Agg"
+os.environ.pop("FORCE_COLOR", None)
 
 
-def _modules(room):
-    module = importlib.import_module(f"lieid_casadi.{room}")
-    inside = pkgutil.iter_modules(getattr(module, "__path__", []))
-    return [f"lieid_casadi.{room}", *(f"lieid_casadi.{room}.{each.name}" for each in inside)]
+def prepare_work_folder(app):
+    """Run the demo for its recordings, and the examples for what they print."""
+    shutil.rmtree(WORK, ignore_errors=True)
+    WORK.mkdir()
+    shutil.copytree(HERE.parent / "examples", WORK / "examples")
+    shutil.copytree(HERE / "scripts", WORK / "scripts")
+    shutil.copy(HERE.parent / "examples" / f"{NOTEBOOK}.ipynb", HERE / "examples")
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(run, PROGRAMS))
 
 
-def _page(room):
-    lines = [room, "=" * len(room), ""]
-    for name in _modules(room):
-        if name.rsplit(".", 1)[1].startswith("_"):
-            continue
-        is_room = name.count(".") == 1
-        if not is_room:
-            lines += [name, "-" * len(name), ""]
-        lines += [f".. automodule:: {name}", ""]
-        if not (is_room and len(_modules(room)) > 1):
-            # A room's __init__ only repeats names of its files: its docstring is enough.
-            lines.insert(-1, "   :members:")
-    return "\n".join(lines) + "\n"
-
-
-def write_rooms(_app):
-    """Write one page a room, so that a new file cannot be forgotten."""
-    found = [each.name for each in pkgutil.iter_modules(lieid_casadi.__path__)]
-    rooms = [name for name in found if name not in LEFT_OUT and not name.startswith("_")]
-    rooms.sort(key=lambda name: (ORDER.index(name) if name in ORDER else len(ORDER), name))
-    folder = Path(__file__).parent / "rooms"
-    folder.mkdir(exist_ok=True)
-    for stale in folder.glob("*.rst"):
-        stale.unlink()
-    for room in rooms:
-        (folder / f"{room}.rst").write_text(_page(room), encoding="utf-8")
-    toctree = ["Rooms", "=====", "", ".. toctree::", "   :maxdepth: 1", ""]
-    toctree += [f"   {room}" for room in rooms]
-    (folder / "index.rst").write_text("\n".join(toctree) + "\n", encoding="utf-8")
-
-
-def keep_bars(_app, _what, _name, _obj, _options, lines):
-    """Make |q| an absolute value, which reStructuredText would take for a substitution."""
-    bars = re.compile(r"(``.*?``)|\|(?=\S)([^|`]*?\S)\|")
-    lines[:] = [bars.sub(lambda m: m[1] or rf"\|{m[2]}\|", line) for line in lines]
+def run(name):
+    """Run a program in the work folder and keep what it prints in NAME.txt."""
+    output = WORK / f"{name}.txt"
+    if name == "downstream_controller" and shutil.which("cmake") is None:
+        output.write_text("not run: CMake was not installed where this page was built\n", "utf-8")
+        return
+    with open(output, "w", encoding="utf-8") as file:
+        subprocess.run(PROGRAMS[name].split(), cwd=WORK, stdout=file, check=True)
 
 
 def setup(app):
-    app.connect("builder-inited", write_rooms)
-    app.connect("autodoc-process-docstring", keep_bars)
+    app.connect("builder-inited", prepare_work_folder)

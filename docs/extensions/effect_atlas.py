@@ -1,0 +1,290 @@
+"""Write the effect atlas: a page for each effect, from its definition and the simulated arm."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.comparison import plot_style
+from lieid_casadi.effects import LIBRARY
+from lieid_casadi.effects.effect import REGISTER, make
+
+ROBOT, RATE, DURATION = "panda", 100.0, 20.0
+JOINT = 1  # joint 2 carries most of the load
+ABSORBED = 1.05  # residual without the effect over residual with it: below it nothing shows
+PER_RECORDING = ("bias_drift",)  # their values hold for the recording of the fit alone
+BASE = ("coulomb", "viscous", "offset")
+FORWARD, BACKWARD = plot_style.FORWARD, plot_style.BACKWARD
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An arm with an effect and the same arm without it, along one motion that was not fitted."""
+
+    effects: tuple
+    t: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+    torque: np.ndarray
+    load: np.ndarray
+    moving: np.ndarray
+    without: object
+    with_it: object
+    value: str
+    error: float
+    kept: bool
+
+
+def registered(kind):
+    """Return the effect with each of its options, the plain one first."""
+    labels = [label for label in REGISTER if label.split("/")[0] == kind.name]
+    return [make(label) for label in sorted(labels)]
+
+
+def arms(name):
+    """Return the simulated arm with an effect, the same without it, and the models to compare."""
+    robot = lieid.Robot.load(ROBOT)
+    bare = plant.demo_arm(robot, hidden=None)
+    friction, model = bare.friction, list(BASE)
+    if name in BASE:
+        values = getattr(friction, name).copy()
+        values[JOINT] = 0.0
+        others = "+".join(str(j + 1) for j in range(robot.n) if j != JOINT)
+        model[BASE.index(name)] = f"{name}:{others}"
+        return bare, replace(bare, friction=replace(friction, **{name: values})), model
+    if name == "sigmoid_friction":
+        coulomb, viscous = friction.coulomb.copy(), friction.viscous.copy()
+        size = coulomb[JOINT]
+        coulomb[JOINT] = viscous[JOINT] = 0.0
+        bare = replace(bare, friction=replace(friction, coulomb=coulomb, viscous=viscous))
+
+        def torque(state):
+            speed = state.dq[..., JOINT]
+            return 2 * size / (1 + np.exp(-8.0 * (speed + 0.05))) - 2 * size / (1 + np.exp(-0.4))
+
+        return bare.with_effects(plant.ForeignTorque(JOINT, torque)), bare, model
+    hidden = plant.hidden_effect(bare, name, JOINT)
+    thermal = plant.Thermal(rise=12.0, time_constant=20.0)
+    bare = replace(bare, thermal=thermal) if name == "temperature_friction" else bare
+    return bare.with_effects(hidden), bare, model
+
+
+def where(effect, arm):
+    """Return the specification that places an effect where the arm has it."""
+    if getattr(effect, "whole_arm", False):
+        return effect.name
+    for hidden in arm.effects:
+        if hasattr(hidden, "source"):
+            return f"{effect.name}:{JOINT + 1}<{hidden.source + 1}"
+    return f"{effect.name}:{JOINT + 1}"
+
+
+def run(effect):
+    """Measure, fit without and with the effect, and compare on another motion."""
+    arm, bare, base = arms(effect.name)
+    warm = effect.name == "temperature_friction"
+    sensors = replace(plant.demo_sensors(arm.robot, rate=RATE), temperature=warm)
+    t = np.arange(0.0, DURATION, 2e-3)
+    motions = [
+        plant.FourierTrajectory(arm.robot, base_frequency=1 / DURATION, seed=seed).at(t)
+        for seed in (1, 2)
+    ]
+    train, test = (
+        plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed)
+        for seed, motion in enumerate(motions)
+    )
+    exact = plant.measure_along(arm, t, *motions[1])
+    velocity = np.gradient(exact.q, t, axis=0, edge_order=2)
+    acceleration = np.gradient(velocity, t, axis=0, edge_order=2)
+    reference = plant.move_along(bare, t, exact.q, velocity, acceleration)
+    if effect.name in PER_RECORDING:
+        test = train
+    joint = strongest(exact.tau - reference.tau)
+    full_fit = lieid.identify(lieid.Model(arm.robot, [*base, where(effect, arm)]), train)
+    with_it = lieid.compare(full_fit, test)
+    without = lieid.compare(lieid.identify(lieid.Model(arm.robot, base), train), test)
+    error = (full_fit.rms_train if test is train else with_it.rms_moving)[joint]
+    kept = without.rms_moving[joint] < ABSORBED * error
+    if kept:
+        earlier = plant.measure_along(bare, t, *motions[0], sensors=sensors, seed=3)
+        without = lieid.compare(lieid.identify(lieid.Model(arm.robot, base), earlier), test)
+    return joint, Trial(
+        tuple(base), t, exact.q, velocity, exact.tau - reference.tau, reference.rigid,
+        ~reference.resting, without, with_it, values_text(full_fit, effect), error, kept,
+    )  # fmt: skip
+
+
+def strongest(torque):
+    """Return the joint where an effect on the whole arm is largest; else the joint it acts on."""
+    rms = np.sqrt(np.mean(torque**2, axis=0))
+    return JOINT if rms[JOINT] > 0.3 * rms.max() else int(np.argmax(rms))
+
+
+def values_text(fit, effect):
+    """Return the identified values of an effect with their standard deviations."""
+    texts = []
+    for row in fit.parameter_table():
+        if not row["name"].startswith(effect.name + ".") or row["joint"] not in (None, JOINT + 1):
+            continue
+        name = row["name"].partition(".")[2].partition(":")[0] or row["name"]
+        std = "" if row["std"] is None else f" ± {row['std']:.2g}"
+        texts.append(f"{name} = {row['value']:.3g}{std} {row['unit']}")
+    return ", ".join(texts)
+
+
+def draw(trial, joint, path):
+    """Draw the effect's torque and the residual that it leaves over angle, speed, load, time."""
+    figure = plot_style.new_figure(11.0, 5.2)
+    axes = figure.subplots(2, 4, sharey="row")
+    series = trial.without.series[0]
+    above = (trial.q, trial.dq, trial.load, trial.t[:, None].repeat(trial.q.shape[1], 1))
+    below = (series.q, series.dq, series.load, series.time[:, None].repeat(series.q.shape[1], 1))
+    names = ("angle q, rad", "speed q̇, rad/s", "load τ_load, N·m", "time, s")
+    for column, (x, r, name) in enumerate(zip(above, below, names, strict=True)):
+        scatter(axes[0, column], x[::10, joint], trial.torque[::10, joint], trial.dq[::10, joint])
+        moving = series.moving[:, joint]
+        error, sign = series.error[moving, joint], series.sign[moving, joint]
+        scatter(axes[1, column], r[moving, joint], error, sign)
+        axes[1, column].set_xlabel(name, fontsize=plot_style.NORMAL)
+        floor = trial.without.noise_floor[joint]
+        axes[1, column].axhspan(-floor, floor, color=plot_style.NOISE, linewidth=0, zorder=0.5)
+    axes[0, 0].set_ylabel("torque of the effect, N·m", fontsize=plot_style.NORMAL)
+    axes[1, 0].set_ylabel("residual without it, N·m", fontsize=plot_style.NORMAL)
+    low, high = np.percentile(trial.without.series[0].error[:, joint], [0.2, 99.8])
+    margin = 0.15 * (high - low)
+    axes[1, 0].set_ylim(low - margin, high + margin)
+    figure.savefig(path, dpi=110)
+
+
+def scatter(ax, x, y, sign):
+    """Draw points coloured by the direction of motion."""
+    plot_style.style(ax)
+    for way, colour in ((sign > 0, FORWARD), (sign < 0, BACKWARD)):
+        ax.plot(x[way], y[way], ".", markersize=2.0, color=colour, alpha=0.6)
+
+
+def page(kind, joint, trial):
+    """Return the page of one effect as Markdown."""
+    effect = kind()
+    lines = [f"# {effect.name}", "", summary(kind), ""]
+    lines += ["| | formula |", "| --- | --- |"]
+    for each in registered(kind):
+        lines.append(f"| `{each.label}` | {cell(each.formula)} |")
+    lines += ["", *coefficients(kind), *facts(effect)]
+    lines += ["## Torque and residual", "", picture_text(kind, joint, trial), ""]
+    lines += [f"![Torque of {effect.name} and residual without it](pictures/{effect.name}.png)", ""]
+    lines += ["## Details", "", *details(kind), ""]
+    lines += ["## Definition", "", "```{eval-rst}"]
+    lines += [f".. autoclass:: {kind.__module__}.{kind.__name__}", "   :no-index:", "```", ""]
+    return "\n".join(lines)
+
+
+def summary(kind):
+    """Return the first line of an effect's docstring."""
+    return (kind.__doc__ or "").strip().splitlines()[0]
+
+
+def cell(text):
+    """Return text that can stand in a cell of a Markdown table."""
+    return text.replace("|", "\\|").replace("*", "\\*").replace("_", "\\_")
+
+
+def coefficients(kind):
+    """Return the table of an effect's coefficients and shape parameters."""
+    lines = ["## Coefficients and shape parameters", ""]
+    lines += ["| effect | name | unit | kind | range |", "| --- | --- | --- | --- | --- |"]
+    for effect in registered(kind):
+        for one in effect.coefficients:
+            lower = "any" if not np.isfinite(one.lower) else f"≥ {one.lower:g}"
+            lines.append(f"| `{effect.label}` | {cell(one.name)} | {one.unit} | linear | {lower} |")
+        for shape in effect.shapes:
+            bounds = f"{shape.lower:g} to {shape.upper:g}, first {shape.initial:g}"
+            lines.append(
+                f"| `{effect.label}` | {cell(shape.name)} | {shape.unit} | shape | {bounds} |"
+            )
+    return [*lines, ""]
+
+
+def facts(effect):
+    """Return what the definition states about use: motion, confusion, sizes, references."""
+    return []
+
+
+def details(kind):
+    """Return how the effect is written on the command line."""
+    effect = kind()
+    spec = effect.name if getattr(effect, "whole_arm", False) else f"{effect.name}:2"
+    spec = f"{effect.name}:2<3" if effect.couples else spec
+    return [
+        "```sh",
+        f"lieid identify arm.urdf run1.csv --effects coulomb,viscous,offset,{spec} -o fit.json",
+        "```",
+    ]
+
+
+def picture_text(kind, joint, trial):
+    """Return the sentences above the picture."""
+    without, with_it = trial.without.rms_moving[joint], trial.error
+    size = np.sqrt(np.mean(trial.torque[trial.moving[:, joint], joint] ** 2))
+    motion = "the motion of the fit" if kind.name in PER_RECORDING else "a motion not in the fit"
+    model = f"`{','.join(trial.effects)}`"
+    sentences = [
+        f"Simulated Panda, joint {joint + 1}, {DURATION:g} s of {motion}. RMS of the effect's "
+        f"torque: {size:.3g} N·m."
+    ]
+    if trial.kept:
+        sentences.append(
+            f"**Absorbed**: a fit of {model} that includes this effect's recording has the same "
+            f"residual with and without `{kind.name}` ({with_it:.3g} N·m), because the link "
+            "parameters take it up. It shows where a fit is kept, as `lieid diagnose FIT REC` "
+            f"does: a fit made before the effect appeared leaves {without:.3g} N·m, the residual "
+            "in the picture."
+        )
+    else:
+        sentences.append(
+            f"RMS of the residual in motion: {without:.3g} N·m for the model {model}, "
+            f"{with_it:.3g} N·m with `{kind.name}` added (noise floor at least "
+            f"{trial.with_it.noise_floor[joint]:.3g} N·m). Identified: {trial.value}."
+        )
+    sentences.append(
+        "Above: torque of the effect. Below: measured minus predicted torque of the model "
+        "without the effect; the grey band is the noise floor. Blue: positive velocity, "
+        "orange: negative velocity."
+    )
+    return " ".join(sentences)
+
+
+def write(app):
+    """Write effects/NAME.md, its picture, and the index."""
+    folder = Path(app.srcdir, "effects")
+    pictures = folder / "pictures"
+    pictures.mkdir(parents=True, exist_ok=True)
+    for kind in LIBRARY:
+        joint, trial = run(kind())
+        draw(trial, joint, pictures / f"{kind.name}.png")
+        (folder / f"{kind.name}.md").write_text(page(kind, joint, trial), "utf-8")
+    (folder / "index.md").write_text(index(), "utf-8")
+
+
+def index():
+    """Return the page that lists all effects."""
+    lines = [
+        "# Effect atlas", "",
+        "Each effect is a term that is added to the rigid-body torque. The pages are generated "
+        "from the definitions that fits, predictions, diagnosis and exported C use. The pictures "
+        "come from the simulated arm (`lieid_casadi.plant`), which has its own definitions.", "",
+        "| effect | term on joint i | |", "| --- | --- | --- |",
+    ]  # fmt: skip
+    for kind in LIBRARY:
+        effect = kind()
+        cells = (f"[{effect.name}]({kind.name}.md)", cell(effect.formula), summary(kind))
+        lines.append("| " + " | ".join(cells) + " |")
+    names = "\n".join(kind.name for kind in LIBRARY)
+    return "\n".join([*lines, "", "```{toctree}", ":hidden:", "", names, "```", ""])
+
+
+def setup(app):
+    app.connect("builder-inited", write)
+    return {"parallel_read_safe": True}
