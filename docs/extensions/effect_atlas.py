@@ -1,5 +1,6 @@
 """Write the effect atlas: a page for each effect, from its definition and the simulated arm."""
 
+import inspect
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.comparison import plot_style
 from lieid_casadi.effects import LIBRARY
-from lieid_casadi.effects.effect import REGISTER, make
+from lieid_casadi.effects.effect import make
 
 ROBOT, RATE, DURATION = "panda", 100.0, 20.0
 JOINT = 1  # joint 2 carries most of the load
@@ -39,8 +40,7 @@ class Trial:
 
 def registered(kind):
     """Return the effect with each of its options, the plain one first."""
-    labels = [label for label in REGISTER if label.split("/")[0] == kind.name]
-    return [make(label) for label in sorted(labels)]
+    return [make("/".join([kind.name, option]).rstrip("/")) for option in ("", *kind.options)]
 
 
 def arms(name):
@@ -73,7 +73,7 @@ def arms(name):
 
 def where(effect, arm):
     """Return the specification that places an effect where the arm has it."""
-    if getattr(effect, "whole_arm", False):
+    if effect.whole_arm:
         return effect.name
     for hidden in arm.effects:
         if hasattr(hidden, "source"):
@@ -136,7 +136,7 @@ def values_text(fit, effect):
 
 def draw(trial, joint, path):
     """Draw the effect's torque and the residual that it leaves over angle, speed, load, time."""
-    figure = plot_style.new_figure(11.0, 5.2)
+    figure = plot_style.new_figure(10.0, 5.0)
     axes = figure.subplots(2, 4, sharey="row")
     series = trial.without.series[0]
     above = (trial.q, trial.dq, trial.load, trial.t[:, None].repeat(trial.q.shape[1], 1))
@@ -155,7 +155,7 @@ def draw(trial, joint, path):
     low, high = np.percentile(trial.without.series[0].error[:, joint], [0.2, 99.8])
     margin = 0.15 * (high - low)
     axes[1, 0].set_ylim(low - margin, high + margin)
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=130)
 
 
 def scatter(ax, x, y, sign):
@@ -167,59 +167,96 @@ def scatter(ax, x, y, sign):
 
 def page(kind, joint, trial):
     """Return the page of one effect as Markdown."""
-    effect = kind()
-    lines = [f"# {effect.name}", "", summary(kind), ""]
-    lines += ["| | formula |", "| --- | --- |"]
+    lines = [
+        f"# {kind.name}",
+        "",
+        *docstring(kind),
+        "",
+        "| effect | term | |",
+        "| --- | --- | --- |",
+    ]
     for each in registered(kind):
-        lines.append(f"| `{each.label}` | {cell(each.formula)} |")
-    lines += ["", *coefficients(kind), *facts(effect)]
+        meaning = kind.options.get(each.option, "")
+        lines.append(f"| `{each.label}` | {cell(each.formula)} | {cell(meaning)} |")
+    lines += ["", *parameters(kind), *facts(kind())]
     lines += ["## Torque and residual", "", picture_text(kind, joint, trial), ""]
-    lines += [f"![Torque of {effect.name} and residual without it](pictures/{effect.name}.png)", ""]
-    lines += ["## Details", "", *details(kind), ""]
-    lines += ["## Definition", "", "```{eval-rst}"]
-    lines += [f".. autoclass:: {kind.__module__}.{kind.__name__}", "   :no-index:", "```", ""]
+    lines += [f"![Torque of {kind.name} and residual without it](pictures/{kind.name}.png)", ""]
+    lines += ["## Use", "", *use(kind()), ""]
     return "\n".join(lines)
 
 
-def summary(kind):
-    """Return the first line of an effect's docstring."""
-    return (kind.__doc__ or "").strip().splitlines()[0]
+def docstring(kind):
+    """Return an effect's docstring without its sections, as Markdown."""
+    text = inspect.cleandoc(kind.__doc__ or "").split("\nOptions\n-----")[0]
+    text = text.split("\nNotes\n-----")[0].replace("*", "\\*").replace("|", "\\|")
+    return text.replace("``", "`").splitlines()
 
 
 def cell(text):
     """Return text that can stand in a cell of a Markdown table."""
-    return text.replace("|", "\\|").replace("*", "\\*").replace("_", "\\_")
+    for character in "|*_^":
+        text = text.replace(character, "\\" + character)
+    return text
 
 
-def coefficients(kind):
+def parameters(kind):
     """Return the table of an effect's coefficients and shape parameters."""
-    lines = ["## Coefficients and shape parameters", ""]
-    lines += ["| effect | name | unit | kind | range |", "| --- | --- | --- | --- | --- |"]
+    lines = ["## Parameters", "", "| effect | name | unit | meaning | range |"]
+    lines += ["| --- | --- | --- | --- | --- |"]
     for effect in registered(kind):
         for one in effect.coefficients:
-            lower = "any" if not np.isfinite(one.lower) else f"≥ {one.lower:g}"
-            lines.append(f"| `{effect.label}` | {cell(one.name)} | {one.unit} | linear | {lower} |")
+            lower = "" if not np.isfinite(one.lower) else f"≥ {one.lower:g}"
+            cells = (f"`{effect.label}`", cell(one.name), one.unit, cell(one.meaning), lower)
+            lines.append("| " + " | ".join(cells) + " |")
         for shape in effect.shapes:
-            bounds = f"{shape.lower:g} to {shape.upper:g}, first {shape.initial:g}"
-            lines.append(
-                f"| `{effect.label}` | {cell(shape.name)} | {shape.unit} | shape | {bounds} |"
-            )
+            bounds = f"{shape.lower:g} to {shape.upper:g}"
+            meaning = f"{cell(shape.meaning)} (shape parameter)"
+            cells = (f"`{effect.label}`", cell(shape.name), shape.unit, meaning, bounds)
+            lines.append("| " + " | ".join(cells) + " |")
     return [*lines, ""]
 
 
 def facts(effect):
     """Return what the definition states about use: motion, confusion, sizes, references."""
-    return []
+    lines = []
+    if effect.revealed_by:
+        lines += ["**Revealed by:** " + cell(effect.revealed_by) + ".", ""]
+    if effect.typical:
+        lines += ["**Typical sizes:** " + cell(effect.typical) + ".", ""]
+    if effect.replaces:
+        lines += ["**Takes the place of:** " + links(effect.replaces) + ".", ""]
+    if effect.accompanied_by:
+        lines += ["**Changes together with:** " + links(effect.accompanied_by) + ".", ""]
+    if effect.confused_with:
+        lines += ["## Confused with", "", "| effect | when, and how to separate them |"]
+        lines += ["| --- | --- |"]
+        for name, when in effect.confused_with.items():
+            lines.append(f"| {links([name])} | {cell(when)} |")
+        lines.append("")
+    if effect.references:
+        lines += ["## References", "", *(f"- {cell(text)}" for text in effect.references), ""]
+    return lines
 
 
-def details(kind):
+def links(names):
+    """Return effects' names as links to their pages."""
+    pages = {kind.name for kind in LIBRARY}
+    texts = [f"[`{n}`]({n.split('/')[0]}.md)" if n.split("/")[0] in pages else n for n in names]
+    return ", ".join(texts)
+
+
+def use(effect):
     """Return how the effect is written on the command line."""
-    effect = kind()
-    spec = effect.name if getattr(effect, "whole_arm", False) else f"{effect.name}:2"
+    spec = effect.name if effect.whole_arm else f"{effect.name}:2"
     spec = f"{effect.name}:2<3" if effect.couples else spec
+    effects = ",".join([*(name for name in BASE if name != effect.name), spec])
     return [
         "```sh",
-        f"lieid identify arm.urdf run1.csv --effects coulomb,viscous,offset,{spec} -o fit.json",
+        f"lieid identify arm.urdf run1.csv --effects {effects} -o fit.json",
+        "```",
+        "",
+        "```{eval-rst}",
+        f"Class: :py:class:`{type(effect).__module__}.{type(effect).__qualname__}`",
         "```",
     ]
 
@@ -279,7 +316,7 @@ def index():
     ]  # fmt: skip
     for kind in LIBRARY:
         effect = kind()
-        cells = (f"[{effect.name}]({kind.name}.md)", cell(effect.formula), summary(kind))
+        cells = (f"[{effect.name}]({kind.name}.md)", cell(effect.formula), cell(docstring(kind)[0]))
         lines.append("| " + " | ".join(cells) + " |")
     names = "\n".join(kind.name for kind in LIBRARY)
     return "\n".join([*lines, "", "```{toctree}", ":hidden:", "", names, "```", ""])
