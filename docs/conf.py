@@ -72,6 +72,7 @@ NOTEBOOK = "find_the_missing_effect"
 PROGRAMS = {
     "demo": "lieid demo",
     "uncertainty": f"{sys.executable} examples/uncertainty.py 10",
+    "optimal_control": f"{sys.executable} examples/optimal_control.py",
     "downstream_controller": (
         f"{sys.executable} examples/downstream_controller.py --robot two_link --seconds 5"
     ),
