@@ -1,6 +1,7 @@
 """Documentation site: python -m sphinx -W docs OUT, offline once the packages are installed."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,7 +12,11 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "extensions"))
 
+from sphinx.util import logging  # noqa: E402
+
 import lieid_casadi  # noqa: E402
+
+logger = logging.getLogger(__name__)
 
 project = "lieid-casadi"
 author = copyright = "The lieid-casadi developers"
@@ -104,5 +109,16 @@ def run(name):
         subprocess.run(PROGRAMS[name].split(), cwd=WORK, stdout=file, check=True)
 
 
+def check_offline(app, error):
+    """Warn of every script, style sheet or picture that a page would load from a network."""
+    if error is not None or app.builder.name != "html":
+        return
+    outside = re.compile(r"<(?:script|link|img|iframe)[^>]+(?:src|href)=\"(?:https?:)?//[^\"]+\"")
+    for page in sorted(Path(app.outdir).rglob("*.html")):
+        for tag in outside.findall(page.read_text("utf-8")):
+            logger.warning("%s loads from a network: %s", page.relative_to(app.outdir), tag)
+
+
 def setup(app):
+    app.connect("build-finished", check_offline)
     app.connect("builder-inited", prepare_work_folder)
