@@ -1,8 +1,8 @@
 """Exported C in a controller at 1 kHz: computed torque and adaptive control of a simulated arm.
 
-An arm whose inertias and friction the nominal model does not know is identified from one run. The
-nominal and the identified model are exported to C and linked into the controller of
-``codegen/controller`` (CMake, a C compiler), which then drives the arm. Run this file:
+A simulated arm, whose inertias and friction differ from the nominal model's, is identified from one
+run. The nominal and the identified model are exported to C and linked into the controller of
+``codegen/controller`` (which needs CMake and a C compiler). It then drives the arm. Run this file:
 
     python examples/downstream_controller.py [--robot panda] [--seconds 10] [-o FOLDER]
 """
@@ -34,7 +34,7 @@ COMPUTED_TORQUE, SLOTINE_LI = 0, 1
 
 @dataclass(frozen=True)
 class Run:
-    """One run under control, SI: times (N,), errors (N, n), how long each cycle took (N,)."""
+    """One run under control, SI units: t (N,), error (N, n), cycle (N,), duration of each cycle."""
 
     t: np.ndarray
     error: np.ndarray
@@ -93,7 +93,7 @@ class Controller:
         return Settings(law, PERIOD, BANDWIDTH, adaptation, v0, kept)
 
     def drive(self, arm, trajectory, law, *, seconds, adaptation=ADAPTATION):
-        """Let the arm follow a trajectory, repeated; return the run."""
+        """Return the run of the arm along a trajectory, which is repeated for ``seconds``."""
         n, steps = arm.n, round(seconds / PERIOD)
         t = PERIOD * np.arange(steps)
         path = np.stack(trajectory.at(t % trajectory.duration), axis=1)  # (N, 3, n)
@@ -122,7 +122,7 @@ def encoders(q):
 
 
 def parameter_sizes(model):
-    """How far each parameter may be off: a fifth of a link's mass, at 0.1 m; friction by limit."""
+    """Scale of each parameter's error: 20 % of the link's mass, at 0.1 m; friction by limit."""
     masses = model.robot.link_parameters[::10]
     links = 0.2 * np.outer(masses, [1.0, *[0.1] * 3, *[0.01] * 6]).ravel()
     scale = 0.03 * plant.torque_scale(model.robot)

@@ -1,6 +1,6 @@
-"""An effect of your own in ten lines: the gear's position error as a torque of six waves a turn.
+"""A user-defined effect in ten lines: a gear's position error, six periods per turn.
 
-Run this file to see it recovered from a simulated arm, or give it to the command line:
+Run this file to identify it on a simulated arm, or use it on the command line:
 
     lieid identify arm.urdf run.csv --effects-file examples/own_effect.py \
           --effects coulomb,viscous,offset,gear_waves:2

@@ -1,8 +1,8 @@
-"""Do error bars hold? A simulated arm is measured 200 times, with other noise each time.
+"""Coverage of standard deviations: a simulated arm is measured 200 times with different noise.
 
-Prints how often the 95 % intervals of base parameters hold the true values, for white and for
-coloured torque noise; and what encoder noise does, which no error bar shows: a bias, that
-instrumental variables reduce. Draws ``coverage.png``.
+Prints how often the 95 % intervals of base parameters contain the true values, for white and for
+coloured torque noise. Encoder noise causes a bias that standard deviations do not include and that
+instrumental variables reduce; the last two lines show it. Draws ``coverage.png``.
 
 Takes some minutes: python examples/uncertainty.py [RUNS]
 """
@@ -70,12 +70,17 @@ def main(runs=200):
         held = np.mean(np.abs(found) < 1.96 * stated, axis=0)
         bias = np.abs(found.mean(axis=0)) / found.std(axis=0)
         print(
-            f"{name}: 95 % intervals hold {held.mean():.1%} pooled, {held.min():.1%} at worst; "
+            f"{name}: 95 % intervals contain the true value in {held.mean():.1%} of all "
+            f"cases, {held.min():.1%} for the worst parameter; "
             f"bias {np.median(bias):.2f} std (median), {bias.max():.2f} (largest)"
         )
         axes.plot(np.sort(held), label=name)
     axes.axhline(0.95, color="black", linewidth=0.8)
-    axes.set(xlabel="base parameters, sorted", ylabel="intervals that hold the truth", ylim=(0, 1))
+    axes.set(
+        xlabel="base parameters, sorted",
+        ylabel="coverage of 95 % intervals",
+        ylim=(0, 1),
+    )
     axes.legend(frameon=False)
     figure.savefig("coverage.png", dpi=150)
 

@@ -65,7 +65,7 @@ def test_controller_builds_with_any_arm(tmp_path, name, compiler):
         run(command, tmp_path)
 
 
-def test_missing_arm_is_told(tmp_path):
+def test_missing_arm_is_reported(tmp_path):
     if shutil.which("cmake") is None:
         pytest.skip("no cmake")
     command = ["cmake", "-S", str(codegen_folder() / "controller"), "-B", str(tmp_path / "b")]

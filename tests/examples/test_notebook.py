@@ -1,4 +1,4 @@
-"""The notebook runs as it is, and tells what it says it tells."""
+"""The notebook runs as it is stored, and its results are those that its text states."""
 
 from pathlib import Path
 
@@ -53,5 +53,5 @@ def test_notebook_runs_again_and_finds_the_hidden_effect(stored):
     shoulder, elbow = falls(fresh)
     assert shoulder > 50.0  # load friction is several times the noise there
     assert abs(elbow) < 10.0  # nothing is hidden there
-    # other processors round differently; the story stays
+    # other processors round differently
     assert falls(fresh) == pytest.approx(falls(stored), abs=3.0)

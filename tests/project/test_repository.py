@@ -1,5 +1,6 @@
-"""What a user finds around the code: version, C side, README's commands."""
+"""Files around the code: version, C side, the README's commands, the table of layers."""
 
+import itertools
 import re
 import tomllib
 from pathlib import Path
@@ -48,8 +49,35 @@ def test_readme_has_the_two_commands_that_ci_runs():
     assert sum(line.endswith("pytest") for line in commands) == 1
 
 
-def test_readme_shows_a_robot_that_is_read():
-    block = re.search(r"```yaml\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
+def test_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
+
+
+def test_readme_links_exist():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    links = re.findall(r"\]\((?!https?:)([^)#]+)", text)
+    assert links
+    assert [link for link in links if not (ROOT / link).exists()] == []
+
+
+def test_contributing_has_the_layers_that_import_linter_checks():
+    """Same packages, and no row of the table imports from a later one."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    layers = next(c["layers"] for c in contracts["contracts"] if c["name"] == "Layers")
+    checked = [re.findall(r"\w+", layer) for layer in layers if not layer.startswith("(")]
+    rank = {name: -k for k, names in enumerate(checked) for name in names}
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = [
+        re.findall(r"`(\w+)`", cells) for cells in re.findall(r"^\| \d \| (.*?) \|", text, re.M)
+    ]
+    assert {name for row in rows for name in row} == set(rank)
+    for before, after in itertools.pairwise(rows):
+        assert max(rank[name] for name in before) < min(rank[name] for name in after)
+
+
+def test_documentation_shows_a_robot_that_is_read():
+    page = ROOT / "docs" / "start" / "own_data.md"
+    block = re.search(r"```yaml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
     robot = Robot.parse_yaml(block[1])
     assert [joint.revolute for joint in robot.joints] == [True, False]
 
