@@ -24,6 +24,24 @@ class InputPath(str):
         return Path(path if at and not os.path.exists(self) else self)
 
 
+class FrictionRun(InputPath):
+    """``J=REC``: a recording in which joint J (from 1) moves forward and backward."""
+
+    joint: int  # from 0
+
+    def __new__(cls, text: str) -> FrictionRun:
+        """Split the text into joint and path."""
+        number_of_joint, equals, path = text.partition("=")
+        digits = number_of_joint.isdecimal() and len(number_of_joint) <= 3
+        if not (equals and path and digits and int(number_of_joint) >= 1):
+            raise argparse.ArgumentTypeError(
+                f"{text}: expected J=REC, a joint from 1 and a recording"
+            )
+        run = super().__new__(cls, path)
+        run.joint = int(number_of_joint) - 1
+        return run
+
+
 class OutputFile(str):
     """A file that a command writes."""
 

@@ -95,3 +95,57 @@ def test_one_direction_is_refused_with_the_file(tmp_path, capsys):
     error = capsys.readouterr().err
     assert "out.csv: joint 1 moves forward only" in error
     assert error.count("\n") == 1
+
+
+@pytest.fixture(scope="module")
+def excitation_run(tmp_path_factory):
+    path = tmp_path_factory.mktemp("excitation") / "train.csv"
+    excitation(0).save(path)
+    return str(path)
+
+
+def test_identify_in_stages(run, excitation_run, tmp_path, capsys):
+    fit, out = tmp_path / "fit.json", tmp_path / "i.json"
+    words = ["identify", "two_link", excitation_run, "--friction-runs", f"1={run}"]
+    words += ["--friction-effects", "coulomb,viscous,stribeck,load_friction", "--cutoff", "10"]
+    words += ["--effects", "coulomb,viscous,viscous_polynomial,offset"]
+    assert main([*words, "-o", str(fit), "--json", str(out)]) == 0
+    assert "Friction of single joints (second stage)" in capsys.readouterr().out
+    content = json.loads(out.read_text())
+    assert content["method"] == "stages"
+    assert content["stages"]["refit"] is True
+    assert content["rms_train"][0] < content["stages"]["first_stage"]["rms_train"][0]
+    placed = [p.label for p in lieid.Fit.load(fit).model.placements]
+    assert {"stribeck:1", "load_friction:1", "viscous_polynomial:2"} <= set(placed)
+    assert main([*words, "--no-refit", "--json", str(out)]) == 0
+    assert json.loads(out.read_text())["stages"]["refit"] is False
+
+
+@pytest.mark.parametrize(
+    ("runs", "message"),
+    [
+        ("3={run}", "two_link has joints 1 to 2"),
+        ("{run}", "expected J=REC, a joint from 1 and a recording"),
+        ("0={run}", "expected J=REC"),
+        ("1=gone.csv", "gone.csv"),
+        ("2={run}", "joint 2 never moves"),
+    ],
+)
+def test_bad_friction_runs_are_one_line(run, excitation_run, tmp_path, capsys, runs, message):
+    out = tmp_path / "fit.json"
+    words = ["identify", "two_link", excitation_run, "--friction-runs", runs.format(run=run)]
+    try:
+        status = main([*words, "-o", str(out)])
+    except SystemExit as stop:  # argparse's own
+        status = stop.code
+    assert status == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_friction_run_is_an_input(run, excitation_run, capsys):
+    words = ["identify", "two_link", excitation_run, "--friction-runs", f"1={run}", "-o", run]
+    assert main(words) == 2
+    assert "is also an input" in capsys.readouterr().err
