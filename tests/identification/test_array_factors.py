@@ -1,4 +1,4 @@
-"""Triangular factors of blocks against a QR of the whole stack, also an ill-conditioned one."""
+"""Triangular factors of blocks against a QR of all rows, also of ill-conditioned ones."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def motion(n, samples, *, size=1.0, seed=0):
 
 
 def stacked(arm, q, dq, ddq, tau):
-    """[Y_b | τ] of all joints, one below the other."""
+    """[Y_b | τ] of all joints, one below another."""
     matrix = arm.base_regressor(q, dq, ddq)
     return np.concatenate([matrix, tau[:, :, None]], axis=2).reshape(-1, matrix.shape[2] + 1)
 
@@ -190,7 +190,7 @@ def recorded(duration, seed):
 
 
 def test_long_recordings_give_nearly_the_same_fit(monkeypatch):
-    """In chunks only the folds of cross-validation and the covariance differ, a little."""
+    """In chunks only the folds of cross-validation and the covariance differ slightly."""
     model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset")
     recording, options = recorded(120.0, 1), Processing(cutoff=4.0)
     noise = np.random.default_rng(0).normal(size=recording.tau.shape)

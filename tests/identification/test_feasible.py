@@ -141,7 +141,7 @@ def test_coefficients_at_a_bound_are_reported():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_random_arms_are_always_feasible(seed):
-    """Arbitrary axes, sliding joints, gravity of any direction; nominal bodies 40 % off."""
+    """Arbitrary axes, prismatic joints, gravity of any direction; nominal bodies 40 % off."""
     rng = np.random.default_rng(seed)
     robot = random_arm(rng, int(rng.integers(2, 6)))
     n = robot.n

@@ -23,7 +23,7 @@ CUTOFF = Processing(cutoff=8.0)
 
 
 def measured(*effects, robot=ROBOT, friction=FRICTION, seed=0, duration=20.0, **sensors):
-    """A run of an arm with inertias off the nominal ones, tracked ideally at 200 Hz."""
+    """A recording at 200 Hz of an arm whose inertias differ from the nominal ones."""
     arm = plant.Arm(robot, plant.perturbed_inertias(robot, seed=3), friction, tuple(effects))
     motion = plant.FourierTrajectory(robot, base_frequency=1 / duration, seed=seed)
     t = np.arange(0.0, duration, 0.005)
@@ -117,7 +117,7 @@ def test_shape_parameters_are_found():
 
 
 def test_a_shape_at_its_bound_is_reported():
-    """A parabola is the limit of ever wider Stribeck curves."""
+    """A parabola is the limit of Stribeck curves of increasing width."""
     model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1")
     _, recording = measured(plant.ViscousPolynomial(0, quadratic=-0.3), torque_noise=0.0)
     fit = lieid.identify(model, recording, processing=CUTOFF)
@@ -240,7 +240,7 @@ def test_invalid_requests_are_refused():
 
 
 def test_cross_validation_detects_overfitting():
-    """With noise alone the held-out error is above the training error, by as much as it should."""
+    """With noise alone the held-out error exceeds the training error."""
     model = lieid.Model(ROBOT, "coulomb,viscous,offset,viscous_polynomial,viscous_asymmetric")
     _, recording = measured(torque_noise=0.3, duration=6.0)
     fit = lieid.identify(model, recording, processing=CUTOFF)

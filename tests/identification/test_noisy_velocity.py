@@ -1,4 +1,4 @@
-"""A velocity noisier than the encoder it lies beside must not bias what multiplies q̈."""
+"""A measured velocity with more noise than the encoder must not bias inertias."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ EFFECTS = "coulomb,viscous,offset"
 
 
 def errors():
-    """Errors of the base parameters (p,), in standard deviations and as they are."""
+    """Errors of the base parameters (p,), in standard deviations and in SI units."""
     friction = plant.JointFriction(np.array([1.0, 0.4]), np.array([0.6, 0.2]), np.zeros(2))
     links = plant.perturbed_inertias(ROBOT, seed=3)
     arm = plant.Arm(ROBOT, links, friction, ())

@@ -1,4 +1,4 @@
-"""Recordings of real arms against what plain least squares reaches on them, joint by joint.
+"""Errors on recordings of real arms against those of ordinary least squares, per joint.
 
 The effects were chosen by cross-validation on the training part alone; `REFERENCE` is the RMS of
 Pinocchio's regressor + Coulomb + viscous + offset + q̈ per joint on the same part, N·m.
@@ -46,7 +46,7 @@ def test_panda_without_rotor_inertia_and_with_presliding():
 
 @needs(TX40 / "tx40.urdf")
 def test_tx40_with_coupled_wrist_joints():
-    """Every third block of 0.6 s is held out, with what the filter mixes into it."""
+    """Every third block of 0.6 s is held out, with a margin for the filter's response."""
     robot = lieid.Robot.from_urdf(TX40 / "tx40.urdf")
     run = lieid.Recording.load(TX40 / "excitation.csv.gz").cut(None, 7.8)
     (segment,) = process(run, Processing(cutoff=20.0, trim=0.0))

@@ -1,4 +1,4 @@
-"""Error bars: against exact formulas, against repetition, and on motions that were not fitted."""
+"""Standard deviations against exact formulas and repeated fits, and on other motions."""
 
 import numpy as np
 import pytest
@@ -84,7 +84,7 @@ def stacked(rows):
 
 @pytest.mark.parametrize(("memory", "cross"), [(0.0, 0.0), (0.9, 0.0), (0.9, 0.7)])
 def test_covariance_against_the_exact_one(memory, cross):
-    """(XᵀX)⁻¹XᵀΩX(XᵀX)⁻¹ with the Ω that made the noise; 40 samples' variances averaged."""
+    """(XᵀX)⁻¹XᵀΩX(XᵀX)⁻¹ with the Ω of the generated noise; mean variance of 40 samples."""
     found = []
     for seed in range(40):
         rows = regression(np.random.default_rng(seed), memory=memory, cross=cross)
@@ -121,7 +121,7 @@ def test_residuals_that_grow_with_the_motion_are_accounted_for():
 
 
 def test_gaps_between_segments_are_not_bridged():
-    """The same rows as one segment or as three of their own: the residuals are white anyway."""
+    """The same rows as one segment or as three: the residuals are white."""
     rows = regression(np.random.default_rng(3))
     parts = Rows(rows.joints, rows.count, np.array([0, 500, 1100, 1500]))
     matrix = stacked(rows)
@@ -172,8 +172,8 @@ def test_parameter_std_of_a_band_is_that_of_repeated_fits():
         band = fit.predict_band(fresh)
         torques.append(band.torque)
         stated.append(band.parameter_std)
-    seen = np.std(torques, axis=0)
-    ratio = np.sqrt(np.mean(np.square(stated), axis=(0, 1)) / np.mean(seen**2, axis=0))
+    scatter = np.std(torques, axis=0)
+    ratio = np.sqrt(np.mean(np.square(stated), axis=(0, 1)) / np.mean(scatter**2, axis=0))
     assert np.all(ratio > 0.75)
     assert np.all(ratio < 1.35)
 
