@@ -1,4 +1,4 @@
-"""``lieid discriminate FIT EFFECT EFFECT… -o DIR``: the trajectory that tells rivals apart."""
+"""``lieid discriminate FIT EFFECT EFFECT… -o DIR``: the trajectory that separates rival effects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
-        "discriminate", help="design the trajectory that tells rival effects apart"
+        "discriminate", help="design the trajectory that separates rival effects"
     )
     parser.add_argument("fit", type=InputPath, metavar="FIT")
     parser.add_argument("effects", nargs="+", metavar="EFFECT", help="stribeck:4, two at least")
@@ -38,7 +38,11 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--acceleration", type=number, nargs="+", metavar="A", help="rad/s²")
     parser.add_argument("--rate", type=number, default=1000.0, metavar="HZ", help="of the files")
     parser.add_argument(
-        "--time-limit", type=number, default=20.0, metavar="S", help="of the search"
+        "--evaluations",
+        type=int,
+        default=1500,
+        metavar="N",
+        help="of the criterion in the search; default: 1500",
     )
     parser.add_argument("--seed", type=seed, default=0, metavar="N")
     shared_options.add_effects_file(parser)
@@ -49,7 +53,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Design, write and tell; 130 if interrupted with a trajectory kept."""
+    """Design, write and print; 130 if interrupted with a trajectory kept."""
     from lieid_casadi.discrimination import discriminate
     from lieid_casadi.identification import Fit
 
@@ -63,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
             recordings=shared_options.recordings_of(args.recordings, args, fit.model.robot),
             level=args.level, duration=args.duration, harmonics=args.harmonics,
             start_pose=args.start_pose, acceleration=args.acceleration, rate=args.rate,
-            time_limit=args.time_limit, seed=args.seed, progress=report,
+            evaluations=args.evaluations, seed=args.seed, progress=report,
         )  # fmt: skip
     files = output.Files()
     files.add_json(args.json, result.to_dict())
@@ -100,7 +104,7 @@ def show(result: Discrimination, folder: Path) -> None:
         ["true", "fitted", "left, % of the effect", "χ² a period", "χ² needed"],
         [
             [p.true, p.rival, 100.0 * p.remaining, p.noncentrality, p.needed]
-            if p.told
+            if p.separable
             else [p.true, p.rival, "contains it", None, None]
             for p in result.pairs
         ],

@@ -1,6 +1,6 @@
-"""Discrimination: the motion that tells rival effects apart, and how long it takes."""
+"""Discrimination: the motion that separates rival effects, and how long it must be run."""
 
 from lieid_casadi.discrimination.discriminate import discriminate
-from lieid_casadi.discrimination.discrimination import Discrimination, Pair
+from lieid_casadi.discrimination.discrimination import Discrimination, RivalPair
 
-__all__ = ["Discrimination", "Pair", "discriminate"]
+__all__ = ["Discrimination", "RivalPair", "discriminate"]

@@ -1,4 +1,4 @@
-"""``discriminate``: the motion along which no rival can pass for another."""
+"""``discriminate``: the motion along which no rival effect can replace the true one."""
 
 from __future__ import annotations
 
@@ -9,10 +9,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.blas_threads import blas_on_one_thread
-from lieid_casadi.discrimination.discrimination import Discrimination, Pair
-from lieid_casadi.discrimination.rivals import Rivals, Stacked
-from lieid_casadi.discrimination.trajectory_search import Climb, Feasible, best_starts, climb
-from lieid_casadi.errors import ExcitationError, ModelError, NoSolution
+from lieid_casadi.discrimination.discrimination import Discrimination
+from lieid_casadi.discrimination.independent_samples import independent_rate
+from lieid_casadi.discrimination.rival_effects import RivalEffects
+from lieid_casadi.discrimination.separability import (
+    noncentrality,
+    noncentrality_needed,
+    rival_pair,
+    separable_pairs,
+)
+from lieid_casadi.discrimination.trajectory_search import (
+    FeasibleMotions,
+    SearchedMotion,
+    best_starts,
+    random_search,
+)
+from lieid_casadi.errors import ExcitationError, ModelError
 from lieid_casadi.excitation.basis import families
 from lieid_casadi.excitation.basis.trajectory import Parametrization
 from lieid_casadi.excitation.limits.joint_limits import (
@@ -22,13 +34,12 @@ from lieid_casadi.excitation.limits.joint_limits import (
 )
 from lieid_casadi.excitation.limits.symbolic_limits import Limit, Torque
 from lieid_casadi.identification import Fit
-from lieid_casadi.recording import Recording, process
+from lieid_casadi.recording import Recording
 
 Array = NDArray[np.float64]
-ALIAS = 1e-6  # remaining part of an effect below which no data can tell it
-TRIED = 12  # random motions from which aliases and sizes are judged
+TRIED = 12  # random motions from which separability and sizes are determined
 SAMPLES = 200
-CLIMBS = 3  # of the best random motions are refined
+REFINED = 3  # of the best random motions
 
 
 @blas_on_one_thread
@@ -47,166 +58,153 @@ def discriminate(
     constraints: Sequence[Limit] | None = None,
     starts: int = 100,
     evaluations: int = 1500,
-    time_limit: float = 20.0,
     rate: float = 1000.0,
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> Discrimination:
-    """Design the motion that tells rival effects apart, and say how long to run it.
-
-    T-optimal (Atkinson, Fedorov, Biometrika 1975), for the worst pair: of each effect's torque,
-    that part counts which the best refit of the other rival's model (all base columns, the
-    effects of the fit, its own columns at any of a grid of shapes, finer for the result) leaves,
-    over the noise of each joint. Random motions within the limits are screened by projections;
-    the best three are refined by random steps, so the optimum is local and, where the time limit
-    ends the search, depends on the machine. Shapes of effects that the rivals share stay at their
-    fitted values.
-
-    The time is that at which the likelihood ratio rejects the wrong rival at level 1 − ``level``
-    with probability ``level``: noncentral χ² with as many degrees of freedom as the true effect
-    has numbers. Rows of correlated noise count as the independent ones they are worth: two per
-    second and Hz of the fit's cut-off, or fewer where the residual along ``recordings`` says so.
+    """Design the motion that separates rival effects, and state how long it must be run.
 
     Parameters
     ----------
     fit : Fit
-        Its noise, its bodies and effects; rivals that it has keep their fitted size.
+        Its noise, link parameters and effects are used. Rivals that it contains keep their
+        fitted size.
     effects : sequence of str
-        ``stribeck:1``, each on one joint.
+        ``stribeck:1``, each on one joint; two at least.
     sizes : mapping, optional
-        Of an effect's label: its coefficients, followed or not by its shapes. An effect without
-        a stated or fitted size gets the RMS torque of the largest of those, or of the noise, in
-        equal parts to its columns.
+        Label of an effect → its coefficients, optionally followed by its shape parameters. An
+        effect without a stated or fitted size gets the RMS torque of the largest of these, or of
+        the noise, in equal parts to its columns.
     recordings : sequence of Recording
-        Along which the colour of the residual is measured.
+        Along which the autocorrelation of the residual is measured.
+    level : float
+        Of the test and its power, 0.5 to 1.
     duration : float
         Of one period, s.
-    samples : int
-        Of the criterion over a period; 200, or 8 a coefficient, if left out.
+    harmonics : int
+        Of the Fourier series.
+    samples : int, optional
+        Of the criterion over a period, by default 200, or 8 per coefficient if that is more.
+    start_pose : (n,), optional
+        Where the motion begins and ends at rest; by default the middle of the position limits.
+    acceleration : (n,), optional
+        Limits, rad/s², where the robot states none.
+    constraints : sequence of Limit, optional
+        Besides position, velocity and acceleration; by default the torque limits if known.
     starts, evaluations : int
-        Random motions, and evaluations of the criterion altogether. Ctrl-C while the best of
-        them are refined keeps the best so far.
-    time_limit : float
-        s of the search.
+        Number of random motions, and of evaluations of the criterion altogether. Ctrl-C during
+        the refinement keeps the best motion so far.
     rate : float
         Of the trajectory file, Hz.
+    seed : int
+        Of the random motions.
+    progress : callable
+        Called with the name of a stage and the fraction done, 0 to 1.
+
+    Returns
+    -------
+    Discrimination
 
     Raises
     ------
     EffectError
-        Fewer than two effects, one twice, unknown, not on one joint, or one that needs a
-        temperature; a size that does not fit.
+        Fewer than two effects, one twice, an unknown one, one that is not on a single joint or
+        needs a temperature; a size that does not fit.
     ModelError
         A fit without noise.
     ExcitationError
         Limits that are missing or contradict each other.
     NoSolution
-        Exact aliases, that no data can tell apart; no motion within the limits.
+        Effects that no data can separate; no motion within the limits.
+
+    Notes
+    -----
+    The criterion is T-optimality (Atkinson, Fedorov, Biometrika 1975) for the worst pair: the
+    part of each effect's torque, relative to the noise of each joint, that the best refit of the
+    other effect's model leaves. The refit comprises all base columns, the effects of the fit, and
+    the rival's own columns on a grid of shape parameters; the grid is finer for the result. Shape
+    parameters of shared effects keep their fitted values. Random motions within the limits are
+    screened, and the best three are refined by random steps, so that the optimum is local.
+
+    The stated time is that at which the likelihood ratio rejects the wrong rival at level
+    1 − ``level`` with probability ``level``: noncentral χ² with as many degrees of freedom as the
+    true effect has parameters. Correlated samples count by their effective number, which is at
+    most two per second and Hz of the fit's cut-off frequency.
     """
     began = time.monotonic()
-    if not 0.5 <= level < 1.0:
-        raise ExcitationError(f"level: {level:g}; expected 0.5 to 1")
-    if starts < TRIED or evaluations < 1 or not rate > 0.0:
-        raise ExcitationError(
-            f"starts {starts}, evaluations {evaluations}, rate {rate:g}; expected {TRIED} at "
-            "least, 1 at least, and a positive number"
-        )
-    silent = [f"joint {j + 1}" for j, noise in enumerate(fit.noise) if not noise > 0.0]
-    if silent:
-        raise ModelError(f"the fit knows no noise of {', '.join(silent)}; fit a measured recording")
-    progress("compiling", 0.0)
+    _check_options(fit, level, starts, evaluations, rate)
+    progress("compile", 0.0)
     feasible = _feasible(fit, duration, harmonics, samples, start_pose, acceleration, constraints)
-    rivals = Rivals(
+    rivals = RivalEffects(
         fit, effects, sizes or {}, independent_rate=independent_rate(fit, recordings),
         duration=duration, velocity=feasible.range.velocity,
     )  # fmt: skip
     random = np.random.default_rng([seed, 20])
     drawn = [feasible.drawn(random) for _ in range(starts)]
     first = [feasible.motion(z) for z in drawn[:TRIED]]
-    rivals.sized(first)
-    told = _told(rivals, [rivals.along(motion) for motion in first])
-    needed = {(a, b): noncentrality_needed(rivals.rivals[a].parameters, level) for a, b in told}
+    rivals.assign_sizes(first)
+    separable = separable_pairs(rivals, [rivals.columns_along(motion) for motion in first])
+    needed = {(a, b): noncentrality_needed(rivals.effects[a].parameters, level)
+              for a, b in separable}  # fmt: skip
 
-    def value(z: Array) -> float:
-        stacked = rivals.along(feasible.motion(z))
-        return min(_noncentrality(rivals, stacked, *pair) / needed[pair] for pair in told)
+    def criterion(z: Array) -> float:
+        stacked = rivals.columns_along(feasible.motion(z))
+        return min(noncentrality(rivals, stacked, *pair) / needed[pair] for pair in separable)
 
-    until = time.monotonic() + time_limit
     values: list[float] = []
     for k, z in enumerate(drawn):
         progress("random motions", 0.3 * k / starts)
-        values.append(value(z))
-        if time.monotonic() > until - 0.5 * time_limit:
-            break
-    climbs: list[Climb] = []
-    share = (evaluations - len(values)) // CLIMBS
-    for k, at in enumerate(best_starts(values, CLIMBS)):
-        progress(f"refining {k + 1} of {CLIMBS}", 0.3 + 0.7 * k / CLIMBS)
-        end = time.monotonic() + (until - time.monotonic()) / (CLIMBS - k)
-        climbs.append(
-            climb(value, feasible, drawn[at], evaluations=share, until=end, random=random)
+        values.append(criterion(z))
+    refined: list[SearchedMotion] = []
+    for k, at in enumerate(best_starts(values, REFINED)):
+        progress(f"refine {k + 1} of {REFINED}", 0.3 + 0.7 * k / REFINED)
+        share = max((evaluations - starts) // REFINED, 1)
+        refined.append(
+            random_search(criterion, feasible, drawn[at], evaluations=share, random=random)
         )
-        if climbs[-1].interrupted:
+        if refined[-1].interrupted:
             break
-    best, violation = feasible.verified(max(climbs, key=lambda c: c.value).z)
-    rivals.finer()
-    stacked = rivals.along(feasible.motion(best))
+    best, violation = feasible.verified(max(refined, key=lambda motion: motion.value).z)
+    rivals.refine_grids()
+    stacked = rivals.columns_along(feasible.motion(best))
     pairs = tuple(
-        _pair(rivals, stacked, pair, pair in told, level, feasible.samples) for pair in rivals.pairs
-    )
-    worst = max(p.needed / p.noncentrality for p in pairs if p.told)
+        rival_pair(
+            rivals, stacked, pair, separable=pair in separable, level=level,
+            samples=feasible.samples,
+        )
+        for pair in rivals.pairs
+    )  # fmt: skip
+    worst = max(p.needed / p.noncentrality for p in pairs if p.separable)
+    median = float(np.median(values))
     return Discrimination(
         model=rivals.common, trajectory=feasible.parametrization.trajectory(best),
         periods=int(np.ceil(worst)), level=level,
-        sizes={r.label: [*r.coefficients.tolist(), *r.shapes.tolist()] for r in rivals.rivals},
-        pairs=pairs, random=_seconds(float(np.median(values)), duration),
-        max_violation=violation, evaluations=len(values) + sum(c.evaluations for c in climbs),
-        solve_seconds=time.monotonic() - began, rate=rate, interrupted=climbs[-1].interrupted,
+        sizes={r.label: [*r.coefficients.tolist(), *r.shapes.tolist()] for r in rivals.effects},
+        pairs=pairs, random_seconds=duration / median if median > 0.0 else float("inf"),
+        max_violation=violation, evaluations=len(values) + sum(r.evaluations for r in refined),
+        solve_seconds=time.monotonic() - began, rate=rate, interrupted=refined[-1].interrupted,
     )  # fmt: skip
 
 
-def noncentrality_needed(parameters: int, level: float) -> float:
-    """Return the noncentrality at which χ² rejects at 1 − level with probability level."""
-    from scipy.optimize import brentq
-    from scipy.stats import chi2, ncx2
+def _check_options(fit: Fit, level: float, starts: int, evaluations: int, rate: float) -> None:
+    """Raise an error if options are out of their range, or if the fit has no noise.
 
-    threshold = chi2.ppf(level, parameters)
-    return float(brentq(lambda x: ncx2.sf(threshold, parameters, x) - level, 1e-6, 1e3))
-
-
-def independent_rate(fit: Fit, recordings: Sequence[Recording]) -> Array:
-    """Return independent samples per second of each joint's residual (n,).
-
-    A residual with correlations ρ_k at lags of h s is worth 1/(h·(1 + 2·Σρ_k)) slow samples per
-    second; the sum ends where the correlogram first falls below zero.
+    Raises
+    ------
+    ExcitationError, ModelError
     """
-    cutoff = fit.processing.cutoff
-    assert cutoff is not None
-    rates = np.full(fit.model.n, 2.0 * cutoff)
-    for recording in recordings:
-        fit.check_joints(recording)
-        for segment in process(recording, fit.processing):
-            if segment.tau is None:
-                continue
-            residual = segment.filter(segment.tau) - fit.predict_processed(segment)
-            step = (segment.kept.step or 1) / segment.rate
-            worth = [1.0 / (step * correlation_sum(e)) for e in residual.T]
-            rates = np.minimum(rates, worth)
-    return rates
-
-
-def correlation_sum(residual: Array) -> float:
-    """Return 1 + 2·Σρ_k of a residual (M,), at least 1."""
-    centred = residual - residual.mean()
-    size = len(centred)
-    spectrum = np.abs(np.fft.rfft(centred, 2 * size)) ** 2
-    covariance = np.fft.irfft(spectrum)[:size]
-    if covariance[0] <= 0.0:
-        return 1.0
-    correlation = covariance / covariance[0]
-    negative = np.flatnonzero(correlation < 0.0)
-    end = int(negative[0]) if len(negative) else size
-    return max(1.0, float(1.0 + 2.0 * correlation[1:end].sum()))
+    if not 0.5 <= level < 1.0:
+        raise ExcitationError(f"level: {level:g}; expected 0.5 to 1")
+    if starts < TRIED or evaluations < 1 or not rate > 0.0:
+        raise ExcitationError(
+            f"starts {starts}, evaluations {evaluations}, rate {rate:g}; expected at least "
+            f"{TRIED}, at least 1, and a positive number"
+        )
+    silent = [f"joint {j + 1}" for j, noise in enumerate(fit.noise) if not noise > 0.0]
+    if silent:
+        raise ModelError(
+            f"the fit has no noise on {', '.join(silent)}; expected a fit to measured recordings"
+        )
 
 
 def _feasible(
@@ -217,86 +215,20 @@ def _feasible(
     start_pose: ArrayLike | None,
     acceleration: ArrayLike | None,
     constraints: Sequence[Limit] | None,
-) -> Feasible:
+) -> FeasibleMotions:
+    """Return the motions within the limits; see `discriminate` for the parameters."""
     robot = fit.model.robot
     basis = families.make("fourier", duration=duration, harmonics=harmonics)
     if samples is None:
         samples = max(SAMPLES, 8 * basis.size)
     if samples < 4 * basis.size:
-        raise ExcitationError(f"samples: {samples}; expected {4 * basis.size} at least")
+        raise ExcitationError(f"samples: {samples}; expected at least {4 * basis.size}")
     limits = motion_range(robot, acceleration)
     check_duration(robot, limits, duration)
     pose = limits.middle if start_pose is None else np.asarray(start_pose, dtype=float)
     check_start_pose(robot, limits, pose)
     if constraints is None:
-        known = robot.has_inertia and bool(np.isfinite(robot.limit("torque")).any())
-        constraints = (Torque(),) if known else ()
+        has_torque = robot.has_inertia and bool(np.isfinite(robot.limit("torque")).any())
+        constraints = (Torque(),) if has_torque else ()
     sets = tuple(s for s in (limit.on(robot) for limit in constraints) if s is not None)
-    return Feasible(Parametrization(basis, pose, True, limits.units), limits, sets, samples)
-
-
-def _told(rivals: Rivals, tried: Sequence[Stacked]) -> list[tuple[int, int]]:
-    """Return the pairs of which the true effect leaves something along some motion.
-
-    Raises
-    ------
-    NoSolution
-        An effect that the model absorbs, or two that are one: whatever the motion.
-    """
-    for k, rival in enumerate(rivals.rivals):
-        parts = []
-        for stacked in tried:
-            own = stacked.columns[k][0] @ rival.coefficients
-            left = stacked.rest(own[:, None])
-            parts.append(np.linalg.norm(left) / max(float(np.linalg.norm(own)), 1e-300))
-        if max(parts) < ALIAS:
-            raise NoSolution(
-                f"{rival.label}: the model's other parameters absorb it along any motion; no data "
-                "can tell. Leave it out, or fix what absorbs it"
-            )
-    told = [
-        (a, b)
-        for a, b in rivals.pairs
-        if max(_remaining(rivals, stacked, a, b) for stacked in tried) >= ALIAS
-    ]
-    for a, b in rivals.pairs:
-        if (a, b) not in told and (b, a) not in told:
-            one, other = rivals.rivals[a].label, rivals.rivals[b].label
-            raise NoSolution(
-                f"{one} and {other} of these sizes explain the same torque along any motion; no "
-                "data can tell them apart. Leave one of them out, or state other sizes"
-            )
-    return told
-
-
-def _noncentrality(rivals: Rivals, stacked: Stacked, true: int, rival: int) -> float:
-    left = stacked.unexplained(true, rival, rivals.rivals[true].coefficients)
-    return float(left @ left)
-
-
-def _remaining(rivals: Rivals, stacked: Stacked, true: int, rival: int) -> float:
-    own = stacked.columns[true][0] @ rivals.rivals[true].coefficients
-    left = np.sqrt(_noncentrality(rivals, stacked, true, rival))
-    return float(left / max(float(np.linalg.norm(own)), 1e-300))
-
-
-def _pair(
-    rivals: Rivals,
-    stacked: Stacked,
-    pair: tuple[int, int],
-    told: bool,
-    level: float,
-    samples: int,
-) -> Pair:
-    true, other = (rivals.rivals[k] for k in pair)
-    left = stacked.unexplained(*pair, true.coefficients)
-    torque = left.reshape(samples, -1) * np.sqrt(samples) / rivals.torque_weight()
-    return Pair(
-        true=true.label, rival=other.label, noncentrality=float(left @ left),
-        needed=noncentrality_needed(true.parameters, level),
-        remaining=_remaining(rivals, stacked, *pair), told=told, left=torque,
-    )  # fmt: skip
-
-
-def _seconds(value: float, duration: float) -> float:
-    return duration / value if value > 0.0 else float("inf")
+    return FeasibleMotions(Parametrization(basis, pose, True, limits.units), limits, sets, samples)

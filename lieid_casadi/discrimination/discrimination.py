@@ -1,4 +1,4 @@
-"""Result of `discriminate`: the motion, and what it tells apart."""
+"""Result of `discriminate`: the motion, and how well it separates each pair of rivals."""
 
 from __future__ import annotations
 
@@ -24,22 +24,24 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """One effect as the truth, the other as the rival that tries to explain it.
+class RivalPair:
+    """One effect as the true one, the other as the rival that is fitted instead.
 
     Attributes
     ----------
     true, rival : str
+        Labels.
     noncentrality : float
-        Of the likelihood ratio, per period: what the rival's refit leaves, over the noise.
+        Of the likelihood ratio for one period: squared residual of the rival's refit relative to
+        the noise.
     needed : float
-        Noncentrality at which the rival is rejected with the power asked for.
+        Noncentrality at which the rival is rejected with the required power.
     remaining : float
-        Part of the true effect's weighted torque that is left, 0 to 1.
-    told : bool
-        False where the rival's refit explains the effect whatever the motion: it contains it.
-    left : (N, n)
-        Torque that the rival's refit leaves along the period, N·m.
+        Part of the true effect's weighted torque that the refit leaves, 0 to 1.
+    separable : bool
+        False if the rival contains the true effect, so that no motion separates them.
+    residual : (N, n)
+        Torque that the refit leaves along the period, N·m.
     """
 
     true: str
@@ -47,8 +49,8 @@ class Pair:
     noncentrality: float
     needed: float
     remaining: float
-    told: bool
-    left: Array
+    separable: bool
+    residual: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,21 +60,25 @@ class Discrimination:
     Attributes
     ----------
     model : Model
-        What the rivals share.
+        The rivals' common model.
     trajectory : Trajectory
         One period, at rest at both ends.
     periods : int
-        How often it is to be run: as many as the worst pair needs.
+        How often it must be run for the worst pair.
     level : float
-        Of the test and its power: 0.95 rejects a wrong rival at 5 % in 95 % of the cases.
+        Of the test and its power: 0.95 rejects a wrong rival at the 5 % level in 95 % of cases.
     sizes : dict
-        Coefficients, then shapes, that each effect was given.
-    pairs : tuple of Pair
-    random : float
-        Seconds that the median of the random motions tried would take.
+        Label → assumed coefficients, then shape parameters, of each effect.
+    pairs : tuple of RivalPair
+    random_seconds : float
+        Duration that the median of the random motions would need, s.
     max_violation : float
-        Of the limits on a fine grid, in parts of each; negative is room.
+        Of the limits on a fine grid, relative to each; negative values are margins.
     evaluations : int
+        Of the criterion.
+    solve_seconds : float
+    rate : float
+        Of the trajectory file, Hz.
     interrupted : bool
         Whether Ctrl-C ended the search.
     """
@@ -82,8 +88,8 @@ class Discrimination:
     periods: int
     level: float
     sizes: dict[str, list[float]]
-    pairs: tuple[Pair, ...]
-    random: float
+    pairs: tuple[RivalPair, ...]
+    random_seconds: float
     max_violation: float
     evaluations: int
     solve_seconds: float
@@ -92,18 +98,25 @@ class Discrimination:
 
     @property
     def seconds(self) -> float:
-        """Seconds of motion that tell the effects apart: whole periods."""
+        """Duration that separates the effects, in whole periods, s."""
         return self.periods * self.trajectory.duration
 
     @property
     def exact_seconds(self) -> float:
-        """The same without rounding to whole periods."""
+        """Duration that separates the effects, not rounded to whole periods, s."""
         return self.trajectory.duration * max(
-            p.needed / p.noncentrality for p in self.pairs if p.told
+            p.needed / p.noncentrality for p in self.pairs if p.separable
         )
 
     def motion(self, *, rate: float | None = None, periods: int = 1) -> MotionSamples:
-        """Return samples of some periods, the end at rest included."""
+        """Return samples of the motion, including the end at rest.
+
+        Parameters
+        ----------
+        rate : float, optional
+            Hz; by default that of the trajectory file.
+        periods : int
+        """
         duration = self.trajectory.duration
         count = max(round(duration * (rate or self.rate)), 2)
         grid = np.concatenate([period_grid(duration, count) for _ in range(periods)] + [[duration]])
@@ -120,7 +133,7 @@ class Discrimination:
             "level": self.level,
             "seconds": self.seconds,
             "exact_seconds": self.exact_seconds,
-            "random_seconds": self.random if np.isfinite(self.random) else None,
+            "random_seconds": self.random_seconds if np.isfinite(self.random_seconds) else None,
             "duration": self.trajectory.duration,
             "periods": self.periods,
             "pairs": [
@@ -130,7 +143,7 @@ class Discrimination:
                     "noncentrality": p.noncentrality,
                     "needed": p.needed,
                     "remaining": p.remaining,
-                    "told": p.told,
+                    "separable": p.separable,
                 }
                 for p in self.pairs
             ],
@@ -142,44 +155,27 @@ class Discrimination:
         }
 
     def summary(self) -> str:
-        """Return the answer in words."""
+        """Return the result in sentences."""
         text = (
             f"{' and '.join(self.sizes)}: {self.seconds:.4g} s of this motion "
-            f"({self.periods} × {self.trajectory.duration:.4g} s) tell them apart at "
-            f"{100.0 * self.level:.4g} %"
+            f"({self.periods} × {self.trajectory.duration:.4g} s) separate them with "
+            f"{100.0 * self.level:.4g} % confidence"
         )
-        if np.isfinite(self.random):
-            text += f"; a random motion takes about {self.random:.2g} s"
-        contained = [f"{p.true} by {p.rival}" for p in self.pairs if not p.told]
+        if np.isfinite(self.random_seconds):
+            text += f"; a random motion needs about {self.random_seconds:.2g} s"
+        contained = [f"{p.true} from {p.rival}" for p in self.pairs if not p.separable]
         if contained:
-            text += f". Never told, since the rival contains it: {', '.join(contained)}"
+            text += (
+                ". Not separable by any motion, because the second contains the first: "
+                f"{', '.join(contained)}"
+            )
         return text + "."
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the torque that each rival's refit leaves, on the joint where it is largest."""
-        from matplotlib.figure import Figure as NewFigure
+        """Draw the motion and the torque that each rival's refit leaves; not shown."""
+        from lieid_casadi.discrimination.discrimination_plot import plot_discrimination
 
-        if ax is None:
-            figure = NewFigure(figsize=(9.0, 6.0), layout="constrained")
-            upper, ax = figure.subplots(2, 1, sharex=True)
-            motion = self.motion(rate=100.0)
-            for j in range(self.model.n):
-                upper.plot(motion.t, motion.q[:, j], linewidth=1.2, label=f"q{j + 1}")
-            upper.set_ylabel("position, rad")
-            upper.legend(ncols=self.model.n, fontsize="small")
-        told = [p for p in self.pairs if p.told]
-        for pair in told:
-            j = int(np.argmax(np.square(pair.left).sum(axis=0)))
-            t = period_grid(self.trajectory.duration, len(pair.left))
-            label = f"{pair.true}, not explained by {pair.rival} (joint {j + 1})"
-            ax.plot(t, pair.left[:, j], linewidth=1.2, label=label)
-        ax.set_xlabel("time, s")
-        ax.set_ylabel("torque left, N·m")
-        ax.set_title(f"{self.seconds:.4g} s tell them apart at {100.0 * self.level:.4g} %")
-        ax.legend(fontsize="small")
-        drawn = ax.get_figure(root=True)
-        assert drawn is not None
-        return drawn
+        return plot_discrimination(self, ax)
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
         """Write ``trajectory.csv`` (one period), ``discriminate.json``, ``discriminate.png``.

@@ -1,8 +1,7 @@
-"""Motions within limits, and a random search among them."""
+"""Motions within limits, and a random search for the best of them."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,20 +21,26 @@ from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
 from lieid_casadi.excitation.limits.joint_limits import MotionRange
 
 Array = NDArray[np.float64]
-COARSE = 4  # grid on which limits are kept during the search, in samples of the criterion
-ROOM = 0.998  # of each limit is used
-SHRINK = 0.9
-GROW, STEP, SMALLEST = 1.5, 0.3, 1e-3  # of the steps, in parts of z's own size
+COARSE = 4  # points per sample of the criterion, on which limits are checked during the search
+USED = 0.998  # part of each limit that is used
+SHRINK = 0.9  # factor by which a motion outside of the limits is reduced
+GROWTH = 1.5  # of the step after a success
+INITIAL_STEP, SMALLEST_STEP = 0.3, 1e-3  # relative to the RMS of z
 
 
 @dataclass(frozen=True, eq=False)
-class Feasible:
-    """Free variables z of motions within limits.
+class FeasibleMotions:
+    """Motions within limits, as vectors z of free coefficients.
 
     Attributes
     ----------
+    parametrization : Parametrization
+    range : MotionRange
+        Joint limits.
     sets : tuple of ConstraintSet
-        Beside the joint limits.
+        Further limits.
+    samples : int
+        Of the criterion over a period.
     """
 
     parametrization: Parametrization
@@ -44,7 +49,7 @@ class Feasible:
     samples: int
 
     def motion(self, z: Array) -> MotionSamples:
-        """Return the criterion's samples of one period."""
+        """Return the samples of the criterion over one period."""
         return self._grid(1).motion(z)
 
     def within(self, z: Array) -> Array:
@@ -55,7 +60,7 @@ class Feasible:
         Raises
         ------
         NoSolution
-            Not even a hundredth of the motion is within the limits.
+            No motion of this form is within the limits, however small.
         """
         z = self._within_joints(z)
         for _ in range(50):
@@ -64,12 +69,12 @@ class Feasible:
                 return z
             z = SHRINK * z
         remedies = "; ".join(s.remedy for s in self.sets)
-        raise NoSolution(f"no motion about the start pose is within the limits; relax: {remedies}")
+        raise NoSolution(f"no motion around the start pose is within the limits; relax: {remedies}")
 
     def verified(self, z: Array) -> tuple[Array, float]:
         """Return z shrunk until the limits hold on the fine grid, and the largest violation.
 
-        The violation is in parts of each limit's scale; negative is room.
+        The violation is relative to the scale of each limit; negative values are margins.
         """
         fine = self._grid(FINE)
         for _ in range(50):
@@ -80,14 +85,17 @@ class Feasible:
             )
             if worst <= 0.0:
                 return z, worst
-            z = ROOM * z
-        raise NoSolution("no motion about the start pose is within the limits on a fine grid")
+            z = USED * z
+        raise NoSolution(
+            "no motion around the start pose is within the limits on a fine grid; "
+            "choose another start pose"
+        )
 
     def drawn(self, random: np.random.Generator) -> Array:
-        """Return a random motion: some joints slow, some fast, within limits."""
+        """Return a random motion within limits, with a random amplitude for each joint."""
         n = self.parametrization.n
         z = random.standard_normal((n, self.parametrization.size // n))
-        # far outside, so that the joint limits decide; then a part of what they allow
+        # far outside, so that the joint limits determine the amplitude; then a part of it
         inside = self._within_joints(np.ravel(100.0 * z)).reshape(n, -1)
         return self.within(np.ravel(inside * random.uniform(0.1, 1.0, (n, 1))))
 
@@ -101,7 +109,7 @@ class Feasible:
             np.abs(motion.dq).max(axis=0) / self.range.velocity,
             np.abs(motion.ddq).max(axis=0) / self.range.acceleration,
         ]
-        worst = np.maximum(np.max(ratios, axis=0) / ROOM, 1.0)
+        worst = np.maximum(np.max(ratios, axis=0) / USED, 1.0)
         return np.ravel(z.reshape(len(pose), -1) / worst[:, None])
 
     @cached_property
@@ -120,8 +128,18 @@ class Feasible:
 
 
 @dataclass(frozen=True, eq=False)
-class Climb:
-    """The best z that a search found, its value, and how many evaluations it took."""
+class SearchedMotion:
+    """The best motion that a search found.
+
+    Attributes
+    ----------
+    z : (m,)
+    value : float
+        Of the criterion.
+    evaluations : int
+    interrupted : bool
+        Whether Ctrl-C ended the search.
+    """
 
     z: Array
     value: float
@@ -129,29 +147,38 @@ class Climb:
     interrupted: bool = False
 
 
-def climb(
-    value: Callable[[Array], float],
-    feasible: Feasible,
+def random_search(
+    criterion: Callable[[Array], float],
+    feasible: FeasibleMotions,
     start: Array,
     *,
     evaluations: int,
-    until: float,
     random: np.random.Generator,
-) -> Climb:
-    """Climb from a start by random steps; Ctrl-C keeps the best so far.
+) -> SearchedMotion:
+    """Improve a motion by random steps; Ctrl-C keeps the best motion so far.
 
-    A (1+1) evolution strategy with the one-fifth rule (Rechenberg 1973): a step of all joints or
-    of one is kept if it is better; steps grow after a success and shrink after a failure, and
-    start anew once they are small, since the worst pair of several makes ridges on which they
-    shrink. ``until`` is a time of `time.monotonic`. The optimum found is local.
+    A (1+1) evolution strategy with the one-fifth rule (Rechenberg 1973). A step of all joints or
+    of one joint is kept if the criterion increases. Steps grow after a success and shrink after a
+    failure. They are reset once they are small, since a criterion that is the minimum over
+    several pairs has ridges, on which steps shrink without convergence. The optimum is local.
+
+    Parameters
+    ----------
+    criterion : callable
+        To be maximized, of z (m,).
+    feasible : FeasibleMotions
+    start : (m,)
+    evaluations : int
+        Of the criterion.
+    random : numpy.random.Generator
     """
     n = feasible.parametrization.n
-    best, highest, step = start, -np.inf, STEP
+    best, highest, step = start, -np.inf, INITIAL_STEP
     used = 0
     try:
-        highest = value(start)
+        highest = criterion(start)
         used = 1
-        while used < evaluations and time.monotonic() < until:
+        while used < evaluations:
             move = random.standard_normal((n, len(best) // n))
             if n > 1 and random.random() < 0.5:
                 only = np.zeros((n, 1))
@@ -159,15 +186,15 @@ def climb(
                 move = move * only
             size = np.sqrt(np.mean(best**2))
             z = feasible.within(best + step * size * np.ravel(move))
-            reached = value(z)
+            reached = criterion(z)
             used += 1
             if reached > highest:
-                best, highest, step = z, reached, min(step * GROW, 1.0)
+                best, highest, step = z, reached, min(step * GROWTH, 1.0)
             else:
-                step = step * GROW**-0.25 if step > SMALLEST else STEP
+                step = step * GROWTH**-0.25 if step > SMALLEST_STEP else INITIAL_STEP
     except KeyboardInterrupt:
-        return Climb(best, highest, used, interrupted=True)
-    return Climb(best, highest, used)
+        return SearchedMotion(best, highest, used, interrupted=True)
+    return SearchedMotion(best, highest, used)
 
 
 def best_starts(values: Sequence[float], count: int) -> list[int]:

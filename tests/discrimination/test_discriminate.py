@@ -1,4 +1,4 @@
-"""Motions that tell Stribeck friction from nonlinear viscous friction, judged from outside."""
+"""Motions that separate Stribeck from nonlinear viscous friction, checked independently."""
 
 import json
 
@@ -9,7 +9,8 @@ from scipy.stats import chi2, ncx2
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.discrimination import discriminate
-from lieid_casadi.discrimination.discriminate import correlation_sum, noncentrality_needed
+from lieid_casadi.discrimination.independent_samples import correlation_sum
+from lieid_casadi.discrimination.separability import noncentrality_needed
 from lieid_casadi.errors import EffectError, NoSolution
 
 RIVALS = ("stribeck:1", "viscous_polynomial:1")
@@ -45,7 +46,7 @@ def design(fit, train):
 
 
 def separation(fit, sizes, q, dq, ddq):
-    """Return what the worse of both refits leaves (N·m, RMS weighted by the noise).
+    """Return the RMS residual of the worse of both refits, relative to the noise.
 
     Friction columns by NumPy, refits by least squares, the Stribeck velocity on a fine grid.
     """
@@ -91,7 +92,7 @@ def test_designed_motion_separates_better_than_random_ones(robot, fit, design):
 
 
 def test_stated_noncentrality_is_that_of_the_motion(fit, train, design):
-    """From the independent columns, with the worth of rows computed here."""
+    """From independently computed columns and numbers of rows."""
     designed = design.motion(rate=50.0)
     rms = separation(fit, design.sizes, designed.q, designed.dq, designed.ddq)
     worst = min(pair.noncentrality for pair in design.pairs)
@@ -145,7 +146,7 @@ def test_needed_noncentrality_gives_the_power():
         assert np.mean(draws > chi2.ppf(0.95, k)) == pytest.approx(0.95, abs=0.01)
 
 
-def test_correlated_rows_count_less():
+def test_correlated_samples_count_less():
     random = np.random.default_rng(1)
     white = random.standard_normal(20000)
     coloured = np.zeros_like(white)
@@ -155,7 +156,7 @@ def test_correlated_rows_count_less():
     assert correlation_sum(coloured) == pytest.approx(1.8 / 0.2, rel=0.15)
 
 
-def test_larger_effects_take_less_time(fit):
+def test_larger_effects_need_a_shorter_motion(fit):
     sizes = {"stribeck:1": (0.2, 0.1), "viscous_polynomial:1": (0.03, 0.015)}
     twice = {"stribeck:1": (0.4, 0.1), "viscous_polynomial:1": (0.06, 0.03)}
     one, two = (discriminate(fit, RIVALS, sizes=s, evaluations=120) for s in (sizes, twice))
@@ -170,9 +171,9 @@ def test_same_seed_same_motion(fit):
 
 
 def test_interrupted_search_keeps_the_best_so_far(fit, monkeypatch):
-    from lieid_casadi.discrimination.rivals import Rivals
+    from lieid_casadi.discrimination.rival_effects import RivalEffects
 
-    calls, along = [], Rivals.along
+    calls, along = [], RivalEffects.columns_along
 
     def interrupted(self, motion):
         calls.append(motion)
@@ -180,19 +181,19 @@ def test_interrupted_search_keeps_the_best_so_far(fit, monkeypatch):
             raise KeyboardInterrupt
         return along(self, motion)
 
-    monkeypatch.setattr(Rivals, "along", interrupted)
+    monkeypatch.setattr(RivalEffects, "columns_along", interrupted)
     design = discriminate(fit, RIVALS)
     assert design.interrupted
     assert design.evaluations < 160
     assert design.seconds > 0.0
 
 
-def test_more_harmonics_take_more_samples(fit):
+def test_more_harmonics_use_more_samples(fit):
     design = discriminate(fit, RIVALS, harmonics=20, duration=20.0, starts=12, evaluations=20)
-    assert len(design.pairs[0].left) == 8 * 41
+    assert len(design.pairs[0].residual) == 8 * 41
 
 
-def test_fit_without_noise(fit):
+def test_a_fit_without_noise_is_refused(fit):
     from dataclasses import replace
 
     from lieid_casadi.errors import ModelError
@@ -211,13 +212,13 @@ def test_effect_of_the_fit_keeps_its_size(robot, train):
     assert not any("polynomial" in effect for effect in design.model.effects)
 
 
-def test_a_rival_that_contains_the_other_is_told_one_way(fit):
+def test_a_rival_that_contains_the_other_is_separable_one_way(fit):
     sizes = {"stribeck/exponent:1": (0.2, 0.1, 0.5)}
     rivals = ["stribeck:1", "stribeck/exponent:1"]
     design = discriminate(fit, rivals, sizes=sizes, evaluations=110)
-    told = {(p.true, p.rival): p.told for p in design.pairs}
-    assert told == {tuple(rivals): False, tuple(rivals[::-1]): True}
-    assert "stribeck:1 by stribeck/exponent:1" in design.summary()
+    separable = {(p.true, p.rival): p.separable for p in design.pairs}
+    assert separable == {tuple(rivals): False, tuple(rivals[::-1]): True}
+    assert "stribeck:1 from stribeck/exponent:1" in design.summary()
     with pytest.raises(NoSolution, match="sizes"):  # with an exponent of 2 they are one
         discriminate(fit, rivals)
 
@@ -233,7 +234,7 @@ def test_a_rival_that_contains_the_other_is_told_one_way(fit):
         (["temperature_friction:1", "stribeck:1"], "temperature"),
     ],
 )
-def test_effects_that_cannot_be_asked_for(fit, effects, words):
+def test_invalid_effects_are_refused(fit, effects, words):
     with pytest.raises(EffectError, match=words):
         discriminate(fit, effects)
 
@@ -259,7 +260,7 @@ def test_two_names_of_one_effect_have_no_solution(fit):
         return [0.5 * s.sign * s.dq**2, 0.5 * s.dq**3 + s.sign * s.dq**2]
 
     try:
-        with pytest.raises(NoSolution, match="no data can tell them apart"):
+        with pytest.raises(NoSolution, match="no data can separate them"):
             discriminate(fit, ["half_polynomial:1", "viscous_polynomial:1"])
     finally:
         del REGISTER["half_polynomial"]

@@ -1,17 +1,16 @@
-"""Rival effects on a fit, and what of one the other's refit leaves along a motion."""
+"""Rival effects on a fit, and the torque of one that the refit of another leaves."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
 from lieid_casadi.compiled import Compiled, compile
+from lieid_casadi.discrimination.stacked_columns import StackedColumns, span_basis
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import EffectError
@@ -23,25 +22,26 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording
 
 Array = NDArray[np.float64]
-GRID = 25  # shapes at which a rival's refit is tried; its square root for each of two
-FINE_GRID = 81  # the same for the numbers that are reported
-RANK = 1e-9
-AT_REST = 2e-3  # of the velocity limit: below it friction is undetermined, and no evidence
+GRID = 25  # values of a shape parameter in a rival's refit; the square root for each of two
+FINE_GRID = 81  # the same for the result
+AT_REST = 2e-3  # relative to the velocity limit, below which friction is undetermined
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
-    """One effect with the size that it is thought to have.
+class RivalEffect:
+    """One effect with its assumed size.
 
     Attributes
     ----------
+    placement : Placement
     compiled : Compiled
-        The common model and this effect, whose columns are the last ones.
+        The common model with this effect, whose columns are the last ones.
     coefficients : (c,)
-        NaN where nothing is stated or fitted yet.
+        NaN where none are stated or fitted.
     shapes : (s,)
+        Shape parameters.
     grid : (G, s)
-        Shapes that its refit may take; the first is its own.
+        Shape parameters of its refit; the first row is ``shapes``.
     """
 
     placement: Placement
@@ -52,65 +52,31 @@ class Rival:
 
     @property
     def label(self) -> str:
-        """As written in files: ``stribeck:4``."""
+        """As on the command line: ``stribeck:4``."""
         return self.placement.label
 
     @property
     def parameters(self) -> int:
-        """How many numbers it adds to a model."""
+        """Number of parameters that it adds to a model."""
         return len(self.coefficients) + len(self.shapes)
 
 
-@dataclass(frozen=True, eq=False)
-class Stacked:
-    """Columns along a motion, all joints' rows stacked and weighted.
-
-    A vector's squared length is the noncentrality that one period contributes.
-
-    Attributes
-    ----------
-    common : (R, r)
-        Orthonormal: the span of the base columns and of the effects that all rivals share.
-    columns : tuple of (G, R, c)
-        Of each rival.
-    """
-
-    common: Array
-    columns: tuple[Array, ...]
-
-    def rest(self, columns: Array) -> Array:
-        """Return what the common columns leave of (R, c), projected twice against rounding."""
-        for _ in range(2):
-            columns = columns - self.common @ (self.common.T @ columns)
-        return columns
-
-    @cached_property
-    def remaining(self) -> tuple[tuple[Array, ...], ...]:
-        """What the common columns leave of each rival's, for each of its shapes."""
-        return tuple(tuple(self.rest(c) for c in each) for each in self.columns)
-
-    def unexplained(self, true: int, rival: int, coefficients: Array) -> Array:
-        """Return the weighted torque (R,) of one effect that the other's best refit leaves."""
-        torque = self.remaining[true][0] @ coefficients
-        best: Array = torque
-        for own in self.remaining[rival]:
-            scale = np.linalg.norm(own, axis=0)
-            basis = _span(own / np.where(scale > 0.0, scale, 1.0))
-            left = torque - basis @ (basis.T @ torque)
-            if left @ left < best @ best:
-                best = left
-        return best
-
-
-class Rivals:
-    """Rival effects beside what they share.
+class RivalEffects:
+    """Rival effects, and the model that they have in common.
 
     Parameters
     ----------
+    fit : Fit
+    effects : sequence of str
+        ``stribeck:1``, each on one joint.
+    sizes : mapping
+        Label → coefficients, optionally followed by shape parameters.
     independent_rate : (n,)
         Independent samples per second of each joint's residual.
     duration : float
         Of one period, s.
+    velocity : (n,)
+        Velocity limits, rad/s.
     """
 
     def __init__(
@@ -127,34 +93,34 @@ class Rivals:
         placements = rival_placements(effects, fit.model.n)
         unknown = sorted(set(sizes) - {p.label for p in placements})
         if unknown:
-            raise EffectError(f"size of {unknown[0]}: not among the effects to tell apart")
+            raise EffectError(f"size of {unknown[0]}: not one of the rival effects")
         labels = {p.label for p in placements}
         kept = [p for p in fit.model.placements if p.label not in labels]
         self.common = Model.of_placements(fit.model.robot, kept)
         self.compiled = compile(self.common)
         self._dead_zone = AT_REST * velocity
-        self.rivals = tuple(self._rival(p, sizes.get(p.label)) for p in placements)
+        self.effects = tuple(self._rival(p, sizes.get(p.label)) for p in placements)
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """Every (true, rival)."""
-        return list(permutations(range(len(self.rivals)), 2))
+        return list(permutations(range(len(self.effects)), 2))
 
-    def along(self, motion: MotionSamples) -> Stacked:
-        """Return all columns along one period."""
+    def columns_along(self, motion: MotionSamples) -> StackedColumns:
+        """Return the columns of the common model and of all rivals along one period."""
         segment = self._segment(motion)
         weight = self._weight(motion)
         links = self.fit.link_parameters
-        _, coefficients, shapes = self._numbers(self.common.placements)
+        coefficients, shapes = self._fitted(self.common.placements)
         parameters = np.concatenate([links, coefficients])
         effects = effects_along(self.compiled, segment, shapes, parameters)
         rigid = self.compiled.regressor(motion.q, motion.dq, motion.ddq)
         full = np.concatenate([rigid, effects], axis=2)[:, :, list(self.common.base.kept)]
         stacked = _flat(full, weight)
         scale = np.linalg.norm(stacked, axis=0)
-        common = _span(stacked / np.where(scale > 0.0, scale, 1.0))
+        common = span_basis(stacked / np.where(scale > 0.0, scale, 1.0))
         columns = []
-        for rival in self.rivals:
+        for rival in self.effects:
             own = np.nan_to_num(rival.coefficients)
             numbers = np.concatenate([parameters, own])
             each = [
@@ -162,42 +128,49 @@ class Rivals:
                 for shape in rival.grid
             ]
             columns.append(np.array([_flat(c[:, :, -len(own) :], weight) for c in each]))
-        return Stacked(common, tuple(columns))
+        return StackedColumns(common, tuple(columns))
 
-    def sized(self, motions: Sequence[MotionSamples]) -> None:
-        """Give effects without a size that of the fitted or stated ones, else of the noise.
+    def assign_sizes(self, motions: Sequence[MotionSamples]) -> None:
+        """Assign sizes to effects that have none.
 
-        By the RMS torque that their columns have, equal parts of it, in the mean of motions.
+        Their RMS torque is that of the largest stated or fitted effect, or of the noise, in equal
+        parts for each column, averaged over motions.
         """
-        squares = [np.zeros(len(r.coefficients)) for r in self.rivals]
-        torques = np.zeros(len(self.rivals))
-        for stacked in map(self.along, motions):
-            for k, (rival, columns) in enumerate(zip(self.rivals, stacked.columns, strict=True)):
+        squares = [np.zeros(len(r.coefficients)) for r in self.effects]
+        torques = np.zeros(len(self.effects))
+        for stacked in map(self.columns_along, motions):
+            for k, (rival, columns) in enumerate(zip(self.effects, stacked.columns, strict=True)):
                 squares[k] += (columns[0] ** 2).sum(axis=0) / len(motions)
                 torques[k] += ((columns[0] @ rival.coefficients) ** 2).sum() / len(motions)
-        known = torques[np.isfinite(torques)]
+        available = torques[np.isfinite(torques)]
         made = []
-        for rival, square in zip(self.rivals, squares, strict=True):
+        for rival, square in zip(self.effects, squares, strict=True):
             joint = rival.placement.joint
             noise = self.independent_rate[joint] * self.duration
-            level = float(known.max()) if len(known) else noise
+            level = float(available.max()) if len(available) else noise
             if np.isnan(rival.coefficients).any():
                 acts = square > 0.0
                 if not acts.any():
-                    raise EffectError(f"{rival.label}: has no torque along any motion tried")
+                    raise EffectError(
+                        f"{rival.label}: has no torque along any of the motions tried; choose "
+                        "another joint or start pose"
+                    )
                 each = level / acts.sum() / np.where(acts, square, 1.0)
                 rival = replace(rival, coefficients=np.where(acts, np.sqrt(each), 0.0))
             made.append(rival)
-        self.rivals = tuple(made)
+        self.effects = tuple(made)
 
-    def finer(self) -> None:
-        """Let refits take more shapes: what a search exploited between them is lost again."""
-        self.rivals = tuple(
-            replace(r, grid=_grid(r.placement, r.shapes, FINE_GRID)) for r in self.rivals
+    def refine_grids(self) -> None:
+        """Use finer grids of shape parameters in the refits.
+
+        A search may have used the gaps between the points of the coarse grids.
+        """
+        self.effects = tuple(
+            replace(r, grid=_grid(r.placement, r.shapes, FINE_GRID)) for r in self.effects
         )
 
     def torque_weight(self) -> Array:
-        """Return 1/N·m (n,): what a torque of 1 N·m weighs per √sample of one period."""
+        """Return the weight (n,) of a torque of 1 N·m per √sample of one period, 1/(N·m)."""
         return np.asarray(np.sqrt(self.independent_rate * self.duration) / self.fit.noise)
 
     def _weight(self, motion: MotionSamples) -> Array:
@@ -213,7 +186,7 @@ class Rivals:
             moving=np.abs(motion.dq) > self._dead_zone, options=self.fit.processing,
         )  # fmt: skip
 
-    def _rival(self, placement: Placement, size: Sequence[float] | None) -> Rival:
+    def _rival(self, placement: Placement, size: Sequence[float] | None) -> RivalEffect:
         effect = placement.effect
         count = len(effect.coefficients)
         initial = [shape.initial for shape in effect.shapes]
@@ -224,20 +197,21 @@ class Rivals:
                 names = [c.name for c in effect.coefficients] + [s.name for s in effect.shapes]
                 raise EffectError(
                     f"size of {placement.label}: {len(size)} numbers; expected "
-                    f"{', '.join(names)} ({count} at least)"
+                    f"{', '.join(names)} (at least {count})"
                 )
             numbers[: len(size)] = size
             if not numbers[:count].any():
-                raise EffectError(f"size of {placement.label}: zero, an effect that is not there")
+                raise EffectError(
+                    f"size of {placement.label}: zero; expected a coefficient that is not zero"
+                )
         elif placement.label in have:
-            _, coefficients, shapes = self._numbers([placement])
-            numbers = np.concatenate([coefficients, shapes])
+            numbers = np.concatenate(self._fitted([placement]))
         model = Model.of_placements(self.common.robot, (*self.common.placements, placement))
         own = numbers[count:]
-        return Rival(placement, compile(model), numbers[:count], own, _grid(placement, own))
+        return RivalEffect(placement, compile(model), numbers[:count], own, _grid(placement, own))
 
-    def _numbers(self, placements: Sequence[Placement]) -> tuple[list[str], Array, Array]:
-        """Return labels, coefficients and shapes that the fit has for placements."""
+    def _fitted(self, placements: Sequence[Placement]) -> tuple[Array, Array]:
+        """Return the coefficients and the shape parameters that the fit has for placements."""
         coefficients: dict[str, Array] = {}
         shapes: dict[str, Array] = {}
         c = s = 0
@@ -246,12 +220,10 @@ class Rivals:
             coefficients[p.label] = self.fit.effect_coefficients[c:last_c]
             shapes[p.label] = self.fit.shapes[s:last_s]
             c, s = last_c, last_s
-        names = [p.label for p in placements]
         empty = np.zeros(0)
         return (
-            names,
-            np.concatenate([empty, *(coefficients[name] for name in names)]),
-            np.concatenate([empty, *(shapes[name] for name in names)]),
+            np.concatenate([empty, *(coefficients[p.label] for p in placements)]),
+            np.concatenate([empty, *(shapes[p.label] for p in placements)]),
         )
 
 
@@ -261,8 +233,8 @@ def rival_placements(effects: Sequence[str], n: int) -> list[Placement]:
     Raises
     ------
     EffectError
-        Fewer than two, one given twice, unknown, on several joints, or one that needs what a
-        trajectory does not set.
+        Fewer than two, one given twice, an unknown one, one on several joints, or one that needs
+        a temperature.
     """
     found: list[Placement] = []
     for spec in effects:
@@ -273,15 +245,17 @@ def rival_placements(effects: Sequence[str], n: int) -> list[Placement]:
         if any(placement.label == other.label for other in found):
             raise EffectError(f"effect {placement.label} is given twice")
         if "temperature" in placement.effect.signals:
-            raise EffectError(f"{placement.label} needs a temperature; no trajectory sets that")
+            raise EffectError(
+                f"{placement.label} needs a temperature, which a trajectory does not determine"
+            )
         found.append(placement)
     if len(found) < 2:
-        raise EffectError(f"{len(found)} effect; expected two at least to tell apart")
+        raise EffectError(f"{len(found)} effect; expected at least two rivals")
     return found
 
 
 def _grid(placement: Placement, own: Array, points: int = GRID) -> Array:
-    """Return shapes (G, s): its own, the initial ones, and about so many over their ranges."""
+    """Return shape parameters (G, s): its own, the initial ones, and a grid over their ranges."""
     if not len(own):
         return np.zeros((1, 0))
     ranges = ShapeRange.of(placement.effect.shapes)
@@ -294,10 +268,3 @@ def _grid(placement: Placement, own: Array, points: int = GRID) -> Array:
 def _flat(columns: Array, weight: Array) -> Array:
     """Return columns (N, n, k) as weighted rows (N n, k)."""
     return np.asarray((columns * weight[:, :, None]).reshape(-1, columns.shape[2]))
-
-
-def _span(columns: Array) -> Array:
-    """Return an orthonormal basis of columns (R, k) of about unit length."""
-    basis, triangle, _ = qr(columns, mode="economic", pivoting=True)
-    sizes = np.abs(np.diag(triangle))
-    return np.asarray(basis[:, sizes > RANK * max(float(sizes.max(initial=0.0)), 1e-300)])
