@@ -55,7 +55,7 @@ def panda(starts=10, peers=4):
         reached.append(first)
         say(
             f"  seed {seed}: cond {solution.condition_number:.2f} in {solution.seconds:.2f} s, "
-            f"{len(solution.history)} iterations, cond {LEVEL} after {told(first)}, "
+            f"{len(solution.history)} iterations, cond {LEVEL} after {text(first)}, "
             f"violation {violation:.1g} on the grid {FINE}x finer"
         )
     numbers = [s.condition_number for s in ours]
@@ -73,7 +73,7 @@ def panda(starts=10, peers=4):
             theirs.append(first_time(log, LEVEL))
             say(
                 f"  SLSQP seed {seed}, {objective}: cond {min(v for _, v, _ in log):.2f} after "
-                f"{log[-1][0]:.1f} s, {len(log)} iterations, cond {LEVEL} after {told(theirs[-1])}"
+                f"{log[-1][0]:.1f} s, {len(log)} iterations, cond {LEVEL} after {text(theirs[-1])}"
             )
     mine = np.median([np.inf if t is None else t for t in reached])
     other = np.median([np.inf if t is None else t for t in theirs])
@@ -159,7 +159,7 @@ def say(text):
     sys.stdout.flush()
 
 
-def told(seconds):
+def text(seconds):
     return "never" if seconds is None else f"{seconds:.3f} s"
 
 

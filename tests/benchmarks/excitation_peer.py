@@ -82,7 +82,7 @@ def run_slsqp(peer, constraints, z, *, objective="log_condition", seconds=20.0, 
         conditions.append({"type": "ineq", "fun": margin})
     began, log = time.perf_counter(), []
 
-    def told(z):
+    def record(z):
         seconds_now = time.perf_counter() - began
         excess = constraints.excess(constraints.sampled.motion(z))
         log.append((seconds_now, peer.condition_number(z), constraints.largest(excess)))
@@ -90,7 +90,7 @@ def run_slsqp(peer, constraints, z, *, objective="log_condition", seconds=20.0, 
             raise StopIteration
 
     minimize(
-        getattr(peer, objective), z, method="SLSQP", constraints=conditions, callback=told,
+        getattr(peer, objective), z, method="SLSQP", constraints=conditions, callback=record,
         options={"maxiter": 1000, "ftol": 1e-9},
     )  # fmt: skip
     return log

@@ -189,8 +189,8 @@ def compile_rows():
 
         def run(cached):
             command = [sys.executable, "-c", f"cached = {cached}\n{COMPILE}"]
-            told = subprocess.run(command, env=environment, capture_output=True, check=True)
-            return [float(number) for number in told.stdout.split()]
+            done = subprocess.run(command, env=environment, capture_output=True, check=True)
+            return [float(number) for number in done.stdout.split()]
 
         cold = run(False)  # wall time: two compilers work at once
         cached = np.median([run(True) for _ in range(5)], axis=0)

@@ -64,10 +64,10 @@ def case(path, how):
     start, busy = time.perf_counter(), time.process_time()
     recording = {"loaded": Recording.load, "in parts": stream}[how](path)
 
-    def told(stage, _):
+    def record_stage(stage, _):
         stages[stage] = time.process_time() - busy
 
-    fit = lieid.identify(model, recording, processing=Processing(cutoff=9.4), progress=told)
+    fit = lieid.identify(model, recording, processing=Processing(cutoff=9.4), progress=record_stage)
     return {
         "how": how, "rows": len(recording), "wall": time.perf_counter() - start,
         "processor": time.process_time() - busy, "stages": stages,
@@ -78,15 +78,15 @@ def case(path, how):
 
 def measured(path, how):
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, __file__, "--case", str(path), how],
         env=environment,
         capture_output=True,
         text=True,
     )
-    if told.returncode:
-        raise SystemExit(told.stderr)
-    return json.loads(told.stdout)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    return json.loads(done.stdout)
 
 
 def show(rows):

@@ -105,12 +105,12 @@ def measured(who, samples, cores):
     # the loop's threads are those of lstsq; the blocks have their own
     environment = os.environ | {"OMP_NUM_THREADS": str(cores if who == "pinocchio" else 1)}
     arguments = ["--case", who, str(samples), str(cores)]
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, __file__, *arguments], env=environment, capture_output=True, text=True
     )
-    if told.returncode:
-        raise SystemExit(told.stderr)
-    return json.loads(told.stdout)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    return json.loads(done.stdout)
 
 
 def limits():
