@@ -54,18 +54,20 @@ def _noise(c: Comparison) -> str:
     if c.noise_source != "period_to_period":
         floor += " (a lower bound of the noise)"
     if ratio.max() <= AS_NOISE:
-        return f"It is at most {ratio.max():.2g} times {floor}: no systematic error is detectable."
+        return (
+            f"The error in motion is at most {ratio.max():.2g} times {floor}: "
+            "no systematic error is detectable."
+        )
     beyond = ratio > BEYOND_NOISE
     if not beyond.any():
-        return f"It is at most {ratio.max():.2g} times {floor}."
+        return f"The error in motion is at most {ratio.max():.2g} times {floor}."
     most = int(np.argmax(ratio))
     if beyond.sum() == 1:
-        return (
-            f"On joint {most + 1} it is {ratio[most]:.2g} times {floor}: "
-            "there is a systematic error."
+        size_text = f"On joint {most + 1} the error in motion is {ratio[most]:.2g} times {floor}"
+    else:
+        where = "every joint" if beyond.all() else joints_text(beyond)
+        size_text = (
+            f"On {where} the error in motion is more than {BEYOND_NOISE:g} times {floor}, "
+            f"most on joint {most + 1} ({ratio[most]:.2g} times)"
         )
-    where = "every joint" if beyond.all() else joints_text(beyond)
-    return (
-        f"On {where} it is more than {BEYOND_NOISE:g} times {floor}, most on joint {most + 1} "
-        f"({ratio[most]:.2g} times): there are systematic errors."
-    )
+    return f"{size_text}: part of it is systematic; lieid diagnose searches for missing effects."

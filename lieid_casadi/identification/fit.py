@@ -191,7 +191,7 @@ class Fit:
         """
         numbers = np.concatenate([self.values, self.shapes])
         expressions = [self.model.base.expression(k) for k in range(len(self.values))]
-        expressions += [shape.name for shape in self.model.shapes]
+        expressions += [shape.label for shape in self.model.shapes]
         return [
             {
                 "name": parameter.name,

@@ -29,15 +29,15 @@ def test_the_joint_with_a_systematic_error_is_named(fit):
     _, q, _, _ = arm.motion(10.0, seed=2)
     extra = np.column_stack([np.zeros(len(q)), 3.0 * q[:, 1]])
     text = verdict(lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.2, extra=extra)))
-    assert "On joint 2 it is " in text
-    assert "there is a systematic error" in text
+    assert "On joint 2 the error in motion is " in text
+    assert "part of it is systematic" in text
     assert "lower bound" in text  # no period in 10 s
 
 
 def test_periods_give_the_noise_and_not_a_bound(fit):
     _, q, _, _ = arm.motion(30.0, seed=2)
     text = verdict(lieid.compare(fit, arm.recording(30.0, seed=2, noise=0.2, extra=4.0 * q)))
-    assert "On every joint it is more than 2 times the noise floor, most on joint" in text
+    assert "On every joint the error in motion is more than 2 times the noise floor, most on joint" in text
 
 
 def test_verdict_reports_training_data_and_rest(fit):
