@@ -1,7 +1,7 @@
-"""The arm of the paper to measure: Table II's Panda with all of Eq. 8 as its friction.
+"""The simulated arm of the paper: Table II's Panda with the friction of Eq. 8.
 
-What the paper prints is taken as printed where an arm can have it; what it leaves open is chosen
-here and named in `notes`. All is that of the plant: nothing here comes from the library's effects.
+Printed values are used where they are physically plausible; other values are chosen here. The
+friction is implemented by the plant and does not use the library's effects.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ PAYLOADS: tuple[float, ...] = tuple(PRINTED["verification_payloads"])
 HEAVIEST: float = PRINTED["friction_payload"]
 CENTRE = (0.04, 0.0, 0.05)  # m, in the tool's frame: beside axis 7, so that joint 7 is loaded too
 
-# Torque noise (N·m, each sample of 1 kHz) of a real Panda: what a public recording of one
-# (unisa-acg/inverse-dynamics-solver) has above 3 Hz. Velocity noise and encoder: of its order.
+# Torque noise (N·m per sample at 1 kHz) of a real Panda: the part above 3 Hz of a public recording
+# (unisa-acg/inverse-dynamics-solver). Velocity noise and encoder resolution are of its order.
 TORQUE_NOISE = (0.5, 0.3, 0.4, 0.35, 0.067, 0.072, 0.042)
 VELOCITY_NOISE = 5e-4  # rad/s
 COUNTS = 2**20  # per turn of the joint
@@ -64,13 +64,14 @@ class Friction:
 
 @cache
 def true_friction() -> Friction:
-    """Return the paper's friction, mended where no arm can have what it prints.
+    """Return the friction of the paper, corrected where the printed values are implausible.
 
-    Printed: f_v1, f_b, |f_c|. f_v2 and f_v3 are printed times the largest factor up to 1 that
-    keeps the slope between 0.2 and 2 times f_v1 up to the joint's full speed (printed, all but
-    joint 1 would drive the joint there, by up to 30 N·m). An f_c below 0.01 is the median of the
-    others. f_τ follows from Fig. 5: RMS and correlation printed there tell how far friction
-    varies, rms/√(1 − σ²), and loads from 0 to L vary by 0.3·L.
+    f_v1, f_b and |f_c| are as printed. f_v2 and f_v3 are the printed values times the largest
+    factor up to 1 that keeps the slope between 0.2 and 2 times f_v1 up to the maximum speed of
+    the joint (the printed values give negative friction there on all joints but the first, down
+    to −30 N·m). Values of f_c below 0.01 are replaced by the median of the others. f_τ follows
+    from Fig. 5: the RMS and correlation printed there give the standard deviation of the
+    friction, rms/√(1 − σ²), and loads between 0 and L have a standard deviation of 0.3·L.
     """
     table = {name: np.array(row, dtype=float) for name, row in PRINTED["table_4"].items()}
     coulomb = np.abs(table["f_c"])
@@ -97,21 +98,21 @@ def _shrinkage(f1: Array, f2: Array, f3: Array, fastest: Array) -> Array:
     """Return the largest factors (7,) ≤ 1 on f2, f3 that keep the slope within 0.2…2 · f1."""
     speed = np.linspace(0.0, 1.0, 201)[:, None] * fastest
     bend = 2.0 * f2 * speed + 3.0 * f3 * speed**2
-    room = np.where(bend > 0.0, f1, -0.8 * f1)
+    allowed = np.where(bend > 0.0, f1, -0.8 * f1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.where(bend == 0.0, np.inf, room / bend)
+        factor = np.where(bend == 0.0, np.inf, allowed / bend)
     return np.asarray(np.minimum(1.0, factor.min(axis=0)))
 
 
 @cache
 def true_arm(payload: float = 0.0) -> plant.Arm:
-    """Return the arm, with a payload of that mass (kg) at its tool."""
+    """Return the arm with a payload of this mass (kg) at its tool."""
     f = true_friction()
     effects: list[plant.HiddenEffect] = []
     for j in range(N):
         effects += [
             plant.ViscousPolynomial(j, quadratic=f.f_v2[j], cubic=f.f_v3[j]),
-            # f_c·(1 − e^{−(q̇/f_c1)²}) + f_s·e^{−(q̇/f_s1)²}: two parts that fade, beside f_c
+            # f_c·(1 − e^{−(q̇/f_c1)²}) + f_s·e^{−(q̇/f_s1)²}: two decaying terms besides f_c
             plant.Stribeck(j, extra=-f.f_c[j], velocity=f.f_c1[j]),
             plant.Stribeck(j, extra=f.f_s[j], velocity=f.f_s1[j]),
             plant.LoadFriction(j, gain=f.f_tau[j], extra=f.f_tau1[j], rate=f.f_tau2[j]),
@@ -145,8 +146,7 @@ def sensors(rate: float = 1000.0) -> plant.Sensors:
 
 
 def with_payload(links: Array, mass: float) -> Array:
-    """Return link parameters (70,) with a payload that was weighed: mass, centre, inertia "
-    "known."""
+    """Return link parameters (70,) with a payload of this mass (kg) at the tool."""
     carrying = plant.Arm(
         ROBOT, links, plant.JointFriction.none(N), (plant.Payload(mass, CENTRE),) if mass else ()
     )

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 SPEEDS = np.deg2rad(np.geomspace(0.1, 30.0, 30))
 LOADS = 12
-DRAWS = 5  # of the noise, for joint 1, which has most of it and least load
+DRAWS = 5  # noise realizations for joint 1, which has the most noise and the least load
 COEFFICIENTS = {"f_v": "f_v1", "f_v2": "f_v2", "f_v3": "f_v3", "f_c": "f_c", "v_c": "f_c1",
                 "f_s": "f_s", "v_s": "f_s1", "f_tau": "f_tau", "f_tau1": "f_tau1",
                 "f_tau2": "f_tau2"}  # fmt: skip
 
 
 def section(lab: Lab) -> Section:
-    """Fit Eq. 8 to every joint's friction, and compare the surface with the plant's own."""
+    """Fit Eq. 8 to the friction of every joint and compare the surface with the plant's own."""
     fits = [lab.friction[j] for j in range(N)]
     again = np.array([surface_errors(lab, 0, redrawn(lab, draw)) for draw in range(1, DRAWS)])
     surface, rectangle = np.array([surface_errors(lab, j) for j in range(N)]).T
@@ -36,42 +36,42 @@ def section(lab: Lab) -> Section:
         ["σ, paper", *printed["correlation"]],
         ["σ, plant", *(fit.correlation for fit in fits)],
         ["surface: RMS error / RMS friction", *map(float, surface)],
-        ["the same over the whole rectangle", *map(float, rectangle)],
+        ["surface over the whole rectangle", *map(float, rectangle)],
         ["largest load, N·m", *(float(fit.curve.load.max()) for fit in fits)],
     ]
     body = (
         f"Each joint alone at {len(lab.speeds)} speeds from 0.1 to 30 °/s, forward and back, with "
         f"{HEAVIEST:g} kg, in the pose that loads it most and around {lab.centres} middles with "
-        "little to much load; half the difference of both ways (Eq. 15) is friction. Joint 1 "
-        "stands upright and feels no load at constant speed: it also swings, so that inertia "
-        "loads it; slow motion under load it cannot show, and the load terms of its ten "
-        "coefficients trade against Coulomb friction there. The printed RMS and σ are of a real "
-        "arm that has more in its friction than Eq. 8; the plant has Eq. 8 and noise. The surface "
-        "is Eq. 8 with the fitted numbers against the plant's own friction, at the speeds (0.1–30 "
-        "°/s) and loads of the runs of 6.5.2.\n\n"
+        "little to much load; half the difference of both directions (Eq. 15) is the friction. "
+        "The axis of joint 1 is vertical, so that gravity does not load it; it also swings, so "
+        "that inertia does. Slow motion under load is impossible for this joint, and there its "
+        "load terms cannot be separated from Coulomb friction. The printed RMS and σ are those of "
+        "a real arm, whose friction is not exactly Eq. 8; the plant has Eq. 8 and noise. “Surface” "
+        "compares Eq. 8 with the fitted coefficients with the plant's own friction, at the speeds "
+        "(0.1–30 °/s) and loads of the runs of 6.5.2.\n\n"
         + table(["", *joints(N)], rows)
         + "\n![Friction over speed, coloured by load](figures/figure_5.png)\n\n"
-        "<details><summary>The ten coefficients, true and fitted: several of them trade against "
-        "one another, the surface does not</summary>\n\n"
+        "<details><summary>The ten coefficients, true and fitted. Several are strongly "
+        "correlated, so that they differ although the surfaces agree</summary>\n\n"
         + table(["", "", *joints(N)], _coefficients(fits))
         + "\n</details>\n"
     )
     claims = (
         Claim(
-            "bar",
+            "this project",
             "the ten coefficients reproduce the friction surface within 3 % RMS",
             bool(np.all(surface <= 0.03) and np.all(again[:, 0] <= 0.03)),
             f"at most {100 * surface.max():.2f} % (joint {int(surface.argmax()) + 1}); joint 1 "
             "with "
-            f"{DRAWS - 1} other draws of the noise at most {100 * again[:, 0].max():.2f} %",
+            f"{DRAWS - 1} other noise realizations at most {100 * again[:, 0].max():.2f} %",
         ),
         Claim(
-            "beyond the bar",
-            "and over the whole rectangle of 0.1–30 °/s and the loads of 6.5.2",
+            "this project",
+            "the same over the whole rectangle of 0.1–30 °/s and the loads of 6.5.2",
             bool(np.all(rectangle <= 0.03) and np.all(again[:, 1] <= 0.03)),
             f"joint 1, whose slow motion under load cannot be measured, {100 * rectangle[0]:.2f} "
-            f"%, with other noise up to {100 * again[:, 1].max():.2f} %; the others at most "
-            f"{100 * rectangle[1:].max():.2f} %",
+            f"%, with other noise realizations up to {100 * again[:, 1].max():.2f} %; the others "
+            f"at most {100 * rectangle[1:].max():.2f} %",
         ),
         Claim(
             "6.4.2",
@@ -102,7 +102,7 @@ def surface_errors(lab: Lab, joint: int, fit: FrictionFit | None = None) -> tupl
 
 
 def redrawn(lab: Lab, draw: int) -> FrictionFit:
-    """Return joint 1 measured and fitted again, with another draw of the noise."""
+    """Return the fit of joint 1 with another noise realization."""
     return fit_friction(lab.curve(lab.first_stage, 0, HEAVIEST, draw), EQ_18)
 
 
@@ -142,16 +142,16 @@ def draw(fits: list[FrictionFit]) -> Figure:
         axis.axis("off")
         axis.text(0.0, 0.75, "points: measured", fontsize=9)
         axis.text(
-            0.0, 0.62, "lines: Eq. 8 at least, middle\nand largest load", fontsize=9, va="top"
+            0.0, 0.62, "lines: Eq. 8 at smallest, middle\nand largest load", fontsize=9, va="top"
         )
-        axis.text(0.0, 0.3, "dark: little load, bright: much", fontsize=9)
+        axis.text(0.0, 0.3, "dark: small load, bright: large load", fontsize=9)
     figure.supxlabel("speed, °/s", fontsize=10)
     figure.supylabel("friction, N·m", fontsize=10)
     return figure
 
 
 def draw_curve(axis: Axes, fit: FrictionFit, speed: Array, colours: Colormap) -> None:
-    """Draw one joint's points and its model at three loads."""
+    """Draw the points of one joint and its model at three loads."""
     curve = fit.curve
     low, high = float(curve.load.min()), float(curve.load.max())
     place = 0.9 * (curve.load - low) / max(high - low, 1e-9)

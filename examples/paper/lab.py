@@ -1,6 +1,6 @@
-"""The measurements of section 6 on the plant, and the fits that tables and figures share.
+"""Measurements of section 6 on the plant, and the fits that tables and figures share.
 
-Each is made when it is first asked for and kept.
+Each is computed at first use and cached.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from lieid_casadi.excitation.friction_sweep import SPEEDS
 from lieid_casadi.friction_curves import (
     FrictionCurve,
     FrictionFit,
+    combine_stages,
     fit_friction,
     friction_curve,
-    together,
 )
 from lieid_casadi.identification import Fit
 from lieid_casadi.plant.true_motion import TrueMotion
@@ -41,16 +41,13 @@ from lieid_casadi.recording import Processing, Recording
 PERIOD: float = PRINTED["period"]
 EQ_10 = "coulomb,viscous,offset"
 EQ_16 = "coulomb,viscous,offset,viscous_polynomial"
-REF_6 = "coulomb,viscous"
+REF_6 = EQ_10  # with physically consistent links
 EQ_18 = "viscous,viscous_polynomial,stribeck/two_width,load_friction/paper"
 CUTOFF = 10.0  # Hz; the paper states none
 PAPERS_FILTERS = Processing(cutoff=CUTOFF, average_periods=True, smoother="rloess")
 LINEAR = Processing(cutoff=CUTOFF)
-SHOWN = ("stribeck/two_width", "load_friction/paper")  # by single joints
-SMOOTH = "viscous,viscous_polynomial,offset"
-ROUNDS = 2
 _F = true_friction().rows()
-TRUE = {  # by the library's names
+TRUE = {  # by names of the library
     "viscous.f_v": _F["f_v1"],
     "viscous_polynomial.f_v2": _F["f_v2"],
     "viscous_polynomial.f_v3": _F["f_v3"],
@@ -67,18 +64,19 @@ TRUE = {  # by the library's names
 
 @dataclass(frozen=True)
 class Lab:
-    """The plant and what is done with it.
+    """Measurements on the plant and fits to them.
 
     Attributes
     ----------
     periods : int
-        Of each excitation run.
-    speeds : (k,)
-        Of the friction runs, rad/s.
+        Number of periods of each excitation run.
+    speeds : tuple of float
+        Speeds of the friction runs, rad/s.
     centres : int
-        Middle positions of each joint's friction runs: loads from least to largest.
+        Number of middle positions of the friction runs of each joint, which give loads from
+        smallest to largest.
     starts, criterion_starts : int
-        Of the two excitations, and of each criterion in Table III.
+        Number of random starts of the two excitations, and of each criterion in Table III.
     """
 
     periods: int = PRINTED["periods"]
@@ -89,12 +87,12 @@ class Lab:
 
     @classmethod
     def quick(cls) -> Lab:
-        """Return a lab that does less of everything."""
+        """Return a lab with fewer periods, speeds and starts."""
         return cls(periods=3, speeds=tuple(SPEEDS[::2]), criterion_starts=1)
 
     @cached_property
     def excitations(self) -> tuple[Excitation, Excitation]:
-        """One trajectory to identify from and another to verify with (criterion C1)."""
+        """One trajectory for identification and another for verification (criterion C1)."""
         model = lieid.Model(ROBOT, effects=EQ_16)
         first, second = (
             lieid.excite(model, start_pose=np.zeros(N), starts=self.starts, seed=seed)
@@ -110,12 +108,12 @@ class Lab:
 
     @cached_property
     def training(self) -> Recording:
-        """No load, first trajectory."""
+        """First trajectory without payload."""
         return self._run(0, 0.0, seed=10)
 
     @cached_property
     def verification(self) -> Recording:
-        """No load, second trajectory."""
+        """Second trajectory without payload."""
         return self._run(1, 0.0, seed=11)
 
     @cached_property
@@ -123,17 +121,28 @@ class Lab:
         """The second trajectory with each payload (kg)."""
         return {mass: self._run(1, mass, seed=20 + k) for k, mass in enumerate(PAYLOADS)}
 
-    def _run(self, which: int, payload: float, *, seed: int) -> Recording:
+    @cached_property
+    def noise_free(self) -> tuple[Recording, Recording]:
+        """Both trajectories without payload, measured without torque noise."""
+        first, second = (
+            self._run(k, 0.0, seed=10 + k, quality=replace(sensors(), torque_noise=0.0))
+            for k in (0, 1)
+        )
+        return first, second
+
+    def _run(
+        self, which: int, payload: float, *, seed: int, quality: plant.Sensors | None = None
+    ) -> Recording:
         arm = true_arm(payload)
         period = _Periodic(self.excitations[which])
-        # At rest at both ends: the periods are alike but for the noise, so one is simulated.
+        # At rest at both ends: the periods differ by noise only, so that one is simulated.
         motion = _repeated(plant.move(arm, period), self.periods)
         name = f"trajectory {which + 1}, {payload:g} kg"
-        return plant.measure(arm, motion, sensors(), seed=seed, name=name)
+        return plant.measure(arm, motion, quality or sensors(), seed=seed, name=name)
 
     @cached_property
     def no_load_fits(self) -> dict[str, Fit]:
-        """The three models of Tables V and VI, through the paper's filters."""
+        """The three models of Tables V and VI, identified through the paper's filters."""
         return {
             name: lieid.identify(
                 lieid.Model(ROBOT, effects=effects),
@@ -149,9 +158,18 @@ class Lab:
         }
 
     def curve(self, fit: Fit, joint: int, payload: float, draw: int = 0) -> FrictionCurve:
-        """Return a joint's friction (from 0) measured with a payload; loads by this fit.
+        """Return the friction curve of a joint with a payload.
 
-        ``draw`` is one of the noise.
+        Parameters
+        ----------
+        fit : Fit
+            Its links and the payload give the load torque.
+        joint : int
+            From 0.
+        payload : float
+            kg.
+        draw : int
+            Number of the noise realization.
         """
         runs = [
             plant.measure_along(
@@ -169,7 +187,7 @@ class Lab:
 
     @cached_property
     def first_stage(self) -> Fit:
-        """Eq. 16 without load through the linear filters: links for the friction stage."""
+        """Eq. 16 without load, through the linear filter: links for the friction stage."""
         return self._identified(EQ_16)
 
     @cached_property
@@ -191,20 +209,23 @@ class Lab:
 
     @cached_property
     def payload_fits(self) -> dict[str, Fit]:
-        """Models that are to predict torques under a payload, identified without one."""
-        two = together(self.first_stage, self.friction, [self.training])
+        """Models identified without a payload that predict torques with one."""
+        two, three = (
+            combine_stages(self.first_stage, self.friction, [self.training], refit=refit)
+            for refit in (False, True)
+        )
         return {
             "Eq. 10": self._identified(EQ_10),
             "Eq. 17": self.first_stage,
             "Eqs. 16, 18, two stages": two,
-            "Eqs. 16, 18, three stages": self._third_stage(two),
+            "Eqs. 16, 18, three stages": three,
             "Eqs. 16, 18, one fit": self._identified(f"{EQ_18},offset"),
             "true": self.truth,
         }
 
     @cached_property
     def truth(self) -> Fit:
-        """The arm's own numbers in the library's model: what no fit can be better than."""
+        """The true parameters of the plant in the library's model."""
         known = {f"{name}:{j + 1}": x for name, row in TRUE.items() for j, x in enumerate(row)}
         return _with_numbers(self.first_stage, true_arm().parameters, known, f"{EQ_18},offset")
 
@@ -212,37 +233,9 @@ class Lab:
         model = lieid.Model(ROBOT, effects=effects)
         return lieid.identify(model, self.training, processing=LINEAR)
 
-    def _third_stage(self, fit: Fit) -> Fit:
-        """Identify links and the polynomial again, the dry friction of single joints taken off.
-
-        Runs at 0.1 to 30 °/s know load and Stribeck friction but not the polynomial at 180 °/s,
-        excitation without a payload the other way round. Robust: joints that stick for an instant
-        at a reversal are outliers, many times the noise.
-        """
-        model = lieid.Model(ROBOT, effects=SMOOTH)
-        for _ in range(ROUNDS):
-            shown = np.array([c.name.split(".")[0] in SHOWN for c in fit.model.columns])
-            with_, without = (
-                replace(fit, parameters=np.concatenate([fit.link_parameters, x]))
-                for x in (fit.effect_coefficients * shown, 0.0 * fit.effect_coefficients)
-            )
-            friction = with_.predict(self.training) - without.predict(self.training)
-            assert self.training.tau is not None
-            remaining = replace(self.training, tau=self.training.tau - friction)
-            rest = lieid.identify(model, remaining, method="robust", processing=LINEAR)
-            numbers = _numbers(fit) | _numbers(rest)
-            fit = _with_numbers(rest, rest.link_parameters, numbers, f"{EQ_18},offset")
-        return fit
-
-
-def _numbers(fit: Fit) -> dict[str, float]:
-    """Return coefficients and shapes of a fit by their labels."""
-    labels = [p.label for p in (*fit.model.columns, *fit.model.shapes)]
-    return dict(zip(labels, [*fit.effect_coefficients, *fit.shapes], strict=True))
-
 
 def _with_numbers(fit: Fit, links: Array, numbers: dict[str, float], effects: str) -> Fit:
-    """Return a fit with these links (70,) and the numbers that its effects have among those."""
+    """Return a fit with these links (70,) and these values of its effects' parameters."""
     model = lieid.Model(ROBOT, effects=effects)
     parameters = np.concatenate([links, [numbers.get(c.label, 0.0) for c in model.columns]])
     return replace(
@@ -276,7 +269,7 @@ def _repeated(motion: TrueMotion, periods: int) -> TrueMotion:
 
 
 def loaded_fit(fit: Fit, payload: float) -> Fit:
-    """Return a fit that carries a payload that was weighed (kg)."""
+    """Return a fit with a payload of known mass (kg), centre and inertia added to the links."""
     links = with_payload(fit.link_parameters, payload)
     parameters = np.concatenate([links, fit.effect_coefficients])
     return replace(fit, parameters=parameters, values=fit.model.base.combination @ parameters)

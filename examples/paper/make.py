@@ -1,12 +1,12 @@
-"""Section 6 of Luo et al. 2024 again: every table and figure, and the page that shows them.
+"""Reproduce the tables and figures of section 6 of Luo et al. 2024, and write the page.
 
     python examples/paper/make.py [-o DIR] [--quick]
     python examples/paper/make.py --robot ARM.urdf --train A.csv B.csv --test C.csv
         [--alone D.csv --joint J] [--torque-constants K1,...,Kn]
 
-The simulated Panda has the paper's friction (`arm.py`). A real arm's recordings give the same
-columns: the UR10e's are found under LIEID_RECORDINGS, others are named on the command line. Each
-script can be run by itself and prints its part.
+The simulated Panda has the friction of the paper (`arm.py`). The same tables are made from
+recordings of a real arm: those of the UR10e under LIEID_RECORDINGS, or those given on the command
+line. Each script can also be run by itself and prints its section.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ HERE = Path(__file__).parent
 
 
 def main(arguments: list[str] | None = None) -> tuple[Section, ...]:
-    """Make the page and its pictures; return its sections."""
+    """Write the page and its figures; return its sections."""
     args = _parser().parse_args(arguments)
     matplotlib.use("Agg")
     lab = Lab.quick() if args.quick else Lab()
@@ -74,40 +74,49 @@ def render(sections: tuple[Section, ...], seconds: float, *, quick: bool, record
         "considering nonlinear friction and optimal excitation trajectory”, Robotica 42 (2024), "
         "on a simulated Panda and on a real arm's recordings. Made by\n\n"
         f"    {command}\n\n"
-        f"in {seconds / 60:.1f} minutes ({os.cpu_count()} cores). Numbers marked “paper” are those "
-        "it prints (`printed.yaml`); all others come from that run.\n\n"
-        "**The plant.** Table II's Panda with inertias off the published ones by up to 20 %; "
-        "Pinocchio's dynamics, a joint controller at 1 kHz, and friction of its own that shares "
-        "no code with the library. Friction is all of Eq. 8, temperature constant, with the "
-        "offset of Eq. 17 (Table IV's f_v1, f_b and |f_c|; its f_v2, f_v3 shrunk, because as "
-        "printed they drive most joints at full speed; load friction sized by Fig. 5's RMS and σ; "
-        "what is not printed is chosen in `arm.py`). Noise: the paper states none; torque noise "
-        "per sample of 1 kHz is that of a public recording of a real Panda "
-        f"({', '.join(f'{x:g}' for x in TORQUE_NOISE)} N·m), velocity {VELOCITY_NOISE:g} rad/s "
-        "(assumed), encoders of 20 bits. Excitation as in 6.1–6.2: 5 harmonics, 20 s, "
-        f"{'fewer periods (--quick)' if quick else '5 periods'}. Friction runs at 200 Hz track "
-        f"ideally, with {HEAVIEST:g} kg and, to verify, {', '.join(f'{m:g}' for m in PAYLOADS)} "
-        "kg; each 4 cm beside the flange's axis.\n"
+        f"in {seconds / 60:.1f} minutes ({os.cpu_count()} cores). Numbers marked “paper” are "
+        "printed in the paper (`printed.yaml`); all others come from this run.\n\n"
+        "**The plant.** The Panda of Table II, with inertias that differ from the published ones "
+        "by up to 20 %, dynamics by Pinocchio, a joint controller at 1 kHz, and friction that "
+        "shares no code with the library. The friction is Eq. 8 at constant temperature with the "
+        "offset of Eq. 17: f_v1, f_b and |f_c| of Table IV; f_v2 and f_v3 scaled down, because "
+        "the printed values give negative friction at full speed on most joints; load friction "
+        "of the size that RMS and σ of Fig. 5 imply; values that are not printed are chosen in "
+        "`arm.py`. The paper states no noise: the torque noise per sample at 1 kHz is that of a "
+        "public recording of a real Panda "
+        f"({', '.join(f'{x:g}' for x in TORQUE_NOISE)} N·m), the velocity noise is assumed to be "
+        f"{VELOCITY_NOISE:g} rad/s, and encoders have 20 bits. Excitation as in sections 6.1 and "
+        f"6.2: 5 harmonics, 20 s, {'fewer periods (--quick)' if quick else '5 periods'}. Friction "
+        "runs at 200 Hz follow the commanded motion exactly, with a payload of "
+        f"{HEAVIEST:g} kg and, for verification, {', '.join(f'{m:g}' for m in PAYLOADS)} kg; the "
+        "centre of each payload is 4 cm beside the axis of the flange.\n\n"
+        "**Verdicts.** A difference between models is significant if its 95 % interval, by a "
+        "block bootstrap over time (blocks of 1 s) or over the points of a friction curve, does "
+        "not contain zero. Where it does, or where the paper states no limit, a statement is not "
+        "decided. The simulation has one arm and one noise realization, so that a verdict says "
+        "nothing about other arms.\n"
     )
     rows = [claim.row() for claim in claims]
-    verdicts = "## What holds\n\n" + table(["where", "claim", "here", "numbers"], rows)
+    verdicts = "## Verdicts\n\n" + table(["section", "statement", "verdict", "numbers"], rows)
     return "\n".join([head, *(s.markdown() for s in sections), verdicts, closing(claims)])
 
 
 def closing(claims: Sequence[Claim]) -> str:
-    """Return where the paper's ranking of models holds and where not."""
+    """Return a summary of the verdicts on rankings, and the limits of this reproduction."""
     ranking = [claim for claim in claims if claim.ranking]
-    holds = [claim for claim in ranking if claim.holds]
-    fails = [claim for claim in ranking if not claim.holds]
+    holds, fails, open_ = (
+        [claim for claim in ranking if claim.holds is verdict] for verdict in (True, False, None)
+    )
     return (
-        f"## Closing note\n\n{len(ranking)} rankings of criteria and models could be checked.\n\n"
-        f"**The paper's ranking holds** in {len(holds)}:\n\n{listed_claims(holds)}\n\n"
-        f"**It does not hold** in {len(fails)}:\n\n{listed_claims(fails)}\n\n"
-        "What this shows, and what not: the plant's friction is the paper's by construction, so "
-        "that Eq. 8 wins Fig. 7 on it says only that the procedure finds what is there; whether "
-        "real friction is like that, a real arm must say. Temperature is constant throughout. The "
-        "models of refs. 6, 7, 14 and 25 are rebuilt from abstracts and from what the paper says "
-        "of them.\n"
+        f"## Closing note\n\nOf {len(ranking)} rankings of criteria and models, {len(holds)} hold, "
+        f"{len(fails)} do not hold and {len(open_)} are not decided.\n\n"
+        f"**Not holding:**\n\n{listed_claims(fails)}\n\n"
+        f"**Not decided:**\n\n{listed_claims(open_)}\n\n"
+        "The friction of the plant is that of the paper by construction. That Eq. 8 wins Fig. 7 on "
+        "it shows only that the procedure finds a friction of this form; whether real friction "
+        "has this form must be measured on a real arm. The temperature is constant throughout. "
+        "The models of refs. 6, 7, 14 and 25 are reconstructions from abstracts and from the "
+        "paper's description.\n"
     )
 
 
@@ -135,7 +144,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--robot", type=Path, metavar="URDF")
     parser.add_argument("--train", type=Path, nargs="+", default=[])
     parser.add_argument("--test", type=Path, nargs="+", default=[])
-    parser.add_argument("--alone", type=Path, help="one joint to and fro")
+    parser.add_argument("--alone", type=Path, help="one joint moving forward and backward")
     parser.add_argument("--joint", type=int, default=1, help="that joint, from 1")
     parser.add_argument("--torque-constants", metavar="K1,...,Kn", help="N·m/A")
     return parser

@@ -1,4 +1,4 @@
-"""What a script hands to the page: text with tables, pictures, and claims that hold or do not."""
+"""Sections of the page: text with tables, figures, and claims with verdicts."""
 
 from __future__ import annotations
 
@@ -21,20 +21,36 @@ COLOURS = ("#1b6ca8", "#d1495b", "#edae49", "#66a182", "#6d597a")
 
 @dataclass(frozen=True)
 class Claim:
-    """A sentence of the paper, whether it holds here, and the numbers that say so.
+    """A statement of the paper, or a requirement of this project, and the verdict on it.
 
-    ``ranking``: it says that one model is better than another.
+    Attributes
+    ----------
+    source : str
+        Section of the paper.
+    text : str
+    holds : bool or None
+        None where the numbers do not decide: a difference within its uncertainty, or a
+        statement without a limit.
+    evidence : str
+        The numbers of the verdict.
+    ranking : bool
+        Whether the statement is that one model or criterion is better than another.
     """
 
     source: str
     text: str
-    holds: bool
+    holds: bool | None
     evidence: str
     ranking: bool = False
 
+    @property
+    def verdict(self) -> str:
+        """The verdict in words."""
+        return {True: "holds", False: "does not hold", None: "not decided"}[self.holds]
+
     def row(self) -> list[Cell]:
-        """Return the claim as a table's row."""
-        verdict = "holds" if self.holds else "**does not hold**"
+        """Return the claim as a row of a table."""
+        verdict = f"**{self.verdict}**" if self.holds is False else self.verdict
         return [self.source, self.text, verdict, self.evidence]
 
 
@@ -48,11 +64,11 @@ class Section:
     pictures: dict[str, Figure] = field(default_factory=dict)
 
     def markdown(self) -> str:
-        """Return the section with links to its pictures."""
+        """Return the section with links to its figures."""
         return f"## {self.title}\n\n{self.body.strip()}\n"
 
     def draw(self, folder: Path) -> None:
-        """Write the pictures into a folder."""
+        """Write the figures into a folder."""
         from matplotlib import pyplot as plt
         from PIL import Image
 
@@ -61,7 +77,7 @@ class Section:
             drawn = io.BytesIO()
             figure.savefig(drawn, format="png", dpi=110)
             plt.close(figure)
-            with Image.open(drawn) as image:  # flat colours: a palette halves the file
+            with Image.open(drawn) as image:  # a palette halves the size of the file
                 image.convert("RGB").quantize(128).save(folder / f"{name}.png", optimize=True)
 
 
@@ -81,24 +97,24 @@ def _cell(value: Cell) -> str:
 
 
 def joints(n: int) -> list[str]:
-    """Return the heads of n joints' columns."""
+    """Return the headings of the columns of n joints."""
     return [f"joint {j + 1}" for j in range(n)]
 
 
 def listed(found: Sequence[int] | np.ndarray) -> str:
-    """Return joints (from 0) as people name them."""
+    """Return joints (from 0) as text, numbered from 1."""
     if len(found) == 0:
         return "no joint"
     return f"joint{'s' * (len(found) > 1)} {', '.join(str(j + 1) for j in found)}"
 
 
 def listed_claims(claims: Sequence[Claim]) -> str:
-    """Return claims as a list."""
+    """Return claims as a markdown list."""
     return "\n".join(f"- {c.text} ({c.source}): {c.evidence}" for c in claims) or "- none"
 
 
 def plain_logarithmic(axis: Axes, low: float, high: float) -> None:
-    """Give an axis of speeds ticks that are read at a glance."""
+    """Make an axis of speeds logarithmic, with few plain ticks."""
     axis.set_xscale("log")
     ticks = [x for x in (0.1, 0.3, 1, 3, 5, 10, 20, 30) if low * 0.99 <= x <= high * 1.01]
     if high / low > 50.0:
@@ -111,4 +127,4 @@ def show(section: Section) -> None:
     """Print a section on the terminal."""
     print(section.markdown())
     for claim in section.claims:
-        print(f"- {claim.text}: {'holds' if claim.holds else 'does not hold'} ({claim.evidence})")
+        print(f"- {claim.text}: {claim.verdict} ({claim.evidence})")

@@ -1,4 +1,4 @@
-"""The same columns from recordings of a real arm, as far as they allow."""
+"""The same tables from recordings of a real arm, as far as they allow."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from figure_5 import draw_curve
-from figure_7 import MODELS, prediction_error
+from figure_7 import MODELS, prediction_errors, smallest
 from lab import EQ_10, EQ_16, EQ_18, REF_6
-from measure import Errors, errors
+from measure import Errors, difference, errors
 from page import Claim, Section, joints, listed, show, table
 from tables_5_6 import draw
 
@@ -31,7 +31,7 @@ SHOWN_SECONDS = 15.0
 
 @dataclass(frozen=True)
 class Recorded:
-    """An arm's recordings: to identify from, to test with, and of one joint to and fro.
+    """Recordings of an arm: for identification, for tests, and of one joint alone.
 
     ``joint`` counts from 0; ``constants`` (N·m/A) turn currents into torques.
     """
@@ -50,7 +50,7 @@ class Recorded:
 
 
 def ur10e() -> Recorded | None:
-    """Return the UR10e under LIEID_RECORDINGS, or None where it is not."""
+    """Return the UR10e under LIEID_RECORDINGS, or None if it is not there."""
     stated = os.environ.get("LIEID_RECORDINGS")
     folder = Path(stated) / "ur10e" if stated else None
     if folder is None or not folder.is_dir():
@@ -71,9 +71,9 @@ def section(recorded: Recorded | None) -> Section:
     if recorded is None:
         return Section(
             "A real arm",
-            "No recordings of a real arm were at hand when this page was made, so this part is "
-            "left out: set `LIEID_RECORDINGS` to the folder that has `ur10e/`, or give `--robot`, "
-            "`--train` and `--test`.",
+            "No recordings of a real arm were available when this page was made, so this part is "
+            "left out. Set `LIEID_RECORDINGS` to the folder that contains `ur10e/`, or give "
+            "`--robot`, `--train` and `--test`.",
         )
     robot = lieid.Robot.load(recorded.robot)
     train, test = ([recorded.load(p) for p in paths] for paths in (recorded.train, recorded.test))
@@ -91,25 +91,26 @@ def section(recorded: Recorded | None) -> Section:
             ("Eq. 18", f"{EQ_18},offset", "wls"),
         )
     }
-    seen, unseen = (
+    trained, tested = (
         {k: errors(fit, s) for k, fit in fits.items()}
         for s in (process(train, CUTOFF), process(test, CUTOFF))
     )
     body = (
-        f"{recorded.name}, torque from motor currents, {CUTOFF.cutoff:g} Hz. No payload was on it "
-        "and no temperature recorded, so Table IV has no true column, and there is nothing for "
-        "6.5.2 but one joint. Models as above with `armature`, which drives measured by their "
-        "current need; Eq. 18 is fitted to the excitation in one go.\n\n"
+        f"{recorded.name}, torque from motor currents, low-pass {CUTOFF.cutoff:g} Hz. There are no "
+        "runs with a payload, no temperatures and no true parameters, so that Table IV is left "
+        "out and section 6.5.2 is limited to one joint. The models are those above with "
+        "`armature`, because torques from motor currents include the rotor inertia; Eq. 18 is "
+        "fitted to the excitation in one step.\n\n"
         f"**Identification** ({', '.join(_stem(p) for p in recorded.train)}) and **another "
         f"trajectory** ({', '.join(_stem(p) for p in recorded.test)})\n\n"
-        + table(["", "", *joints(robot.n), "sum"], [*_rows(seen, "V"), *_rows(unseen, "VI")])
+        + table(["", "", *joints(robot.n), "sum"], [*_rows(trained, "V"), *_rows(tested, "VI")])
         + "\n![Measured and estimated torques](figures/recorded_6.png)\n"
     )
     claims = [
-        *_claims(recorded.name, seen, "as Table V"),
-        *_claims(recorded.name, unseen, "as Table VI"),
+        *_claims(recorded.name, trained, "as Table V"),
+        *_claims(recorded.name, tested, "as Table VI"),
     ]
-    pictures = {"recorded_6": draw(unseen["Eq. 16"], SHOWN_SECONDS)}
+    pictures = {"recorded_6": draw(tested["Eq. 16"], SHOWN_SECONDS)}
     if recorded.alone is not None:
         text, claim, picture = _friction(recorded, fits["Eq. 18"])
         body += text
@@ -136,14 +137,15 @@ def _rows(found: dict[str, Errors], name: str) -> list[list[str | float]]:
 def _claims(arm: str, found: dict[str, Errors], where: str) -> list[Claim]:
     claims = []
     for better, other in (("Eq. 16", "Eq. 10"), ("Eq. 16", "ref. 6"), ("Eq. 18", "Eq. 16")):
-        larger = np.flatnonzero(found[better].rms >= found[other].rms)
-        change = found[better].total / found[other].total - 1.0
+        change = difference(found[better], found[other])
+        total = change.total / found[other].total
         claims.append(
             Claim(
                 f"{arm}, {where}",
-                f"{better} leaves smaller residuals than {other} in all joints",
-                len(larger) == 0,
-                f"larger on {listed(larger)}; sum {100 * change:+.1f} %",
+                f"{better} has smaller residuals than {other} on all joints",
+                change.all_smaller,
+                f"significantly smaller on {listed(change.smaller)}, larger on "
+                f"{listed(change.larger)}; sum {100 * total:+.1f} %",
                 ranking=True,
             )
         )
@@ -160,22 +162,23 @@ def _friction(recorded: Recorded, whole: lieid.Fit) -> tuple[str, Claim, Figure]
         for part in (alone.cut(None, middle), alone.cut(middle, None))
     )
     fits = {model: fit_friction(first, model) for model in MODELS}
-    found = {model: prediction_error(fit, second) for model, fit in fits.items()}
+    residuals = {model: prediction_errors(fit, second) for model, fit in fits.items()}
+    found = {model: float(np.sqrt(np.mean(e**2))) for model, e in residuals.items()}
     rows: list[list[str | float]] = [
         [title, fits[m].rms, fits[m].correlation, found[m]] for m, title in MODELS.items()
     ]
     others = [found[m] for m in list(MODELS)[1:]]
     text = (
-        f"\n**As Figs. 5 and 7**: joint {recorded.joint + 1} alone to and fro "
-        f"({_stem(recorded.alone)}), {_range(first)}; models fitted to the first half of the "
-        "recording and tested on the second, N·m.\n\n"
+        f"\n**As Figs. 5 and 7**: joint {recorded.joint + 1} alone, forward and "
+        f"backward ({_stem(recorded.alone)}), {_range(first)}; models fitted to the first half of "
+        "the recording and tested on the second, N·m.\n\n"
         + table(["model", "RMS, fitted", "σ, fitted", "RMS, second half"], rows)
         + "\n![Friction over speed, coloured by load](figures/recorded_5.png)\n"
     )
     claim = Claim(
         f"{recorded.name}, as 6.5.2",
-        "Eq. 8 has the smallest error of the four friction models on motion it has not seen",
-        found["paper"] < min(others),
+        "Eq. 8 has the smallest error of the four friction models on other motion",
+        smallest(residuals["paper"], [residuals[m] for m in list(MODELS)[1:]]),
         f"{found['paper']:.3f} N·m; the others {', '.join(f'{x:.3f}' for x in others)}",
         ranking=True,
     )
@@ -199,7 +202,7 @@ def _draw(*fits: FrictionFit) -> Figure:
     for axis, fit, title in zip(axes, fits, (MODELS["paper"], MODELS["he2021"]), strict=True):
         draw_curve(axis, fit, speed, colormaps["viridis"])
         axis.set_title(f"{title}, {axis.get_title(loc='left')}", loc="left", fontsize=9)
-    figure.supxlabel("speed, °/s (bright: much load)", fontsize=9)
+    figure.supxlabel("speed, °/s (bright: large load)", fontsize=9)
     figure.supylabel("friction, N·m", fontsize=9)
     return figure
 
