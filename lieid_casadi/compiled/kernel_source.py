@@ -1,42 +1,48 @@
-"""C source of an expression: straight-line code on vectors of samples.
+"""C source of a kernel: straight-line code on vectors of samples.
 
-CasADi eliminates common subexpressions and orders the work; its list of instructions becomes one
-C statement each, on the type `lieid_v` of ``codegen/lieid_lanes.h``. The same text serves every
-number of lanes, one included.
+Values have the type `lieid_v` of ``codegen/lieid_lanes.h``. The same text serves every number of
+lanes, one included.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cache
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import CompilerError
+from lieid_casadi.expressions.c_writer import ARITHMETIC, Dialect, Statements, statements
 from lieid_casadi.expressions.model_functions import SparseFunction
 
 Indices = NDArray[np.intp]
 
-# Arguments that are the same for every sample; all others come per sample.
+# Arguments that are the same for every sample; all others differ from sample to sample.
 CONSTANT_ARGUMENTS = frozenset({"parameters", "coefficients", "shapes", "dead_zone"})
 
-_INFIX = {"ADD": "+", "SUB": "-", "MUL": "*", "DIV": "/"}
-_PATTERNS = {
-    "ASSIGN": "{0}", "NEG": "-{0}", "SQ": "{0} * {0}", "TWICE": "{0} + {0}", "INV": "1.0 / {0}",
-    "CONSTPOW": "lieid_pow({0}, {1})",
-}  # fmt: skip
-_MACROS = ("LT", "LE", "EQ", "NE", "NOT", "AND", "OR", "IF_ELSE_ZERO")
-_FUNCTIONS = (
-    "SQRT", "FABS", "SIGN", "FMIN", "FMAX", "EXP", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN",
-    "SINH", "COSH", "TANH", "LOG", "LOG1P", "EXPM1", "ERF", "FLOOR", "CEIL", "POW", "ATAN2", "FMOD",
-    "HYPOT", "COPYSIGN",
+_UNARY = (
+    "SQRT", "FABS", "SIGN", "EXP", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SINH", "COSH",
+    "TANH", "LOG", "LOG1P", "EXPM1", "ERF", "FLOOR", "CEIL",
 )  # fmt: skip
+_BINARY = ("FMIN", "FMAX", "ATAN2", "FMOD", "HYPOT", "COPYSIGN")
+_MACROS = ("LT", "LE", "EQ", "NE", "AND", "OR", "IF_ELSE_ZERO")
 
 
-class UnsupportedOperation(CompilerError):
-    """An expression uses a function that the C side does not have."""
+def _number(value: float) -> str:
+    text = repr(float(value))
+    if not math.isfinite(value):
+        text = "NAN" if math.isnan(value) else ("INFINITY" if value > 0 else "-INFINITY")
+    return f"lieid_splat({text})"
+
+
+VECTORS = Dialect(
+    declaration="const lieid_v",
+    patterns=ARITHMETIC
+    | {name: f"lieid_{name.lower()}({{0}})" for name in _UNARY}
+    | {name: f"lieid_{name.lower()}({{0}}, {{1}})" for name in _BINARY}
+    | {name: f"LIEID_{name}({{0}}, {{1}})" for name in _MACROS}
+    | {"NOT": "LIEID_NOT({0})"},
+    number=_number,
+)
 
 
 def kernel_source(sparse: SparseFunction) -> str:
@@ -44,24 +50,25 @@ def kernel_source(sparse: SparseFunction) -> str:
 
     The kernel ``void lieid_kernel(in, rows, ld)`` reads value j of argument a at
     ``in[a] + j * LIEID_LANES`` (constants at ``in[a][j]``), and writes the k-th nonzero of
-    matrix row i, columns ascending, to ``rows[i] + k * ld``. Further symbols tell the shape, the
-    place of each nonzero (row after row) and the arguments with their widths, 0 where unused.
+    matrix row i, columns ascending, to ``rows[i] + k * ld``. Further symbols hold the shape, the
+    place of each nonzero (row after row) and the arguments with their widths, 0 if unused.
 
     Raises
     ------
     UnsupportedOperation
-        An operation of the expression has no C form here.
+        An operation of the expression has no C form.
     """
     function = sparse.function
     names = [str(function.name_in(k)) for k in range(function.n_in())]
     order = np.lexsort((sparse.columns, sparse.rows))
-    lines, used = _statements(sparse, names, order)
-    statements = "\n".join(lines)
+    body = _body(sparse, names, order)
+    used = {names[given.argument] for given in body.inputs}
     if {"sin", "cos"} & used:
-        used.add("q")  # the runtime takes them from it
+        used.add("q")  # the runtime computes them from it
     arguments = " ".join(
         f"{name}:{int(function.size1_in(k)) if name in used else 0}" for k, name in enumerate(names)
     )
+    text = "\n".join(f"    {line}" for line in body.lines)
     return (
         '#include "lieid_lanes.h"\n'
         f"const int32_t lieid_shape[3] = {{{sparse.shape[0]}, {sparse.shape[1]}, {len(order)}}};\n"
@@ -70,50 +77,23 @@ def kernel_source(sparse: SparseFunction) -> str:
         f"const int32_t lieid_columns[] = {{{_numbers(sparse.columns[order])}}};\n"
         "void lieid_kernel(const double *const *restrict in, double *const *restrict rows,"
         " ptrdiff_t ld)\n"
-        f"{{\n    (void)in, (void)rows, (void)ld;\n{statements}\n}}\n"
+        f"{{\n    (void)in, (void)rows, (void)ld;\n{text}\n}}\n"
     )
 
 
-def _statements(
-    sparse: SparseFunction, names: list[str], order: Indices
-) -> tuple[list[str], set[str]]:
-    """Return the statements, and the names of the arguments that they use."""
-    function, lines, used = sparse.function, [], set()
-    value: dict[int, str] = {}  # CasADi's work vector: what each slot holds now
-    pending: dict[int, tuple[str, str]] = {}  # inputs not used so far: name, statement
+def _body(sparse: SparseFunction, names: list[str], order: Indices) -> Statements:
     places = _places(sparse, order)
-    for i in range(function.n_instructions()):
-        operation = _operation_names()[function.instruction_id(i)]
-        target, source = function.instruction_output(i), function.instruction_input(i)
-        if operation == "INPUT":
-            argument, j = source
-            text = _input(argument, j, constant=names[argument] in CONSTANT_ARGUMENTS)
-            pending[target[0]] = names[argument], f"    const lieid_v t{i} = {text};"
-            value[target[0]] = f"t{i}"
-            continue
-        if operation == "CONST":
-            value[target[0]] = f"lieid_splat({_number(function.instruction_constant(i))})"
-            continue
-        for slot in source:
-            if slot in pending:
-                name, line = pending.pop(slot)
-                used.add(name)
-                lines.append(line)
-        if operation == "OUTPUT":
-            row, k = places[target[1]]
-            lines.append(f"    lieid_store(rows[{row}] + {k} * ld, {value[source[0]]});")
-            continue
-        text = _expression(operation, [value[k] for k in source])
-        lines.append(f"    const lieid_v t{i} = {text};")
-        value[target[0]] = f"t{i}"
-        pending.pop(target[0], None)
-    return lines, used
 
+    def read(argument: int, j: int) -> tuple[str, str]:
+        if names[argument] in CONSTANT_ARGUMENTS:
+            return f"x{argument}_{j}", f"lieid_splat(in[{argument}][{j}])"
+        return f"x{argument}_{j}", f"lieid_load(in[{argument}] + {j} * LIEID_LANES)"
 
-def _input(argument: int, j: int, *, constant: bool) -> str:
-    if constant:
-        return f"lieid_splat(in[{argument}][{j}])"
-    return f"lieid_load(in[{argument}] + {j} * LIEID_LANES)"
+    def write(nonzero: int, value: str) -> str:
+        row, k = places[nonzero]
+        return f"lieid_store(rows[{row}] + {k} * ld, {value});"
+
+    return statements(sparse.function, VECTORS, read=read, write=write, inputs_in_place=True)
 
 
 def _places(sparse: SparseFunction, order: Indices) -> dict[int, tuple[int, int]]:
@@ -124,29 +104,6 @@ def _places(sparse: SparseFunction, order: Indices) -> dict[int, tuple[int, int]
         places[int(nonzero)] = row, filled[row]
         filled[row] += 1
     return places
-
-
-def _expression(operation: str, operands: list[str]) -> str:
-    if operation in _INFIX:
-        return f"{operands[0]} {_INFIX[operation]} {operands[1]}"
-    if operation in _PATTERNS:
-        return _PATTERNS[operation].format(*operands)
-    if operation in _MACROS:
-        return f"LIEID_{operation}({', '.join(operands)})"
-    if operation in _FUNCTIONS:
-        return f"lieid_{operation.lower()}({', '.join(operands)})"
-    raise UnsupportedOperation(f"CasADi's operation {operation} has no C form here")
-
-
-@cache
-def _operation_names() -> dict[int, str]:
-    return {getattr(ca, name): name[3:] for name in dir(ca) if name.startswith("OP_")}
-
-
-def _number(value: float) -> str:
-    if math.isfinite(value):
-        return repr(float(value))
-    return "NAN" if math.isnan(value) else ("INFINITY" if value > 0 else "-INFINITY")
 
 
 def _numbers(values: Indices) -> str:

@@ -27,7 +27,7 @@ from lieid_casadi.compiled.compiler import (
     find_compiler,
 )
 from lieid_casadi.compiled.kernel_functions import KernelFunctions
-from lieid_casadi.compiled.kernel_source import UnsupportedOperation, kernel_source
+from lieid_casadi.compiled.kernel_source import kernel_source
 from lieid_casadi.compiled.library import (
     Kernel,
     Reducer,
@@ -37,6 +37,7 @@ from lieid_casadi.compiled.library import (
     load_runtime,
 )
 from lieid_casadi.errors import CompilerError
+from lieid_casadi.expressions.c_writer import UnsupportedOperation
 from lieid_casadi.expressions.model_functions import SparseFunction
 from lieid_casadi.robot.robot import Robot
 
@@ -245,7 +246,7 @@ def _derivation() -> str:
     """Return a digest of the code between a robot and its C source."""
     package, here = Path(__file__).parents[1], Path(__file__).parent
     files = [*(package / "dynamics").glob("*.py"), *(package / "expressions").glob("*.py")]
-    files += [package / "robot" / "robot.py", here / "kernel_functions.py"]
+    files += [package / "robot" / "joint.py", here / "kernel_functions.py"]
     files += [here / "kernel_source.py"]
     digest = hashlib.sha256(ca.CasadiMeta.version().encode())
     for path in sorted(files):
