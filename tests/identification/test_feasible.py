@@ -37,11 +37,19 @@ def panda_run():
     return measured()
 
 
+def consistent(recording, robot=ROBOT, effects=EFFECTS, **options):
+    return lieid.identify(
+        lieid.Model(robot, effects),
+        recording,
+        method="feasible",
+        processing=CUTOFF,
+        feasible=FeasibleOptions(**options),
+    )
+
+
 @pytest.fixture(scope="module")
 def panda_fit(panda_run):
-    return lieid.identify(
-        lieid.Model(ROBOT, EFFECTS), panda_run[1], method="feasible", processing=CUTOFF
-    )
+    return consistent(panda_run[1])
 
 
 def with_links(robot, links):
@@ -105,9 +113,8 @@ def test_the_truth_is_recovered_where_no_constraint_is_active():
     friction = plant.JointFriction(np.array([1.2, 0.5]), np.array([0.6, 0.3]), np.zeros(2))
     _, recording = measured(robot, friction=friction, noise=0.0, duration=20.0)
     model = lieid.Model(robot, "coulomb,viscous")
-    options = FeasibleOptions(regularization=1e-6)
     least = lieid.identify(model, recording, processing=CUTOFF)
-    fit = lieid.identify(model, recording, method="feasible", processing=CUTOFF, feasible=options)
+    fit = consistent(recording, robot, "coulomb,viscous", regularization=1e-6)
     np.testing.assert_allclose(fit.values, least.values, rtol=0.0, atol=2e-3)
 
 
@@ -118,7 +125,7 @@ def test_impossible_least_squares_values_are_corrected():
     _, recording = measured(robot, plant.TorqueGain(1, -1.6), friction=friction, duration=20.0)
     model = lieid.Model(robot, "viscous,armature:2")
     least = lieid.identify(model, recording, processing=CUTOFF)
-    fit = lieid.identify(model, recording, method="feasible", processing=CUTOFF)
+    fit = consistent(recording, robot, "viscous,armature:2")
     values = dict(zip([p.label for p in model.base_columns], least.values, strict=True))
     assert values["Izz2"] < 0.0
     assert fit.certificate.holds
@@ -131,8 +138,7 @@ def test_coefficients_at_a_bound_are_reported():
     _, recording = measured(
         robot, plant.Armature(1, -0.2), friction=plant.JointFriction.none(2), duration=20.0
     )
-    model = lieid.Model(robot, "viscous,armature")
-    fit = lieid.identify(model, recording, method="feasible", processing=CUTOFF)
+    fit = consistent(recording, robot, "viscous,armature")
     assert np.all(fit.effect_coefficients[2:] >= 0.0)
     (warning,) = [w for w in fit.warnings if isinstance(w, BoundWarning)]
     assert "armature.I_a:2" in str(warning)
@@ -156,8 +162,7 @@ def test_random_arms_are_always_feasible(seed):
         ddq,
         sensors=plant.Sensors(rate=None, torque_noise=0.2),
     )
-    model = lieid.Model(robot, EFFECTS)
-    fit = lieid.identify(model, recording, method="feasible", processing=CUTOFF)
+    fit = consistent(recording, robot)
     assert fit.certificate.holds
     assert np.all(fit.certificate.cost < 0.05)
 
@@ -174,18 +179,12 @@ def _wander(rng, n, samples=1000):
 
 
 def test_bounds_on_masses_and_centres_of_mass_hold(panda_run):
-    options = FeasibleOptions(
+    fit = consistent(
+        panda_run[1],
         regularization=1e-3,
         total_mass=(20.0, 20.0),
         link_mass={2: (4.0, 4.5), 6: (0.0, 0.5)},
         com_box={3: ((-0.01, -0.01, -0.01), (0.01, 0.2, 0.2))},
-    )
-    fit = lieid.identify(
-        lieid.Model(ROBOT, EFFECTS),
-        panda_run[1],
-        method="feasible",
-        processing=CUTOFF,
-        feasible=options,
     )
     links = fit.link_parameters.reshape(-1, 10)
     assert links[:, 0].sum() == pytest.approx(20.0, abs=1e-5)
@@ -198,43 +197,23 @@ def test_bounds_on_masses_and_centres_of_mass_hold(panda_run):
 
 
 def test_contradicting_bounds_have_no_solution(panda_run):
-    options = FeasibleOptions(
-        total_mass=(50.0, 60.0), link_mass=dict.fromkeys(range(7), (0.1, 5.0))
-    )
+    masses = dict.fromkeys(range(7), (0.1, 5.0))
     with pytest.raises(
         NoSolution, match=r"no parameters satisfy all constraints.*relax the bounds"
     ):
-        lieid.identify(
-            lieid.Model(ROBOT, EFFECTS),
-            panda_run[1],
-            method="feasible",
-            processing=CUTOFF,
-            feasible=options,
-        )
+        consistent(panda_run[1], total_mass=(50.0, 60.0), link_mass=masses)
 
 
 def test_a_solver_that_does_not_converge_raises(panda_run):
-    options = FeasibleOptions(max_iterations=3)
     with pytest.raises(NoSolution, match=r"limit of iterations; raise max_iterations"):
-        lieid.identify(
-            lieid.Model(ROBOT, EFFECTS),
-            panda_run[1],
-            method="feasible",
-            processing=CUTOFF,
-            feasible=options,
-        )
+        consistent(panda_run[1], max_iterations=3)
 
 
 def test_negative_masses_are_refused(panda_run):
     links = ROBOT.link_parameters.reshape(-1, 10).copy()
     links[2, 0] *= -1.0
     with pytest.raises(IdentificationError, match=r"link 'panda_joint3' has a mass of -\d"):
-        lieid.identify(
-            lieid.Model(with_links(ROBOT, links), EFFECTS),
-            panda_run[1],
-            method="feasible",
-            processing=CUTOFF,
-        )
+        consistent(panda_run[1], with_links(ROBOT, links))
 
 
 def test_a_negative_mass_in_a_urdf_is_refused_even_on_a_fixed_link(tmp_path):
@@ -255,10 +234,7 @@ def test_a_negative_mass_in_a_urdf_is_refused_even_on_a_fixed_link(tmp_path):
 
 def test_links_without_inertia_get_spheres_as_reference(panda_run):
     """Without nominal inertias the error must not increase either."""
-    bare = with_links(ROBOT, [None] * 7)
-    fit = lieid.identify(
-        lieid.Model(bare, EFFECTS), panda_run[1], method="feasible", processing=CUTOFF
-    )
+    fit = consistent(panda_run[1], with_links(ROBOT, [None] * 7))
     assert fit.certificate.holds
     assert np.all(fit.certificate.cost < 0.05)
 
@@ -266,14 +242,7 @@ def test_links_without_inertia_get_spheres_as_reference(panda_run):
 def test_an_impossible_nominal_inertia_is_corrected_and_reported(panda_run):
     links = ROBOT.link_parameters.reshape(-1, 10).copy()
     links[6, 4:] = 0.0  # all mass in one point away from the origin, and less than that
-    robot = with_links(ROBOT, links)
-    fit = lieid.identify(
-        lieid.Model(robot, EFFECTS),
-        panda_run[1],
-        method="feasible",
-        processing=CUTOFF,
-        feasible=FeasibleOptions(regularization=1e-3),
-    )
+    fit = consistent(panda_run[1], with_links(ROBOT, links), regularization=1e-3)
     assert fit.certificate.holds
     (warning,) = [w for w in fit.warnings if isinstance(w, NominalInertiaWarning)]
     assert "panda_joint7" in str(warning)
@@ -285,17 +254,26 @@ def test_options_are_checked(panda_run):
         lieid.identify(model, recording, method="best")
     with pytest.raises(IdentificationError, match="expected method='feasible'"):
         lieid.identify(model, recording, method="wls", feasible=FeasibleOptions())
-    with pytest.raises(IdentificationError, match="lower ≤ upper, upper above"):
-        FeasibleOptions(total_mass=(3.0, 2.0))
-    with pytest.raises(IdentificationError, match="lower ≤ upper"):
-        FeasibleOptions(com_box={0: ((0.0, 0.0, 1.0), (1.0, 1.0, 0.0))})
-    with pytest.raises(IdentificationError, match="regularization is -1"):
-        FeasibleOptions(regularization=-1.0)
     with pytest.raises(IdentificationError, match="link 7, expected 0 to 6"):
-        lieid.identify(
-            model,
-            recording,
-            method="feasible",
-            processing=CUTOFF,
-            feasible=FeasibleOptions(link_mass={7: (0.0, 1.0)}),
-        )
+        consistent(recording, link_mass={7: (0.0, 1.0)})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"total_mass": (3.0, 2.0)}, "lower ≤ upper"),
+        ({"link_mass": {1: (-1.0, 2.0)}}, "0 ≤ lower and upper above 0"),
+        ({"total_mass": (0.0, np.inf)}, "expected finite numbers"),
+        ({"link_mass": {0: (np.nan, 1.0)}}, "link_mass of link 0"),
+        ({"com_box": {0: ((0.0, 0.0, 1.0), (1.0, 1.0, 0.0))}}, "lower ≤ upper"),
+        ({"com_box": {0: ((0.0, 0.0, -np.inf), (1.0, 1.0, 0.0))}}, "expected finite numbers"),
+        ({"regularization": -1.0}, "regularization is -1"),
+        ({"velocity": (1.0, -1.0)}, "velocity is -1"),
+        ({"margin": 0.5}, "margin is 0.5"),
+        ({"poses": 0}, "poses is 0, expected 1 or more"),
+        ({"max_iterations": 0}, "max_iterations is 0, expected 1 or more"),
+    ],
+)
+def test_invalid_options_are_refused(options, message):
+    with pytest.raises(IdentificationError, match=message):
+        FeasibleOptions(**options)

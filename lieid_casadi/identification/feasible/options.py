@@ -61,18 +61,19 @@ class FeasibleOptions:
         for link, masses in self.link_mass.items():
             _check_masses(f"link_mass of link {link} (from 0)", masses)
         for link, (low, high) in self.com_box.items():
-            if not np.all(np.asarray(low, float) <= np.asarray(high, float)):
-                raise IdentificationError(
-                    f"com_box of link {link} (from 0): {low} to {high}, expected lower ≤ upper"
-                )
-        if self.regularization is not None and not (
-            np.isfinite(self.regularization) and self.regularization > 0.0
+            for axis, bounds in zip("xyz", zip(low, high, strict=True), strict=True):
+                _check_range(f"com_box of link {link} (from 0), {axis}", bounds, "m")
+        for name, number in (
+            ("regularization", self.regularization),
+            *(("velocity", speed) for speed in self.velocity or ()),
         ):
-            raise IdentificationError(
-                f"regularization is {self.regularization}, expected a number above 0, or None"
-            )
+            if number is not None and not (np.isfinite(number) and number > 0.0):
+                raise IdentificationError(f"{name} is {number}, expected a number above 0")
         if not 0.0 < self.margin < 0.5:
             raise IdentificationError(f"margin is {self.margin}, expected above 0 and below 0.5")
+        for name, count in (("poses", self.poses), ("max_iterations", self.max_iterations)):
+            if count < 1:
+                raise IdentificationError(f"{name} is {count}, expected 1 or more")
 
     def check_links(self, n: int) -> None:
         """Raise `IdentificationError` if an option names a link that does not exist."""
@@ -86,9 +87,18 @@ class FeasibleOptions:
             )
 
 
+def _check_range(name: str, bounds: Range, unit: str) -> None:
+    low, high = bounds
+    if not (np.isfinite(low) and np.isfinite(high)):
+        raise IdentificationError(f"{name}: {low:g} to {high:g} {unit}, expected finite numbers")
+    if low > high:
+        raise IdentificationError(f"{name}: {low:g} to {high:g} {unit}, expected lower ≤ upper")
+
+
 def _check_masses(name: str, masses: Range) -> None:
+    _check_range(name, masses, "kg")
     low, high = masses
-    if not 0.0 <= low <= high or high <= 0.0:
+    if low < 0.0 or high <= 0.0:
         raise IdentificationError(
-            f"{name}: {low:g} to {high:g} kg, expected 0 ≤ lower ≤ upper, upper above 0"
+            f"{name}: {low:g} to {high:g} kg, expected 0 ≤ lower and upper above 0"
         )
