@@ -10,7 +10,6 @@ from lieid_casadi.cli.option_types import InputPath, PictureFile
 
 if TYPE_CHECKING:
     from lieid_casadi.comparison import Comparison
-    from lieid_casadi.identification import Fit
 
 
 def add_parser(commands: Any) -> None:
@@ -46,25 +45,14 @@ def run(args: argparse.Namespace) -> None:
     files.add_html(args.html, lambda: comparison_report(fit, comparison))
     files.add_picture(args.plot, comparison.plot)
     files.write()
-    print_comparison(fit, comparison)
+    print_comparison(comparison)
 
 
-def print_comparison(fit: Fit, comparison: Comparison) -> None:
+def print_comparison(comparison: Comparison) -> None:
     """Print errors per joint and the largest errors."""
-    from lieid_casadi.comparison.noise_floor import SOURCES
-    from lieid_casadi.comparison.table import HEADINGS, table_rows
+    from lieid_casadi.comparison.table import error_table, largest_errors_table
     from lieid_casadi.comparison.verdict import verdict
 
     output.say(verdict(comparison))
-    output.table(
-        f"Error, measured − predicted (low-pass {fit.processing.cutoff:.3g} Hz on both; "
-        f"noise floor: {SOURCES[comparison.noise_source]})",
-        HEADINGS,
-        table_rows(comparison),
-    )
-    output.table(
-        "Largest errors",
-        ["recording", "time, s", "joint", "error, N·m"],
-        [[w.recording, float(w.time), w.joint + 1, float(w.error)] for w in comparison.worst],
-    )
+    output.show(error_table(comparison), largest_errors_table(comparison))
     output.show_warnings(comparison.warnings)

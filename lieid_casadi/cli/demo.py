@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
 from lieid_casadi.cli.option_types import InputPath, seed
+from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.demo import Demo
@@ -100,10 +101,18 @@ def show(demo: Demo, folder: Path) -> None:
         ]
         for j, name in enumerate(before.joint_names)
     ]
-    output.table(
-        "RMS error on a run that was not fitted, joints in motion, N·m",
-        ["joint", "+".join(demo.fit.model.effects), "diagnosed", "noise floor", "torque itself"],
-        rows,
+    output.show(
+        make_table(
+            "RMS error on a run that was not fitted, joints in motion, N·m",
+            [
+                "joint",
+                "+".join(demo.fit.model.effects),
+                "diagnosed",
+                "noise floor",
+                "torque itself",
+            ],
+            rows,
+        )
     )
     output.say(
         f"{folder}/report.html tells it with pictures; excitation, recordings, fits and C code "

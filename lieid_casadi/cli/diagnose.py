@@ -136,35 +136,18 @@ def _asker() -> Callable[[Proposal], bool]:
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """Print the verdict, the errors of all models, rivals, and rejected candidates."""
-    from lieid_casadi.diagnosis.text_summary import error_table, location
+    from lieid_casadi.diagnosis.text_summary import (
+        error_table,
+        evidence_table,
+        rejected_table,
+    )
 
     output.say(diagnosis.sentence)
-    columns, table = error_table(diagnosis)
-    measured, _ = diagnosis.shown
-    cutoff = diagnosis.fit.processing.cutoff
-    output.table(f"RMS error on the {measured}, N·m (low-pass {cutoff:.3g} Hz)", columns, table)
+    output.show(error_table(diagnosis), evidence_table(diagnosis))
     if diagnosis.steps:
-        output.table(
-            "Found",
-            ["effect", "on", "size, N·m", "held-out before", "after", "fits as well"],
-            [
-                [
-                    step.effect,
-                    location(step.joints),
-                    step.evidence.effect_size,
-                    step.evidence.held_out_before,
-                    step.evidence.held_out_after,
-                    ", ".join(
-                        f"{c.placement.label} ({kind})" for c, kind in step.indistinguishable[:3]
-                    )
-                    or "–",
-                ]
-                for step in diagnosis.steps
-            ],
-        )
+        output.say("lieid effects NAME describes an effect and what it is confused with.")
     _print_unexplained(diagnosis)
-    if diagnosis.rejected:
-        output.table("Rejected", ["candidate", "why"], [list(r) for r in diagnosis.rejected])
+    output.show(rejected_table(diagnosis))
     output.say(f"{diagnosis.tried} candidates were tried. {diagnosis.aliases.sentence}".rstrip())
     output.show_warnings(diagnosis.warnings)
 

@@ -10,6 +10,7 @@ from lieid_casadi.cli import output, shared_options
 from lieid_casadi.cli.excite import INTERRUPTED
 from lieid_casadi.cli.option_types import InputPath, number, seed
 from lieid_casadi.errors import UsageError
+from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.discrimination import Discrimination
@@ -99,15 +100,17 @@ def sizes_of(texts: list[str]) -> dict[str, list[float]]:
 def show(result: Discrimination, folder: Path) -> None:
     """Print the result."""
     output.say(result.summary())
-    output.table(
-        "If one were true, and the other fitted",
-        ["true", "fitted", "left, % of the effect", "χ² a period", "χ² needed"],
-        [
-            [p.true, p.rival, 100.0 * p.remaining, p.noncentrality, p.needed]
-            if p.separable
-            else [p.true, p.rival, "contains it", None, None]
-            for p in result.pairs
-        ],
+    output.show(
+        make_table(
+            "If one were true, and the other fitted",
+            ["true", "fitted", "left, % of the effect", "χ² a period", "χ² needed"],
+            [
+                [p.true, p.rival, 100.0 * p.remaining, p.noncentrality, p.needed]
+                if p.separable
+                else [p.true, p.rival, "contains it", None, None]
+                for p in result.pairs
+            ],
+        )
     )
     sizes = [f"{label}: {', '.join(f'{x:.4g}' for x in v)}" for label, v in result.sizes.items()]
     output.say(f"Sizes: {'; '.join(sizes)}. Designed in {result.solve_seconds:.2g} s.")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
 from lieid_casadi.cli.option_types import InputPath, number, seed
+from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.excitation import Excitation
@@ -206,7 +207,7 @@ def show(excitation: Excitation, folder: Path) -> None:
     rows = [
         [f"seed {s.seed}", s.condition_number, s.neg_log_det, s.seconds] for s in excitation.starts
     ]
-    output.table("Random starts", ["start", "condition number", "−log det", "s"], rows)
+    output.show(make_table("Random starts", ["start", "condition number", "−log det", "s"], rows))
     output.say(
         f"Built in {excitation.build_seconds:.2g} s, solved in {excitation.solve_seconds:.2g} s. "
         f"Files in {folder}."

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
 from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile
+from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis.extend import Extension
@@ -74,10 +75,12 @@ def print_extension(extension: Extension) -> None:
                 row += [before, after, f"{100.0 * (after / before - 1.0):+.1f}"]
         rows.append(row)
     added = ", ".join(extension.added)
-    output.table(f"RMS error, N·m, with {added}", columns, rows)
-    output.table(
-        "New parameters",
-        ["parameter", "value", "std", "unit"],
-        [[r["expression"], r["value"], r["std"], r["unit"]] for r in extension.parameters],
+    output.show(make_table(f"RMS error, N·m, with {added}", columns, rows))
+    output.show(
+        make_table(
+            "New parameters",
+            ["parameter", "value", "std", "unit"],
+            [[r["expression"], r["value"], r["std"], r["unit"]] for r in extension.parameters],
+        )
     )
     output.show_warnings(extension.after.warnings)

@@ -11,13 +11,10 @@ from lieid_casadi.cli.option_types import InputPath, PictureFile, number, seed
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
-    from lieid_casadi.friction_curves import FrictionAgreement, FrictionCurve, FrictionFit
+    from lieid_casadi.friction_curves import FrictionAgreement, FrictionFit
     from lieid_casadi.friction_curves.ranking import RankedFrictionModel
     from lieid_casadi.identification import Fit
     from lieid_casadi.robot import Robot
-
-
-MOST_ROWS = 30  # of the printed curve; --json has all
 
 
 def add_parser(commands: Any) -> None:
@@ -69,6 +66,11 @@ def run(args: argparse.Namespace) -> None:
     """Extract, fit, print and write."""
     from lieid_casadi.friction_curves import compare_friction, fit_friction, friction_curve
     from lieid_casadi.friction_curves.ranking import rank_friction_models
+    from lieid_casadi.friction_curves.result_tables import (
+        curve_table,
+        parameter_table,
+        ranking_table,
+    )
     from lieid_casadi.recording import Processing
 
     shared_options.load_effects_file(args.effects_file)
@@ -95,9 +97,8 @@ def run(args: argparse.Namespace) -> None:
     files.add_json(args.json, result(fit, ranked, agreement))
     files.add_picture(args.plot, fit.plot)
     files.write()
-    _print_curve(curve)
-    _print_models(ranked, curve)
-    _print_fit(fit)
+    output.show(curve_table(curve), *([ranking_table(ranked)] if ranked else []))
+    output.show(parameter_table(fit))
     if agreement is not None:
         output.say(f"Curve's fit and {args.fit}: {agreement}.")
     output.show_warnings([*curve.warnings, *fit.warnings])
@@ -139,53 +140,3 @@ def _whole(args: argparse.Namespace, robot: Robot) -> Fit | None:
     if fit.model.n != robot.n:
         raise UsageError(f"{args.fit}: a fit of {fit.model.n} joints; {robot.name} has {robot.n}")
     return fit
-
-
-def _print_curve(curve: FrictionCurve) -> None:
-    """Print the points, evenly fewer where they would fill more than a screen."""
-    order = sorted(range(len(curve)), key=lambda k: float(curve.speed[k]))
-    shown = order[:: max(1, -(-len(curve) // MOST_ROWS))]
-    output.table(
-        f"Friction of joint {curve.joint + 1} {curve.joint_name}: half of forward − backward "
-        f"(low-pass {curve.cutoff:.3g} Hz, load {curve.load_source}; {len(shown)} of "
-        f"{len(curve)} points)",
-        ["speed, rad/s", f"load, {curve.unit}", f"friction, {curve.unit}", "std", "stretches"],
-        [
-            [
-                f"{curve.speed[k]:.4g}",
-                float(curve.load[k]),
-                float(curve.friction[k]),
-                float(curve.std[k]),
-                int(curve.count[k]),
-            ]
-            for k in shown
-        ],
-    )
-
-
-def _print_models(ranked: Sequence[RankedFrictionModel], curve: FrictionCurve) -> None:
-    if ranked:
-        best = ranked[0].fit.bic
-        output.table(
-            "Friction models, by Schwarz's criterion",
-            ["model", f"RMS, {curve.unit}", "correlation", "above best", "parameters"],
-            [
-                [
-                    c.model.name,
-                    c.fit.rms,
-                    f"{c.fit.correlation:.4f}",
-                    f"{c.fit.bic - best:.1f}",
-                    len(c.fit.parameters),
-                ]
-                for c in ranked
-            ],
-        )
-
-
-def _print_fit(fit: FrictionFit) -> None:
-    output.table(
-        f"{', '.join(fit.effects)}: RMS {fit.rms:.3g} {fit.curve.unit}, "
-        f"correlation {fit.correlation:.4f}",
-        ["parameter", "value", "std", "unit"],
-        [[row["name"], row["value"], row["std"], row["unit"]] for row in fit.parameter_table()],
-    )

@@ -97,23 +97,9 @@ def _currents(paths: list[str], args: argparse.Namespace, robot: Robot) -> list[
 
 def print_gains(gains: DriveGains) -> None:
     """Print the gains, those not identified, and the option for other commands."""
-    output.table(
-        f"Drive gains by a payload of {gains.mass:g} kg (low-pass {gains.cutoff:.3g} Hz)",
-        ["joint", "gain", "std", "std %", "95 % from", "to", "unit", "RMS error, A", "N·m"],
-        [
-            [
-                f"{row['joint']} {row['name']}{'' if row['identified'] else ' *'}",
-                row["gain"],
-                row["std"],
-                None if row["gain"] is None else 100.0 * row["std"] / abs(row["gain"]),
-                *(row["interval"] or (None, None)),
-                row["unit"],
-                float(gains.rms_current[j]),
-                float(gains.rms[j]),
-            ]
-            for j, row in enumerate(gains.table())
-        ],
-    )
+    from lieid_casadi.gains.view import gain_table
+
+    output.show(gain_table(gains))
     for part in gains.not_identified:
         output.say(f"  * the gain of joint {part.joint + 1} cannot be identified: {part.reason}.")
     centre = ", ".join(

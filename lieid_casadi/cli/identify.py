@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from lieid_casadi.cli import output, shared_options
 from lieid_casadi.cli.option_types import FrictionRun, InputPath, OutputFile
 from lieid_casadi.errors import UsageError
+from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.comparison import Comparison
@@ -148,20 +149,29 @@ def _in_stages(model: Model, args: argparse.Namespace) -> StagedFit:
 
 def _print_stages(stages: StagedFit) -> None:
     """Print how well the friction model fits each joint, and the errors of the first stage."""
-    output.table(
-        "Friction of single joints (second stage)",
-        ["joint", "points", "RMS", "correlation", "unit", "train error of the first stage, N·m"],
-        [
+    output.show(
+        make_table(
+            "Friction of single joints (second stage)",
             [
-                f"{joint + 1} {own.curve.joint_name}",
-                len(own.curve),
-                own.rms,
-                f"{own.correlation:.4f}",
-                own.curve.unit,
-                float(stages.first_stage.rms_train[joint]),
-            ]
-            for joint, own in stages.friction.items()
-        ],
+                "joint",
+                "points",
+                "RMS",
+                "correlation",
+                "unit",
+                "train error of the first stage, N·m",
+            ],
+            [
+                [
+                    f"{joint + 1} {own.curve.joint_name}",
+                    len(own.curve),
+                    own.rms,
+                    f"{own.correlation:.4f}",
+                    own.curve.unit,
+                    float(stages.first_stage.rms_train[joint]),
+                ]
+                for joint, own in stages.friction.items()
+            ],
+        )
     )
 
 
@@ -185,9 +195,11 @@ def result(fit: Fit, comparison: Comparison | None) -> dict[str, Any]:
 
 def print_fit(fit: Fit, comparison: Comparison | None) -> None:
     """Print errors per joint, parameters and warnings."""
+    from lieid_casadi.identification.fit_view import parameter_table
+
     columns = ["joint", "train", "train raw"]
     columns += (
-        ["test", "test raw", "% of torque", "moving", "at rest", "correlation"]
+        ["test", "test raw", "% of torque", "in motion", "at rest", "correlation"]
         if comparison
         else ["cross-validated"]
     )
@@ -211,23 +223,8 @@ def print_fit(fit: Fit, comparison: Comparison | None) -> None:
             row.append(float(fit.rms_cv[j]))
         rows.append(row)
     filter_ = f"low-pass {fit.processing.cutoff:.3g} Hz on measured and predicted torque"
-    output.table(f"RMS error, N·m ({filter_})", columns, rows)
-    output.table(
-        f"{fit.model.base.count} base parameters and {len(fit.shapes)} shapes, method {fit.method}",
-        ["parameter", "value", "std", "std %", "unit"],
-        [
-            [
-                row["expression"],
-                row["value"],
-                row["std"],
-                None
-                if not row["value"] or row["std"] is None
-                else 100 * row["std"] / abs(row["value"]),
-                row["unit"],
-            ]
-            for row in fit.parameter_table()
-        ],
-    )
+    output.show(make_table(f"RMS error, N·m ({filter_})", columns, rows))
+    output.show(parameter_table(fit))
     c = fit.conditioning
     output.say(
         f"Condition number {c.condition_number:.4g} (σ₁ {c.largest:.4g}, σ_r {c.smallest:.4g}, "

@@ -19,7 +19,7 @@ from lieid_casadi.cli.output import visible
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
 COMMANDS = (
     "demo", "show", "excite", "identify", "predict", "compare", "friction", "diagnose", "extend",
-    "discriminate", "payload", "gains", "export",
+    "discriminate", "payload", "gains", "export", "effects",
 )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from lieid_casadi.errors import LieidWarning
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lieid_casadi.identification import Fit
+    from lieid_casadi.tables import Table
 
 WIDTH = 120  # of tables that do not go to a terminal
 
@@ -47,29 +48,27 @@ def visible(text: str) -> str:
     )
 
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table; the first column is text, the others are numbers."""
+def show(*tables: Table) -> None:
+    """Print tables that have rows; the first column is aligned left, the others right."""
     from rich import box
-    from rich.table import Table
+    from rich.table import Table as RichTable
     from rich.text import Text
 
-    def text(cell: object) -> Text:
-        return Text(visible(_text(cell)))
-
-    shown = Table(title=text(title), title_justify="left", box=box.SIMPLE_HEAD, title_style="bold")
-    for k, name in enumerate(columns):
-        shown.add_column(text(name), justify="left" if k == 0 else "right", overflow="fold")
-    for row in rows:
-        shown.add_row(*map(text, row))
-    console().print(shown)
-
-
-def _text(cell: object) -> str:
-    if cell is None:
-        return "–"
-    if isinstance(cell, float):
-        return "–" if cell != cell else f"{cell:.4g}"
-    return str(cell)
+    for table in tables:
+        if not table.rows:
+            continue
+        shown = RichTable(
+            title=Text(visible(table.title)),
+            title_justify="left",
+            box=box.SIMPLE_HEAD,
+            title_style="bold",
+        )
+        for k, name in enumerate(table.headings):
+            justify: Literal["left", "right"] = "left" if k == 0 else "right"
+            shown.add_column(Text(visible(name)), justify=justify, overflow="fold")
+        for row in table.cells:
+            shown.add_row(*(Text(visible(cell)) for cell in row))
+        console().print(shown)
 
 
 def say(text: str) -> None:

@@ -71,55 +71,12 @@ def run(args: argparse.Namespace) -> None:
 
 
 def print_payload(payload: PayloadEstimate) -> None:
-    """Print the verdict, the quantities, the errors and what cannot be identified."""
+    """Print the verdict, the quantities, the errors, and what cannot be identified."""
+    from lieid_casadi.payload import view
+
     output.say(payload.sentence)
-    output.table(
-        "Payload in the tool frame; inertia about the centre of mass",
-        ["", "value", "std", "95 % from", "to", "feasible", "unit"],
-        [
-            [
-                row["name"] + ("" if row["identified"] else " *"),
-                row["value"],
-                row["std"],
-                *(row["interval"] or (None, None)),
-                row["feasible"],
-                row["unit"],
-            ]
-            for row in payload.table()
-        ],
-    )
-    by_reason: dict[str, list[str]] = {}
-    for part in payload.not_identified:
-        by_reason.setdefault(part.reason, []).append(part.name)
-    for reason, names in by_reason.items():
-        output.say(f"  * not identified: {', '.join(names)}; {reason}.")
-    output.table(
-        f"RMS error in motion, N·m (low-pass {payload.cutoff:.3g} Hz)",
-        ["joint", "fit alone", "with the payload", "feasible", "the fit's own, held out"],
-        [
-            [f"{j + 1} {name}", *(float(x) for x in row)]
-            for j, (name, row) in enumerate(
-                zip(
-                    payload.joint_names,
-                    zip(
-                        payload.rms_before,
-                        payload.rms_after,
-                        payload.feasible.rms_after,
-                        payload.rms_fit,
-                        strict=True,
-                    ),
-                    strict=True,
-                )
-            )
-        ],
-    )
-    if payload.friction:
-        output.table(
-            "Friction in the loaded run",
-            ["number", "in the fit", "change", "std", "unit"],
-            [
-                [f"{part.name}:{part.joint + 1}", part.fitted, part.change, part.std, part.unit]
-                for part in payload.friction
-            ],
-        )
+    output.show(view.quantity_table(payload))
+    for names, reason in view.not_identified(payload):
+        output.say(f"  * not identified: {names}; {reason}.")
+    output.show(view.error_table(payload), view.friction_table(payload))
     output.show_warnings(payload.warnings)

@@ -6,6 +6,7 @@ import argparse
 from typing import Any
 
 from lieid_casadi.cli import output, shared_options
+from lieid_casadi.tables import make_table
 
 
 def add_parser(commands: Any) -> None:
@@ -42,10 +43,12 @@ def run(args: argparse.Namespace) -> None:
         {"name": base.names[k], "expression": base.expression(i), "unit": column.unit}
         for i, (k, column) in enumerate(zip(base.kept, model.base_columns, strict=True))
     ]
-    output.table(
-        f"{base.count} base parameters (of {len(base.names)}, {len(base.invisible)} invisible)",
-        ["base parameter", "unit"],
-        [[p["expression"], p["unit"]] for p in parameters],
+    output.show(
+        make_table(
+            f"{base.count} base parameters (of {len(base.names)}, {len(base.invisible)} invisible)",
+            ["base parameter", "unit"],
+            [[p["expression"], p["unit"]] for p in parameters],
+        )
     )
     if not robot.has_inertia:
         output.say(f"No inertia stated for: {', '.join(robot.links_without_inertia)}")
@@ -79,10 +82,12 @@ def _print(name: str, joints: list[dict[str, Any]]) -> None:
                 limits["torque"],
             ]
         )
-    output.table(
-        f"{name}: {len(joints)} joints, screws [ω; v] in the base frame at the zero pose",
-        ["joint", "kind", "screw", "position", "velocity", "acceleration", "torque"],
-        rows,
+    output.show(
+        make_table(
+            f"{name}: {len(joints)} joints, screws [ω; v] in the base frame at the zero pose",
+            ["joint", "kind", "screw", "position", "velocity", "acceleration", "torque"],
+            rows,
+        )
     )
 
 

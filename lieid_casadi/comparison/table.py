@@ -1,13 +1,12 @@
-"""Table of the errors per joint: rows for the terminal, HTML for notebooks."""
+"""Tables of a comparison: errors per joint, and the largest errors."""
 
 from __future__ import annotations
 
 import math
-from html import escape
 from typing import TYPE_CHECKING
 
 from lieid_casadi.comparison.noise_floor import SOURCES
-from lieid_casadi.html_table import html_table
+from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.comparison.comparison import Comparison
@@ -26,10 +25,10 @@ HEADINGS = (
 )
 
 
-def table_rows(comparison: Comparison) -> list[tuple[str, ...]]:
-    """Return one row of text per joint, with the columns `HEADINGS`."""
+def error_table(comparison: Comparison) -> Table:
+    """Return the errors, one row per joint, with the columns `HEADINGS`."""
     c = comparison
-    return [
+    rows = [
         (
             joint_title(c, j),
             digits(c.rms[j]),
@@ -44,6 +43,36 @@ def table_rows(comparison: Comparison) -> list[tuple[str, ...]]:
         )
         for j in range(c.n)
     ]
+    source = SOURCES[c.noise_source]
+    title = (
+        f"Error, measured − predicted (low-pass {c.cutoff:.3g} Hz on both; noise floor: {source})"
+    )
+    note = (
+        f"Error: measured − predicted torque, both filtered by a zero-phase low-pass of "
+        f"{c.cutoff:.3g} Hz; raw: resampled only. In motion, at rest: RMS while the joint moves "
+        "and while it is at rest. Of torque: RMS relative to the RMS of the measured torque. "
+        f"Noise floor: {source}."
+    )
+    return make_table(title, HEADINGS, rows, note=note)
+
+
+def largest_errors_table(comparison: Comparison) -> Table:
+    """Return the samples with the largest errors, a few for each joint."""
+    headings = ("joint", "recording", "time, s", "error", "measured", "q", "q̇", "unit")
+    rows = [
+        (
+            joint_title(comparison, moment.joint),
+            moment.recording,
+            f"{moment.time:z.2f}",
+            digits(moment.error, sign="+"),
+            digits(moment.measured, sign="+"),
+            f"{moment.q:z.3f}",
+            f"{moment.dq:z.3f}" if moment.moving else "at rest",
+            comparison.units[moment.joint],
+        )
+        for moment in comparison.worst
+    ]
+    return make_table("Largest errors", headings, rows)
 
 
 def joint_title(comparison: Comparison, joint: int) -> str:
@@ -63,14 +92,7 @@ def percent(value: float) -> str:
 
 
 def html_view(comparison: Comparison) -> str:
-    """Return the table and the warnings as HTML; names and messages are escaped."""
+    """Return the errors and the warnings as HTML."""
     names = ", ".join(source.name or "recording" for source in comparison.recordings)
-    warnings = "".join(
-        f"<li><b>{escape(type(w).__name__)}</b>: {escape(str(w))}</li>" for w in comparison.warnings
-    )
-    return (
-        f"<p>{escape(names)}, {comparison.duration:.4g} s, low-pass {comparison.cutoff:.3g} Hz, "
-        f"noise floor: {escape(SOURCES[comparison.noise_source])}</p>"
-        + html_table(HEADINGS, table_rows(comparison))
-        + (f"<ul>{warnings}</ul>" if warnings else "")
-    )
+    warnings = [f"{type(w).__name__}: {w}" for w in comparison.warnings]
+    return html(f"{names}, {comparison.duration:.4g} s", error_table(comparison), *warnings)

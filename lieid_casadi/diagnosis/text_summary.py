@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from lieid_casadi.comparison.noise_floor import SOURCES
-from lieid_casadi.html_table import html_table
+from lieid_casadi.tables import Table, make_table
+from lieid_casadi.tables import html as to_html
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis.diagnosis import Diagnosis, DiagnosisStep
@@ -95,20 +93,78 @@ def rerun_options(d: Diagnosis, labels: Sequence[str]) -> str:
     return f"--effects-file F.py --effects '{','.join([*d.fit.model.effects, *labels])}'"
 
 
-def error_table(d: Diagnosis) -> tuple[list[str], list[list[object]]]:
-    """Return headings, and one row per model with the error of each joint, N·m."""
-    _, errors = d.shown
+def error_table(d: Diagnosis) -> Table:
+    """Return the error of each joint, N·m, one row per model."""
+    measured, errors = d.shown
     heading = [f"{j + 1} {name}" for j, name in enumerate(d.joint_names)]
     names = ["+".join(d.baseline_effects) or "rigid", *(f"+ {step.label}" for step in d.steps)]
     p_values = [None, *(_p_value(step) for step in d.steps)]
-    table: list[list[object]] = [
+    rows: list[list[object]] = [
         [name, *map(float, values), p]
         for name, values, p in zip(names, errors, p_values, strict=True)
     ]
     if d.expected is not None:
-        table.append(["expected (held-out error of the fit)", *map(float, d.expected), None])
-    table.append([f"noise floor ({SOURCES[d.noise_source]})", *map(float, d.noise_floor), None])
-    return ["model", *heading, "p"], table
+        rows.append(["expected (held-out error of the fit)", *map(float, d.expected), None])
+    rows.append([f"noise floor ({SOURCES[d.noise_source]})", *map(float, d.noise_floor), None])
+    return make_table(
+        f"RMS error on the {measured}, N·m (low-pass {d.fit.processing.cutoff:.3g} Hz)",
+        ["model", *heading, "p"],
+        rows,
+        note="Each row adds one effect to the row above and fits all parameters again. p: "
+        "family-wise p-value over all candidates. Steps are selected on the training recordings.",
+    )
+
+
+def evidence_table(d: Diagnosis) -> Table:
+    """Return evidence, parameters and rivals of each step."""
+    confirmed = {True: "yes", False: "no", None: None}
+    rows = [
+        (
+            step.effect,
+            location(step.joints),
+            ", ".join(f"{name} = {value:.4g}" for name, value in step.parameters.items()),
+            step.evidence.effect_size,
+            f"{step.evidence.held_out_before:.3g} → {step.evidence.held_out_after:.3g}",
+            confirmed[step.evidence.confirmed],
+            ", ".join(f"{c.placement.label} ({kind})" for c, kind in step.indistinguishable[:3])
+            or None,
+        )
+        for step in d.steps
+    ]
+    headings = (
+        "effect", "on", "parameters", "size, N·m", "held-out error, N·m", "test confirms",
+        "fits as well",
+    )  # fmt: skip
+    note = "exact: no data can separate the two; data: these data cannot."
+    return make_table("Found" if rows else "Nothing found", headings, rows, note=note)
+
+
+def unexplained_table(d: Diagnosis) -> Table:
+    """Return the part of each joint's residual that no effect explains."""
+    return make_table(
+        "Unexplained",
+        ("joint", "part of the residual's variance", "depends on", "approximately, N·m"),
+        [
+            (
+                f"{u.joint + 1}",
+                f"{100 * u.fraction:.0f} %",
+                ", ".join(u.depends_on),
+                None if u.formula is None else u.formula.text,
+            )
+            for u in d.unexplained
+        ],
+        note="Cross-validated.",
+    )
+
+
+def rejected_table(d: Diagnosis) -> Table:
+    """Return the candidates that were rejected, and why."""
+    return make_table(
+        f"Rejected ({d.tried} candidates were tried)",
+        ("candidate", "reason"),
+        d.rejected,
+        note=d.aliases.sentence,
+    )
 
 
 def _p_value(step: DiagnosisStep) -> str:
@@ -118,14 +174,4 @@ def _p_value(step: DiagnosisStep) -> str:
 
 def html(d: Diagnosis) -> str:
     """Return the verdict and the table as HTML."""
-    headings, table = error_table(d)
-    cells = [[_cell(cell) for cell in row] for row in table]
-    return f"<p><b>{escape(sentence(d))}</b></p>{html_table(headings, cells)}"
-
-
-def _cell(cell: object) -> str:
-    if cell is None:
-        return ""
-    if isinstance(cell, float):
-        return "–" if np.isnan(cell) else f"{cell:.3g}"
-    return str(cell)
+    return to_html(sentence(d), error_table(d))

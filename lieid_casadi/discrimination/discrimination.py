@@ -15,6 +15,7 @@ from lieid_casadi.excitation.basis.trajectory import MotionSamples, Trajectory, 
 from lieid_casadi.excitation.files import csv_text
 from lieid_casadi.model import Model
 from lieid_casadi.output_folder import write_folder
+from lieid_casadi.tables import html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -203,6 +204,4 @@ class Discrimination:
         return write_folder(folder, files, force=force)
 
     def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<p>{escape(self.summary())}</p>"
+        return html(self.summary())

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import html as escape
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from lieid_casadi.tables import html as to_html
 
 if TYPE_CHECKING:
     from lieid_casadi.excitation.excitation import Excitation
@@ -49,5 +50,4 @@ def summary(excitation: Excitation) -> str:
 
 def html(excitation: Excitation) -> str:
     """Return the summary as HTML paragraphs, for notebooks."""
-    paragraphs = summary(excitation).split("\n")
-    return "".join(f"<p>{escape.escape(text)}</p>" for text in paragraphs)
+    return to_html(*summary(excitation).split("\n"))

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.friction_curves.curve_data import CurveData
-from lieid_casadi.html_table import html_table
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.json_numbers import number_or_none
+from lieid_casadi.tables import html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,11 +106,6 @@ class FrictionCurve:
         return plot_curve(self, ax)
 
     def _repr_html_(self) -> str:
-        rows = [
-            (f"{v:.3g}", f"{load:.3g}", f"{f:.4g} ± {s:.2g}", f"{n}")
-            for v, load, f, s, n in zip(
-                self.speed, self.load, self.friction, self.std, self.count, strict=True
-            )
-        ]
-        headings = ("speed, rad/s", f"load, {self.unit}", f"friction, {self.unit}", "passes")
-        return html_table(headings, rows)
+        from lieid_casadi.friction_curves.result_tables import curve_table
+
+        return html(curve_table(self))

@@ -13,9 +13,9 @@ from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.friction_curves.constant_speed import steady_columns
 from lieid_casadi.friction_curves.curve import FrictionCurve
-from lieid_casadi.html_table import html_table, number_cell
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model, Parameter
+from lieid_casadi.tables import html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -164,12 +164,6 @@ class FrictionFit:
         return plot_fit(self, ax)
 
     def _repr_html_(self) -> str:
-        rows = [
-            (row["name"], number_cell(row["value"], 4), number_cell(row["std"], 2), row["unit"])
-            for row in self.parameter_table()
-        ]
-        caption = (
-            f"joint {self.curve.joint + 1}: RMS {self.rms:.3g} {self.curve.unit}, "
-            f"correlation {self.correlation:.4f}"
-        )
-        return html_table(("parameter", "value", "std", "unit"), rows, caption=caption)
+        from lieid_casadi.friction_curves.result_tables import parameter_table
+
+        return html(parameter_table(self))

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import IdentificationError, LieidWarning, warning_list
-from lieid_casadi.html_table import html_table, number_cell
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.robot import Robot
+from lieid_casadi.tables import html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -169,16 +169,9 @@ class DriveGains:
         return drawn
 
     def _repr_html_(self) -> str:
-        rows = [
-            (
-                f"{row['joint']} {row['name']}{'' if row['identified'] else ' (not identified)'}",
-                number_cell(row["gain"], 4),
-                number_cell(row["std"], 2),
-                row["unit"],
-            )
-            for row in self.table()
-        ]
-        return html_table(("joint", "gain", "std", "unit"), rows)
+        from lieid_casadi.gains.view import gain_table
+
+        return html(gain_table(self))
 
     def __repr__(self) -> str:
         return f"<DriveGains of {self.robot.name}: {', '.join(f'{k:.4g}' for k in self.gains)}>"

@@ -1,4 +1,4 @@
-"""Views of a fit: an HTML table for notebooks, and a plot of the parameters' uncertainty."""
+"""Views of a fit: tables, and a plot of the parameters' uncertainty."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lieid_casadi.html_table import html_table, number_cell
+from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,14 +15,29 @@ if TYPE_CHECKING:
     from lieid_casadi.identification.fit import Fit
 
 
-def html_view(fit: Fit) -> str:
-    """Return the parameters as an HTML table."""
+def parameter_table(fit: Fit) -> Table:
+    """Return the fitted parameters with their standard deviations."""
     rows = [
-        (row["expression"], f"{row['value']:.4g}", number_cell(row["std"], 2), row["unit"])
+        (
+            row["expression"],
+            row["value"],
+            row["std"],
+            100.0 * row["std"] / abs(row["value"]) if row["value"] and row["std"] else None,
+            row["unit"],
+        )
         for row in fit.parameter_table()
     ]
-    caption = f"{fit.model.robot.name}: {', '.join(fit.model.effects)}"
-    return html_table(("parameter", "value", "std", "unit"), rows, caption=caption)
+    shapes = f" and {len(fit.shapes)} shape parameters" if len(fit.shapes) else ""
+    title = (
+        f"{fit.model.robot.name}: {fit.model.base.count} base parameters{shapes}, method "
+        f"{fit.method}, effects {', '.join(fit.model.effects) or 'none'}"
+    )
+    return make_table(title, ("parameter", "value", "std", "std %", "unit"), rows)
+
+
+def html_view(fit: Fit) -> str:
+    """Return the parameters as HTML."""
+    return html(parameter_table(fit))
 
 
 def plot_parameters(fit: Fit, ax: Axes | None = None) -> Figure:

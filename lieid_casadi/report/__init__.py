@@ -1,4 +1,4 @@
-"""Reports: one HTML file with its pictures inside, to read anywhere and attach to a ticket."""
+"""Reports: self-contained HTML files with embedded figures."""
 
 from lieid_casadi.report.page import render
 from lieid_casadi.report.picture import data_uri

@@ -1,4 +1,4 @@
-"""From sections to one HTML file that fetches nothing."""
+"""Sections as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def render(title: str, sections: Sequence[Section]) -> str:
     """Return a page with these sections in their order.
 
-    Style and pictures are inside; a content policy in the page forbids it to load anything.
+    Style and figures are embedded; a content policy in the page forbids loading anything.
     """
     from lieid_casadi import __version__
 

@@ -1,4 +1,4 @@
-"""Pictures that travel inside a page."""
+"""Figures embedded in a page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which sections a report has."""
+"""Reports and their sections."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from lieid_casadi.report.sections.diagnosis import (
     unexplained_section,
     waterfall_section,
 )
-from lieid_casadi.report.sections.errors import errors_section
-from lieid_casadi.report.sections.moments import moments_section
+from lieid_casadi.report.sections.effects import descriptions_section
+from lieid_casadi.report.sections.errors import errors_section, largest_errors_section
 from lieid_casadi.report.sections.parameters import effects_section, links_section
 from lieid_casadi.report.sections.payload import (
     payload_picture_section,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 def comparison_report(fit: Fit, comparison: Comparison) -> str:
     """Return the HTML report of a fit on test recordings.
 
-    The verdict comes first, then what must be known to believe it, then the details.
+    The verdict comes first, then warnings, errors and figures, then the details of the fit.
     """
     return render(
         f"{fit.model.robot.name}: model and measurement",
@@ -91,18 +91,19 @@ def payload_report(fit: Fit, payload: PayloadEstimate) -> str:
 
 
 def comparison_sections(fit: Fit, comparison: Comparison) -> list[Section]:
-    """Return what a comparison adds to any report."""
+    """Return the sections of a comparison."""
     return [
         verdict_section(comparison),
         warnings_section(comparison.warnings, fit.warnings),
         errors_section(comparison),
         torques_section(comparison),
         dependence_section(comparison),
-        moments_section(comparison),
+        largest_errors_section(comparison),
     ]
 
 
 def fit_sections(fit: Fit) -> list[Section]:
-    """Return what a fit adds to any report."""
+    """Return the sections of a fit."""
     sections = [training_section(fit), effects_section(fit), links_section(fit)]
-    return [section for section in sections if section.data.get("rows") != []]
+    sections = [section for section in sections if section.data.get("rows") != []]
+    return [*sections, descriptions_section([*(p.effect.label for p in fit.model.placements)])]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+from lieid_casadi.tables import Table
 
 
 @dataclass(frozen=True)
@@ -18,13 +20,51 @@ class Section:
     template : str
         File in ``report/sections`` that shows ``data``.
     data : mapping
-        What the template names. Strings are escaped there: names of joints and recordings
-        come from strangers.
+        Variables of the template. Text is escaped there, since names of joints and recordings
+        come from files of others.
     folded : bool
-        Shown as a heading that opens on a click.
+        Shown as a heading that opens with a click.
     """
 
     title: str
     template: str
     data: Mapping[str, Any]
     folded: bool = False
+
+
+def table_section(
+    title: str,
+    *tables: Table,
+    sentence: str = "",
+    facts: Sequence[tuple[str, str]] = (),
+    titles: bool = False,
+    links: Mapping[str, str] | None = None,
+    folded: bool = False,
+) -> Section:
+    """Return a section of tables.
+
+    Parameters
+    ----------
+    title : str
+        Heading; empty for none.
+    tables : Table
+        Those without rows are left out.
+    sentence : str
+        Shown first, emphasized.
+    facts : sequence of (name, value)
+        Shown before the tables.
+    titles : bool
+        Whether each table has its own heading.
+    links : mapping, optional
+        Text of cells → anchor in the page that they link to.
+    folded : bool
+        As in `Section`.
+    """
+    data = {
+        "tables": tables,
+        "sentence": sentence,
+        "facts": facts,
+        "titles": titles,
+        "links": links or {},
+    }
+    return Section(title, "tables.html", data, folded)

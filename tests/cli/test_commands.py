@@ -115,6 +115,21 @@ def test_show_names_the_base_parameters(tmp_path, capsys):
     assert json.loads(out.read_text())["base_parameter_count"] == 43
 
 
+def test_effects_lists_the_library_and_describes_one_effect(tmp_path, capsys):
+    out = tmp_path / "a.json"
+    assert main(["effects", "--json", str(out)]) == 0
+    shown = capsys.readouterr().out
+    names = {effect["name"] for effect in json.loads(out.read_text())["effects"]}
+    assert {"coulomb", "stribeck/two_width", "payload"} <= names
+    assert "f_c·sgn(q̇)" in shown
+    assert main(["effects", "stribeck"]) == 0
+    shown = capsys.readouterr().out
+    for text in ("(f_s − f_c)·sgn(q̇)", "v_s [rad/s]", "revealed by", "confused with presliding"):
+        assert text in shown
+    assert main(["effects", "stribek"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
 def test_own_effect_from_a_file(runs, tmp_path, capsys):
     code = tmp_path / "mine.py"
     code.write_text(

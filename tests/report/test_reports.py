@@ -61,7 +61,9 @@ def page(fit, comparison):
 
 def test_a_report_fetches_nothing(page):
     for tag, name, value in page.attributes:
-        if name in FETCHING:
+        if name == "href":
+            assert value.startswith("#"), tag  # within the page
+        elif name in FETCHING:
             assert value.startswith("data:image/png;base64,"), (tag, name)
         if name == "style":
             assert re.fullmatch(r"--part: [\d.]+%", value)
@@ -123,6 +125,16 @@ def test_names_from_strangers_are_text(fit, comparison):
     )
     assert r"\u202eturned" in turned.text
     assert r"a\u001b\u2066b" in "".join(turned.text)
+
+
+def test_effects_are_described_from_their_definitions(page, fit):
+    text = " ".join(page.text)
+    for placement in fit.model.placements:
+        assert placement.effect.formula in text
+        assert placement.effect.revealed_by in text
+    ids = page.values("id")
+    assert {f"effect-{p.effect.label}" for p in fit.model.placements} <= set(ids)
+    assert {link.removeprefix("#") for link in page.values("href")} <= set(ids)
 
 
 def test_a_fit_without_a_test_has_a_report_too(fit):

@@ -1,4 +1,4 @@
-"""Identified numbers with their uncertainties."""
+"""Identified parameters with their standard deviations."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _section(title: str, fit: Fit, table: list[dict[str, Any]], *, folded: bool 
 
 
 def _meaning(row: dict[str, Any]) -> str:
-    """Return the combination that a number stands for, nothing if that is its own name."""
+    """Return the combination that a parameter is; empty if that is its name."""
     name, joint, expression = row["name"], row["joint"], str(row["expression"])
     return "" if expression in (name, f"{name}{joint}", f"{name}:{joint}") else expression
 

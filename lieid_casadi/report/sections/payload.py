@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lieid_casadi.payload.view import not_identified
 from lieid_casadi.report.section import Section
 from lieid_casadi.report.sections.parameters import value_text
 from lieid_casadi.report.sections.pictures import picture_section
@@ -30,10 +31,7 @@ def payload_section(payload: PayloadEstimate) -> Section:
         cells += ["–" if end is None else f"{end:.4g}" for end in interval]
         cells += [f"{row['feasible']:.4g}"]
         rows.append({**row, "cells": cells})
-    by_reason: dict[str, list[str]] = {}
-    for part in payload.not_identified:
-        by_reason.setdefault(part.reason, []).append(part.name)
-    parts = [{"names": ", ".join(names), "reason": why} for why, names in by_reason.items()]
+    parts = [{"names": names, "reason": reason} for names, reason in not_identified(payload)]
     return Section("Payload", "payload.html", {"rows": rows, "parts": parts})
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a comparison."""
+"""Figures of a comparison."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ def torques_section(comparison: Comparison) -> Section:
 
 
 def dependence_section(comparison: Comparison) -> Section:
-    """Return the error against the signals it may depend on."""
+    """Return the error over the signals on which it may depend."""
     note = (
-        "Error against position, speed, direction, load and time. Lines that stay on zero: the "
-        "model has it. Both directions bent alike: gravity, inertia or a spring. Lines that part "
-        "over speed: viscous friction; over load: friction that grows with load; over position: "
-        "friction that varies with position."
+        "Mean error over position, speed, direction, load and time. A line at zero shows no "
+        "dependence. The same curve in both directions indicates gravity, inertia or a spring. "
+        "A difference between the directions that grows with speed indicates viscous friction; "
+        "with load, load-dependent friction; with position, position-dependent friction."
     )
-    return picture_section("What the error follows", comparison.plot_errors(), note)
+    return picture_section("Dependence of the error on signals", comparison.plot_errors(), note)
 
 
 def picture_section(title: str, figure: Figure, note: str) -> Section:
-    """Return a section of one picture."""
+    """Return a section of one figure."""
     return Section(title, "picture.html", {"uri": data_uri(figure), "alt": title, "note": note})

@@ -1,4 +1,4 @@
-"""Where the numbers come from."""
+"""Versions and recordings that the results come from."""
 
 from __future__ import annotations
 
@@ -37,4 +37,4 @@ def _version(name: str) -> str:
     try:
         return version(name)
     except PackageNotFoundError:
-        return "not known"
+        return "unknown"

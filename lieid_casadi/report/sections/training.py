@@ -2,38 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from lieid_casadi.comparison.table import digits
 from lieid_casadi.identification import Fit
-from lieid_casadi.report.section import Section
+from lieid_casadi.report.section import Section, table_section
+from lieid_casadi.tables import make_table
 
 
 def training_section(fit: Fit) -> Section:
-    """Return the errors of training and cross-validation, and what the data determined."""
-    condition = fit.conditioning.condition_number
-    columns = (
-        ("RMS", fit.rms_train),
-        ("cross-validated", fit.rms_cv),
-        ("raw", fit.rms_train_raw),
-    )
-    joints = fit.model.robot.joints
-    data: dict[str, Any] = {
-        "facts": [
-            ("effects", ", ".join(fit.model.effects) or "none"),
-            ("method", fit.method),
-            ("base parameters", str(fit.model.base.count)),
-            ("condition number", f"{condition:.3g}"),
-            ("physically consistent", "yes" if fit.physically_consistent else "no"),
-        ],
-        "headings": ("joint", *(heading for heading, _ in columns), "unit"),
-        "rows": [
+    """Return the errors of training and cross-validation, and the conditioning of the fit."""
+    columns = (fit.rms_train, fit.rms_cv, fit.rms_train_raw)
+    table = make_table(
+        "",
+        ("joint", "RMS", "cross-validated", "raw", "unit"),
+        [
             (
                 f"{j + 1} {joint.name}",
-                *(digits(values[j]) for _, values in columns),
+                *(digits(values[j]) for values in columns),
                 "N·m" if joint.revolute else "N",
             )
-            for j, joint in enumerate(joints)
+            for j, joint in enumerate(fit.model.robot.joints)
         ],
-    }
-    return Section("Training", "training.html", data)
+        note="Cross-validated: on blocks left out of the fit, joints in motion.",
+    )
+    facts = [
+        ("effects", ", ".join(fit.model.effects) or "none"),
+        ("method", fit.method),
+        ("base parameters", str(fit.model.base.count)),
+        ("condition number", f"{fit.conditioning.condition_number:.3g}"),
+        ("physically consistent", "yes" if fit.physically_consistent else "no"),
+    ]
+    return table_section("Training", table, facts=facts)

@@ -1,4 +1,4 @@
-"""The comparison in a sentence."""
+"""Verdict of a comparison."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from lieid_casadi.report.section import Section
 
 
 def verdict_section(comparison: Comparison) -> Section:
-    """Return the sentence that a report opens with."""
+    """Return the sentence at the beginning of a report."""
     return Section("", "verdict.html", {"sentence": verdict(comparison)})

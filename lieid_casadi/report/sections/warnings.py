@@ -1,4 +1,4 @@
-"""What was suspicious."""
+"""Warnings of a result and of its fit."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from lieid_casadi.report.section import Section
 
 
 def warnings_section(
-    told: Sequence[LieidWarning], of_training: Sequence[LieidWarning] = ()
+    warnings: Sequence[LieidWarning], of_fit: Sequence[LieidWarning] = ()
 ) -> Section:
-    """Return the warnings of a result, and those of the fit behind it."""
+    """Return the warnings of a result, and those of the fit that it uses."""
     groups = [
-        {"title": title, "warnings": warning_list(warnings)}
-        for title, warnings in (("", told), ("Told when the model was fitted", of_training))
-        if warnings
+        {"title": title, "warnings": warning_list(group)}
+        for title, group in (("", warnings), ("Warnings of the fit", of_fit))
+        if group
     ]
     return Section("Warnings", "warnings.html", {"groups": groups})

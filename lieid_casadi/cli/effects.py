@@ -1,0 +1,74 @@
+"""``lieid effects [NAME]``: the library of effects."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import output, shared_options
+from lieid_casadi.tables import make_table
+
+if TYPE_CHECKING:
+    from lieid_casadi.effects import Effect
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser("effects", help="the library of effects, or one effect of it")
+    parser.add_argument(
+        "name", nargs="?", metavar="NAME", help="effect to describe; default: list all effects"
+    )
+    shared_options.add_effects_file(parser)
+    shared_options.add_outputs(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Print the description of an effect, or a table of all."""
+    from lieid_casadi.effects import make
+    from lieid_casadi.effects.description import describe
+    from lieid_casadi.effects.effect import REGISTER
+
+    shared_options.load_effects_file(args.effects_file)
+    labels = sorted(REGISTER) if args.name is None else [args.name]
+    effects = [make(label) for label in labels]
+    files = output.Files()
+    files.add_json(args.json, {"schema": 1, "effects": [_to_dict(effect) for effect in effects]})
+    files.write()
+    if args.name is not None:
+        facts = [("effect", args.name), *describe(effects[0])]
+        facts.append(("documentation", f"effects/{effects[0].name}.html"))
+        width = max(len(name) for name, _ in facts) + 2
+        output.say("\n".join(f"{name:<{width}}{text}" for name, text in facts))
+        return
+    output.show(
+        make_table(
+            f"{len(effects)} effects and options (lieid effects NAME describes one)",
+            ("effect", "torque on the joint", "coefficients"),
+            [(effect.label, effect.formula, _names(effect)) for effect in effects],
+        )
+    )
+
+
+def _names(effect: Effect) -> str:
+    return ", ".join(f"{c.name} [{c.unit}]" for c in effect.coefficients)
+
+
+def _to_dict(effect: Effect) -> dict[str, Any]:
+    return {
+        "name": effect.label,
+        "formula": effect.formula,
+        "coefficients": [
+            {"name": c.name, "unit": c.unit, "meaning": c.meaning} for c in effect.coefficients
+        ],
+        "shapes": [
+            {"name": s.name, "unit": s.unit, "meaning": s.meaning, "range": [s.lower, s.upper]}
+            for s in effect.shapes
+        ],
+        "signals": list(effect.signals),
+        "options": dict(effect.options),
+        "revealed_by": effect.revealed_by,
+        "confused_with": dict(effect.confused_with),
+        "typical": effect.typical,
+        "references": list(effect.references),
+    }

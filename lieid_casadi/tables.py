@@ -1,0 +1,87 @@
+"""Tables of results, as the command line, reports and notebooks show them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+
+MISSING = "–"  # of a number that does not exist
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a result.
+
+    Attributes
+    ----------
+    title : str
+    headings : tuple of str
+        One per column.
+    rows : tuple of tuple
+        Cells, one per column: text, numbers, or None where there is none.
+    note : str
+        Explanation of the columns, for reports.
+    """
+
+    title: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[object, ...], ...]
+    note: str = ""
+
+    @property
+    def cells(self) -> list[list[str]]:
+        """The rows as text."""
+        return [[cell_text(cell) for cell in row] for row in self.rows]
+
+
+def make_table(
+    title: str, headings: Sequence[str], rows: Iterable[Sequence[object]], *, note: str = ""
+) -> Table:
+    """Return a table.
+
+    Parameters
+    ----------
+    title : str
+    headings : sequence of str
+        One per column.
+    rows : iterable of sequence
+        Cells, one per column.
+    note : str
+        Explanation of the columns, for reports.
+    """
+    return Table(title, tuple(headings), tuple(tuple(row) for row in rows), note)
+
+
+def cell_text(cell: object) -> str:
+    """Return a cell as text; numbers with four significant digits.
+
+    Examples
+    --------
+    >>> cell_text(12.34567), cell_text(None), cell_text(float("nan")), cell_text("q1")
+    ('12.35', '–', '–', 'q1')
+    """
+    if cell is None or cell != cell:
+        return MISSING
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+
+
+def html(*parts: str | Table) -> str:
+    """Return paragraphs and tables as HTML, as notebooks show them; all text is escaped.
+
+    Examples
+    --------
+    >>> html("a < b")
+    '<p>a &lt; b</p>'
+    """
+    return "".join(_table(x) if isinstance(x, Table) else f"<p>{escape(x)}</p>" for x in parts if x)
+
+
+def _table(table: Table) -> str:
+    head = "".join(f"<th>{escape(text)}</th>" for text in table.headings)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>"
+        for row in table.cells
+    )
+    title = f"<caption>{escape(table.title)}</caption>" if table.title else ""
+    return f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
