@@ -110,9 +110,10 @@ def excite(
     starts : int
         Number of random starts; the best trajectory is returned.
     seed : int
-        Of the first start; the others follow. The same seed gives the same local optimum on every
-        machine, to the amplified rounding of its linear algebra (condition numbers differ by
-        about 1 %).
+        Of the first start; the others follow. Results do not depend on threads, executors or the
+        instruction set of the compiled functions. The rounding of the linear algebra depends on
+        the processor, and the search amplifies it: between OpenBLAS kernels the condition number
+        of the best of four starts changes by 1 to 10 %.
     max_iterations : int, optional
         Most iterations of one start; without it each stage of the search ends by its own
         tolerance. There is no limit in seconds, so that results do not depend on the load of the
