@@ -1,8 +1,8 @@
-"""Closed form of the dynamics: M, V, C, G and J as expressions (Eqs. 4-5).
+"""Closed form of the dynamics: M, C, G and J as expressions (Luo et al. 2024, Eqs. 4-5).
 
-The stacked matrices of the paper are block lower bidiagonal; their products are evaluated
-block by block, which is the same algebra without the zeros:
-B·ξ is the stack of the link Jacobians J_i = Ad⁻¹J_{i−1} + ξ_i·e_iᵀ.
+The products of the paper's stacked matrices (`lieid_casadi.dynamics.stacked_form`) are evaluated
+block by block, without their zeros: B·ξ is the stack of the link Jacobians
+J_i = Ad⁻¹J_{i−1} + ξ_i·e_iᵀ.
 """
 
 from __future__ import annotations
@@ -81,30 +81,8 @@ def _seen_from_parent(g: Pose, link: ca.SX) -> ca.SX:
     return ca.vertcat(mass, moment + mass * g.translation, *six)
 
 
-def velocity_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
-    """Return V(q, q̇) = −ξᵀBᵀ(EBΛ_{ξq̇}Γ + Λ_V E)Bξ (n, n) of Eq. 5.
-
-    V·q̇ is the Coriolis and centripetal torque, but Ṁ − 2V is not skew-symmetric; use
-    `coriolis_matrix` where passivity matters.
-    """
-    matrix = ca.SX(robot.n, robot.n)
-    jacobians, poses = link_jacobians(robot, motion), relative_poses(robot, motion)
-    before, carried = ca.SX(6, robot.n), ca.SX(6, robot.n)
-    for i, (link, xi) in enumerate(zip(_links(parameters), axes(robot), strict=True)):
-        inertia, jacobian = spatial_inertia(link), jacobians[i]
-        turned = ca.mtimes(
-            small_adjoint(xi * motion.dq[i]), inverse_adjoint_times(poses[i], before)
-        )
-        carried = inverse_adjoint_times(poses[i], carried) + turned
-        momentum_rate = small_adjoint(ca.mtimes(jacobian, motion.dq)).T
-        inner = ca.mtimes(inertia, carried) + ca.mtimes(momentum_rate, ca.mtimes(inertia, jacobian))
-        matrix = matrix - ca.mtimes(jacobian.T, inner)
-        before = jacobian
-    return matrix
-
-
 def coriolis_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
-    """Return C(q, q̇) (n, n) with C·q̇ = V·q̇ and Ṁ − 2C skew-symmetric.
+    """Return C(q, q̇) (n, n), whose C·q̇ is the Coriolis torque, with Ṁ − 2C skew-symmetric.
 
     C = Σ Jᵀ(E·J̇ + B·J) with B(E, V)·V_r the forces m·ω_r × u on points that move with u, summed
     from the tip as in `mass_matrix`; Echeandia & Wensing, "Numerical methods to compute the

@@ -1,0 +1,123 @@
+"""The stacked matrices of Eqs. 4-5, against Pinocchio, the recursion and what is printed."""
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+from dynamics.test_against_pinocchio import (
+    assert_close,
+    coriolis_torques,
+    not_skew,
+    per_state,
+    torques,
+)
+
+from lieid_casadi.dynamics import recursion
+from lieid_casadi.dynamics.stacked_form import stacked_matrices
+
+SOME = ["panda", "panda_luo2024", "two_link", "random_0_of_2", "random_3_of_5", "random_7_of_9"]
+pytestmark = pytest.mark.parametrize("arm", SOME, indirect=True)
+
+
+def evaluated(arm, of):
+    """Values of a function of the stacked matrices and the motion, over all states."""
+    return arm.evaluate(lambda robot, motion, p: of(stacked_matrices(robot, motion, p), motion))
+
+
+def test_propagation_is_the_inverse(arm):
+    product = evaluated(
+        arm, lambda s, _: ca.mtimes(ca.DM.eye(6 * arm.robot.n) - s.transport, s.propagation)
+    )
+    assert_close(product, np.broadcast_to(np.eye(6 * arm.robot.n), product.shape))
+
+
+def test_mass_matrix(arm):
+    expected = arm.compiled.mass_matrix(arm.states[0], arm.robot.link_parameters)
+    assert_close(evaluated(arm, lambda s, _: s.mass_matrix), expected)
+
+
+def test_velocity_matrix(arm):
+    ours = evaluated(arm, lambda s, motion: ca.mtimes(s.velocity_matrix, motion.dq))
+    assert_close(ours[:, :, 0], coriolis_torques(arm))
+
+
+def test_mass_rate_minus_2v_is_not_skew(arm):
+    """V of Eq. 5 is not the C of a passivity proof."""
+    symmetric, rate = not_skew(arm, lambda *parts: stacked_matrices(*parts).velocity_matrix)
+    assert np.abs(symmetric).max() > 0.1 * np.abs(rate).max()
+
+
+def test_gravity(arm):
+    expected = per_state(arm, lambda m, d, q, dq, ddq: pin.computeGeneralizedGravity(m, d, q))
+    assert_close(evaluated(arm, lambda s, _: s.gravity)[:, :, 0], expected)
+
+
+def test_jacobian_is_in_the_axes_of_the_tool(arm):
+    def theirs(model, data, q, dq, ddq):
+        j = pin.computeFrameJacobian(model, data, q, arm.tool, pin.ReferenceFrame.LOCAL)
+        j = np.reshape(j, (6, -1))
+        return np.vstack([j[3:], j[:3]])  # [ω; v]
+
+    assert_close(evaluated(arm, lambda s, _: s.jacobian), per_state(arm, theirs))
+
+
+def test_equation_4_with_a_wrench_is_the_recursion(arm):
+    wrench = np.random.default_rng(3).normal(size=6) * [3, 3, 3, 30, 30, 30]
+
+    def stacked(s, motion):
+        return (
+            ca.mtimes(s.mass_matrix, motion.ddq)
+            + ca.mtimes(s.velocity_matrix, motion.dq)
+            + s.gravity
+            + ca.mtimes(s.jacobian.T, wrench)
+        )
+
+    def by_recursion(robot, motion, parameters):
+        return recursion.inverse_dynamics(robot, motion, parameters, tool_wrench=ca.SX(wrench))
+
+    assert_close(evaluated(arm, stacked), arm.evaluate(by_recursion), 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("sign", "inverse", "right"),
+    [(-1, False, False), (1, False, False), (-1, True, False), (1, True, True)],
+)
+def test_equations_2_and_3_as_printed_need_both_corrections(arm, sign, inverse, right):
+    """Printed: −ad_{Ad⁻¹V}(ξq̇) in Eq. 2, and Adᵀ without the inverse in Eq. 3."""
+
+    def torque(robot, motion, parameters):
+        return newton_euler(robot, motion, parameters, sign=sign, inverse=inverse)
+
+    error = np.abs(arm.evaluate(torque)[:, :, 0] - torques(arm)).max()
+    scale = np.abs(torques(arm)).max()
+    assert (error < 1e-10 * scale) == right
+    assert right or error > 1e-3 * scale
+
+
+def newton_euler(robot, motion, parameters, *, sign, inverse):
+    """Eqs. 2-3 on whole twists and wrenches."""
+    from lieid_casadi.dynamics.closed_form import spatial_inertia
+    from lieid_casadi.dynamics.lie import adjoint, small_adjoint
+    from lieid_casadi.dynamics.motion_symbols import axes, relative_poses
+
+    poses, xi = relative_poses(robot, motion), axes(robot)
+    v, a = ca.SX(6, 1), ca.SX(np.concatenate([np.zeros(3), -robot.gravity]))
+    twists, accelerations = [], []
+    for i, g in enumerate(poses):
+        back = adjoint(g.inverse())
+        carried = ca.mtimes(back, v)
+        turn = xi[i] * motion.dq[i]
+        v = carried + turn
+        a = ca.mtimes(back, a) + sign * ca.mtimes(small_adjoint(carried), turn)
+        a += xi[i] * motion.ddq[i]
+        twists.append(v)
+        accelerations.append(a)
+    wrench, torque = ca.SX(6, 1), [None] * robot.n
+    for i in reversed(range(robot.n)):
+        inertia = spatial_inertia(parameters[10 * i : 10 * i + 10])
+        wrench += ca.mtimes(inertia, accelerations[i])
+        wrench -= ca.mtimes([small_adjoint(twists[i]).T, inertia, twists[i]])
+        torque[i] = ca.mtimes(xi[i].T, wrench)
+        seen = poses[i].inverse() if inverse else poses[i]
+        wrench = ca.mtimes(adjoint(seen).T, wrench)
+    return ca.vertcat(*torque)
