@@ -1,22 +1,14 @@
 """Formulas as MathML, which browsers draw themselves: pages load nothing from the network."""
 
-import re
 from html import escape
 
 from docutils import nodes
-from docutils.utils.math.latex2mathml import tex2mathml
-
-ACCENT = re.compile(r"\\(?:dot|ddot|hat|bar|tilde)\{[^{}]*\}")
-
-
-def mathml(text, **options):
-    """Return a formula as MathML; a subscript of q̇ stands beside it and not below."""
-    return tex2mathml(ACCENT.sub(r"{\g<0>}", text), **options)
+from latex2mathml.converter import convert
 
 
 def visit_inline(self, node):
     """Write an inline formula."""
-    self.body.append(f'<span class="math">{mathml(node.astext())}</span>')
+    self.body.append(convert(node.astext()))
     raise nodes.SkipNode
 
 
@@ -26,7 +18,7 @@ def visit_display(self, node):
     if node["number"]:
         self.body.append(f'<span class="eqno">({escape(str(node["number"]))})</span>')
     for part in node.astext().split("\n\n"):
-        self.body.append(mathml(part, as_block=True))
+        self.body.append(convert(part, display="block"))
     self.body.append("</div>\n")
     raise nodes.SkipNode
 
