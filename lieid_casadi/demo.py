@@ -65,6 +65,15 @@ def run_demo(robot: Robot, *, seed: int = 0, progress: Progress | None = None) -
 
     The plant's inertias differ from the nominal ones by up to 20 %; its friction and the hidden
     effect are written out in the plant, and nothing of them is passed on but the recordings.
+
+    Parameters
+    ----------
+    robot : Robot
+        With inertias and torque limits.
+    seed : int
+        Of the excitation, the test motion and the noise.
+    progress : callable, optional
+        Called with a stage's name and the fraction done.
     """
     report = progress or (lambda stage, fraction: None)
     model = Model(robot, EFFECTS)

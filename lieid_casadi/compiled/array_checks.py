@@ -14,6 +14,16 @@ _FLOAT = np.dtype(np.float64)
 def samples(name: str, values: ArrayLike, width: int, count: int | None = None) -> Array:
     """Return values as float64 (N, width), of any strides; N must be ``count`` where given.
 
+    Parameters
+    ----------
+    name : str
+        Name in error messages.
+    values : (N, width) array-like
+    width : int
+        Number of columns.
+    count : int, optional
+        Number of rows.
+
     Raises
     ------
     ModelError
@@ -35,7 +45,16 @@ def times(values: ArrayLike, count: int) -> Array:
 
 
 def constants(name: str, values: ArrayLike, width: int) -> Array:
-    """Return values that are the same for every sample as contiguous float64 (width,)."""
+    """Return values that are the same for every sample as contiguous float64 (width,).
+
+    Parameters
+    ----------
+    name : str
+        Name in error messages.
+    values : (width,) array-like
+    width : int
+        Number of values.
+    """
     array = _real(name, values)
     if array.shape != (width,):
         raise ModelError(f"{name}: shape {array.shape}; expected ({width},)")

@@ -87,7 +87,17 @@ class Compiled:
         out: Array | None = None,
         threads: int | None = None,
     ) -> Array:
-        """Return the full regressor Y (N, n, 10 n) of the rigid torque."""
+        """Return the full regressor Y (N, n, 10 n) of the rigid torque.
+
+        Parameters
+        ----------
+        q, dq, ddq : (N, n)
+            rad, rad/s, rad/s² (m for a prismatic joint).
+        out : (N, …) array, optional
+            Result array to write into.
+        threads : int, optional
+            Threads that share the batch.
+        """
         return self._matrix("regressor", self._motion(q, dq, ddq), out, threads)
 
     def slotine_li_regressor(
@@ -104,6 +114,15 @@ class Compiled:
 
         q̇_r, q̈_r are the reference motion of an adaptive controller (Slotine, Li, "On the adaptive
         control of robot manipulators", IJRR 1987).
+
+        Parameters
+        ----------
+        q, dq : (N, n)
+            rad, rad/s.
+        dq_r, ddq_r : (N, n)
+            Reference velocity and acceleration, rad/s, rad/s².
+        out, threads : optional
+            As in `regressor`.
         """
         values = self._samples(q=q, dq=dq, dq_r=dq_r, ddq_r=ddq_r)
         return self._matrix("slotine_li_regressor", values, out, threads)
@@ -150,7 +169,15 @@ class Compiled:
         out: Array | None = None,
         threads: int | None = None,
     ) -> Array:
-        """Return Y_b (N, n, p) with zeros in the columns of effects."""
+        """Return Y_b (N, n, p) with zeros in the columns of effects.
+
+        Parameters
+        ----------
+        q, dq, ddq : (N, n)
+            rad, rad/s, rad/s² (m for a prismatic joint).
+        out, threads : optional
+            As in `regressor`.
+        """
         return self._matrix("rigid_base_regressor", self._motion(q, dq, ddq), out, threads)
 
     def base_blocks(
@@ -194,6 +221,15 @@ class Compiled:
         """Return the effects' columns (N, n, m), dropped ones included; see `base_regressor`.
 
         For effects with memory the samples are one segment, in order, from its first one.
+
+        Parameters
+        ----------
+        q, dq, ddq : (N, n)
+            rad, rad/s, rad/s² (m for a prismatic joint).
+        load, temperature, time, shapes, dead_zone : optional
+            As in `base_regressor`.
+        out, threads : optional
+            As in `regressor`.
         """
         motion = self._motion(q, dq, ddq)
         values = self._signals(motion, load, temperature, time, shapes, dead_zone)
@@ -214,7 +250,19 @@ class Compiled:
         out: Array | None = None,
         threads: int | None = None,
     ) -> Array:
-        """Return the torque of all effects (N, n) for linear coefficients (m,)."""
+        """Return the torque of all effects (N, n) for linear coefficients (m,).
+
+        Parameters
+        ----------
+        q, dq, ddq : (N, n)
+            rad, rad/s, rad/s² (m for a prismatic joint).
+        coefficients : (m,)
+            Linear coefficients of the effects.
+        load, temperature, time, shapes, dead_zone : optional
+            As in `base_regressor`.
+        out, threads : optional
+            As in `regressor`.
+        """
         motion = self._motion(q, dq, ddq)
         values = self._signals(motion, load, temperature, time, shapes, dead_zone)
         width = len(self.model.columns)
@@ -231,7 +279,17 @@ class Compiled:
         out: Array | None = None,
         threads: int | None = None,
     ) -> Array:
-        """Return the rigid torque (N, n) of link parameters (10 n,), N·m."""
+        """Return the rigid torque (N, n) of link parameters (10 n,), N·m.
+
+        Parameters
+        ----------
+        q, dq, ddq : (N, n)
+            rad, rad/s, rad/s² (m for a prismatic joint).
+        parameters : (10 n,)
+            Link parameters in the order of `Robot.link_parameters`.
+        out, threads : optional
+            As in `regressor`.
+        """
         values = self._motion(q, dq, ddq) | self._links(parameters)
         return self._vector("inverse_dynamics", values, out, threads)
 
@@ -243,7 +301,17 @@ class Compiled:
         out: Array | None = None,
         threads: int | None = None,
     ) -> Array:
-        """Return M(q) (N, n, n), kg·m²."""
+        """Return M(q) (N, n, n), kg·m².
+
+        Parameters
+        ----------
+        q : (N, n)
+            rad.
+        parameters : (10 n,)
+            Link parameters in the order of `Robot.link_parameters`.
+        out, threads : optional
+            As in `regressor`.
+        """
         values = self._samples(q=q) | self._links(parameters)
         return self._matrix("mass_matrix", values, out, threads)
 
@@ -256,7 +324,17 @@ class Compiled:
         out: Array | None = None,
         threads: int | None = None,
     ) -> Array:
-        """Return C(q, q̇) (N, n, n) with Ṁ − 2C skew-symmetric."""
+        """Return C(q, q̇) (N, n, n) with Ṁ − 2C skew-symmetric.
+
+        Parameters
+        ----------
+        q, dq : (N, n)
+            rad, rad/s.
+        parameters : (10 n,)
+            Link parameters in the order of `Robot.link_parameters`.
+        out, threads : optional
+            As in `regressor`.
+        """
         values = self._samples(q=q, dq=dq) | self._links(parameters)
         return self._matrix("coriolis_matrix", values, out, threads)
 
@@ -268,14 +346,32 @@ class Compiled:
         out: Array | None = None,
         threads: int | None = None,
     ) -> Array:
-        """Return G(q) (N, n), N·m."""
+        """Return G(q) (N, n), N·m.
+
+        Parameters
+        ----------
+        q : (N, n)
+            rad.
+        parameters : (10 n,)
+            Link parameters in the order of `Robot.link_parameters`.
+        out, threads : optional
+            As in `regressor`.
+        """
         values = self._samples(q=q) | self._links(parameters)
         return self._vector("gravity", values, out, threads)
 
     def jacobian(
         self, q: ArrayLike, *, out: Array | None = None, threads: int | None = None
     ) -> Array:
-        """Return the tool's Jacobian (N, 6, n), [ω; v] in base axes."""
+        """Return the tool's Jacobian (N, 6, n), [ω; v] in base axes.
+
+        Parameters
+        ----------
+        q : (N, n)
+            rad.
+        out, threads : optional
+            As in `regressor`.
+        """
         return self._matrix("jacobian", self._samples(q=q), out, threads)
 
     def _samples(self, **signals: ArrayLike) -> dict[str, Array]:

@@ -31,7 +31,19 @@ def diagnose_changed(
     seed: int,
     report: Callable[[str, float], None],
 ) -> Diagnosis:
-    """Return what has changed since a fit; see `diagnose` for the parameters."""
+    """Return what has changed since a fit; see `diagnose` for the parameters.
+
+    Parameters
+    ----------
+    fit : Fit
+    recordings : sequence of Recording
+        Measured since the fit.
+    options : DiagnosisOptions
+    seed : int
+        Of the bootstrap.
+    report : callable
+        Called with a stage's name and the fraction done.
+    """
     report("compare", 0.0)
     before = compare(fit, recordings)
     segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)

@@ -43,7 +43,23 @@ def diagnose_missing(
     ask: Callable[[Proposal], bool] | None,
     report: Callable[[str, float], None],
 ) -> Diagnosis:
-    """Return the effects that a model lacks; see `diagnose` for the parameters."""
+    """Return the effects that a model lacks; see `diagnose` for the parameters.
+
+    Parameters
+    ----------
+    model : Model
+    train, tests : sequence of Recording
+    method : str
+        Of the fits.
+    processing : Processing or None
+    options : DiagnosisOptions
+    seed : int
+        Of the bootstrap.
+    ask : callable or None
+        Called before each step is accepted; False rejects it.
+    report : callable
+        Called with a stage's name and the fraction done.
+    """
     report("identify", 0.0)
     first = identify(model, train, method=method, processing=processing)
     processing = first.processing

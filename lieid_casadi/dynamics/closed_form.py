@@ -56,6 +56,14 @@ def mass_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
 
     Summed from the tip: the links from j on move as one body when joint j alone moves (composite
     rigid bodies; Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 6).
+
+    Parameters
+    ----------
+    robot : Robot
+    motion : Motion
+        Symbols q, q̇ (n,).
+    parameters : (10 n,)
+        Link parameters.
     """
     matrix, links = ca.SX(robot.n, robot.n), _links(parameters)
     poses, xi = relative_poses(robot, motion), axes(robot)
@@ -89,6 +97,14 @@ def coriolis_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
     Coriolis matrix and Christoffel symbols for rigid-body systems", J. Comput. Nonlinear Dynam.
     2021. B = [[L, 0], [−P̂, 0]] with the momentum P = Σ m·u and L = −Σ m·r̂·û, whose sums over
     the links of a composite body are again such a pair.
+
+    Parameters
+    ----------
+    robot : Robot
+    motion : Motion
+        Symbols q, q̇ (n,).
+    parameters : (10 n,)
+        Link parameters.
     """
     matrix, links = ca.SX(robot.n, robot.n), _links(parameters)
     poses, xi = relative_poses(robot, motion), axes(robot)

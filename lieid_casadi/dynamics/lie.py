@@ -69,6 +69,15 @@ def exp(screw: ArrayLike, q: ca.SX, sin: ca.SX, cos: ca.SX) -> Pose:
 
     ``sin`` and ``cos`` are those of q, passed in so that generated code can take them as
     inputs. A prismatic screw (ω = 0) uses q alone.
+
+    Parameters
+    ----------
+    screw : (6,)
+        [ω; v] with |ω| = 1, or ω = 0 and |v| = 1.
+    q : ca.SX
+        Angle in rad, or displacement in m.
+    sin, cos : ca.SX
+        Of q.
     """
     xi = np.asarray(screw, dtype=float)
     omega, v = xi[:3], xi[3:]

@@ -60,6 +60,16 @@ def body_motions(
 
     With a reference, q̈ is q̈_r and every product of two velocities becomes half the sum of the two
     mixed products: the bilinear form whose torque is C(q, q̇)·q̇_r with Ṁ − 2C skew-symmetric.
+
+    Parameters
+    ----------
+    robot : Robot
+    motion : Motion
+        Symbols q, q̇, q̈ (n,).
+    reference : Reference, optional
+        Second motion q̇_r, q̈_r (n,).
+    gravity : (3,), optional
+        In the base frame, m/s²; the robot's if left out.
     """
     rates = [motion.dq] if reference is None else [motion.dq, reference.dq]
     ddq = motion.ddq if reference is None else reference.ddq

@@ -26,6 +26,14 @@ def slotine_li_regressor(robot: Robot, motion: Motion, reference: Reference) -> 
     """Return Y(q, q̇, q̇_r, q̈_r) (n, 10 n) with Y·π = M·q̈_r + C·q̇_r + G, Ṁ − 2C skew-symmetric.
 
     For adaptive control: Slotine, Li, "On the adaptive control of robot manipulators", IJRR 1987.
+
+    Parameters
+    ----------
+    robot : Robot
+    motion : Motion
+        Symbols q, q̇ (n,).
+    reference : Reference
+        Symbols q̇_r, q̈_r (n,).
     """
     return _projected(robot, motion, body_motions(robot, motion, reference=reference))
 

@@ -158,7 +158,16 @@ class ArmEffect(Effect):
 
 
 def on_joint(column: Array, joint: int, n: int) -> Array:
-    """Return a column (K,) of one joint (from 0) of n as (K, n, 1), zero elsewhere."""
+    """Return a column (K,) of one joint (from 0) of n as (K, n, 1), zero elsewhere.
+
+    Parameters
+    ----------
+    column : (K,)
+    joint : int
+        From 0.
+    n : int
+        Number of joints.
+    """
     columns = np.zeros((len(column), n, 1))
     columns[:, joint, 0] = column
     return columns

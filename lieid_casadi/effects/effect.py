@@ -219,6 +219,13 @@ class Effect(ABC):
         symbol on which `advance` depends is not finite, at this sample or the one before, the
         states keep their values; they evolve again from the next pair of finite samples. Python
         evaluation, compiled batches and exported C all use this expression.
+
+        Parameters
+        ----------
+        before, now : Signals
+            Of the sample before and of this one; ``before.state`` has the states.
+        shape : mapping
+            Name → symbol of each shape parameter.
         """
         after = [ca.SX(x) for x in self.advance(before, now, shape)]
         size = ca.SX(0)

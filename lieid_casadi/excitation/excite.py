@@ -199,6 +199,18 @@ def make_design(
 ) -> ExcitationDesign:
     """Check the arguments of `excite` and return the design that they specify.
 
+    Parameters
+    ----------
+    model : Model
+    basis : Basis
+        Family of trajectories with its coefficients.
+    criterion, inertial_only, constraints, start_pose, free_start, acceleration, samples, scaling
+        As in `excite`.
+    condition_threshold, neg_log_det_threshold : float, optional
+        Δ₁ and Δ₂ of the criterion ``combined``.
+    solver : str
+        ``ipopt`` or ``sqp``.
+
     Raises
     ------
     ExcitationError
@@ -232,6 +244,12 @@ def check_thresholds(
     criterion: str, condition_threshold: float | None, neg_log_det_threshold: float | None
 ) -> None:
     """Refuse thresholds that the criterion does not have.
+
+    Parameters
+    ----------
+    criterion : str
+    condition_threshold, neg_log_det_threshold : float or None
+        Δ₁ and Δ₂.
 
     Raises
     ------

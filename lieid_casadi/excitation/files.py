@@ -19,7 +19,15 @@ ROS_RATE = 100.0  # Hz; joint trajectory controllers interpolate with quintics b
 
 
 def save(excitation: Excitation, folder: Path, *, force: bool) -> tuple[Path, ...]:
-    """Write all files of a design into a folder; see `write_folder`."""
+    """Write all files of a design into a folder; see `write_folder`.
+
+    Parameters
+    ----------
+    excitation : Excitation
+    folder : Path
+    force : bool
+        Replace the files of an earlier design in the folder.
+    """
     content = excitation.to_dict()
     motion = excitation.motion()
     ros = excitation.motion(min(ROS_RATE, excitation.rate))

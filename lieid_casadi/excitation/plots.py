@@ -36,7 +36,17 @@ def plot(excitation: Excitation) -> Figure:
 
 
 def plot_positions(excitation: Excitation, t: Array, q: Array, ax: Axes) -> None:
-    """Draw the position of each joint in parts of its range, one row per joint."""
+    """Draw the position of each joint in parts of its range, one row per joint.
+
+    Parameters
+    ----------
+    excitation : Excitation
+    t : (N,)
+        s.
+    q : (N, n)
+        rad.
+    ax : Axes
+    """
     robot = excitation.model.robot
     low, high = robot.limit("position_lower"), robot.limit("position_upper")
     low = np.where(np.isfinite(low), low, q.min(axis=0))
@@ -56,7 +66,16 @@ def plot_positions(excitation: Excitation, t: Array, q: Array, ax: Axes) -> None
 
 
 def plot_tool_path(excitation: Excitation, q: Array, ax: Axes) -> None:
-    """Draw the path of the tool in the base frame."""
+    """Draw the path of the tool in the base frame.
+
+    Parameters
+    ----------
+    excitation : Excitation
+    q : (N, n)
+        rad.
+    ax : Axes
+        Three-dimensional.
+    """
     path = tool_path(excitation, q)
     ax.plot(*path.T, linewidth=1.0)
     ax.plot(*path[:1].T, marker="o", markersize=5, linestyle="", color="black")

@@ -74,7 +74,16 @@ def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool =
 
 
 def c_files(fit: Fit, prefix: str, notes: list[str]) -> dict[str, bytes]:
-    """Return the content of all files by name."""
+    """Return the content of all files by name.
+
+    Parameters
+    ----------
+    fit : Fit
+    prefix : str
+        Of files and functions.
+    notes : list of str
+        What the export leaves out.
+    """
     made = functions(fit)
     content = _content(fit, prefix, made) | {"notes": [comment(note) for note in notes]}
     content["note_lines"] = wrapped(content["notes"])

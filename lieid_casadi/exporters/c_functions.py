@@ -255,7 +255,15 @@ def rigid_inputs(symbols: Symbols, *, of: str = "") -> dict[str, Input]:
 
 
 def sample_inputs(fit: Fit, symbols: Symbols, *, of: str) -> dict[str, Input]:
-    """Return the inputs of functions that take a whole sample and the state."""
+    """Return the inputs of functions that take a whole sample and the state.
+
+    Parameters
+    ----------
+    fit : Fit
+    symbols : Symbols
+    of : str
+        Prefix of the arguments' names in C.
+    """
     mean = fit.temperature_mean
     warmth = [
         f"{of}temperature[{j}]" + (f" - {number(mean[j])}" if mean is not None else "")

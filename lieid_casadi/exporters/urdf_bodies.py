@@ -62,7 +62,17 @@ def split(identified: Array, members: Sequence[Member]) -> Split:
 
 
 def members_of(links: dict[str, Element], joints: Sequence[Element], child: str) -> list[Member]:
-    """Return the links that move with a link: over the given joints, at zero, and on from there."""
+    """Return the links that move with a link: over the given joints, at zero, and on from there.
+
+    Parameters
+    ----------
+    links : dict
+        Name → element.
+    joints : sequence of Element
+        Joints that count as fixed.
+    child : str
+        Name of the link.
+    """
     found: list[Member] = []
     places = {child: np.eye(4)}
     waiting = [child]

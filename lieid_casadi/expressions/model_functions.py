@@ -35,7 +35,16 @@ class SparseFunction:
 def sparse_function(
     name: str, inputs: list[ca.SX], names: list[str], matrix: ca.SX
 ) -> SparseFunction:
-    """Return a `SparseFunction` of an SX matrix."""
+    """Return a `SparseFunction` of an SX matrix.
+
+    Parameters
+    ----------
+    name : str
+    inputs : list of ca.SX
+    names : list of str
+        Of the inputs.
+    matrix : ca.SX
+    """
     matrix = ca.sparsify(matrix)
     rows, columns = matrix.sparsity().get_triplet()
     nonzeros = ca.vec(matrix.nz[:])  # a column of a matrix with one row, too

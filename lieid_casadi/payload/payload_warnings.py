@@ -135,6 +135,13 @@ def fit_warnings(fit: Fit, recordings: Sequence[Recording]) -> list[LieidWarning
 def require_same_arm(fit: Fit, estimate: LoadedRunEstimate, run: LoadedRun) -> None:
     """Raise if the residual is too large to be explained by a payload.
 
+    Parameters
+    ----------
+    fit : Fit
+        Without the payload.
+    estimate : LoadedRunEstimate
+    run : LoadedRun
+
     Raises
     ------
     IdentificationError

@@ -94,6 +94,18 @@ def hidden_effect(
 
     Random details (phase, harmonic, source) come from the seed; ``strength`` scales the size.
 
+    Parameters
+    ----------
+    arm : Arm
+    name : str
+        One of `HIDDEN_EFFECT_NAMES`.
+    joint : int
+        From 0.
+    strength : float
+        Factor on the size.
+    seed : int
+        Of random details.
+
     Raises
     ------
     EffectError

@@ -49,6 +49,16 @@ def move_along(
     """Return the true signals of an arm that makes a given motion.
 
     At rest dry friction is undetermined: each rest of a joint keeps one random part of it.
+
+    Parameters
+    ----------
+    arm : Arm
+    t : (N,)
+        s.
+    q, dq, ddq : (N, n)
+        Motion of the links, rad, rad/s, rad/s²; each the derivative of the one before.
+    seed : int
+        Of the friction at rest.
     """
     t, q, dq, ddq = (np.asarray(x, dtype=float) for x in (t, q, dq, ddq))
     rigid = rigid_torques(arm.rigid_model(), q, dq, ddq) + _tool_torques(arm, q)

@@ -35,7 +35,16 @@ def perturbed_inertias(
 
 
 def with_payload(robot: Robot, parameters: Array, payload: Array) -> Array:
-    """Return link parameters (10 n,) with a body (10,), given in the tool's frame, at the tool."""
+    """Return link parameters (10 n,) with a body (10,), given in the tool's frame, at the tool.
+
+    Parameters
+    ----------
+    robot : Robot
+    parameters : (10 n,)
+        Link parameters.
+    payload : (10,)
+        Link parameters of the body in the tool's frame.
+    """
     body = body_inertia(payload)
     rotation, origin = robot.tool[:3, :3], robot.tool[:3, 3]
     carried = link_parameters(

@@ -87,7 +87,14 @@ def _inertia(link: Array) -> Any:
 
 
 def rigid_torques(model: Any, q: Array, dq: Array, ddq: Array) -> Array:
-    """Return the rigid torques (N, n) of Pinocchio along a path (N, n) each."""
+    """Return the rigid torques (N, n) of Pinocchio along a path (N, n) each.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+    q, dq, ddq : (N, n)
+        rad, rad/s, rad/s².
+    """
     import pinocchio as pin
 
     data = model.createData()
@@ -98,7 +105,17 @@ def rigid_torques(model: Any, q: Array, dq: Array, ddq: Array) -> Array:
 
 
 def wrench_torque(model: Any, data: Any, q: Array, wrench: Array) -> Array:
-    """Return Jᵀ·F (n,) of a wrench [m; f] that the tool exerts at its origin, in base axes."""
+    """Return Jᵀ·F (n,) of a wrench [m; f] that the tool exerts at its origin, in base axes.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+    data : pinocchio.Data
+    q : (n,)
+        rad.
+    wrench : (6,)
+        [m; f], N·m and N, base axes.
+    """
     import pinocchio as pin
 
     frame = model.getFrameId(TOOL_FRAME)

@@ -67,6 +67,16 @@ def measure(
 ) -> Recording:
     """Return what the sensors say of a motion.
 
+    Parameters
+    ----------
+    arm : Arm
+    motion : TrueMotion
+    sensors : Sensors
+    seed : int
+        Of the noise.
+    name : str
+        Of the recording.
+
     Raises
     ------
     RecordingError
@@ -116,7 +126,18 @@ def sampled_rows(t: Array, rate: float | None) -> NDArray[np.intp]:
 
 
 def coloured_noise(t: Array, n: int, correlation_time: float, random: np.random.Generator) -> Array:
-    """First-order stationary noise (N, n) of unit variance; correlation exp(−Δt/time)."""
+    """First-order stationary noise (N, n) of unit variance; correlation exp(−Δt/time).
+
+    Parameters
+    ----------
+    t : (N,)
+        s.
+    n : int
+        Number of joints.
+    correlation_time : float
+        s.
+    random : numpy.random.Generator
+    """
     white = random.standard_normal((t.size, n))
     keep = np.exp(-np.diff(t) / correlation_time)
     noise = np.empty_like(white)

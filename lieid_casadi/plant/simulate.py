@@ -108,6 +108,19 @@ def move(
     With elastic joints the links follow the path of the rigid arm, smoothed to 20 Hz, and
     motors and torques are what this path takes.
 
+    Parameters
+    ----------
+    arm : Arm
+    trajectory : ReferenceTrajectory
+    duration : float, optional
+        s; the trajectory's if left out.
+    rate : float
+        Of the controller, Hz.
+    control : Control, optional
+        Gains of the joint controller.
+    progress : callable, optional
+        Called with the fraction done.
+
     Raises
     ------
     EffectError

@@ -157,6 +157,18 @@ def point_to_point(
     """Return moves between random poses with dwells (s) between them.
 
     ``speed`` is the part of the velocity limits that the fastest joint of a move reaches.
+
+    Parameters
+    ----------
+    robot : Robot
+    poses : int
+        Number of poses.
+    dwell : float
+        Rest between two moves, s.
+    speed : float
+        Part of the velocity limits that the fastest joint of a move reaches.
+    seed : int
+        Of the poses.
     """
     envelope = Envelope.of(robot)
     random = np.random.default_rng(seed)
@@ -230,6 +242,18 @@ def sweep(
 
     Speeds (rad/s) are 5, 15, 40 % of the joint's limit if not given; ramps keep to its
     acceleration.
+
+    Parameters
+    ----------
+    robot : Robot
+    joint : int
+        From 0.
+    speeds : sequence of float, optional
+        rad/s (m/s for a prismatic joint).
+    pose : (n,), optional
+        Of the other joints, rad; the middle of their ranges if left out.
+    dwell : float
+        Rest between two runs, s.
 
     Raises
     ------

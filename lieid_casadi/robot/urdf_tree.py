@@ -48,7 +48,16 @@ def check_tree(
 
 
 def path_to_root(link: str, parents: dict[str, UrdfJoint], origin: str) -> list[UrdfJoint]:
-    """Return the joints from the root to a link."""
+    """Return the joints from the root to a link.
+
+    Parameters
+    ----------
+    link : str
+    parents : dict
+        Link → the joint above it.
+    origin : str
+        Name of the file, for error messages.
+    """
     path: list[UrdfJoint] = []
     while link in parents:
         path.append(parents[link])

@@ -44,7 +44,15 @@ def unresolved_shape(
 
 
 def unresolved_text(label: str, value: float, unit: str) -> str:
-    """Return the reason for which a shape parameter is rejected."""
+    """Return the reason for which a shape parameter is rejected.
+
+    Parameters
+    ----------
+    label : str
+        Of the shape parameter.
+    value : float
+    unit : str
+    """
     return f"{label} = {value:.2g} {unit} is below the range that this motion can resolve"
 
 
@@ -73,5 +81,14 @@ def is_unresolved(
 
 
 def belongs_to(placement: Placement, name: str, joint: int | None) -> bool:
-    """Whether a parameter ``effect.name`` on a joint belongs to a placed effect."""
+    """Whether a parameter ``effect.name`` on a joint belongs to a placed effect.
+
+    Parameters
+    ----------
+    placement : Placement
+    name : str
+        ``effect.name`` of a parameter.
+    joint : int or None
+        From 0.
+    """
     return joint == placement.joint and name.rpartition(".")[0] == placement.effect.label

@@ -88,7 +88,15 @@ def find_rivals(
 
 
 def remaining_part(candidates: CandidateColumns[Any], baseline: Baseline, group: int) -> float:
-    """Return the part (0 to 1) of a group's columns that a baseline does not span."""
+    """Return the part (0 to 1) of a group's columns that a baseline does not span.
+
+    Parameters
+    ----------
+    candidates : CandidateColumns
+    baseline : Baseline
+    group : int
+        Index of the group of columns.
+    """
     columns = candidates.stacked(group)
     norms = np.linalg.norm(columns, axis=0)
     scaled = baseline.padded(columns / np.where(norms > 0.0, norms, 1.0))

@@ -75,7 +75,15 @@ class AcceptedEffect:
 def parameter_units(
     robot: Robot, placement: Placement, parameters: Iterable[str]
 ) -> dict[str, str]:
-    """Return the unit of named parameters of a placed effect, N for N·m on a prismatic joint."""
+    """Return the unit of named parameters of a placed effect, N for N·m on a prismatic joint.
+
+    Parameters
+    ----------
+    robot : Robot
+    placement : Placement
+    parameters : iterable of str
+        Names without the effect's.
+    """
     model = Model.of_placements(robot, (placement,))
     units = {p.name.rpartition(".")[2]: p.unit for p in (*model.columns, *model.shapes)}
     return {name: units[name] for name in parameters}

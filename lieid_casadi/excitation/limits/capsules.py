@@ -60,6 +60,17 @@ def enclosing_all(
 
     A mesh with triangles ``faces`` (F, 3) is cut in two across its longest direction; triangles
     on the cut belong to both parts, so that each lies wholly in one capsule.
+
+    Parameters
+    ----------
+    link : int
+        Index of the link, from 0.
+    points : (N, 3)
+        In the link's frame, m.
+    faces : (F, 3) int, optional
+        Triangles, as indices of points.
+    splits : int
+        How often a mesh is cut in two at most.
     """
     whole = enclosing(link, points)
     if faces is None or splits == 0 or len(faces) < 8:
@@ -126,7 +137,15 @@ def _volume(capsule: Capsule) -> float:
 
 
 def segment_distance_to_points(points: Array, start: Array, end: Array) -> Array:
-    """Return the distance (N,) of points from a segment."""
+    """Return the distance (N,) of points from a segment.
+
+    Parameters
+    ----------
+    points : (N, 3)
+        m.
+    start, end : (3,)
+        Ends of the segment, m.
+    """
     direction = end - start
     squared = float(direction @ direction)
     share = np.zeros(len(points))

@@ -84,6 +84,13 @@ def motion_range(robot: Robot, acceleration: ArrayLike | None = None) -> MotionR
 def check_start_pose(robot: Robot, limits: MotionRange, pose: Array) -> None:
     """Refuse a start pose outside the position limits.
 
+    Parameters
+    ----------
+    robot : Robot
+    limits : MotionRange
+    pose : (n,)
+        rad (m for a prismatic joint).
+
     Raises
     ------
     ExcitationError
@@ -100,6 +107,13 @@ def check_start_pose(robot: Robot, limits: MotionRange, pose: Array) -> None:
 
 def check_duration(robot: Robot, limits: MotionRange, duration: float) -> None:
     """Refuse a duration in which the velocity or acceleration limits allow no motion to speak of.
+
+    Parameters
+    ----------
+    robot : Robot
+    limits : MotionRange
+    duration : float
+        s.
 
     Raises
     ------

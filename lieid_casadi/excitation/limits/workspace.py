@@ -64,6 +64,13 @@ def workspace_box(
 ) -> tuple[Wall, ...]:
     """Return six walls: the arm stays inside the box from ``lower`` to ``upper``, m.
 
+    Parameters
+    ----------
+    lower, upper : (3,)
+        Corners in the base frame, m.
+    capsules : sequence of Capsule
+        Shape of the links; a skeleton of the arm if left out.
+
     Raises
     ------
     ExcitationError
@@ -144,6 +151,14 @@ def capsule_distance(
 
     The closest points move along their segments to first order without changing the distance, so
     the Jacobian holds them fixed on the segments: it is smooth wherever they are unique.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        Of the links in the base frame.
+    symbols : Symbols
+        Of the motion.
+    a, b : Capsule
     """
     starts = [_place(poses[c.link], c.start) for c in (a, b)]
     edges = [ca.mtimes(poses[c.link].rotation, ca.DM(c.end - c.start)) for c in (a, b)]

@@ -92,7 +92,18 @@ def attempt(
     progress: Progress = lambda stage, fraction: None,
     max_iterations: int | None = None,
 ) -> StartAttempt:
-    """Solve from one start; a start without a solution does not raise."""
+    """Solve from one start; a start without a solution does not raise.
+
+    Parameters
+    ----------
+    problem : ExcitationProblem
+    seed : int
+        Of the start.
+    progress : callable
+        Called with a stage's name and the fraction done.
+    max_iterations : int, optional
+        Of the solver; no limit if left out.
+    """
     began = time.monotonic()
     try:
         solution = solve(problem, seed, progress=progress, max_iterations=max_iterations)
@@ -103,7 +114,16 @@ def attempt(
 
 @blas_on_one_thread
 def attempt_design(design: ExcitationDesign, seed: int, max_iterations: int | None) -> StartAttempt:
-    """Solve from one start on an executor; compiled code comes from the cache there."""
+    """Solve from one start on an executor; compiled code comes from the cache there.
+
+    Parameters
+    ----------
+    design : ExcitationDesign
+    seed : int
+        Of the start.
+    max_iterations : int or None
+        Of the solver.
+    """
     return attempt(_problem(design), seed, max_iterations=max_iterations)
 
 

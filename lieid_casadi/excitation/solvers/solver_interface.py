@@ -88,7 +88,15 @@ class Solver(Protocol):
 
 
 def evaluate_iterate(constraints: SampledConstraints, objective: Objective, z: Array) -> Iterate:
-    """Evaluate objective and limits at z (m,)."""
+    """Evaluate objective and limits at z (m,).
+
+    Parameters
+    ----------
+    constraints : SampledConstraints
+    objective : Objective
+    z : (m,)
+        Coefficients of the trajectory.
+    """
     outcome = objective(z)
     motion = constraints.sampled.motion(z)
     excess = constraints.excess(motion)
@@ -110,6 +118,14 @@ def initial_hessian(gradient: Array) -> BFGS:
 
 
 def update_hessian(hessian: BFGS, move: Array, change: Array) -> None:
-    """Update by the change (m,) of the Lagrangian's gradient along a move (m,)."""
+    """Update by the change (m,) of the Lagrangian's gradient along a move (m,).
+
+    Parameters
+    ----------
+    hessian : BFGS
+        Changed in place.
+    move, change : (m,)
+        Step, and change of the gradient along it.
+    """
     if np.linalg.norm(move) > SMALLEST_MOVE and change.any():
         hessian.update(move, change)

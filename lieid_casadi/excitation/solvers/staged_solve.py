@@ -125,7 +125,20 @@ def run_stages(
     z: Array,
     max_iterations: int | None,
 ) -> float | None:
-    """Run the stages one after the other from z (m,) and return Δ₂ per parameter, if any."""
+    """Run the stages one after the other from z (m,) and return Δ₂ per parameter, if any.
+
+    Parameters
+    ----------
+    problem : ExcitationProblem
+    plan : StagePlan
+    solver : Solver
+    tracker : Tracker
+        Records the iterates.
+    z : (m,)
+        Start: coefficients of the trajectory.
+    max_iterations : int or None
+        Of all stages together.
+    """
     ceiling: float | None = None
     for stage in plan.stages:
         iterations = stage.iterations
@@ -165,6 +178,16 @@ def verified(
     """Return the best iterate that meets all limits on the fine grid.
 
     Where the best iterate does not, the problem is solved again on the fine grid.
+
+    Parameters
+    ----------
+    problem : ExcitationProblem
+    plan : StagePlan
+    solver : Solver
+    tracker : Tracker
+        With the iterates so far.
+    ceiling : float or None
+        Δ₂ per parameter.
 
     Raises
     ------

@@ -35,7 +35,16 @@ ENOUGH_MOTION = 0.05
 
 
 def check_torque(recording: Recording, blocks: Blocks, robot: Robot | None) -> list[LieidWarning]:
-    """Exchanged, swapped or clipped torques."""
+    """Exchanged, swapped or clipped torques.
+
+    Parameters
+    ----------
+    recording : Recording
+    blocks : Blocks
+        Its block means.
+    robot : Robot or None
+        For limits and nominal torques.
+    """
     if recording.tau is None:
         return []
     title = recording.title

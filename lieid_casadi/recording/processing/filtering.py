@@ -51,17 +51,45 @@ def uniform_time(t: Array, rate: float) -> Array:
 
 
 def smooth_at(t: Array, x: Array, instants: Array) -> Array:
-    """Values between the stamps by monotone cubics: no overshoot, no kinks."""
+    """Values between the stamps by monotone cubics: no overshoot, no kinks.
+
+    Parameters
+    ----------
+    t : (N,)
+        Stamps, s.
+    x : (N, …)
+        Values at the stamps.
+    instants : (K,)
+        s.
+    """
     return np.asarray(PchipInterpolator(t, x, axis=0)(instants), dtype=np.float64)
 
 
 def straight_at(t: Array, x: Array, instants: Array) -> Array:
-    """Values between the stamps by straight lines, for noisy signals."""
+    """Values between the stamps by straight lines, for noisy signals.
+
+    Parameters
+    ----------
+    t : (N,)
+        Stamps, s.
+    x : (N, n)
+        Values at the stamps.
+    instants : (K,)
+        s.
+    """
     return np.column_stack([np.interp(instants, t, column) for column in x.T])
 
 
 def decimate(x: Array, rate: float, step: int) -> Array:
-    """Every step-th sample of x (K, ...) behind an anti-aliasing zero-phase low-pass."""
+    """Every step-th sample of x (K, ...) behind an anti-aliasing zero-phase low-pass.
+
+    Parameters
+    ----------
+    x : (K, …)
+    rate : float
+        Of x, Hz.
+    step : int
+    """
     if step == 1:
         return x
     return lowpass(x, rate, 0.4 * rate / step, order=8)[::step]

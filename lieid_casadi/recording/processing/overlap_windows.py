@@ -42,7 +42,17 @@ class Window:
 
 
 def filter_memory(rate: float, cutoff: float, order: int = 4) -> int:
-    """Samples after which :func:`lowpass` has forgotten an impulse, to 1e-14 of it."""
+    """Samples after which :func:`lowpass` has forgotten an impulse, to 1e-14 of it.
+
+    Parameters
+    ----------
+    rate : float
+        Hz.
+    cutoff : float
+        Hz.
+    order : int
+        Of the Butterworth filter (one way).
+    """
     if cutoff >= HIGHEST_CUTOFF * rate:
         return 0
     _, poles, _ = butter(order, cutoff, fs=rate, output="zpk")

@@ -15,7 +15,16 @@ from lieid_casadi.report.section import Section
 def provenance_section(
     fit: Fit, comparison: Comparison | None = None, *, loaded: Sequence[Source] = ()
 ) -> Section:
-    """Return versions, and names and hashes of all recordings."""
+    """Return versions, and names and hashes of all recordings.
+
+    Parameters
+    ----------
+    fit : Fit
+    comparison : Comparison, optional
+        Its recordings are listed as tests.
+    loaded : sequence of Source
+        Recordings with a payload.
+    """
     sources = [("training", source) for source in fit.provenance.recordings]
     if comparison is not None:
         sources += [("test", source) for source in comparison.recordings]
