@@ -43,6 +43,7 @@ from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording.processing.process import Processing
+from lieid_casadi.recording.readers.registry import reason_of
 from lieid_casadi.robot.robot import Robot
 from lieid_casadi.robot.yaml_writer import write_yaml
 
@@ -102,10 +103,10 @@ def read_fields(path: str | Path) -> dict[str, Any]:
         model = Model(_robot(content.robot), content.effects)
         _check_sizes(model, content)
         processing = Processing(**msgspec.to_builtins(content.processing))
-    except EffectError:
-        raise  # names an effect that is not registered
+    except EffectError as error:  # names an effect that is not registered
+        raise EffectError(f"{path}: {reason_of(error)}") from None
     except LieidError as error:
-        raise FitFileError(f"{path}: {error}") from None
+        raise FitFileError(f"{path}: {reason_of(error)}") from None
     provenance = content.provenance
     return {
         "model": model,

@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from lieid_casadi.errors import FitFileError
+from lieid_casadi.recording.readers.registry import reason_of
 
 SCHEMA = 2
 KIND = "lieid-fit"
@@ -142,7 +143,7 @@ def read_content(path: Path) -> Content:
     try:
         return msgspec.convert(_migrated(raw, path), Content)
     except msgspec.ValidationError as error:
-        raise FitFileError(f"{path}: not a usable fit: {error}; fit again") from None
+        raise FitFileError(f"{path}: not a usable fit: {reason_of(error)}; fit again") from None
 
 
 def _bytes(path: Path) -> bytes:
@@ -167,7 +168,11 @@ def _not_json(data: bytes, error: Exception) -> str:
     at = re.search(r"\(byte (\d+)\)", str(error))
     if at is None:
         truncated = "truncated" in str(error).lower()
-        return "not JSON: truncated; fit again" if truncated else f"not JSON: {error}; fit again"
+        return (
+            "not JSON: truncated; fit again"
+            if truncated
+            else f"not JSON: {reason_of(error)}; fit again"
+        )
     position = int(at[1])
     line = data.count(b"\n", 0, position) + 1
     column = position - (data.rfind(b"\n", 0, position) + 1) + 1

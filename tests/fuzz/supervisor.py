@@ -67,8 +67,10 @@ class LoadingProcess:
     ) -> None:
         if self._child is not None:
             assert self._child.stdin is not None
+            assert self._child.stdout is not None
             self._child.stdin.close()
             self._child.wait()
+            self._child.stdout.close()
             self._child = None
 
     def load(self, name: str, path: Path) -> dict[str, str]:

@@ -106,6 +106,7 @@ def test_bytes_that_are_no_fit(content, words, tmp_path):
         (["covariance", 1], [], "covariance[1] has 0 entries"),
         (["covariance", 1, 1], -1.0, "covariance[1][1]"),
         (["values"], ["1"], "values"),
+        (["a\nb\x1b[31m"], 0, "unknown field `a b?[31m`"),
         (["parameters"], [], "parameters has 0 entries"),
         (["temperature_mean"], [20.0], "temperature_mean has 1 entries"),
         (["certificate", "rms"], [], "certificate.rms has 0 entries"),
@@ -132,7 +133,7 @@ def test_entries_that_are_not_valid(place, value, words, text, tmp_path):
 
 
 def test_an_unknown_effect_is_named(text, tmp_path):
-    with pytest.raises(EffectError, match="cuolomb"):
+    with pytest.raises(EffectError, match=r"fit\.json: unknown effect 'cuolomb'"):
         loaded(text.replace('"coulomb:1"', '"cuolomb:1"'), tmp_path)
 
 
