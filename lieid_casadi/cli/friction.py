@@ -98,6 +98,8 @@ def run(args: argparse.Namespace) -> None:
     files.add_picture(args.plot, fit.plot)
     files.write()
     output.show(curve_table(curve), *([ranking_table(ranked)] if ranked else []))
+    for model in (c.model for c in ranked if c.model.note):
+        output.say(f"  * {model.name}: {model.note}.")
     output.show(parameter_table(fit))
     if agreement is not None:
         output.say(f"Curve's fit and {args.fit}: {agreement}.")

@@ -13,14 +13,13 @@ from lieid_casadi.compiled import compile
 from lieid_casadi.effects import Effect
 from lieid_casadi.errors import (
     ConvergenceWarning,
-    EffectError,
     IdentificationError,
     LieidWarning,
-    ModelError,
     unique_warnings,
 )
 from lieid_casadi.gains.estimate import DriveGains, GainNotIdentified
-from lieid_casadi.gains.regression import BODY, GainProblem, GainSolution
+from lieid_casadi.gains.input_checks import check_input, known_payload
+from lieid_casadi.gains.regression import GainProblem, GainSolution
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
@@ -86,10 +85,10 @@ def drive_gains(
         Currents are missing, the number of joints differs, or an effect has shape parameters.
     """
     empty, full = _listed(unloaded), _listed(loaded)
-    known = _known(mass, com)
+    known = known_payload(mass, com)
     model = Model(robot, effects)
     report = progress or (lambda stage, fraction: None)
-    _check(model, empty, full)
+    check_input(model, empty, full)
     report("check", 0.0)
     currents = [_in_amperes(r) for r in (*empty, *full)]
     found: list[LieidWarning] = [w for r in (*empty, *full) for w in check(r, robot)]
@@ -124,58 +123,6 @@ def _listed(recordings: Recording | Sequence[Recording]) -> list[Recording]:
 
 def _split(recordings: Sequence[Recording], count: int) -> tuple[list[Recording], list[Recording]]:
     return list(recordings[:count]), list(recordings[count:])
-
-
-def _known(mass: float, com: ArrayLike | None) -> Array:
-    """Return the payload's parameters (10,), NaN where unknown."""
-    if not (np.isfinite(mass) and mass > 0.0):
-        raise IdentificationError(f"mass of the payload is {mass:g} kg, expected more than 0")
-    known = np.full(BODY, np.nan)
-    known[0] = mass
-    if com is not None:
-        centre = np.asarray(com, dtype=float)
-        if centre.shape != (3,) or not np.all(np.isfinite(centre)):
-            raise IdentificationError(f"com is {com}, expected three numbers, m")
-        known[1:4] = mass * centre
-    return known
-
-
-def _check(model: Model, empty: Sequence[Recording], full: Sequence[Recording]) -> None:
-    if model.shapes:
-        raise EffectError(
-            f"{model.shapes[0].label}: effects with shape parameters cannot be fitted with drive "
-            "gains; expected linear ones such as coulomb, viscous, offset, load_friction"
-        )
-    for part, recordings in (("unloaded", empty), ("loaded", full)):
-        if not recordings:
-            raise IdentificationError(f"no {part} recording given; expected at least one")
-    for recording in (*empty, *full):
-        name = recording.name or "recording"
-        if recording.n != model.n:
-            raise ModelError(
-                f"{name}: {recording.n} joints; robot {model.robot.name!r} has {model.n}"
-            )
-        if recording.current is None:
-            raise ModelError(f"{name}: no motor currents; expected columns i1…i{model.n}")
-        still = np.flatnonzero(np.ptp(recording.current, axis=0) == 0.0)
-        if len(still):
-            raise IdentificationError(
-                f"{name}: the current i{still[0] + 1} is the same in every row "
-                f"({recording.current[0, still[0]]:g} A); expected the measured motor current"
-            )
-    for one in empty:
-        for other in full:
-            if _overlap(one, other):
-                raise IdentificationError(
-                    f"{other.name or 'recording'}: given as unloaded and as loaded; expected "
-                    "different recordings"
-                )
-
-
-def _overlap(one: Recording, other: Recording) -> bool:
-    """Return whether two recordings share rows of one file."""
-    same = bool(one.source_hash) and one.source_hash == other.source_hash
-    return bool(same and one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1])
 
 
 def _in_amperes(recording: Recording) -> Recording:

@@ -187,7 +187,7 @@ def test_another_arm_is_refused(unloaded):
         lieid.drive_gains(PANDA, unloaded, amperes(other, motion=8), mass=MASS, processing=CUTOFF)
 
 
-@pytest.mark.parametrize("mass", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("mass", [0.0, -1.0, np.nan, np.inf, 1e300])
 def test_a_mass_that_is_not_positive_is_refused(unloaded, mass):
     with pytest.raises(IdentificationError, match="mass of the payload"):
         lieid.drive_gains(PANDA, unloaded, unloaded, mass=mass)
@@ -212,8 +212,9 @@ def test_unsuitable_input_is_refused(unloaded):
         gains(unloaded, replace(unloaded, current=dead, source_hash="y"))
     with pytest.raises(EffectError, match="shape parameters"):
         gains(unloaded, replace(unloaded, source_hash="z"), effects="stribeck:2")
-    with pytest.raises(IdentificationError, match="three numbers"):
-        gains(unloaded, replace(unloaded, source_hash="z"), com=(0.0, 0.1))
+    for com in ((0.0, 0.1), (1e300, 0.0, 0.0), (0.0, np.nan, 0.0)):
+        with pytest.raises(IdentificationError, match="three numbers of at most 100 m"):
+            gains(unloaded, replace(unloaded, source_hash="z"), com=com)
     with pytest.raises(IdentificationError, match="no loaded recording"):
         gains(unloaded, [])
 
