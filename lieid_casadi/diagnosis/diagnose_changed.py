@@ -54,6 +54,7 @@ def diagnose_changed(
     search(
         problem,
         options.most_changes,
+        "most_changes",
         lambda fraction: report("search for changes", 0.2 + 0.6 * fraction),
     )
     report("describe the residual", 0.8)
@@ -89,6 +90,7 @@ def diagnose_changed(
         test=before.recordings,
         baseline_moving=first,
         expected=problem.expected,
+        limits_reached=tuple(problem.limits_reached),
     )
 
 

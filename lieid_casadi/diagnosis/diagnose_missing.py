@@ -120,6 +120,7 @@ def diagnose_missing(
         train=first.provenance.recordings,
         test=tuple(Source(r.name, r.source_hash) for r in tests),
         baseline_moving=None if before is None else before.rms_moving,
+        limits_reached=tuple(problem.limits_reached),
     )
 
 

@@ -202,6 +202,8 @@ class Diagnosis:
     expected : (n,) or None
         Held-out error of the fit, N·m: what its error is if nothing has changed. None if the
         model is fitted again.
+    limits_reached : tuple of str
+        Names of the options whose limit ended the search, so that further effects may be missing.
     """
 
     mode: str
@@ -223,6 +225,7 @@ class Diagnosis:
     test: tuple[Source, ...]
     baseline_moving: Array | None = None
     expected: Array | None = None
+    limits_reached: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid diagnose --json`` writes."""
@@ -241,6 +244,7 @@ class Diagnosis:
             "unexplained": [u.to_dict() for u in self.unexplained],
             "rejected": [{"effect": label, "reason": reason} for label, reason in self.rejected],
             "tried": self.tried,
+            "limits_reached": list(self.limits_reached),
             "absorbed": list(self.aliases.absorbed),
             "weak": [{"effect": label, "remains": part} for label, part in self.aliases.weak],
             "cutoff": self.fit.processing.cutoff,

@@ -33,6 +33,11 @@ def sentence(d: Diagnosis) -> str:
         parts.append("No effect of the library improves the model significantly.")
     elif d.verdict == "sufficient":
         parts.append("Nothing has changed significantly since the fit.")
+    if d.limits_reached:
+        parts.append(
+            f"The search ended at its limit ({_and(d.limits_reached)}); further effects may be "
+            "missing."
+        )
     parts += [_residual_sentence(part) for part in d.unexplained]
     return " ".join(parts)
 

@@ -98,6 +98,8 @@ class SearchProblem(ABC):
     ----------
     accepted : list of AcceptedEffect
     rejected : list of RejectedEffect
+    limits_reached : list of str
+        Names of the options whose limit ended the search.
     """
 
     def __init__(
@@ -113,6 +115,7 @@ class SearchProblem(ABC):
         self.options, self.seed, self.least_gain = context.options, seed, least_gain
         self.accepted: list[AcceptedEffect] = []
         self.rejected: list[RejectedEffect] = []
+        self.limits_reached: list[str] = []
         self._white_candidates: tuple[ScreeningContext, CandidateColumns[Candidate]] | None = None
 
     @abstractmethod
@@ -201,7 +204,9 @@ class SearchProblem(ABC):
         return self.baseline(noise, self.candidates(noise))
 
 
-def search(problem: SearchProblem, most_steps: int, report: Callable[[float], None]) -> None:
+def search(
+    problem: SearchProblem, most_steps: int, limit: str, report: Callable[[float], None]
+) -> None:
     """Add effects to a problem until none is accepted.
 
     Parameters
@@ -209,6 +214,8 @@ def search(problem: SearchProblem, most_steps: int, report: Callable[[float], No
     problem : SearchProblem
     most_steps : int
         After which the search ends.
+    limit : str
+        Name of this limit, added to ``limits_reached`` if it ends the search.
     report : callable
         Called with the fraction done, 0 to 1.
     """
@@ -217,6 +224,8 @@ def search(problem: SearchProblem, most_steps: int, report: Callable[[float], No
         if problem.is_finished() or not add_effect(problem):
             return
         problem.update()
+    if not problem.is_finished():
+        problem.limits_reached.append(limit)
 
 
 def add_effect(problem: SearchProblem) -> bool:

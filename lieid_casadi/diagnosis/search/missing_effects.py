@@ -90,7 +90,7 @@ class MissingEffects(SearchProblem):
 
     def run(self, report: Callable[[float], None]) -> None:
         """Add effects until none is accepted, then fit all shape parameters together."""
-        search(self, self.options.most_steps, report)
+        search(self, self.options.most_steps, "most_steps", report)
         self._fit_shapes()
 
     def baseline(self, noise: Sequence[Noise], candidates: CandidateColumns[Candidate]) -> Baseline:
