@@ -1,11 +1,11 @@
-"""Effects that no library has: a diagnosis should name none, and tell what the error follows."""
+"""Effects that no library has: a diagnosis should report them as unexplained, with signals."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
-from hidden_effects.hidden import Ground, Hidden, with_effect
+from hidden_effects.effect_library import ReferenceMotion, ScalableEffect, with_effect
 from numpy.typing import NDArray
 
 from lieid_casadi.plant import ForeignTorque, JointState
@@ -16,18 +16,18 @@ Torque = Callable[[JointState], Array]
 
 def _foreign(
     name: str, j: int, signals: tuple[str, ...], torque: Torque, *, simulated: bool = True
-) -> Hidden:
+) -> ScalableEffect:
     def make(strength: float) -> ForeignTorque:
         return ForeignTorque(j, function=lambda s: strength * np.asarray(torque(s)))
 
-    return Hidden(name, (j,), with_effect(make), np.inf, signals, simulated)
+    return ScalableEffect(name, (j,), with_effect(make), np.inf, signals, simulated)
 
 
-def _other(g: Ground, j: int) -> int:
+def _other(g: ReferenceMotion, j: int) -> int:
     return int(g.random.choice([k for k in range(g.n) if k != j and g.revolute(k)]))
 
 
-def _bump(g: Ground, j: int) -> Hidden:
+def _bump(g: ReferenceMotion, j: int) -> ScalableEffect:
     """A Lorentzian bump somewhere along the turn."""
     span = float(g.upper[j] - g.lower[j])
     centre = float(g.lower[j]) + span * float(g.random.uniform(0.3, 0.7))
@@ -37,8 +37,8 @@ def _bump(g: Ground, j: int) -> Hidden:
     )
 
 
-def _end_stop(g: Ground, j: int) -> Hidden:
-    """A bumper that is pressed near one end of the range."""
+def _end_stop(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """A bumper that is compressed near one end of the range."""
     span, up = float(g.upper[j] - g.lower[j]), g.sign()
     start = float(g.upper[j]) - 0.15 * span if up > 0 else float(g.lower[j]) + 0.15 * span
     return _foreign(
@@ -47,24 +47,24 @@ def _end_stop(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _cogging_of_other(g: Ground, j: int) -> Hidden:
-    """Cogging that turns with another joint."""
+def _cogging_of_other(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """Cogging that depends on the angle of another joint."""
     i, k, phase = _other(g, j), float(g.random.integers(2, 6)), g.angle()
     return _foreign(
         "cogging_of_other", j, (f"q{i + 1}",), lambda s: np.sin(k * s.q[..., i] + phase)
     )
 
 
-def _spring_from_other(g: Ground, j: int) -> Hidden:
-    """A hose between two joints."""
+def _spring_from_other(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """The torque of a hose between two joints."""
     i = _other(g, j)
     return _foreign(
         "spring_from_other", j, (f"q{i + 1}",), lambda s: np.maximum(s.q[..., i] - 0.3, 0.0) ** 2
     )
 
 
-def _rough_spot(g: Ground, j: int) -> Hidden:
-    """Dry friction that is larger in one narrow place."""
+def _rough_spot(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """Dry friction that is larger in a narrow range of angles."""
     i = _revolute(g, j)
     span = float(g.upper[i] - g.lower[i])
     centre = float(g.lower[i]) + span * float(g.random.uniform(0.3, 0.7))
@@ -75,7 +75,7 @@ def _rough_spot(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _friction_by_other_angle(g: Ground, j: int) -> Hidden:
+def _friction_by_other_angle(g: ReferenceMotion, j: int) -> ScalableEffect:
     """Dry friction that varies with another joint's angle."""
     i, phase = _other(g, j), g.angle()
     return _foreign(
@@ -84,7 +84,7 @@ def _friction_by_other_angle(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _viscous_by_angle(g: Ground, j: int) -> Hidden:
+def _viscous_by_angle(g: ReferenceMotion, j: int) -> ScalableEffect:
     """Viscous friction that varies along the turn."""
     i, phase, v = _revolute(g, j), g.angle(), float(g.speed[_revolute(g, j)])
     return _foreign(
@@ -93,7 +93,7 @@ def _viscous_by_angle(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _friction_peak(g: Ground, j: int) -> Hidden:
+def _friction_peak(g: ReferenceMotion, j: int) -> ScalableEffect:
     """Friction with a peak at one speed, as of a resonance."""
     v = float(g.speed[j]) * float(g.random.uniform(0.3, 0.5))
     return _foreign(
@@ -102,8 +102,8 @@ def _friction_peak(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _product_of_velocities(g: Ground, j: int) -> Hidden:
-    """Oil that another joint's motion pushes along."""
+def _product_of_velocities(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """Torque in proportion to the product of two joint velocities."""
     i = _other(g, j)
     return _foreign(
         "product_of_velocities", j, (f"dq{i + 1}", f"dq{j + 1}"),
@@ -111,7 +111,7 @@ def _product_of_velocities(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _drag_of_other(g: Ground, j: int) -> Hidden:
+def _drag_of_other(g: ReferenceMotion, j: int) -> ScalableEffect:
     """|q̇| of another joint."""
     i = _other(g, j)
     return _foreign(
@@ -119,8 +119,8 @@ def _drag_of_other(g: Ground, j: int) -> Hidden:
     )
 
 
-def _load_backlash(g: Ground, j: int) -> Hidden:
-    """A step where the load changes sides."""
+def _load_backlash(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """A step where the load changes its sign."""
     i = _loaded(g)
     width = 0.05 * float(g.load[i])
     return _foreign(
@@ -128,8 +128,8 @@ def _load_backlash(g: Ground, j: int) -> Hidden:
     )
 
 
-def _load_hysteresis(g: Ground, j: int) -> Hidden:
-    """Play in the load's path: lags behind the load by a fixed width."""
+def _load_hysteresis(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """Play in the transmission: a torque that lags behind the load by a fixed width."""
     i = _loaded(g)
     width = 0.15 * float(g.load[i])
 
@@ -143,8 +143,8 @@ def _load_hysteresis(g: Ground, j: int) -> Hidden:
     return _foreign("load_hysteresis", i, (f"load{i + 1}",), lag, simulated=False)
 
 
-def _slow_hum(g: Ground, j: int) -> Hidden:
-    """A supply that swings with time."""
+def _slow_hum(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """A torque that oscillates slowly with time."""
     cycles, phase = float(g.random.uniform(1.3, 2.5)), g.angle()
     return _foreign(
         "slow_hum", j, ("t",), lambda s: np.sin(2.0 * np.pi * cycles * s.t / g.duration + phase)
@@ -152,13 +152,13 @@ def _slow_hum(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _revolute(g: Ground, j: int) -> int:
-    """The joint, or the next one that turns."""
+def _revolute(g: ReferenceMotion, j: int) -> int:
+    """Return the joint, or the next revolute one."""
     return j if g.revolute(j) else (j + 1) % g.n
 
 
-def _loaded(g: Ground) -> int:
-    """A joint whose load changes much in proportion to its drive."""
+def _loaded(g: ReferenceMotion) -> int:
+    """Return a joint whose load is large relative to its drive."""
     return int(np.argsort(g.load / g.torque)[-int(g.random.integers(1, 3))])
 
 

@@ -1,7 +1,8 @@
 """The benchmark of hidden effects: ``python tests/hidden_effects/run.py [--jobs N] …``.
 
-Every case is made from its name, diagnosed blind from its files, and scored. Results are kept in
-a file of lines; a run that is taken up again leaves out cases that this very code has answered.
+Every case is drawn from its name, diagnosed from its files alone, and scored. Results are kept
+in a JSON Lines file; an interrupted run continues with the cases that this version of the code has
+not diagnosed.
 """
 
 from __future__ import annotations
@@ -21,20 +22,28 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
+from hidden_effects.case_setup import Case  # noqa: E402
 from hidden_effects.schedule import KINDS, chosen  # noqa: E402
 from hidden_effects.score import run_case  # noqa: E402
-from hidden_effects.stage import Case  # noqa: E402
 from hidden_effects.table import confusion_picture, show  # noqa: E402
 
-#: Rooms whose code decides an answer.
-ROOMS = ("comparison", "diagnosis", "dynamics", "effects", "identification", "plant", "recording")
+#: Packages whose code determines the results.
+PACKAGES = (
+    "comparison",
+    "diagnosis",
+    "dynamics",
+    "effects",
+    "identification",
+    "plant",
+    "recording",
+)
 
 
 def fingerprint() -> str:
-    """Return a hash of the code that makes and answers cases."""
+    """Return a hash of the code that generates and diagnoses cases."""
     package = HERE.parents[1] / "lieid_casadi"
     files = sorted(
-        [f for room in ROOMS for f in (package / room).rglob("*.py")]
+        [f for name in PACKAGES for f in (package / name).rglob("*.py")]
         + [package / "model.py"]
         + [f for f in HERE.glob("*.py") if f.stem not in ("run", "table", "schedule")]
     )
@@ -45,14 +54,14 @@ def fingerprint() -> str:
     return content.hexdigest()[:12]
 
 
-def work(name: str, oracle: bool, by_command: bool) -> dict[str, Any]:
-    """Run one case in a process of its own."""
+def work(name: str, true_model: bool, by_command: bool) -> dict[str, Any]:
+    """Run one case, in a separate process."""
     warnings.simplefilter("ignore")
-    return run_case(Case.parse(name), oracle=oracle, by_command=by_command)
+    return run_case(Case.parse(name), true_model=true_model, by_command=by_command)
 
 
-def known(path: Path, code: str | None) -> dict[str, dict[str, Any]]:
-    """Return results in a file by case, of this code or (None) of any."""
+def earlier_results(path: Path, code: str | None) -> dict[str, dict[str, Any]]:
+    """Return the results in a file by case, of one version of the code or (None) of any."""
     if not path.exists():
         return {}
     rows = [json.loads(line) for line in path.read_text("utf-8").splitlines() if line.strip()]
@@ -60,24 +69,30 @@ def known(path: Path, code: str | None) -> dict[str, dict[str, Any]]:
 
 
 def main() -> int:
-    """Run what is asked for and print the table."""
+    """Run the requested cases and print the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--jobs", type=int, default=max(1, (os.cpu_count() or 2) - 1))
     parser.add_argument("--modes", nargs="+", choices=("missing", "changed"), default=[])
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=[])
-    parser.add_argument("--effects", nargs="+", default=[], help="of singles and foreign ones")
+    parser.add_argument("--effects", nargs="+", default=[], help="of single and foreign cases")
     parser.add_argument("--sizes", nargs="+", type=float, default=[], help="5 2 1 0.5")
     parser.add_argument("--limit", type=int, help="the first K of a fixed shuffle")
-    parser.add_argument("--case", nargs="+", default=[], metavar="NAME", help="these cases alone")
+    parser.add_argument(
+        "--case", nargs="+", default=[], metavar="NAME", help="run these cases only"
+    )
     parser.add_argument("--keep", type=Path, metavar="DIR", help="with one --case: keep its files")
     parser.add_argument("--results", type=Path, default=Path("build/hidden_effects.jsonl"))
-    parser.add_argument("--any-code", action="store_true", help="take results of other code too")
-    parser.add_argument("--table-only", action="store_true", help="run nothing")
-    parser.add_argument("--no-oracle", action="store_true", help="leave out fits that know")
+    parser.add_argument("--any-code", action="store_true", help="use results of other versions too")
+    parser.add_argument(
+        "--table-only", action="store_true", help="print the table of earlier results"
+    )
+    parser.add_argument(
+        "--no-true-model", action="store_true", help="do not fit the true model for comparison"
+    )
     parser.add_argument("--by-command", action="store_true", help="through the command line")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="all results and bars")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="all results")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="confusion matrix")
     args = parser.parse_args()
     if args.case:
@@ -88,11 +103,11 @@ def main() -> int:
             limit=args.limit,
         )  # fmt: skip
     if args.keep is not None:
-        result = run_case(wanted[0], oracle=not args.no_oracle, keep=args.keep)
+        result = run_case(wanted[0], true_model=not args.no_true_model, keep=args.keep)
         sys.stdout.write(json.dumps(result, indent=1) + "\n")
         return 0
     code = None if args.any_code or args.table_only else fingerprint()
-    done = known(args.results, code)
+    done = earlier_results(args.results, code)
     todo = [] if args.table_only else [case for case in wanted if case.name not in done]
     done |= _run(todo, args, code or fingerprint())
     rows = [done[case.name] for case in wanted if case.name in done]
@@ -100,7 +115,7 @@ def main() -> int:
     show(scored)
     if len(scored) < len(rows):
         skipped = [row["case"] for row in rows if "skipped" in row]
-        sys.stdout.write(f"{len(skipped)} cases could not be made: {', '.join(skipped)}\n")
+        sys.stdout.write(f"{len(skipped)} cases could not be generated: {', '.join(skipped)}\n")
     if args.json is not None:
         args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     if args.picture is not None:
@@ -117,7 +132,7 @@ def _run(todo: list[Case], args: argparse.Namespace, code: str) -> dict[str, dic
         args.results.open("a", encoding="utf-8") as out,
         ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool,
     ):
-        jobs = [pool.submit(work, c.name, not args.no_oracle, args.by_command) for c in todo]
+        jobs = [pool.submit(work, c.name, not args.no_true_model, args.by_command) for c in todo]
         for k, job in enumerate(as_completed(jobs), start=1):
             row = job.result() | {"code": code}
             found[row["case"]] = row
@@ -129,11 +144,11 @@ def _run(todo: list[Case], args: argparse.Namespace, code: str) -> dict[str, dic
 
 def _line(row: dict[str, Any]) -> str:
     if "skipped" in row:
-        return f"{row['case']}: could not be made"
-    mark = "right" if row["right"] else "in the set" if row.get("right_in_set") else "WRONG"
+        return f"{row['case']}: could not be generated"
+    mark = "right" if row["right"] else "right in set" if row.get("right_in_set") else "WRONG"
     steps = ", ".join(f"{name}:{'<'.join(map(str, joints))}" for name, joints in row["steps"])
-    said = row.get("error") or steps or row["verdict"]
-    return f"{row['case']}: {mark}: {said} ({row.get('seconds', '–')} s)"
+    result = row.get("error") or steps or row["verdict"]
+    return f"{row['case']}: {mark}: {result} ({row.get('seconds', '–')} s)"
 
 
 if __name__ == "__main__":

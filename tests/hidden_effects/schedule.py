@@ -1,13 +1,13 @@
-"""All cases of the benchmark, by name; which and how many."""
+"""The list of all cases of the benchmark."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
 
+from hidden_effects.case_setup import SIZES, Case
+from hidden_effects.effect_library import CHANGED, MISSING
 from hidden_effects.foreign import FOREIGN
-from hidden_effects.hidden import CHANGED, MISSING
-from hidden_effects.stage import SIZES, Case
 
 DRAWS = {"missing": 4, "changed": 2}  # of each effect at each size
 SEVERAL = {
@@ -42,9 +42,9 @@ def chosen(
     sizes: Iterable[float] = (),
     limit: int | None = None,
 ) -> list[Case]:
-    """Return the cases of these modes, kinds, effects and sizes (all where none is named).
+    """Return the cases of these modes, kinds, effects and sizes (all if none are stated).
 
-    They come in an order of their own, so that the first ones are a sample of all.
+    They are in a fixed pseudo-random order, so that the first ones are a sample of all.
     """
     wanted = [
         case

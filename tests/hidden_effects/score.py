@@ -1,4 +1,4 @@
-"""Run the tool on a case's files alone, then hold its answer against the truth."""
+"""Run the diagnosis on the files of a case, then compare its result with the truth."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hidden_effects.case_setup import Case
 from hidden_effects.generator import Unreachable, write
-from hidden_effects.stage import Case
 
 Named = tuple[str, tuple[int, ...]]  # effect and joints from 1
-CLOSE_TO_ORACLE = 1.05
+CLOSE_TO_TRUE_MODEL = 1.05
 
 
-def answer(folder: Path, *, by_command: bool = False) -> tuple[dict[str, Any], Any]:
-    """Return what ``lieid diagnose`` says of a folder's robot and recordings, and the last fit."""
+def run_diagnosis(folder: Path, *, by_command: bool = False) -> tuple[dict[str, Any], Any]:
+    """Return the result of ``lieid diagnose`` for the files of a folder, and the last fit."""
     return _by_command(folder) if by_command else _by_python(folder)
 
 
@@ -62,9 +62,9 @@ def _robot(folder: Path) -> Path:
 
 
 def run_case(
-    case: Case, *, oracle: bool = True, by_command: bool = False, keep: Path | None = None
+    case: Case, *, true_model: bool = True, by_command: bool = False, keep: Path | None = None
 ) -> dict[str, Any]:
-    """Generate a case, ask the tool, and return the score; ``keep`` keeps its files."""
+    """Generate a case, diagnose it, and return the score; ``keep`` is a folder for its files."""
     with tempfile.TemporaryDirectory(prefix="case") as scratch:
         folder = Path(scratch) / "files" if keep is None else keep
         try:
@@ -73,18 +73,20 @@ def run_case(
             return {"case": case.name, "skipped": str(problem)}
         begin = time.perf_counter()
         try:
-            found, fit = answer(folder, by_command=by_command)
-        except Exception as problem:  # noqa: BLE001 - whatever it is, it is the tool's failure
-            return judge(case, truth, None) | {"error": f"{type(problem).__name__}: {problem}"}
+            found, fit = run_diagnosis(folder, by_command=by_command)
+        except Exception as problem:  # noqa: BLE001 - every error counts as a failure
+            return score_answer(case, truth, None) | {
+                "error": f"{type(problem).__name__}: {problem}"
+            }
         seconds = time.perf_counter() - begin
-        result = judge(case, truth, found) | {"seconds": round(seconds, 2)}
-        if oracle and truth["effects"] and case.kind != "foreign" and not case.changed:
-            result |= {"rms_ratio": rms_against_oracle(folder, truth, fit)}
+        result = score_answer(case, truth, found) | {"seconds": round(seconds, 2)}
+        if true_model and truth["effects"] and case.kind != "foreign" and not case.changed:
+            result |= {"rms_ratio": rms_against_true_model(folder, truth, fit)}
     return result
 
 
-def rms_against_oracle(folder: Path, truth: dict[str, Any], fit: Any) -> float | None:
-    """Return test RMS on the affected joints over that of a fit that knew the truth; the worst.
+def rms_against_true_model(folder: Path, truth: dict[str, Any], fit: Any) -> float | None:
+    """Return the test RMS on the affected joints relative to that of the true model; the largest.
 
     Both are of moving samples, through the same filter.
     """
@@ -94,10 +96,10 @@ def rms_against_oracle(folder: Path, truth: dict[str, Any], fit: Any) -> float |
     specs = ["coulomb", "viscous", "offset", *(_spec(e) for e in truth["effects"])]
     try:
         model = Model(Robot.load(_robot(folder)), effects=specs)
-        knowing = compare(identify(model, train, processing=fit.processing), test).rms_moving
+        expected = compare(identify(model, train, processing=fit.processing), test).rms_moving
     except LieidError:
         return None
-    ratio = compare(fit, test).rms_moving / knowing
+    ratio = compare(fit, test).rms_moving / expected
     return float(np.max([ratio[e["joint"] - 1] for e in truth["effects"]]))
 
 
@@ -107,13 +109,13 @@ def _spec(effect: dict[str, Any]) -> str:
     return f"{effect['effect']}:{'<'.join(map(str, effect['joints']))}"
 
 
-def judge(case: Case, truth: dict[str, Any], found: dict[str, Any] | None) -> dict[str, Any]:
-    """Return the score of an answer; None stands for no answer at all."""
+def score_answer(case: Case, truth: dict[str, Any], found: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the score of a result; None stands for a failure."""
     steps = [] if found is None else found["steps"]
     wanted = [] if case.kind == "foreign" else [_named(e) for e in truth["effects"]]
     strict, _, _ = _matched(steps, wanted, sets=False)
     within, extra, missed = _matched(steps, wanted, sets=True)
-    left = [] if found is None else found["unexplained"]
+    unexplained = [] if found is None else found["unexplained"]
     result = {
         "case": case.name,
         "mode": truth["mode"],
@@ -133,7 +135,7 @@ def judge(case: Case, truth: dict[str, Any], found: dict[str, Any] | None) -> di
         "unexplained": [
             {"joint": u["joint"], "fraction": round(u["fraction"], 3),
              "depends_on": u["depends_on"]}
-            for u in left
+            for u in unexplained
         ],
         "cutoff": None if found is None else found.get("cutoff"),
         "extra": [list(e) for e in extra],
@@ -145,7 +147,7 @@ def judge(case: Case, truth: dict[str, Any], found: dict[str, Any] | None) -> di
 def _points(
     case: Case, truth: dict[str, Any], result: dict[str, Any], complete: tuple[bool, bool]
 ) -> dict[str, bool]:
-    """Return what counts for the bars."""
+    """Return the entries on which the goals are defined."""
     answered = bool(result["answered"])
     if case.kind == "none":
         alarm = bool(result["steps"]) or result["verdict"] != "sufficient"
@@ -176,9 +178,9 @@ def _named(entry: dict[str, Any]) -> Named:
 def _matched(
     steps: list[dict[str, Any]], wanted: list[Named], *, sets: bool
 ) -> tuple[bool, list[Named], list[Named]]:
-    """Return whether the steps are exactly what was wanted, what is too many, what is missing.
+    """Return whether the steps are exactly those wanted, the extra ones, and the missing ones.
 
-    ``sets``: a step also stands for those that it says it cannot be told from.
+    With ``sets`` a step also counts for its rivals.
     """
     open_steps, open_wanted = list(steps), list(wanted)
     for step in steps:

@@ -1,4 +1,4 @@
-"""The benchmark's table: bars, rates by effect and size with exact intervals, confusion."""
+"""Table of the benchmark: goals, rates by effect and size with exact intervals, confusion."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hidden_effects.score import CLOSE_TO_ORACLE
+from hidden_effects.score import CLOSE_TO_TRUE_MODEL
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
 
 Row = dict[str, Any]
-OTHER_JOINT = "right, other joint"
-COUNTED = 1.0  # multiples of the noise from which an effect counts for the bars
+OTHER_JOINT = "right effect, other joint"
+COUNTED = 1.0  # multiples of the noise, from which an effect counts for the goals
 
 
 @dataclass(frozen=True)
 class Rate:
-    """How many of how many, with the exact (Clopper-Pearson) 95 % interval."""
+    """A rate with its exact (Clopper-Pearson) 95 % interval."""
 
     hits: int
     total: int
@@ -50,81 +50,83 @@ class Rate:
 
 
 @dataclass(frozen=True)
-class Bar:
-    """One line of the bars: measured against what the issue asks."""
+class Goal:
+    """A required rate and the measured one."""
 
-    what: str
+    description: str
     rate: Rate
-    bar: float
+    required: float
     at_most: bool = False
 
     @property
-    def holds(self) -> bool | None:
+    def is_met(self) -> bool | None:
         if not self.rate.total:
             return None
-        return self.rate.value <= self.bar if self.at_most else self.rate.value >= self.bar
+        return (
+            self.rate.value <= self.required if self.at_most else self.rate.value >= self.required
+        )
 
 
 def size_of(row: Row) -> float:
-    """The least size of a case's effects."""
+    """Return the smallest size of the effects of a case."""
     return min((e["target"] for e in row["truth"]), default=0.0)
 
 
 def counted(rows: Iterable[Row], mode: str, kind: str) -> list[Row]:
-    """Rows that count for a bar."""
+    """Return the rows that count for a goal."""
     return [
         r for r in rows
         if r["mode"] == mode and r["kind"] == kind and (kind == "none" or size_of(r) >= COUNTED)
     ]  # fmt: skip
 
 
-def bars(rows: Sequence[Row]) -> list[Bar]:
-    """Return the bars of the issue with what was reached."""
+def goals(rows: Sequence[Row]) -> list[Goal]:
+    """Return all goals with the measured rates."""
     right: Callable[[Row], bool] = lambda r: r["right"]  # noqa: E731
     in_set: Callable[[Row], bool] = lambda r: r["right_in_set"]  # noqa: E731
     single, pair = (counted(rows, "missing", kind) for kind in ("single", "pair"))
     triple, none = (counted(rows, "missing", kind) for kind in ("triple", "none"))
     foreign = counted(rows, "missing", "foreign")
-    known = [r for r in single + pair if r.get("rms_ratio") is not None]
+    compared = [r for r in single + pair if r.get("rms_ratio") is not None]
     lines = [
-        Bar("single: right and nothing else", Rate.of(single, right), 0.95),
-        Bar("single: right or in the stated set, nothing else", Rate.of(single, in_set), 0.99),
-        Bar("pair: both and nothing else", Rate.of(pair, right), 0.85),
-        Bar("pair: the same, stated sets allowed", Rate.of(pair, in_set), 0.85),
-        Bar("triple: all and nothing else", Rate.of(triple, right), 0.0),
-        Bar("none: false alarm", Rate.of(none, lambda r: not r["right"]), 0.05, at_most=True),
-        Bar("none: an effect named", Rate.of(none, lambda r: r["named"]), 0.05, at_most=True),
-        Bar(
-            f"test RMS within {CLOSE_TO_ORACLE:g} of a fit that knew",
-            Rate.of(known, lambda r: r["rms_ratio"] <= CLOSE_TO_ORACLE), 0.95,
+        Goal("single: right and nothing else", Rate.of(single, right), 0.95),
+        Goal("single: right or in the stated set, nothing else", Rate.of(single, in_set), 0.99),
+        Goal("pair: both and nothing else", Rate.of(pair, right), 0.85),
+        Goal("pair: the same, stated sets allowed", Rate.of(pair, in_set), 0.85),
+        Goal("triple: all and nothing else", Rate.of(triple, right), 0.0),
+        Goal("none: false alarm", Rate.of(none, lambda r: not r["right"]), 0.05, at_most=True),
+        Goal("none: an effect named", Rate.of(none, lambda r: r["named"]), 0.05, at_most=True),
+        Goal(
+            f"test RMS within {CLOSE_TO_TRUE_MODEL:g} of a fit of the true model",
+            Rate.of(compared, lambda r: r["rms_ratio"] <= CLOSE_TO_TRUE_MODEL), 0.95,
         ),
-        Bar("foreign: no step, right joint and signals first", Rate.of(foreign, right), 0.90),
-        Bar("foreign: no step", Rate.of(foreign, lambda r: r["quiet"]), 0.90),
+        Goal("foreign: no step, right joint and signals first", Rate.of(foreign, right), 0.90),
+        Goal("foreign: no step", Rate.of(foreign, lambda r: r["quiet"]), 0.90),
     ]  # fmt: skip
     changed = {kind: counted(rows, "changed", kind) for kind in ("single", "none", "foreign")}
     return [
         *lines,
-        Bar("changed: right cause", Rate.of(changed["single"], right), 0.95),
-        Bar("changed: right cause or in the set", Rate.of(changed["single"], in_set), 0.95),
-        Bar("changed: pair", Rate.of(counted(rows, "changed", "pair"), right), 0.85),
-        Bar("changed: triple", Rate.of(counted(rows, "changed", "triple"), right), 0.0),
-        Bar("changed: nothing, false alarm", Rate.of(changed["none"], lambda r: not r["right"]),
+        Goal("changed: right cause", Rate.of(changed["single"], right), 0.95),
+        Goal("changed: right cause or in the set", Rate.of(changed["single"], in_set), 0.95),
+        Goal("changed: pair", Rate.of(counted(rows, "changed", "pair"), right), 0.85),
+        Goal("changed: triple", Rate.of(counted(rows, "changed", "triple"), right), 0.0),
+        Goal("changed: nothing, false alarm", Rate.of(changed["none"], lambda r: not r["right"]),
             0.05, at_most=True),
-        Bar("changed: foreign", Rate.of(changed["foreign"], right), 0.90),
+        Goal("changed: foreign", Rate.of(changed["foreign"], right), 0.90),
     ]  # fmt: skip
 
 
 def show(rows: Sequence[Row], console: Console | None = None) -> None:
-    """Print bars, rates by effect and size, and times."""
+    """Print goals, rates by effect and size, and times."""
     console = console or Console(width=140)
-    table = Table(title="Bars (effects of at least 1 × the noise)", title_justify="left")
-    for heading in ("measure", "reached [95 %]", "bar", "holds"):
+    table = Table(title="Goals (effects of at least 1 × the noise)", title_justify="left")
+    for heading in ("measure", "measured [95 %]", "goal", "met"):
         table.add_column(heading)
-    for bar in bars(rows):
-        sign = "≤" if bar.at_most else "≥"
-        holds = {None: "", True: "yes", False: "NO"}[bar.holds]
-        asked = f"{sign} {100 * bar.bar:.0f} %" if bar.bar else "–"
-        table.add_row(bar.what, str(bar.rate), asked, holds if bar.bar else "")
+    for goal in goals(rows):
+        sign = "≤" if goal.at_most else "≥"
+        met = {None: "", True: "yes", False: "NO"}[goal.is_met]
+        asked = f"{sign} {100 * goal.required:.0f} %" if goal.required else "–"
+        table.add_row(goal.description, str(goal.rate), asked, met if goal.required else "")
     console.print(table)
     for mode in ("missing", "changed"):
         for kind in ("single", "foreign"):
@@ -132,12 +134,12 @@ def show(rows: Sequence[Row], console: Console | None = None) -> None:
     seconds = [r["seconds"] for r in rows if "seconds" in r]
     if seconds:
         console.print(
-            f"{len(seconds)} answers; seconds: median {np.median(seconds):.1f}, "
+            f"{len(seconds)} results; seconds: median {np.median(seconds):.1f}, "
             f"95 % below {np.percentile(seconds, 95):.1f}, longest {max(seconds):.1f}"
         )
     errors = [r for r in rows if "error" in r]
     if errors:
-        console.print(f"{len(errors)} without an answer, such as {errors[0]['error']}")
+        console.print(f"{len(errors)} failed, for example with {errors[0]['error']}")
 
 
 def _by_effect(console: Console, rows: list[Row], mode: str) -> None:
@@ -160,9 +162,9 @@ def _by_effect(console: Console, rows: list[Row], mode: str) -> None:
 
 
 def named_first(row: Row) -> str:
-    """What a diagnosis named first: an effect, perhaps on another joint, unexplained, nothing."""
+    """Return the first finding: an effect, perhaps on another joint, unexplained, or nothing."""
     if not row["answered"]:
-        return "no answer"
+        return "failed"
     if not row["steps"]:
         return "unexplained" if row["verdict"] == "unexplained" else "nothing"
     name, joints = row["steps"][0]
@@ -171,7 +173,7 @@ def named_first(row: Row) -> str:
 
 
 def confusion_picture(rows: Sequence[Row], path: Path, mode: str = "missing") -> None:
-    """Draw which effect was named first for each that was hidden (singles, none, foreign)."""
+    """Draw the first finding for each hidden effect (singles, none, foreign)."""
     from matplotlib.figure import Figure
 
     rows = [
@@ -183,7 +185,7 @@ def confusion_picture(rows: Sequence[Row], path: Path, mode: str = "missing") ->
     hidden = [kinds.get(r["kind"]) or str(r["truth"][0]["effect"]) for r in rows]
     down = sorted(set(hidden), key=lambda x: (x.startswith("("), x))
     across = sorted({d for d in down if not d.startswith("(")} | {named_first(r) for r in rows})
-    across.sort(key=lambda x: (x in (OTHER_JOINT, "nothing", "unexplained", "no answer"), x))
+    across.sort(key=lambda x: (x in (OTHER_JOINT, "nothing", "unexplained", "failed"), x))
     counts = np.zeros((len(down), len(across)))
     for name, row in zip(hidden, rows, strict=True):
         counts[down.index(name), across.index(named_first(row))] += 1

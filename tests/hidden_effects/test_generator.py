@@ -1,4 +1,4 @@
-"""The benchmark's own generator: sizes, noise and places are what the truth says."""
+"""The generator of the benchmark: sizes, noise and joints agree with the stated truth."""
 
 import ast
 import json
@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hidden_effects import hidden, schedule
+from hidden_effects import effect_library, schedule
+from hidden_effects.arms import ARMS, load_arm
+from hidden_effects.base_span import BaseSpan, columns, noiseless_record
+from hidden_effects.case_setup import Case, CaseSetup
+from hidden_effects.effect_sizes import EffectSizes
 from hidden_effects.foreign import FOREIGN
 from hidden_effects.generator import draw, write
-from hidden_effects.hidden_arms import ARMS, load_arm
 from hidden_effects.motions import draw_motion
-from hidden_effects.score import judge
-from hidden_effects.sizes import Space, clean, columns
-from hidden_effects.stage import Case, Stage
-from hidden_effects.strengths import Sizing
+from hidden_effects.score import score_answer
 from plant.arms import MujocoArm, with_links
 from scipy.signal import lfilter
 
@@ -25,21 +25,21 @@ from lieid_casadi.plant import Arm, JointFriction, Sensors, measure, move_along,
 from lieid_casadi.plant.trajectories import Envelope
 
 HERE = Path(__file__).parent
-MAKES = (
+GENERATOR_MODULES = (
     "foreign",
     "generator",
-    "hidden",
-    "hidden_arms",
+    "effect_library",
+    "arms",
     "motions",
-    "nearest",
-    "sizes",
-    "stage",
-    "strengths",
+    "similar_effects",
+    "base_span",
+    "case_setup",
+    "effect_sizes",
 )
 
 
-@pytest.mark.parametrize("name", MAKES)
-def test_what_makes_cases_shares_nothing_with_effects(name):
+@pytest.mark.parametrize("name", GENERATOR_MODULES)
+def test_the_generator_is_independent_of_the_effects(name):
     tree = ast.parse((HERE / f"{name}.py").read_text("utf-8"))
     imported = [n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
     imported += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
@@ -74,18 +74,18 @@ def test_rigid_torques_are_those_of_mujoco(name):
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_an_arm_with_nothing_hidden_is_in_the_span(name):
-    """True inertias differ from nominal ones, and still rigid and plain friction explain all."""
+def test_the_torque_of_an_arm_without_effects_is_in_the_span(name):
+    """The true inertias differ from the nominal ones, but not the span of the columns."""
     arm = an_arm(name)
-    record = clean(arm, move_along(arm, *a_motion(arm.robot)), 200.0)
-    space = Space(arm.robot, record, np.ones(arm.n))
+    record = noiseless_record(arm, move_along(arm, *a_motion(arm.robot)), 200.0)
+    space = BaseSpan(arm.robot, record, np.ones(arm.n))
     torque = space.stacked(record.tau)
-    assert space.by_joint(space.left(torque)).max() < 1e-8 * space.by_joint(torque).min()
+    assert space.by_joint(space.outside(torque)).max() < 1e-8 * space.by_joint(torque).min()
 
 
 @pytest.mark.parametrize("kind", ["fourier", "poses", "mixture"])
 @pytest.mark.parametrize("name", ARMS)
-def test_motions_fit_themselves_and_the_arm(name, kind):
+def test_motions_are_consistent_and_within_limits(name, kind):
     robot = load_arm(name)
     t, q, dq, ddq = a_motion(robot, kind, seed=3, rate=2000.0)
     envelope = Envelope.of(robot, margin=1.0)
@@ -119,14 +119,14 @@ def drawn_once(name):
 
 
 @pytest.mark.parametrize("name", SOME)
-def test_sizes_are_as_stated(name):
-    """By other means: all rows of the recording, the columns' least squares solved directly."""
+def test_sizes_agree_with_the_truth(name):
+    """Computed from all rows of the recording, with least squares solved directly."""
     case = Case.parse(name)
     drawn = drawn_once(name)
     run = 1 if case.changed else 0
     noise, arm, motion = drawn.noise, drawn.arms[run], drawn.motions[run]
     silent = Sensors(rate=drawn.sensors.rate)
-    record = clean(arm, motion, drawn.sensors.rate)
+    record = noiseless_record(arm, motion, drawn.sensors.rate)
     recorded = measure(arm, motion, silent)
     assert np.array_equal(recorded.tau, record.tau)
     if case.kind == "pair":
@@ -161,8 +161,8 @@ def replace_effects(arm, plain):
 
 
 @pytest.mark.parametrize("name", [n for n in SOME if "-single-" in n or "foreign" in n])
-def test_an_effect_is_where_the_truth_says(name):
-    """Noiseless torque with it less torque without it, on the same path of the links."""
+def test_an_effect_acts_on_the_joint_of_the_truth(name):
+    """Noiseless torque with the effect minus torque without it, on the same path of the links."""
     case = Case.parse(name)
     drawn = drawn_once(name)
     arm = drawn.arms[1 if case.changed else 0]
@@ -173,7 +173,7 @@ def test_an_effect_is_where_the_truth_says(name):
     plain = replace_effects(arm, drawn.arms[0]) if case.changed else replace_effects(arm, bare(arm))
     ideal = Sensors(rate=None)
     with_it, without = (measure(a, move_along(a, *path), ideal) for a in (arm, plain))
-    # at rest dry friction is whatever it happens to be
+    # at rest dry friction is undetermined
     change = np.where(np.abs(path[2]) > 1e-3, with_it.tau - without.tau, 0.0)
     touched = np.flatnonzero(np.abs(change).max(axis=0) > 1e-6 * drawn.noise)
     shown = np.flatnonzero(np.abs(with_it.q - without.q).max(axis=0) > 1e-12)
@@ -192,7 +192,7 @@ def bare(arm):
 
 
 @pytest.mark.parametrize("name", ["missing-none-1", "missing-none-2", "missing-none-5"])
-def test_noise_is_as_stated(name):
+def test_noise_agrees_with_the_truth(name):
     drawn = draw(Case.parse(name))
     sensors = drawn.sensors
     recorded = measure(drawn.arms[0], drawn.motions[0], sensors, seed=3)
@@ -213,10 +213,10 @@ def test_noise_is_as_stated(name):
     assert np.all(np.std(white, axis=0) > 0.3 * drawn.noise)
 
 
-def test_files_are_what_a_user_would_have(tmp_path):
+def test_files_contain_robot_and_recordings_but_no_truth(tmp_path):
     folder, truth = tmp_path / "files", tmp_path / "truth.json"
-    told = write(Case.parse("missing-single-temperature_friction-2x-0"), folder, truth)
-    assert json.loads(truth.read_text()) == told
+    returned = write(Case.parse("missing-single-temperature_friction-2x-0"), folder, truth)
+    assert json.loads(truth.read_text()) == returned
     assert {f.stem for f in folder.iterdir()} == {"robot", "train", "test"}
     robot = Robot.load(next(folder.glob("robot.*")))
     train = Recording.load(folder / "train.csv")
@@ -227,7 +227,7 @@ def test_files_are_what_a_user_would_have(tmp_path):
     assert "temperature_friction" not in text
 
 
-def test_a_name_makes_one_case(tmp_path):
+def test_a_name_defines_a_case(tmp_path):
     name = "changed-single-viscous-1x-0"
     assert Case.parse(name).name == name
     for k in range(2):
@@ -236,13 +236,13 @@ def test_a_name_makes_one_case(tmp_path):
         assert (tmp_path / "0" / file).read_bytes() == (tmp_path / "1" / file).read_bytes()
 
 
-def test_before_a_change_nothing_is_hidden():
+def test_before_a_change_there_are_no_hidden_effects():
     drawn = draw(Case.parse("changed-single-stribeck-2x-0"))
     assert not drawn.arms[0].effects
     assert drawn.arms[1].effects
 
 
-def test_the_schedule_is_what_the_issue_asks_for():
+def test_the_schedule_contains_all_kinds_of_cases():
     every = list(schedule.cases())
     names = [case.name for case in every]
     assert len(set(names)) == len(names)
@@ -251,32 +251,34 @@ def test_the_schedule_is_what_the_issue_asks_for():
         own = [c for c in every if c.changed == changed]
         for kind, least in (("pair", 30), ("triple", 10), ("none", 200), ("foreign", 30)):
             assert sum(c.kind == kind for c in own) >= least
-        for effect in hidden.CHANGED if changed else hidden.MISSING:
+        for effect in effect_library.CHANGED if changed else effect_library.MISSING:
             assert sum(c.effect == effect for c in own) >= 4
     assert {c.effect for c in every if c.kind == "foreign"} == set(FOREIGN)
 
 
-def test_sizing_sees_what_is_absorbed():
-    """A payload is a part of the last link; an offset of the first, vertical joint is nothing."""
+def test_absorbed_effects_have_no_size():
+    """A payload is part of the last link; an offset of the first, vertical joint has no effect."""
     drawn = draw(Case.parse("missing-none-1"))
-    from hidden_effects.hidden import Hidden, with_effect
+    from hidden_effects.effect_library import ScalableEffect, with_effect
 
     from lieid_casadi.plant import EncoderOffset, Payload, Thermal
 
     arm = drawn.arms[0]
-    stage = Stage("", arm, (None, None), ("", ""), (Thermal(), Thermal()), drawn.sensors,
+    setup = CaseSetup("", arm, (None, None), ("", ""), (Thermal(), Thermal()), drawn.sensors,
                   drawn.noise, False, False)  # fmt: skip
     m = drawn.motions[0]
-    sizing = Sizing(stage, m.t, (m.q, m.dq, m.ddq))
-    payload = Hidden(
+    sizing = EffectSizes(setup, m.t, (m.q, m.dq, m.ddq))
+    payload = ScalableEffect(
         "payload", (), with_effect(lambda s: Payload(mass=s, com=(0.0, 0.0, 0.05))), 9.0
     )
     assert sizing.size(payload, 1.0, [])[1] < 1e-6
-    turned = Hidden("encoder_offset", (0,), with_effect(lambda s: EncoderOffset(0, offset=s)), 1.0)
+    turned = ScalableEffect(
+        "encoder_offset", (0,), with_effect(lambda s: EncoderOffset(0, offset=s)), 1.0
+    )
     assert sizing.size(turned, 0.1, [])[0] < 1e-6
 
 
-def found(*steps, unexplained=(), verdict="effect_found"):
+def result_with(*steps, unexplained=(), verdict="effect_found"):
     def step(label, rivals=()):
         name, _, joint = label.partition(":")
         return {"effect": name, "joints": [int(joint)] if joint else [], "indistinguishable": [
@@ -305,25 +307,27 @@ def truth_of(*effects, signals=()):
 @pytest.mark.parametrize(
     ("answer", "right", "in_set"),
     [
-        (found("stribeck:2"), True, True),
-        (found("stribeck:3"), False, False),
-        (found("stribeck:2", "viscous_asymmetric:1"), False, False),
-        (found(("presliding:2", ["stribeck:2"])), False, True),
-        (found(("presliding:2", ["stribeck:3"])), False, False),
-        (found(verdict="sufficient"), False, False),
+        (result_with("stribeck:2"), True, True),
+        (result_with("stribeck:3"), False, False),
+        (result_with("stribeck:2", "viscous_asymmetric:1"), False, False),
+        (result_with(("presliding:2", ["stribeck:2"])), False, True),
+        (result_with(("presliding:2", ["stribeck:3"])), False, False),
+        (result_with(verdict="sufficient"), False, False),
         (None, False, False),
     ],
 )
 def test_score_of_a_single(answer, right, in_set):
-    score = judge(Case("single", 0, effect="stribeck", size=5.0), truth_of(("stribeck", 2)), answer)
+    score = score_answer(
+        Case("single", 0, effect="stribeck", size=5.0), truth_of(("stribeck", 2)), answer
+    )
     assert (score["right"], score["right_in_set"]) == (right, in_set)
 
 
 def test_score_of_a_pair():
     truth = truth_of(("stribeck", 2), ("payload", 1))
     case = Case("pair", 0)
-    assert judge(case, truth, found("payload:1", "stribeck:2"))["right"]
-    half = judge(case, truth, found("payload:1"))
+    assert score_answer(case, truth, result_with("payload:1", "stribeck:2"))["right"]
+    half = score_answer(case, truth, result_with("payload:1"))
     assert not half["right"]
     assert half["missed"] == [["stribeck", (2,)]]
 
@@ -331,27 +335,27 @@ def test_score_of_a_pair():
 @pytest.mark.parametrize(
     ("answer", "right"),
     [
-        (found(verdict="sufficient"), True),
-        (found("stribeck:1"), False),
-        (found(verdict="unexplained", unexplained=[(1, "q1")]), False),
+        (result_with(verdict="sufficient"), True),
+        (result_with("stribeck:1"), False),
+        (result_with(verdict="unexplained", unexplained=[(1, "q1")]), False),
         (None, False),
     ],
 )
-def test_score_of_nothing(answer, right):
-    assert judge(Case("none", 0), truth_of(), answer)["right"] == right
+def test_score_without_hidden_effects(answer, right):
+    assert score_answer(Case("none", 0), truth_of(), answer)["right"] == right
 
 
 @pytest.mark.parametrize(
     ("answer", "right"),
     [
-        (found(unexplained=[(2, "q3", "dq2")], verdict="unexplained"), True),
-        (found(unexplained=[(2, "dq2", "q3", "t")], verdict="unexplained"), True),
-        (found(unexplained=[(2, "dq2")], verdict="unexplained"), False),
-        (found(unexplained=[(1, "dq2", "q3")], verdict="unexplained"), False),
-        (found("stribeck:1", unexplained=[(2, "dq2", "q3")], verdict="unexplained"), False),
+        (result_with(unexplained=[(2, "q3", "dq2")], verdict="unexplained"), True),
+        (result_with(unexplained=[(2, "dq2", "q3", "t")], verdict="unexplained"), True),
+        (result_with(unexplained=[(2, "dq2")], verdict="unexplained"), False),
+        (result_with(unexplained=[(1, "dq2", "q3")], verdict="unexplained"), False),
+        (result_with("stribeck:1", unexplained=[(2, "dq2", "q3")], verdict="unexplained"), False),
     ],
 )
-def test_score_of_a_foreign_one(answer, right):
+def test_score_of_a_foreign_effect(answer, right):
     truth = truth_of(("friction_by_other_angle", 2), signals=("dq2", "q3"))
     case = Case("foreign", 0, effect="friction_by_other_angle", size=5.0)
-    assert judge(case, truth, answer)["right"] == right
+    assert score_answer(case, truth, answer)["right"] == right

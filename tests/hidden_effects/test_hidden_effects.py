@@ -1,17 +1,17 @@
-"""A small part of the benchmark: the first cases of its fixed shuffle, without a controller.
+"""A small part of the benchmark: the first cases of its fixed order, without a controller.
 
-The whole runs by ``python tests/hidden_effects/run.py``. How many must be right here is what a
-tool that is exactly at the bar of the issue reaches in 97.5 of 100 draws.
+The whole benchmark is ``python tests/hidden_effects/run.py``. The number of correct results
+required here is reached in 97.5 % of draws by a program that meets the goals exactly.
 """
 
 import warnings
 from functools import cache
 
 import pytest
+from hidden_effects.case_setup import Case
 from hidden_effects.generator import draw
 from hidden_effects.schedule import chosen
 from hidden_effects.score import run_case
-from hidden_effects.stage import Case
 from scipy.stats import binom
 
 STRONG = (
@@ -27,56 +27,56 @@ CHANGED = ("changed-single-load_friction-5x-0", "changed-single-payload-5x-1")
 UNCHANGED = ("changed-none-201", "changed-none-25")
 
 
-def required(count, bar):
-    return int(binom.ppf(0.025, count, bar))
+def required(count, rate):
+    return int(binom.ppf(0.025, count, rate))
 
 
 @cache
 def scored(name, by_command=False):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # poor recordings are part of the benchmark
-        return run_case(Case.parse(name), oracle=False, by_command=by_command)
+        warnings.simplefilter("ignore")  # some recordings of the benchmark have warnings
+        return run_case(Case.parse(name), true_model=False, by_command=by_command)
 
 
-def assert_enough(names, bar, key="right"):
+def assert_enough(names, rate, key="right"):
     rows = [scored(name) for name in names]
-    said = {r["case"]: (r["verdict"], r["steps"], r.get("error")) for r in rows if not r[key]}
-    assert sum(r[key] for r in rows) >= required(len(rows), bar), said
+    wrong = {r["case"]: (r["verdict"], r["steps"], r.get("error")) for r in rows if not r[key]}
+    assert sum(r[key] for r in rows) >= required(len(rows), rate), wrong
 
 
-def test_what_is_required_follows_from_the_bar():
+def test_required_numbers_follow_from_the_rate():
     assert [required(n, 0.95) for n in (2, 5, 40)] == [1, 4, 35]
     assert required(2, 0.9) == 1
 
 
-def test_the_small_part_is_the_first_of_the_shuffle():
+def test_the_small_part_is_the_first_of_the_order():
     first = chosen(modes=["missing"], kinds=["single"], sizes=[5.0], limit=len(STRONG))
     assert tuple(case.name for case in first) == STRONG
     assert not draw(first[0]).truth["simulated"]
 
 
-def test_strong_effects_are_named_and_nothing_else():
+def test_strong_effects_are_named_and_no_others():
     assert_enough(STRONG, 0.95)
 
 
-def test_nothing_is_named_where_nothing_is_missing():
+def test_complete_models_are_sufficient():
     assert_enough(NOTHING, 0.95)
 
 
-def test_effects_of_no_library_are_not_named():
+def test_foreign_effects_are_unexplained():
     assert_enough(FOREIGN, 0.90)
 
 
-def test_what_has_changed_is_named():
+def test_changes_are_named():
     assert_enough(CHANGED, 0.95)
 
 
-def test_nothing_is_named_where_nothing_has_changed():
+def test_unchanged_arms_are_sufficient():
     assert_enough(UNCHANGED, 0.95)
 
 
 @pytest.mark.slow
-def test_the_command_says_what_python_says():
+def test_command_line_and_python_agree():
     name = STRONG[0]
     by_python, by_command = scored(name), scored(name, by_command=True)
     for key in ("steps", "verdict", "right", "unexplained"):
@@ -85,7 +85,7 @@ def test_the_command_says_what_python_says():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("bar", "wanted", "limit"),
+    ("rate", "wanted", "limit"),
     [
         (0.95, {"modes": ["missing"], "kinds": ["single"], "sizes": [5.0, 2.0, 1.0]}, 12),
         (0.85, {"modes": ["missing"], "kinds": ["pair"]}, 4),
@@ -96,5 +96,5 @@ def test_the_command_says_what_python_says():
     ],
     ids=["single", "pair", "none", "foreign", "changed", "unchanged"],
 )
-def test_more_of_the_benchmark(bar, wanted, limit):
-    assert_enough([case.name for case in chosen(**wanted, limit=limit)], bar)
+def test_more_of_the_benchmark(rate, wanted, limit):
+    assert_enough([case.name for case in chosen(**wanted, limit=limit)], rate)

@@ -1,7 +1,7 @@
-"""The effects that are hidden: random in place, shape and sign, with one strength to scale.
+"""The effects to hide: random joint, shape and sign, with one strength to scale.
 
-They are the plant's own; nothing comes from the package's effects. Limits keep sizes within what
-a real arm might have, so that a strong effect is one that happens.
+They are defined by the simulated arm, independently of the package's effects. Limits keep
+strengths within those of real arms.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
-    """What sizes are taken from: the arm and its motion before anything is hidden, (n,) each."""
+class ReferenceMotion:
+    """The arm without hidden effects and its motion, from which limits are derived; (n,) arrays."""
 
     arm: Arm
-    torque: Array  # what the drives can deliver
+    torque: Array  # that the drives can deliver, N·m
     speed: Array  # largest on the motion
     rms_speed: Array
     load: Array  # largest rigid torque on the motion
@@ -55,12 +55,12 @@ class Ground:
         return v / np.linalg.norm(v)
 
     def warmest(self) -> float:
-        """Most that a joint is away from 25 °C."""
+        """Return the largest deviation of a joint temperature from 25 °C."""
         return max(abs(t.start - 25.0) + t.rise for t in self.thermal)
 
 
 @dataclass(frozen=True, eq=False)
-class Hidden:
+class ScalableEffect:
     """One hidden effect.
 
     Attributes
@@ -68,16 +68,16 @@ class Hidden:
     effect, joints
         Name and joints (from 0) as a diagnosis should give them.
     hide
-        Arm, strength, run (0 or 1: training and test, or before and after) → arm with it.
+        Arm, strength, run (0 or 1: training and test, or before and after) → arm with the effect.
     most, least
-        Largest plausible strength, and the smallest that a recording resolves. Where both are
-        the same, the noise is made to fit the strength.
+        Largest realistic strength, and the smallest that a recording resolves. If both are equal,
+        the noise is scaled instead of the strength.
     signals
-        Of effects that no library has: what the unexplained part depends on.
+        For effects that no library has: the signals that the unexplained part depends on.
     simulated
-        Whether it works under a controller (not where it needs the whole path).
+        Whether it can be simulated with a controller; not if it needs the whole path.
     elastic
-        Whether it needs a smooth motion of the links, exactly tracked.
+        Whether it needs a smooth motion of the links that is tracked exactly.
     """
 
     effect: str
@@ -92,11 +92,11 @@ class Hidden:
 
     @property
     def fixed(self) -> bool:
-        """Whether the strength is given, and the noise is to fit it."""
+        """Whether the strength is given and the noise is scaled."""
         return self.least == self.most
 
 
-Maker = Callable[[Ground, int], Hidden | None]
+EffectFactory = Callable[[ReferenceMotion, int], ScalableEffect | None]
 
 
 def with_effect(make: Callable[[float], HiddenEffect]) -> Callable[[Arm, float, int], Arm]:
@@ -111,11 +111,11 @@ def _one(
     make: Callable[[float], HiddenEffect],
     details: str = "",
     least: float = 0.0,
-) -> Hidden:
-    return Hidden(name, (joint,), with_effect(make), most, details=details, least=least)
+) -> ScalableEffect:
+    return ScalableEffect(name, (joint,), with_effect(make), most, details=details, least=least)
 
 
-def _viscous_polynomial(g: Ground, j: int) -> Hidden:
+def _viscous_polynomial(g: ReferenceMotion, j: int) -> ScalableEffect:
     a, b = [(1.0, 0.0), (0.0, 1.0), (1.0, 0.6), (0.6, 1.0)][int(g.random.integers(4))]
     sign, v = g.sign(), float(g.speed[j])
     a, b = sign * a, -sign * b
@@ -126,7 +126,7 @@ def _viscous_polynomial(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _viscous_asymmetric(g: Ground, j: int) -> Hidden:
+def _viscous_asymmetric(g: ReferenceMotion, j: int) -> ScalableEffect:
     f = g.sign() / float(g.speed[j])
     return _one(
         "viscous_asymmetric", j, 0.15 * g.torque[j],
@@ -134,7 +134,7 @@ def _viscous_asymmetric(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _stribeck(g: Ground, j: int) -> Hidden:
+def _stribeck(g: ReferenceMotion, j: int) -> ScalableEffect:
     v = g.log(0.02, 0.25) * float(g.speed[j])
     most = 2.0 * g.arm.friction.coulomb[j] + 0.05 * g.torque[j]
     return _one(
@@ -142,11 +142,11 @@ def _stribeck(g: Ground, j: int) -> Hidden:
     )
 
 
-def _load_friction(g: Ground, j: int) -> Hidden:
+def _load_friction(g: ReferenceMotion, j: int) -> ScalableEffect:
     return _one("load_friction", j, 0.4, lambda s: plant.LoadFriction(j, gain=s))
 
 
-def _temperature_friction(g: Ground, j: int) -> Hidden:
+def _temperature_friction(g: ReferenceMotion, j: int) -> ScalableEffect:
     a, b = [(1.0, 0.0), (0.0, 1.0), (1.0, 0.4), (0.5, 1.0)][int(g.random.integers(4))]
     return _one(
         "temperature_friction", j, 0.8 / g.warmest(),
@@ -155,7 +155,7 @@ def _temperature_friction(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _warm_up(g: Ground, j: int) -> Hidden:
+def _warm_up(g: ReferenceMotion, j: int) -> ScalableEffect:
     theta = g.log(0.15, 0.7) * g.duration
     return _one(
         "warm_up", j, 0.8, lambda s: plant.WarmUp(j, change=-s, time_constant=theta),
@@ -163,7 +163,7 @@ def _warm_up(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _position_friction(g: Ground, j: int) -> Hidden | None:
+def _position_friction(g: ReferenceMotion, j: int) -> ScalableEffect | None:
     if not g.revolute(j):
         return None
     k, phase = float(g.random.integers(1, 5)), g.angle()
@@ -173,30 +173,30 @@ def _position_friction(g: Ground, j: int) -> Hidden | None:
     )  # fmt: skip
 
 
-def _presliding(g: Ground, j: int) -> Hidden:
-    # What is left depends little on the width: it is drawn, and the noise follows.
+def _presliding(g: ReferenceMotion, j: int) -> ScalableEffect:
+    # the unexplained part depends little on the width: it is drawn, and the noise is scaled
     width = g.log(0.005, 0.15) * (1.0 if g.revolute(j) else 0.3)
-    return Hidden(
+    return ScalableEffect(
         "presliding", (j,), with_effect(lambda s: plant.Presliding(j, width=s)), width, least=width,
         details=f"width {width:.3g}",
     )  # fmt: skip
 
 
-def _armature(g: Ground, j: int) -> Hidden:
+def _armature(g: ReferenceMotion, j: int) -> ScalableEffect:
     return _one("armature", j, 0.06 * g.torque[j], lambda s: plant.Armature(j, inertia=s))
 
 
-def _joint_elasticity(g: Ground, j: int) -> Hidden | None:
+def _joint_elasticity(g: ReferenceMotion, j: int) -> ScalableEffect | None:
     if not g.revolute(j):
         return None
     most = 0.1 / max(float(g.load[j]), 1e-6)
-    return Hidden(
+    return ScalableEffect(
         "joint_elasticity", (j,),
         with_effect(lambda s: plant.JointElasticity(j, stiffness=1.0 / s)), most, elastic=True,
     )  # fmt: skip
 
 
-def _torque_ripple(g: Ground, j: int) -> Hidden | None:
+def _torque_ripple(g: ReferenceMotion, j: int) -> ScalableEffect | None:
     if not g.revolute(j):
         return None
     highest = 2.0 * np.pi * g.rate / 6.0 / float(g.rms_speed[j])
@@ -207,7 +207,7 @@ def _torque_ripple(g: Ground, j: int) -> Hidden | None:
     )  # fmt: skip
 
 
-def _position_spring(g: Ground, j: int) -> Hidden:
+def _position_spring(g: ReferenceMotion, j: int) -> ScalableEffect:
     rest = float(g.random.uniform(g.lower[j], g.upper[j]))
     most = 0.3 * g.torque[j] / max(float(g.upper[j] - g.lower[j]), 1e-3)
     return _one(
@@ -215,17 +215,17 @@ def _position_spring(g: Ground, j: int) -> Hidden:
     )
 
 
-def _position_spring_after(g: Ground, j: int) -> Hidden:
-    """K·q: where the model is kept, a rest angle elsewhere would change the offset too."""
+def _position_spring_after(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """Return K·q: with the model kept, another rest angle would also change the offset."""
     most = 0.3 * g.torque[j] / max(float(g.upper[j] - g.lower[j]), 1e-3)
     return _one("position_spring", j, most, lambda s: plant.PositionSpring(j, stiffness=s))
 
 
-def _transmission_coupling(g: Ground, j: int) -> Hidden:
+def _transmission_coupling(g: ReferenceMotion, j: int) -> ScalableEffect:
     i = int(g.random.choice([k for k in range(g.n) if k != j]))
     a, b = [(1.0, 0.0), (0.0, 1.0), (1.0, 0.5), (0.5, 1.0)][int(g.random.integers(4))]
     a, b = g.sign() * a / float(g.speed[i]), g.sign() * b
-    return Hidden(
+    return ScalableEffect(
         "transmission_coupling", (j, i),
         with_effect(
             lambda s: plant.TransmissionCoupling(
@@ -236,48 +236,48 @@ def _transmission_coupling(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _torque_gain(g: Ground, j: int) -> Hidden:
+def _torque_gain(g: ReferenceMotion, j: int) -> ScalableEffect:
     sign = g.sign()
     return _one("torque_gain", j, 0.4, lambda s: plant.TorqueGain(j, gain=sign * s))
 
 
-def _torque_delay(g: Ground, j: int) -> Hidden:
+def _torque_delay(g: ReferenceMotion, j: int) -> ScalableEffect:
     least = 0.3 / g.rate
     return _one("torque_delay", j, 0.08, lambda s: plant.TorqueDelay(j, delay=s), least=least)
 
 
-def _bias_drift(g: Ground, j: int) -> Hidden:
+def _bias_drift(g: ReferenceMotion, j: int) -> ScalableEffect:
     rates = g.sign() / g.duration, float(g.random.uniform(-1.0, 1.0)) / g.duration
-    return Hidden(
+    return ScalableEffect(
         "bias_drift", (j,),
-        # where it counts: the training run, or the run after
+        # on the training run, or on the run after the change
         lambda arm, s, run: arm.with_effects(plant.BiasDrift(j, rate=s * rates[run])),
         0.2 * g.torque[j],
     )  # fmt: skip
 
 
-def _bias_drift_after(g: Ground, j: int) -> Hidden:
+def _bias_drift_after(g: ReferenceMotion, j: int) -> ScalableEffect:
     rate = g.sign() / g.duration
     return _one("bias_drift", j, 0.2 * g.torque[j], lambda s: plant.BiasDrift(j, rate=s * rate))
 
 
-def _encoder_offset(g: Ground, j: int) -> Hidden:
+def _encoder_offset(g: ReferenceMotion, j: int) -> ScalableEffect:
     sign, most = g.sign(), 0.2 if g.revolute(j) else 0.05
     return _one("encoder_offset", j, most, lambda s: plant.EncoderOffset(j, offset=sign * s))
 
 
-def _base_tilt(g: Ground, j: int) -> Hidden:
+def _base_tilt(g: ReferenceMotion, j: int) -> ScalableEffect:
     x, y = g.direction(2)
-    return Hidden(
+    return ScalableEffect(
         "base_tilt", (),
         with_effect(lambda s: plant.BaseTilt(about_x=float(s * x), about_y=float(s * y))), 0.2,
     )  # fmt: skip
 
 
-def _external_wrench(g: Ground, j: int) -> Hidden:
+def _external_wrench(g: ReferenceMotion, j: int) -> ScalableEffect:
     force, moment = g.direction(3), 0.2 * g.direction(3)
     weight = 9.81 * float(g.arm.parameters[::10].sum())
-    return Hidden(
+    return ScalableEffect(
         "external_wrench", (),
         with_effect(
             lambda s: plant.ExternalWrench(
@@ -288,16 +288,16 @@ def _external_wrench(g: Ground, j: int) -> Hidden:
     )  # fmt: skip
 
 
-def _payload(g: Ground, j: int) -> Hidden:
+def _payload(g: ReferenceMotion, j: int) -> ScalableEffect:
     com = tuple(map(float, g.random.uniform(0.0, 0.1) * g.direction(3)))
     weight = float(g.arm.parameters[::10].sum())
-    return Hidden(
+    return ScalableEffect(
         "payload", (), with_effect(lambda s: plant.Payload(mass=s, com=com)), 0.4 * weight
     )
 
 
-def _plain_friction(name: str) -> Maker:
-    def make(g: Ground, j: int) -> Hidden:
+def _plain_friction(name: str) -> EffectFactory:
+    def make(g: ReferenceMotion, j: int) -> ScalableEffect:
         sign = g.sign()
         now = float(getattr(g.arm.friction, name)[j])
         most = 0.8 * now if name != "offset" and sign < 0.0 else 0.15 * float(g.torque[j])
@@ -309,12 +309,12 @@ def _plain_friction(name: str) -> Maker:
 
         if name == "viscous" and sign > 0.0:
             most /= float(g.speed[j])
-        return Hidden(name, (j,), hide, most, details="more" if sign > 0.0 else "less")
+        return ScalableEffect(name, (j,), hide, most, details="more" if sign > 0.0 else "less")
 
     return make
 
 
-MISSING: dict[str, Maker] = {
+MISSING: dict[str, EffectFactory] = {
     "viscous_polynomial": _viscous_polynomial,
     "viscous_asymmetric": _viscous_asymmetric,
     "stribeck": _stribeck,
@@ -336,7 +336,7 @@ MISSING: dict[str, Maker] = {
     "external_wrench": _external_wrench,
 }
 
-CHANGED: dict[str, Maker] = {
+CHANGED: dict[str, EffectFactory] = {
     name: make for name, make in MISSING.items() if name not in ("armature", "bias_drift")
 } | {
     "bias_drift": _bias_drift_after,

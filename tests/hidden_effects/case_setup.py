@@ -1,4 +1,4 @@
-"""A case before anything is hidden: its name, arm, motions, sensors, and what to hide."""
+"""Arm, motions and sensors of a case, and the effects to hide, all drawn from its name."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from hidden_effects.arms import ARMS, load_arm
+from hidden_effects.effect_library import CHANGED, MISSING, ReferenceMotion, ScalableEffect
 from hidden_effects.foreign import FOREIGN
-from hidden_effects.hidden import CHANGED, MISSING, Ground, Hidden
-from hidden_effects.hidden_arms import ARMS, load_arm
 from hidden_effects.motions import draw_motion
 from numpy.typing import NDArray
 
@@ -25,24 +25,24 @@ from lieid_casadi.plant import (
 from lieid_casadi.plant.trajectories import Envelope
 
 Array = NDArray[np.float64]
-LEAST_NOISE, MOST_NOISE = 1e-4, 1.5e-2  # of what the drives can deliver
+LEAST_NOISE, MOST_NOISE = 1e-4, 1.5e-2  # relative to the torque that the drives can deliver
 SIZES = (5.0, 2.0, 1.0, 0.5)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One case of the benchmark, known by its name.
+    """One case of the benchmark, defined by its name.
 
     Attributes
     ----------
     kind
         ``none``, ``single``, ``pair``, ``triple``, ``foreign``.
     changed
-        What has changed since a fit, rather than what the model lacks.
+        Whether effects changed since a fit; otherwise the model lacks them.
     effect
-        Of singles and foreign ones; else drawn.
+        For single and foreign effects; otherwise drawn.
     size
-        Of singles and foreign ones; else drawn from 5, 2, 1.
+        For single and foreign effects; otherwise drawn from 5, 2, 1. In multiples of the noise.
     """
 
     kind: str
@@ -66,8 +66,8 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
-    """An arm before anything is hidden, what it will do, and its sensors."""
+class CaseSetup:
+    """An arm without hidden effects, its motions and its sensors."""
 
     arm_name: str
     arm: Arm
@@ -81,16 +81,16 @@ class Stage:
 
     @property
     def counts(self) -> int:
-        """The run whose size counts: training, or after the change."""
+        """The run on which sizes are defined: training, or after the change."""
         return 1 if self.changed else 0
 
     def plausible(self, factor: float) -> bool:
-        """Whether noise times ``factor`` is what sensors have, against the drives' torque."""
+        """Whether noise times a factor is realistic relative to the torque of the drives."""
         level = factor * float(np.mean(self.noise / torque_scale(self.arm.robot)))
         return LEAST_NOISE <= level <= MOST_NOISE
 
-    def louder(self, factor: float) -> Stage:
-        """Return the same with noise times ``factor``."""
+    def with_noise(self, factor: float) -> CaseSetup:
+        """Return the setup with the noise times a factor."""
         sensors = replace(
             self.sensors,
             **{
@@ -101,17 +101,19 @@ class Stage:
         return replace(self, sensors=sensors, noise=factor * self.noise)
 
 
-def hide(stage: Stage, hidden: list[Hidden], strengths: list[float], run: int) -> Arm:
-    """Return the arm of a run with effects hidden in it (none before a change)."""
-    arm = replace(stage.arm, thermal=stage.thermal[run])
-    if stage.changed and run == 0:
+def with_hidden(
+    setup: CaseSetup, hidden: list[ScalableEffect], strengths: list[float], run: int
+) -> Arm:
+    """Return the arm of a run with hidden effects; before a change it has none."""
+    arm = replace(setup.arm, thermal=setup.thermal[run])
+    if setup.changed and run == 0:
         return arm
     for one, strength in zip(hidden, strengths, strict=True):
         arm = one.hide(arm, strength, run)
     return arm
 
 
-def set_up(case: Case, random: np.random.Generator, quiet: float) -> Stage:
+def draw_setup(case: Case, random: np.random.Generator, noise_factor: float) -> CaseSetup:
     """Return arm, motions and sensors; ``quiet`` lowers the noise, for effects that stay small."""
     arm_name = str(random.choice(ARMS))
     robot = load_arm(arm_name)
@@ -128,23 +130,23 @@ def set_up(case: Case, random: np.random.Generator, quiet: float) -> Stage:
         str(random.choice(["fourier", "mixture", "poses"])),
     )
     plans = tuple(draw_motion(robot, kind, duration, random) for kind in kinds)
-    sensors, noise = _sensors(robot, scale * quiet, speed, random)
-    return Stage(
+    sensors, noise = _sensors(robot, scale * noise_factor, speed, random)
+    return CaseSetup(
         arm_name, Arm(robot, parameters, friction), (plans[0], plans[1]), kinds,
         _thermal(case, random), sensors, noise, bool(random.random() < 0.2), case.changed,
     )  # fmt: skip
 
 
 def _thermal(case: Case, random: np.random.Generator) -> tuple[Thermal, Thermal]:
-    def warm() -> Thermal:
+    def thermal() -> Thermal:
         return Thermal(
             start=25.0 + random.uniform(0.0, 6.0),
             rise=random.uniform(6.0, 15.0),
             time_constant=random.uniform(8.0, 30.0),
         )
 
-    first, second = warm(), warm()
-    if case.changed:  # before: a joint that keeps its temperature
+    first, second = thermal(), thermal()
+    if case.changed:  # before the change the temperature is nearly constant
         first = Thermal(start=25.0, rise=random.uniform(0.0, 0.5), time_constant=20.0)
     return first, second
 
@@ -173,10 +175,10 @@ def _sensors(
     return sensors, noise
 
 
-def choose(
-    case: Case, stage: Stage, random: np.random.Generator
-) -> tuple[list[Hidden] | None, list[float]]:
-    """Return the effects and the sizes they should have; None where one cannot be placed."""
+def choose_effects(
+    case: Case, setup: CaseSetup, random: np.random.Generator
+) -> tuple[list[ScalableEffect] | None, list[float]]:
+    """Return the effects and their target sizes; None if one cannot be placed."""
     library = CHANGED if case.changed else MISSING
     count = {"none": 0, "single": 1, "foreign": 1, "pair": 2, "triple": 3}[case.kind]
     if case.kind in ("single", "foreign"):
@@ -186,26 +188,26 @@ def choose(
         targets = [float(x) for x in random.choice(SIZES[:3], count)]
     if {"temperature_friction", "warm_up"} <= set(names):
         return None, []
-    plan = stage.plans[stage.counts]
+    plan = setup.plans[setup.counts]
     t = np.arange(0.0, plan.duration, 0.01)
-    motion = move_along(stage.arm, t, *plan.at(t))
-    ground = Ground(
-        stage.arm,
-        torque_scale(stage.arm.robot),
+    motion = move_along(setup.arm, t, *plan.at(t))
+    ground = ReferenceMotion(
+        setup.arm,
+        torque_scale(setup.arm.robot),
         np.abs(motion.dq).max(axis=0),
         np.sqrt(np.mean(motion.dq**2, axis=0)),
         np.abs(motion.rigid).max(axis=0),
         motion.q.min(axis=0),
         motion.q.max(axis=0),
         plan.duration,
-        float(stage.sensors.rate or 0.0),
-        stage.thermal,
+        float(setup.sensors.rate or 0.0),
+        setup.thermal,
         random,
     )
     hidden = []
     for name in names:
         make = FOREIGN[name] if case.kind == "foreign" else library[name]
-        one = make(ground, int(random.integers(stage.arm.n)))
+        one = make(ground, int(random.integers(setup.arm.n)))
         if one is None:
             return None, []
         hidden.append(one)

@@ -1,7 +1,7 @@
-"""Which other effect of a library imitates a hidden one best, by columns written out here.
+"""The other effect whose columns are most similar to a hidden one, by columns defined here.
 
-It tells how fair a case is: where another effect's columns explain nearly all of what a hidden
-effect leaves, no data of this noise can tell the two apart.
+If the columns of another effect explain nearly all of the unexplained torque of a hidden effect,
+data of this noise cannot separate the two.
 """
 
 from __future__ import annotations
@@ -9,29 +9,29 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from hidden_effects.sizes import Clean, Space
+from hidden_effects.base_span import BaseSpan, NoiselessRecord
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Imitation = tuple[str, tuple[int, ...], Array]
+SimilarColumns = tuple[str, tuple[int, ...], Array]
 
 
-def nearest(
-    space: Space, left: Array, joint: int, truth: tuple[str, tuple[int, ...]], *, kept: bool
+def most_similar(
+    span: BaseSpan, left: Array, joint: int, truth: tuple[str, tuple[int, ...]], *, kept: bool
 ) -> tuple[str, float]:
-    """Return the best imitation on one joint and the part of ``left`` (R,) that it explains.
+    """Return the most similar effect on one joint and the part of ``left`` (R,) that it explains.
 
-    ``kept``: the base model is not fitted again, so that nothing is projected off it.
+    With ``kept`` the base model is not fitted again, so that its columns are not projected out.
     """
     tried = [
         (name, joints, matrix)
-        for name, joints, matrix in imitations(space.record, joint)
+        for name, joints, matrix in similar_columns(span.record, joint)
         if (name, joints) != truth
     ]
-    values = np.zeros((*space.record.q.shape, sum(m.shape[1] for *_, m in tried)))
+    values = np.zeros((*span.record.q.shape, sum(m.shape[1] for *_, m in tried)))
     values[:, joint] = np.concatenate([m for *_, m in tried], axis=1)
-    stacked = space.stacked(values)
-    projected = stacked if kept else space.left(stacked)
+    stacked = span.stacked(values)
+    projected = stacked if kept else span.outside(stacked)
     present = np.linalg.norm(projected, axis=0) > 1e-6 * np.linalg.norm(stacked, axis=0)
     best, part, first = "", 0.0, 0
     whole = float(left @ left)
@@ -48,8 +48,8 @@ def nearest(
     return best, part
 
 
-def imitations(r: Clean, j: int) -> Iterator[Imitation]:
-    """Yield name, joints and columns (K, m) of a library's effects on joint j."""
+def similar_columns(r: NoiselessRecord, j: int) -> Iterator[SimilarColumns]:
+    """Yield name, joints and columns (K, m) of the effects of a library on joint j."""
     q, dq, sign = r.q[:, j], r.dq[:, j], np.sign(r.dq[:, j])
     here, fast = (j,), float(np.abs(dq).max()) + 1e-9
     yield "coulomb", here, sign[:, None]

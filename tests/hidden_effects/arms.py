@@ -1,4 +1,4 @@
-"""Three arms to hide effects in, as files that a user would have: YAML, URDF, YAML.
+"""Three arms in which effects are hidden, as YAML, URDF and YAML files.
 
 ``panda`` is the bundled one. ``ur10e`` is made from the Denavit-Hartenberg parameters, masses and
 centres of mass that Universal Robots publishes (support article "DH parameters for calculations of
@@ -75,14 +75,14 @@ def robot_text(name: str) -> tuple[str, str]:
 
 
 def write_robot(name: str, folder: Path) -> Robot:
-    """Write an arm's file into a folder and return the arm as it is read from there."""
+    """Write the file of an arm into a folder and return the arm read from it."""
     file, text = robot_text(name)
     (folder / file).write_text(text, encoding="utf-8")
     return Robot.load(folder / file)
 
 
 def load_arm(name: str) -> Robot:
-    """Return an arm."""
+    """Return the arm of a name."""
     file, text = robot_text(name)
     if file.endswith(".yaml"):
         return Robot.parse_yaml(text)

@@ -1,7 +1,8 @@
-"""How much of an effect a fit of rigid body and plain friction leaves: with Pinocchio's regressor.
+"""Span of the columns of rigid body and plain friction, by Pinocchio's regressor.
 
-Nothing here knows the package's dynamics or effects. Columns are evaluated along the noiseless
-motion as encoders see it, so that the torque of an arm without hidden effects lies in their span.
+It is independent of the package's dynamics and effects. Columns are evaluated along the noiseless
+motion as the encoders measure it, so that the torque of an arm without hidden effects lies in
+their span.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ SINGULAR = 1e-9  # of the largest singular value
 
 
 @dataclass(frozen=True, eq=False)
-class Clean:
-    """What ideal sensors would record, thinned: (K, n) each but for t (K,)."""
+class NoiselessRecord:
+    """Recording of ideal sensors at a reduced rate: (K, n) arrays, t is (K,)."""
 
     t: Array
     q: Array
@@ -32,7 +33,7 @@ class Clean:
     moving: NDArray[np.bool_]
 
 
-def clean(arm: Arm, motion: TrueMotion, rate: float) -> Clean:
+def noiseless_record(arm: Arm, motion: TrueMotion, rate: float) -> NoiselessRecord:
     """Return an arm's noiseless recording of a motion at a rate (Hz), with the acceleration."""
     t, rows = motion.t, sampled_rows(motion.t, rate)
     ideal = measure(arm, motion, Sensors(rate=rate))
@@ -41,13 +42,13 @@ def clean(arm: Arm, motion: TrueMotion, rate: float) -> Clean:
         q[:, effect.joint] -= effect.offset
     assert ideal.tau is not None
     moving = ~motion.resting & (np.abs(motion.motor_dq) > SLOWEST)
-    return Clean(
+    return NoiselessRecord(
         t[rows], q[rows], motion.motor_dq[rows], motion.motor_ddq[rows],
         ideal.tau, motion.rigid[rows], moving[rows],
     )  # fmt: skip
 
 
-def columns(robot, record: Clean) -> Array:
+def columns(robot, record: NoiselessRecord) -> Array:
     """Return rigid, Coulomb, viscous and offset columns (K, n, 10 n + 3 n)."""
     import pinocchio as pin
 
@@ -65,10 +66,10 @@ def columns(robot, record: Clean) -> Array:
     return whole
 
 
-class Space:
-    """The span of the base model's columns on a motion, each joint's rows divided by its noise."""
+class BaseSpan:
+    """Span of the columns of the base model; rows of each joint are divided by its noise."""
 
-    def __init__(self, robot, record: Clean, noise: Array) -> None:
+    def __init__(self, robot, record: NoiselessRecord, noise: Array) -> None:
         self.record, self.noise = record, noise
         weighted = self.stacked(columns(robot, record))
         scale = np.linalg.norm(weighted, axis=0)
@@ -77,20 +78,20 @@ class Space:
         self.basis = q @ u[:, s > SINGULAR * s[0]]
 
     def stacked(self, values: Array) -> Array:
-        """Return (K, n, …) as moving rows over noise (R, …), joint after joint."""
+        """Return values (K, n, …) in motion, divided by the noise, joint after joint (R, …)."""
         parts = [
             values[self.record.moving[:, j], j] / self.noise[j]
             for j in range(self.record.q.shape[1])
         ]
         return np.concatenate(parts)
 
-    def left(self, stacked: Array, beside: Array | None = None) -> Array:
-        """Return what the base columns, and ``beside`` (R, m), do not explain (R, …)."""
+    def outside(self, stacked: Array, further: Array | None = None) -> Array:
+        """Return the part of (R, …) that base columns and further columns (R, m) do not span."""
         rest = stacked - self.basis @ (self.basis.T @ stacked)
         rest = rest - self.basis @ (self.basis.T @ rest)
-        if beside is None or not beside.size:
+        if further is None or not further.size:
             return rest
-        others = self.left(beside)
+        others = self.outside(further)
         q, r = np.linalg.qr(others)
         q = q[:, np.abs(np.diag(r)) > 1e-9 * max(np.abs(np.diag(r)).max(), 1e-12)]
         return rest - q @ (q.T @ rest)
