@@ -12,6 +12,9 @@ from typing import Any
 from fuzz import container_mutations, seeds, text_mutations
 from fuzz.byte_mutations import mutate_bytes
 
+#: Bytes of the longest input.
+LONGEST = 4 << 20
+
 Mutation = Callable[[bytes, random.Random], bytes]
 
 
@@ -49,7 +52,7 @@ class Format:
                 data = self.mutate(data, rng)
             else:
                 data = mutate_bytes(data, rng, rng.choice(files))
-        return data
+        return data[:LONGEST]
 
     def write(self, data: bytes, folder: Path) -> Path:
         """Write a file of this format into a folder."""

@@ -76,6 +76,8 @@ def _explained_band(recording: Recording) -> float | None:
         dq = central_difference(q, rate / step)
     else:
         dq = decimate(smooth_at(recording.t, recording.dq, grid), rate, step)
+    if len(q) < LEAST_ROWS:
+        return None
     bands = _noise_takes_over(q, dq, tau, rate / step, moving)
     return float(np.median(bands)) if bands else None
 
