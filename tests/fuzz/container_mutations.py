@@ -7,11 +7,9 @@ import io
 import random
 import sqlite3
 import struct
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 from fuzz.byte_mutations import INTEGERS, mutate_bytes
@@ -30,7 +28,7 @@ def mutate_gzip(data: bytes, rng: random.Random) -> bytes:
     if kind == 0:
         return data + gzip.compress(inside, 1, mtime=0) + rng.randbytes(rng.choice((0, 5)))
     if kind == 1:
-        return gzip.compress(inside + bytes(10**7), 6, mtime=0)
+        return gzip.compress(inside + bytes(10**6), 6, mtime=0)
     return gzip.compress(mutate_csv(inside, rng), 1, mtime=0)
 
 
@@ -39,7 +37,7 @@ def mutate_gzip(data: bytes, rng: random.Random) -> bytes:
 
 def mutate_npz(data: bytes, rng: random.Random) -> bytes:
     """Return an archive with a member's array, header, name or zip record changed."""
-    members = _members(data)
+    members = zip_members(data)
     if not members:
         return mutate_bytes(data, rng)
     name = rng.choice(list(members))
@@ -53,16 +51,16 @@ def mutate_npz(data: bytes, rng: random.Random) -> bytes:
     elif kind == 3:
         del members[name]
     elif kind == 4:
-        members["unknown.npy"] = _saved(np.zeros(10**6)) if rng.random() < 0.5 else b"junk"
+        members["unknown.npy"] = _saved(np.zeros(10**5)) if rng.random() < 0.5 else b"junk"
     else:
         members[name] = _saved(_other_array(members[name], rng))
-    made = _zipped(members, rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)))
+    made = zipped(members, rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)))
     if rng.random() < 0.3:
         made = _other_record(made, rng)
     return made
 
 
-def _members(data: bytes) -> dict[str, bytes]:
+def zip_members(data: bytes) -> dict[str, bytes]:
     """Return the members of an archive; none of a damaged one."""
     damage = (zipfile.BadZipFile, ValueError, OSError, EOFError, RuntimeError, zlib.error)
     try:
@@ -74,11 +72,12 @@ def _members(data: bytes) -> dict[str, bytes]:
         return {}
 
 
-def _zipped(members: dict[str, bytes], compression: int) -> bytes:
+def zipped(members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytes:
+    """Return an archive whose bytes do not depend on the time."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", compression) as archive:
         for name, content in members.items():
-            archive.writestr(name, content)
+            archive.writestr(zipfile.ZipInfo(name), content, compression)
     return out.getvalue()
 
 
@@ -229,19 +228,14 @@ def mutate_sqlite(data: bytes, rng: random.Random) -> bytes:
         "UPDATE message_definitions SET encoded_message_definition = '][' ",
         "UPDATE metadata SET metadata = '!!int q'",
     )
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "bag.db3"
-        file.write_bytes(data)
-        try:
-            connection = sqlite3.connect(file)
-            try:
-                connection.execute("PRAGMA synchronous = OFF")
-                connection.execute("PRAGMA journal_mode = OFF")
-                for _ in range(rng.choice((1, 2))):
-                    connection.execute(rng.choice(statements))
-                connection.commit()
-            finally:
-                connection.close()
-        except (sqlite3.Error, ValueError, OverflowError):
-            return mutate_bytes(data, rng)
-        return file.read_bytes()
+    connection = sqlite3.connect(":memory:")
+    try:
+        connection.deserialize(data)
+        for _ in range(rng.choice((1, 2))):
+            connection.execute(rng.choice(statements))
+        connection.commit()
+        return connection.serialize()
+    except (sqlite3.Error, ValueError, OverflowError):
+        return mutate_bytes(data, rng)
+    finally:
+        connection.close()

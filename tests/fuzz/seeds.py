@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pyarrow
 import pyarrow.parquet
+from fuzz.container_mutations import zip_members, zipped
 from recording import bag_files
 from recording.planar_arm import measured
 
@@ -90,7 +91,7 @@ def csv_gz() -> list[bytes]:
 @cache
 def npz() -> list[bytes]:
     """NumPy archives."""
-    return _saved("run.npz")
+    return [zipped(zip_members(data)) for data in _saved("run.npz")]
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -66,12 +67,7 @@ class LoadingProcess:
         trace: TracebackType | None,
     ) -> None:
         if self._child is not None:
-            assert self._child.stdin is not None
-            assert self._child.stdout is not None
-            self._child.stdin.close()
-            self._child.wait()
-            self._child.stdout.close()
-            self._child = None
+            self._end(self._child)
 
     def load(self, name: str, path: Path) -> dict[str, str]:
         """Load a file of a format in the child; see `fuzz.loading_process` for the answer."""
@@ -83,13 +79,19 @@ class LoadingProcess:
         if line:
             answer: dict[str, str] = json.loads(line)
             return answer
-        self._child = None
-        ended = -child.wait()
+        ended = -self._end(child)
         if ended in (signal.SIGPROF, signal.SIGALRM):
             detail = f"hang: more than {self._limits[1]} s"
         else:
             detail = f"crash: the process ended by signal {ended}"
         return {"outcome": "escape", "detail": detail, "place": "child process"}
+
+    def _end(self, child: subprocess.Popen[str]) -> int:
+        """Close the pipes, wait for the end, and return the exit code."""
+        self._child = None
+        with contextlib.suppress(BrokenPipeError):
+            child.communicate()
+        return child.returncode
 
     def _start(self) -> subprocess.Popen[str]:
         path = os.pathsep.join([str(TESTS), str(TESTS.parent)])
