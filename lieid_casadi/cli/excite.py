@@ -109,7 +109,7 @@ def _add_search(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Design, write and tell; 130 if interrupted with a trajectory kept."""
+    """Design a trajectory, write and print it; 130 if interrupted with a trajectory kept."""
     from lieid_casadi.excitation import excite
 
     folder = Path(args.output)

@@ -1,4 +1,4 @@
-"""Optimal excitation: trajectories that tell most of the parameters, within every limit."""
+"""Optimal excitation: trajectories that identify the parameters best, within every limit."""
 
 from lieid_casadi.excitation.excitation import Excitation
 from lieid_casadi.excitation.excite import excite

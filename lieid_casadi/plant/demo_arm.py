@@ -109,10 +109,10 @@ def hidden_effect(
     Raises
     ------
     EffectError
-        A name that the plant does not know.
+        The plant has no effect of that name.
     """
     if name not in _MAKERS:
-        raise EffectError(f"hidden effect {name!r}; the plant knows {', '.join(sorted(_MAKERS))}")
+        raise EffectError(f"hidden effect {name!r}; expected one of {', '.join(sorted(_MAKERS))}")
     return _MAKERS[name](_Size(arm, joint, strength, np.random.default_rng([seed, 11])))
 
 

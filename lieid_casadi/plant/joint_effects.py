@@ -211,7 +211,7 @@ class JointOffset(JointEffect):
 
 @dataclass(frozen=True)
 class ForeignTorque(JointEffect):
-    """Any torque, for effects that no library knows.
+    """Any torque, for effects that are in no library.
 
     ``function`` takes the :class:`JointState` and returns the torque of this joint; it must work
     on (n,) and on (N, n) arrays (index with ``[..., joint]``).

@@ -233,7 +233,7 @@ def test_strength_scales_the_size():
 
 def test_unknown_effects_and_joints_are_refused():
     arm = demo_arm(robots.two_link(), hidden=None)
-    with pytest.raises(EffectError, match="the plant knows armature"):
+    with pytest.raises(EffectError, match="expected one of armature"):
         hidden_effect(arm, "warp", 0)
     with pytest.raises(EffectError, match=r"joint 2 \(from 0\), but robot 'two_link' has 2"):
         arm.with_effects(Armature(2, inertia=1.0))

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 logger = logging.getLogger("lieid_casadi")
 SCALE = 0.2  # m; distances count in parts of it when violations are weighed
 TINY = 1e-12  # m²; keeps square roots and quotients of lengths smooth
-PROBES = 500  # random poses that tell which distances vary, and which are hardly ever kept
+PROBES = 500  # random poses that show which distances vary or are rarely kept
 OFTEN = 1.0 / 3.0
 
 
@@ -79,7 +79,7 @@ def workspace_box(
     walls = []
     for axis, (low, high) in enumerate(zip(lower, upper, strict=True)):
         if not low < high:
-            raise ExcitationError(f"room: lower {low:g} m, upper {high:g} m along {'xyz'[axis]}")
+            raise ExcitationError(f"box: lower {low:g} m, upper {high:g} m along {'xyz'[axis]}")
         unit = [0.0, 0.0, 0.0]
         for sign, edge in ((-1.0, low), (1.0, high)):
             unit[axis] = sign
