@@ -10,7 +10,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.comparison import plot_style
 from lieid_casadi.effects import LIBRARY
-from lieid_casadi.effects.effect import make
+from lieid_casadi.effects.registry import make
 
 ROBOT, RATE, DURATION = "panda", 100.0, 20.0
 JOINT = 1  # joint 2 carries most of the load

@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> None:
     """Print the description of an effect, or a table of all."""
     from lieid_casadi.effects import make
     from lieid_casadi.effects.description import describe
-    from lieid_casadi.effects.effect import REGISTER
+    from lieid_casadi.effects.registry import REGISTER
 
     shared_options.load_effects_file(args.effects_file)
     labels = sorted(REGISTER) if args.name is None else [args.name]

@@ -1,4 +1,4 @@
-"""A model's functions on batches: C on vector registers, or CasADi's virtual machine."""
+"""A model's functions on batches of samples: compiled C, or CasADi's virtual machine."""
 
 from lieid_casadi.compiled.base_regressor_blocks import BaseBlocks
 from lieid_casadi.compiled.compiled_model import Compiled, compile

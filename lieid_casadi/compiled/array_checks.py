@@ -1,4 +1,4 @@
-"""Checks of the arrays that a compiled model is given."""
+"""Checks of the arrays that a compiled model takes."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ _FLOAT = np.dtype(np.float64)
 
 
 def samples(name: str, values: ArrayLike, width: int, count: int | None = None) -> Array:
-    """Return values as float64 (N, width), of any strides; N must be ``count`` where given.
+    """Return values as float64 (N, width), of any strides.
 
     Parameters
     ----------
     name : str
-        Name in error messages.
-    values : (N, width) array-like
+        Named in errors.
+    values : (N, width)
     width : int
-        Number of columns.
     count : int, optional
-        Number of rows.
+        The N that is expected; any if left out.
 
     Raises
     ------
@@ -45,15 +44,14 @@ def times(values: ArrayLike, count: int) -> Array:
 
 
 def constants(name: str, values: ArrayLike, width: int) -> Array:
-    """Return values that are the same for every sample as contiguous float64 (width,).
+    """Return values that are the same for every sample as contiguous float64.
 
     Parameters
     ----------
     name : str
-        Name in error messages.
-    values : (width,) array-like
+        Named in errors.
+    values : (width,)
     width : int
-        Number of values.
     """
     array = _real(name, values)
     if array.shape != (width,):

@@ -1,4 +1,4 @@
-"""The base regressor in blocks that stay in cache, joint by joint, for reductions on the fly."""
+"""The base regressor in blocks that fit in cache, joint by joint, for reductions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lieid_casadi.compiled.library import Runtime
 
 Array = NDArray[np.float64]
 BUFFER_BYTES = 1 << 19  # half of a common second-level cache
-PADDING = 8  # doubles between rows: rows apart by a power of two compete for the same cache lines
+PADDING = 8  # doubles between rows: strides of a power of two map to the same cache lines
 
 
 class BaseBlocks:
@@ -72,10 +72,16 @@ class BaseBlocks:
         return memory[start : start + rows * columns].reshape(rows, columns)
 
     def evaluate(self, first: int, last: int, buffer: Array) -> tuple[Array, ...]:
-        """Return samples first … last − 1 (at most ``size``) as one array (p_i, m) per joint.
+        """Return some samples as one array (p_i, m) per joint, m = last − first.
 
-        Rows are contiguous, so that the transpose is a Fortran-ordered matrix of m samples; they
-        are views of the buffer.
+        Rows are contiguous, so that the transpose is a Fortran-ordered matrix of m samples.
+
+        Parameters
+        ----------
+        first, last : int
+            Samples first … last − 1, at most ``size``.
+        buffer : array
+            From `buffer`; the results are views of it.
         """
         self._bound.columns(first, last, buffer)
         ends = zip(self._starts[:-1], self._starts[1:], strict=True)

@@ -16,21 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled.kernel_source import CONSTANT_ARGUMENTS
-from lieid_casadi.compiled.library import Argument, Call, Kernel, Plan, Runtime
+from lieid_casadi.compiled.library import BatchArgument, BatchPlan, Kernel, KernelCall, Runtime
 from lieid_casadi.expressions.model_functions import SparseFunction
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-SAMPLES_PER_THREAD = 8192  # fewer are not worth a thread
+SAMPLES_PER_THREAD = 8192  # below it starting a thread takes longer than it saves
 LAST_LEVEL_CACHE = 8 << 20  # bytes; larger results are written past the caches
 BLOCK = 4096  # samples that the virtual machine evaluates at once
 _ROLES = {"sin": 2, "cos": 3}
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Where the values of a matrix (rows, columns) are.
+class MatrixLayout:
+    """The places of the values of a matrix (rows, columns).
 
     ``rows``, ``columns`` (nnz,) give the place of each value, row after row, columns ascending.
     """
@@ -54,18 +54,18 @@ class Layout:
 class Evaluation(ABC):
     """A matrix function of samples, made of parts side by side."""
 
-    layout: Layout
+    layout: MatrixLayout
 
     @abstractmethod
-    def bind(self, values: Mapping[str, Array]) -> Bound:
+    def bind(self, values: Mapping[str, Array]) -> BoundEvaluation:
         """Return the function on given samples.
 
         ``values`` maps the names of arguments to arrays, (N, width) per sample or (width,) the same
-        for all; names left out are zero. The arrays are not copied.
+        for all; arguments without a value are zero. The arrays are not copied.
         """
 
 
-class Bound(ABC):
+class BoundEvaluation(ABC):
     """An evaluation on given samples.
 
     ``compiled`` is the runtime and the address of the ``lieid_plan``, None for the virtual machine.
@@ -79,11 +79,19 @@ class Bound(ABC):
 
     @abstractmethod
     def columns(self, first: int, last: int, out: Array) -> None:
-        """Write the values of samples first … last − 1 to ``out`` (nnz, ≥ last − first)."""
+        """Write the values of some samples.
+
+        Parameters
+        ----------
+        first, last : int
+            Samples first … last − 1.
+        out : (nnz, ≥ last − first)
+            Row k receives value k of the layout.
+        """
 
 
 class CompiledEvaluation(Evaluation):
-    """By compiled kernels; part k begins at column ``first_columns[k]``."""
+    """Evaluation by compiled kernels; part k begins at column ``first_columns[k]``."""
 
     def __init__(
         self,
@@ -101,8 +109,8 @@ class CompiledEvaluation(Evaluation):
         self.arguments = _make_arguments(names, kernels)
         self.offsets, self.sources = _chunks(self.layout, runtime.lanes)
 
-    def _make_calls(self) -> ctypes.Array[Call]:
-        calls = (Call * len(self.kernels))()
+    def _make_calls(self) -> ctypes.Array[KernelCall]:
+        calls = (KernelCall * len(self.kernels))()
         start = self.layout.row_starts[:-1].copy()
         self._kept: list[Indices] = []  # memory that the calls point to
         for call, kernel in zip(calls, self.kernels, strict=True):
@@ -115,12 +123,12 @@ class CompiledEvaluation(Evaluation):
             call.row_starts = starts.ctypes.data
         return calls
 
-    def bind(self, values: Mapping[str, Array]) -> Bound:
+    def bind(self, values: Mapping[str, Array]) -> BoundEvaluation:
         """See `Evaluation`."""
-        return _CompiledBound(self, values)
+        return _BoundKernels(self, values)
 
 
-class _CompiledBound(Bound):
+class _BoundKernels(BoundEvaluation):
     def __init__(self, evaluation: CompiledEvaluation, values: Mapping[str, Array]) -> None:
         self._evaluation, self._values = evaluation, values
         self._arguments = type(evaluation.arguments).from_buffer_copy(evaluation.arguments)
@@ -132,7 +140,7 @@ class _CompiledBound(Bound):
                 if array.ndim == 2:
                     argument.sample_bytes, argument.value_bytes = array.strides
         calls = evaluation.calls
-        self._plan = Plan(
+        self._plan = BatchPlan(
             len(self._arguments), ctypes.addressof(self._arguments),
             len(calls), ctypes.addressof(calls),
         )  # fmt: skip
@@ -167,7 +175,7 @@ class _CompiledBound(Bound):
 
 
 class MachineEvaluation(Evaluation):
-    """By CasADi's virtual machine, on blocks of samples."""
+    """Evaluation by CasADi's virtual machine, on blocks of samples."""
 
     def __init__(
         self,
@@ -178,12 +186,20 @@ class MachineEvaluation(Evaluation):
         self.functions = functions
         self.layout, self._order = _side_by_side(functions, first_columns, shape)
 
-    def bind(self, values: Mapping[str, Array]) -> Bound:
+    def bind(self, values: Mapping[str, Array]) -> BoundEvaluation:
         """See `Evaluation`."""
-        return _MachineBound(self, values)
+        return _BoundMachine(self, values)
 
     def values(self, values: Mapping[str, Array], first: int, last: int) -> Array:
-        """Return the values (nnz, last − first) in the layout's order."""
+        """Return the values (nnz, last − first) of some samples in the layout's order.
+
+        Parameters
+        ----------
+        values : mapping
+            Arrays by the names of arguments.
+        first, last : int
+            Samples first … last − 1.
+        """
         parts = []
         for sparse in self.functions:
             inputs = [
@@ -206,7 +222,7 @@ class MachineEvaluation(Evaluation):
         return array[first:last].T if array.ndim == 2 else array
 
 
-class _MachineBound(Bound):
+class _BoundMachine(BoundEvaluation):
     def __init__(self, evaluation: MachineEvaluation, values: Mapping[str, Array]) -> None:
         self._evaluation, self._values = evaluation, values
 
@@ -222,9 +238,9 @@ class _MachineBound(Bound):
         out[:, : last - first] = self._evaluation.values(self._values, first, last)
 
 
-def _make_arguments(names: Sequence[str], kernels: Sequence[Kernel]) -> ctypes.Array[Argument]:
+def _make_arguments(names: Sequence[str], kernels: Sequence[Kernel]) -> ctypes.Array[BatchArgument]:
     """Return the arguments without their data."""
-    arguments = (Argument * len(names))()
+    arguments = (BatchArgument * len(names))()
     for argument, name in zip(arguments, names, strict=True):
         argument.width = max(dict(kernel.arguments).get(name, 0) for kernel in kernels)
         argument.role = 1 if name in CONSTANT_ARGUMENTS else _ROLES.get(name, 0)
@@ -238,14 +254,14 @@ def _side_by_side(
     parts: Sequence[Kernel | SparseFunction],
     first_columns: Sequence[int],
     shape: tuple[int, int],
-) -> tuple[Layout, NDArray[np.intp]]:
-    """Return the layout of parts together, and which of their values comes where in it."""
+) -> tuple[MatrixLayout, NDArray[np.intp]]:
+    """Return the layout of parts side by side, and the order of their values in it."""
     none = np.zeros(0, dtype=np.int64)
     rows = np.concatenate([none, *(part.rows for part in parts)])
     moved = [part.columns + first for part, first in zip(parts, first_columns, strict=True)]
     columns = np.concatenate([none, *moved])
     order = np.lexsort((columns, rows))
-    return Layout(shape, rows[order], columns[order]), order
+    return MatrixLayout(shape, rows[order], columns[order]), order
 
 
 def _address(array: NDArray[Any]) -> int:
@@ -261,7 +277,7 @@ def default_threads() -> int:
 
 
 def _names(kernels: Sequence[Kernel]) -> list[str]:
-    """Return the arguments of all kernels; q first, whose sines the runtime takes."""
+    """Return the arguments of all kernels, q first, of which the runtime takes sines."""
     names = [name for kernel in kernels for name, _ in kernel.arguments]
     return sorted(dict.fromkeys(names), key=lambda name: name != "q")
 
@@ -275,11 +291,11 @@ def _slices(samples: int, threads: int, lanes: int) -> list[tuple[int, int]]:
     return [(first, min(first + step, samples)) for first in range(0, samples, step)]
 
 
-def _chunks(layout: Layout, lanes: int) -> tuple[Indices, NDArray[np.int32]]:
+def _chunks(layout: MatrixLayout, lanes: int) -> tuple[Indices, NDArray[np.int32]]:
     """Return the pieces of ``lanes`` entries that hold values: offsets (c,), sources (c·lanes,).
 
-    A piece that reaches over the matrix's end comes first: what it writes there, zeros, is
-    overwritten by the next matrix.
+    A piece that extends beyond the end of the matrix is written first: the zeros that it writes
+    there are overwritten by the next matrix.
     """
     size = layout.shape[0] * layout.shape[1]
     padded = np.full(-(-size // lanes) * lanes, layout.count, dtype=np.int32)

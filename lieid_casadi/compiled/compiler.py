@@ -29,7 +29,7 @@ logger = logging.getLogger("lieid_casadi")
 
 @dataclass(frozen=True)
 class Target:
-    """An instruction set: samples per register, and the flags that ask for it."""
+    """An instruction set: its samples per register, the compiler flags and processor flags."""
 
     name: str
     lanes: int
@@ -64,7 +64,7 @@ def processor_flags() -> frozenset[str]:
 
 
 def available_targets() -> tuple[Target, ...]:
-    """Return what this processor can run, fastest first; ``scalar`` always comes last."""
+    """Return what this processor can run, fastest first; ``scalar`` is the last."""
     return tuple(target for target in TARGETS if target.needs <= processor_flags())
 
 

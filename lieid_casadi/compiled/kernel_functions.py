@@ -1,4 +1,4 @@
-"""The functions that are compiled: those of a model, and what only compiled code needs."""
+"""The functions that are compiled: those of a model, and some for compiled code alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lieid_casadi.expressions.model_functions import ModelFunctions, SparseFunct
 
 
 class KernelFunctions(ModelFunctions):
-    """`ModelFunctions` and the expressions that compiled code has beside them."""
+    """`ModelFunctions` and further expressions that only compiled code uses."""
 
     @cached_property
     def _effect_inputs(self) -> tuple[list[ca.SX], list[str]]:

@@ -1,4 +1,4 @@
-"""From a model to its kernels: found in the cache, or built."""
+"""The kernels of a model: loaded from the cache, or built."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ logger = logging.getLogger("lieid_casadi")
 
 Loaded = TypeVar("Loaded", Kernel, Reducer, Runtime)
 
-# Functions that follow from the robot's geometry alone: they are found in the cache by its
-# numbers, without deriving anything. All others are small and are found by their C source.
+# Functions of the robot's geometry alone: their cache key is made of its numbers, so that a hit
+# derives nothing. All others are small, and their key is made of their C source.
 RIGID = frozenset(
     {"regressor", "base_regressor", "slotine_li_regressor", "inverse_dynamics", "mass_matrix",
      "coriolis_matrix", "gravity", "jacobian"}
@@ -222,7 +222,7 @@ def _key(compiler: Compiler, target: Target, content: str) -> str:
 
 
 def _rigid_content(functions: KernelFunctions, name: str) -> str:
-    """Return what a rigid function depends on: geometry, kept columns, the code that derives it."""
+    """Return all that a rigid function depends on: geometry, kept columns, deriving code."""
     model = functions.model
     digest = hashlib.sha256(_robot_numbers(model.robot))
     if name == "base_regressor":
@@ -245,9 +245,9 @@ def _header() -> str:
 def _derivation() -> str:
     """Return a digest of the code between a robot and its C source."""
     package, here = Path(__file__).parents[1], Path(__file__).parent
-    files = [*(package / "dynamics").glob("*.py"), *(package / "expressions").glob("*.py")]
-    files += [package / "robot" / "joint.py", here / "kernel_functions.py"]
-    files += [here / "kernel_source.py"]
+    files = [*(package / "dynamics").glob("*.py"), package / "robot" / "joint.py"]
+    files += [package / "expressions" / name for name in ("model_functions.py", "c_writer.py")]
+    files += [here / name for name in ("kernel_functions.py", "kernel_source.py")]
     digest = hashlib.sha256(ca.CasadiMeta.version().encode())
     for path in sorted(files):
         digest.update(path.read_bytes())

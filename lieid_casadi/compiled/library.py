@@ -67,7 +67,7 @@ def _indices(library: ctypes.CDLL, name: str, count: int) -> Indices:
     return np.array((ctypes.c_int32 * count).in_dll(library, name), dtype=np.int32)
 
 
-class Argument(ctypes.Structure):
+class BatchArgument(ctypes.Structure):
     """``lieid_argument`` of ``codegen/lieid_batch.c``."""
 
     _fields_ = (
@@ -79,7 +79,7 @@ class Argument(ctypes.Structure):
     )
 
 
-class Call(ctypes.Structure):
+class KernelCall(ctypes.Structure):
     """``lieid_call``."""
 
     _fields_ = (
@@ -91,7 +91,7 @@ class Call(ctypes.Structure):
     )
 
 
-class Plan(ctypes.Structure):
+class BatchPlan(ctypes.Structure):
     """``lieid_plan``."""
 
     _fields_ = (

@@ -1,8 +1,9 @@
-"""Triangular factors of rows that come in blocks (TSQR): Householder, never a Gram matrix.
+"""Triangular factors of rows that arrive in blocks (TSQR), by Householder reflections.
 
 The factor of all rows is the factor of [factor so far; next block] (Demmel, Grigori, Hoemmen,
 Langou, "Communication-optimal parallel and sequential QR and LU factorizations", SIAM J. Sci.
-Comput. 2012). Compiled code does it in cache; without a compiler LAPACK does.
+Comput. 2012). Compiled code computes it in cache; LAPACK does so without a compiler. No Gram matrix
+is formed, which would square the condition number.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ Array = NDArray[np.float64]
 BLOCK = 512  # rows reduced at once
 PADDING = 8  # doubles between columns, see `blocks`
 MOST_LANES = 8
-SAMPLES_PER_THREAD = 4096  # fewer are not worth a thread
+SAMPLES_PER_THREAD = 4096  # below it starting a thread takes longer than it saves
 
 
 def triangular(matrix: Array) -> Array:
@@ -59,7 +60,7 @@ class Triangle:
         self._pointers = np.zeros(columns, dtype=np.int64)
 
     def add(self, *parts: Array, weights: Array | None = None) -> None:
-        """Add rows; ``parts`` (m, …) stand side by side, ``weights`` (m,) multiply the rows."""
+        """Add rows: ``parts`` (m, …) side by side, multiplied by ``weights`` (m,) row by row."""
         wide = [part if part.ndim == 2 else part[:, None] for part in parts]
         for first in range(0, len(wide[0]), BLOCK):
             rows = slice(first, first + BLOCK)

@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
-from lieid_casadi.effects.effect import Coefficient, register
+from lieid_casadi.effects.effect import Coefficient
+from lieid_casadi.effects.registry import register
 
 LEAST = 1e-4  # rad
 

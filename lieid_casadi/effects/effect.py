@@ -1,4 +1,4 @@
-"""Definition of a physical effect, and the registry of all effects by name.
+"""Definition of a physical effect.
 
 An effect is written once, as CasADi columns per joint. The fit, the prediction, the generated
 C, the regressor of an excitation and the candidates of a diagnosis all use that definition.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
@@ -256,103 +256,3 @@ class Effect(ABC):
 
     def __repr__(self) -> str:
         return f"<effect {self.label}: {self.formula}>"
-
-
-@dataclass(frozen=True)
-class EffectVariant:
-    """An effect class with one of its options; calling it makes the effect."""
-
-    kind: type[Effect]
-    option: str
-
-    def __call__(self) -> Effect:
-        """Return a new effect."""
-        return self.kind(option=self.option) if self.option else self.kind()
-
-
-#: Every registered effect by its label, ``name`` or ``name/option``.
-REGISTER: dict[str, EffectVariant] = {}
-
-
-def register(kind: type[Effect]) -> type[Effect]:
-    """Register an effect class under its name, and under ``name/option`` for each option.
-
-    Raises
-    ------
-    EffectError
-        If the name is taken by another effect.
-    """
-    for option in ("", *kind.options):
-        label = f"{kind.name}/{option}" if option else kind.name
-        taken = REGISTER.get(label)
-        if taken is not None and taken.kind is not kind:
-            raise EffectError(f"effect name {label!r} is taken; choose another name")
-        REGISTER[label] = EffectVariant(kind, option)
-    return kind
-
-
-def effect(
-    name: str,
-    *,
-    formula: str,
-    coefficients: Mapping[str, str],
-    shapes: Sequence[Shape] = (),
-    signals: Sequence[str] = ("q", "dq", "sign"),
-    couples: bool = False,
-) -> Callable[[Callable[..., Sequence[ca.SX]]], type[Effect]]:
-    """Register a function ``columns(signals, shape)`` as an effect.
-
-    Parameters
-    ----------
-    name, formula : str
-    coefficients : mapping
-        Linear coefficient → unit, in the order of the returned columns.
-    shapes : sequence of Shape
-        Shape parameters; the function receives their symbols by name.
-    signals : sequence of str
-        The fields of `Signals` that the function uses.
-    couples : bool
-        Whether another joint acts on this one: its signals are ``signals.other``, and the effect
-        is placed on pairs, ``name:5<6``.
-
-    Examples
-    --------
-    >>> import casadi as ca
-    >>> @effect("cogging6", formula="a·sin(6q)", coefficients={"a": "N·m"}, signals=["q"])
-    ... def cogging(s, shape):
-    ...     return [ca.sin(6 * s.q)]
-    >>> make("cogging6")
-    <effect cogging6: a·sin(6q)>
-    """
-
-    def wrap(function: Callable[..., Sequence[ca.SX]]) -> type[Effect]:
-        members = {
-            "__doc__": function.__doc__,
-            "name": name,
-            "formula": formula,
-            "coefficients": tuple(Coefficient(key, unit) for key, unit in coefficients.items()),
-            "shapes": tuple(shapes),
-            "signals": tuple(signals),
-            "couples": couples,
-            "columns": lambda self, s, shape: function(s, shape),
-        }
-        return register(type(name, (Effect,), members))
-
-    return wrap
-
-
-def make(label: str) -> Effect:
-    """Return the effect of a name or ``name/option``.
-
-    Raises
-    ------
-    EffectError
-        If no effect has that name; the message lists those that exist.
-    """
-    if label not in REGISTER:
-        names = ", ".join(sorted(REGISTER))
-        raise EffectError(
-            f"unknown effect {label!r}; expected one of {names}, "
-            "or a user-defined effect given with --effects-file"
-        )
-    return REGISTER[label]()

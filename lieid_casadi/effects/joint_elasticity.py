@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel
-from lieid_casadi.effects.effect import Coefficient, register
+from lieid_casadi.effects.effect import Coefficient
+from lieid_casadi.effects.registry import register
 
 LEAST = 1e-4  # rad of deflection at the largest load; smallest step of the difference quotient
 

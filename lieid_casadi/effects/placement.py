@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from lieid_casadi.effects.effect import Effect, make
+from lieid_casadi.effects.effect import Effect
+from lieid_casadi.effects.registry import make
 from lieid_casadi.errors import EffectError
 
 

@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals, register
+from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals
+from lieid_casadi.effects.registry import register
 
 
 @register

@@ -7,7 +7,8 @@ from typing import ClassVar
 import casadi as ca
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
-from lieid_casadi.effects.effect import Coefficient, register
+from lieid_casadi.effects.effect import Coefficient
+from lieid_casadi.effects.registry import register
 
 
 @register

@@ -164,7 +164,7 @@ def rows_of(robot, make, peaks):
 
 COMPILE = """
 import time, numpy as np, lieid_casadi as lieid
-from lieid_casadi.effects.effect import REGISTER
+from lieid_casadi.effects.registry import REGISTER
 names = [name for name in sorted(REGISTER) if "/" not in name]
 effects = [name + ":2<1" if REGISTER[name]().couples else name for name in names]
 model = lieid.Model(lieid.robots.panda(), effects=effects)

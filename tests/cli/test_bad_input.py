@@ -282,7 +282,7 @@ def test_an_exception_in_the_effects_file_names_the_line(run, tmp_path, good, co
     options = ["--effects", effects, "--effects-file", path, "-o", out]
     refused(run("identify", "two_link", good, *options), f"{path}, line {line}: {words}")
     assert not out.exists()
-    from lieid_casadi.effects.effect import REGISTER
+    from lieid_casadi.effects.registry import REGISTER
 
     REGISTER.pop("own_broken", None)
 

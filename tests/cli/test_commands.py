@@ -141,7 +141,7 @@ def test_own_effect_from_a_file(runs, tmp_path, capsys):
     arguments = ["identify", "two_link", runs[0], "--effects", "viscous,cli_waves:2"]
     assert main([*arguments, "--effects-file", str(code), "-o", str(fit)]) == 0
     assert "cli_waves.a:2" in capsys.readouterr().out
-    from lieid_casadi.effects.effect import REGISTER
+    from lieid_casadi.effects.registry import REGISTER
 
     del REGISTER["cli_waves"]
     assert main(["compare", str(fit), runs[1]]) == 2

@@ -22,7 +22,7 @@ from lieid_casadi.diagnosis.residual.test_validation import TrainAndTest, confir
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
-from lieid_casadi.effects.effect import REGISTER
+from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.recording import process
 from lieid_casadi.report import diagnosis_report
 

@@ -7,7 +7,7 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi.diagnosis.screening.numpy_evaluation import ArrayFunction
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.effects.effect import REGISTER, make
+from lieid_casadi.effects.registry import REGISTER, make
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 EXPRESSIONS = {

@@ -251,7 +251,7 @@ def test_absorbed_effects_have_no_solution(fit, alias):
 
 
 def test_two_names_of_one_effect_have_no_solution(fit):
-    from lieid_casadi.effects.effect import REGISTER, effect
+    from lieid_casadi.effects.registry import REGISTER, effect
 
     units = {"a": "N·m·s²/rad²", "b": "N·m·s³/rad³"}
 

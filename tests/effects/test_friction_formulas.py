@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lieid_casadi.effects import Signals, make
-from lieid_casadi.effects.effect import REGISTER
+from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import EffectError
 
 NAMES = ("q", "dq", "ddq", "sign", "load", "temperature", "time")

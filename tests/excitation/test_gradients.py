@@ -135,7 +135,7 @@ def test_information_matrix_uses_the_regressor_of_the_model():
 
 @pytest.mark.parametrize("effect", ["temperature_friction", "presliding", "bias_drift"])
 def test_effects_that_no_motion_excites_are_refused(effect):
-    from lieid_casadi.effects.effect import REGISTER
+    from lieid_casadi.effects.registry import REGISTER
 
     if effect not in REGISTER:
         pytest.skip(f"no effect {effect}")

@@ -11,7 +11,7 @@ from lieid_casadi.diagnosis.residual.function_dictionary import Term
 from lieid_casadi.diagnosis.residual.shapes import SmoothShape
 from lieid_casadi.diagnosis.residual.signal_names import SIGNAL_KEYS, split_name
 from lieid_casadi.diagnosis.residual.smooth_function_code import smooth_lists
-from lieid_casadi.effects.effect import REGISTER
+from lieid_casadi.effects.registry import REGISTER
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis.residual.unexplained import Unexplained

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.incremental_effect import incremental
 from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
-from lieid_casadi.effects.effect import REGISTER, make
+from lieid_casadi.effects.registry import REGISTER, make
 from lieid_casadi.identification.regression.shape_range import ShapeRange
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed

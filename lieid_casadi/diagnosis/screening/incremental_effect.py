@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Effect, Signals, make
+from lieid_casadi.effects.effect import Effect, Signals
+from lieid_casadi.effects.registry import make
 
 
 class IncrementalEffect(Effect):

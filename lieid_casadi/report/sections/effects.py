@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from lieid_casadi.effects import make
 from lieid_casadi.effects.description import describe
-from lieid_casadi.effects.effect import REGISTER
+from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.report.section import Section
 
 
