@@ -101,7 +101,7 @@ def rerun_options(d: Diagnosis, labels: Sequence[str]) -> str:
 def error_table(d: Diagnosis) -> Table:
     """Return the error of each joint, N·m, one row per model."""
     measured, errors = d.shown
-    heading = [f"{j + 1} {name}" for j, name in enumerate(d.joint_names)]
+    heading = [f"joint {j + 1}" for j in range(len(d.joint_names))]
     names = ["+".join(d.baseline_effects) or "rigid", *(f"+ {step.label}" for step in d.steps)]
     p_values = [None, *(_p_value(step) for step in d.steps)]
     rows: list[list[object]] = [
@@ -109,14 +109,16 @@ def error_table(d: Diagnosis) -> Table:
         for name, values, p in zip(names, errors, p_values, strict=True)
     ]
     if d.expected is not None:
-        rows.append(["expected (held-out error of the fit)", *map(float, d.expected), None])
-    rows.append([f"noise floor ({SOURCES[d.noise_source]})", *map(float, d.noise_floor), None])
+        rows.append(["expected", *map(float, d.expected), None])
+    rows.append(["noise floor", *map(float, d.noise_floor), None])
+    expected = "" if d.expected is None else " Expected: held-out error of the fit."
     return make_table(
         f"RMS error on the {measured}, N·m (low-pass {d.fit.processing.cutoff:.3g} Hz)",
         ["model", *heading, "p"],
         rows,
         note="Each row adds one effect to the row above and fits all parameters again. p: "
-        "family-wise p-value over all candidates. Steps are selected on the training recordings.",
+        "family-wise p-value over all candidates. Steps are selected on the training recordings. "
+        f"Noise floor: {SOURCES[d.noise_source]}.{expected}",
     )
 
 
