@@ -10,11 +10,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.dynamics.base_parameters import (
-    BaseParameters,
-    EnergyColumn,
-    base_parameters,
-)
+from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
+from lieid_casadi.dynamics.null_space import EnergyColumn
 from lieid_casadi.effects import Effect, Placement, Signals, parse_effects, place
 from lieid_casadi.effects.placement import labels
 from lieid_casadi.errors import ModelError
@@ -24,7 +21,7 @@ from lieid_casadi.robot.inertia import LINK_PARAMETER_UNITS
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a model: a link parameter, an effect's coefficient or its shape.
+    """A parameter of a model: of a link, or a coefficient or shape parameter of an effect.
 
     ``joint`` counts from 0; bounds are those of the physics, infinite where there are none.
     """
@@ -58,7 +55,17 @@ class EffectSignals:
     def of(
         self, joint: int, source: int | None = None, state: Mapping[str, ca.SX] | None = None
     ) -> Signals:
-        """Return one joint's signals, with an effect's own states."""
+        """Return the signals of one joint.
+
+        Parameters
+        ----------
+        joint : int
+            From 0.
+        source : int, optional
+            The joint that acts on it, for couplings.
+        state : mapping, optional
+            The effect's own states by name.
+        """
         return Signals(
             q=self.q[joint],
             dq=self.dq[joint],

@@ -7,7 +7,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from lieid_casadi.dynamics.recursion import Reference
+from lieid_casadi.dynamics.recursion import ReferenceMotion
 from lieid_casadi.dynamics.regressor import slotine_li_regressor
 from lieid_casadi.expressions.model_functions import ModelFunctions, SparseFunction, sparse_function
 
@@ -69,5 +69,5 @@ class KernelFunctions(ModelFunctions):
         dq_r, ddq_r = ca.SX.sym("dq_r", n), ca.SX.sym("ddq_r", n)
         inputs = [m.q, m.sin, m.cos, m.dq, dq_r, ddq_r]
         names = ["q", "sin", "cos", "dq", "dq_r", "ddq_r"]
-        matrix = slotine_li_regressor(self.model.robot, m, Reference(dq_r, ddq_r))
+        matrix = slotine_li_regressor(self.model.robot, m, ReferenceMotion(dq_r, ddq_r))
         return sparse_function("slotine_li_regressor", inputs, names, matrix)

@@ -115,7 +115,7 @@ def inverse_adjoint_times(g: Pose, twist: ca.SX) -> ca.SX:
 
 
 def inverse_adjoint_transpose_times(g: Pose, wrench: ca.SX) -> ca.SX:
-    """Return (Ad_g⁻¹)ᵀ·F: a wrench (6,) of the child frame seen in the parent frame."""
+    """Return (Ad_g⁻¹)ᵀ·F: a wrench (6,) of the child frame, expressed in the parent frame."""
     moment = ca.mtimes(g.rotation, wrench[:3])
     force = ca.mtimes(g.rotation, wrench[3:])
     return ca.vertcat(moment + cross(g.translation, force), force)

@@ -15,8 +15,8 @@ from lieid_casadi.robot.robot import Robot
 class Motion:
     """Symbols q, q̇, q̈ (n,) with the sines and cosines of q.
 
-    Generated code takes sines and cosines as inputs of their own (they vectorize apart);
-    `functions of q` are made by putting ``ca.sin(q)`` and ``ca.cos(q)`` in.
+    Sines and cosines are separate symbols because generated code computes them for many samples at
+    once. `of` substitutes ``ca.sin(q)`` and ``ca.cos(q)``.
     """
 
     q: ca.SX
@@ -32,7 +32,15 @@ class Motion:
 
     @classmethod
     def of(cls, q: ca.SX, dq: ca.SX | None = None, ddq: ca.SX | None = None) -> Motion:
-        """Return the motion of given expressions; rates left out are structurally zero."""
+        """Return the motion of given expressions.
+
+        Parameters
+        ----------
+        q : (n,)
+            rad (m for a prismatic joint).
+        dq, ddq : (n,), optional
+            Structurally zero if left out.
+        """
         zero = ca.SX(q.shape[0], 1)
         dq, ddq = (zero if rate is None else rate for rate in (dq, ddq))
         return cls(q, ca.sin(q), ca.cos(q), dq, ddq)

@@ -1,4 +1,8 @@
-"""Newton-Euler recursion on twists and wrenches (Luo et al. 2024, Eqs. 2-3, slips mended)."""
+"""Newton-Euler recursion on twists and wrenches (Luo et al. 2024, Eqs. 2-3, corrected).
+
+The corrections, a sign in Eq. 2 and an inverse in Eq. 3, are explained in
+`lieid_casadi.dynamics.stacked_form`.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,7 @@ from lieid_casadi.robot.robot import Robot
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferenceMotion:
     """A second motion q̇_r, q̈_r (n,) through the same pose."""
 
     dq: ca.SX
@@ -29,11 +33,11 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class BodyMotion:
+class LinkAcceleration:
     """Accelerations of one link, expressed in its frame: a + K·r at the point r, K = α̂ + ω̂².
 
     ``angular_acceleration`` is α (3,), ``centripetal`` ω̂² (3, 3), ``acceleration`` that of the
-    frame's origin (3,) against free fall (gravity included, A₀ = [0; −g]).
+    frame's origin (3,) relative to free fall (A₀ = [0; −g] includes gravity).
     """
 
     angular_acceleration: ca.SX
@@ -41,22 +45,22 @@ class BodyMotion:
     acceleration: ca.SX
 
     @property
-    def turning(self) -> ca.SX:
-        """K (3, 3)."""
+    def gradient(self) -> ca.SX:
+        """K (3, 3), the change of acceleration per distance from the origin."""
         return hat(self.angular_acceleration) + self.centripetal
 
 
-def body_motions(
+def link_accelerations(
     robot: Robot,
     motion: Motion,
     *,
-    reference: Reference | None = None,
+    reference: ReferenceMotion | None = None,
     gravity: ca.SX | None = None,
-) -> list[BodyMotion]:
+) -> list[LinkAcceleration]:
     """Forward recursion, Eq. 2, on the accelerations of points instead of twists.
 
     V_i = Ad⁻¹V_{i−1} + ξq̇ and A_i = Ad⁻¹A_{i−1} + ad_{Ad⁻¹V}(ξq̇) + ξq̈, with the origin's
-    acceleration A_v + ω × v in place of A_v: linear velocities drop out.
+    acceleration A_v + ω × v in place of A_v, which makes linear velocities unnecessary.
 
     With a reference, q̈ is q̈_r and every product of two velocities becomes half the sum of the two
     mixed products: the bilinear form whose torque is C(q, q̇)·q̇_r with Ṁ − 2C skew-symmetric.
@@ -66,7 +70,7 @@ def body_motions(
     robot : Robot
     motion : Motion
         Symbols q, q̇, q̈ (n,).
-    reference : Reference, optional
+    reference : ReferenceMotion, optional
         Second motion q̇_r, q̈_r (n,).
     gravity : (3,), optional
         In the base frame, m/s²; the robot's if left out.
@@ -75,15 +79,15 @@ def body_motions(
     ddq = motion.ddq if reference is None else reference.ddq
     omega = [ca.SX(3, 1)] * len(rates)
     free_fall = constant(-robot.gravity) if gravity is None else -gravity
-    body = BodyMotion(ca.SX(3, 1), ca.SX(3, 3), free_fall)
+    body = LinkAcceleration(ca.SX(3, 1), ca.SX(3, 3), free_fall)
     bodies = []
     for i, (g, xi) in enumerate(zip(relative_poses(robot, motion), axes(robot), strict=True)):
         back = g.rotation.T
         turns, slides = [xi[:3] * dq[i] for dq in rates], [xi[3:] * dq[i] for dq in rates]
         carried = [ca.mtimes(back, w) for w in omega]
         omega = [w + turn for w, turn in zip(carried, turns, strict=True)]
-        at_joint = body.acceleration + ca.mtimes(body.turning, g.translation)
-        body = BodyMotion(
+        at_joint = body.acceleration + ca.mtimes(body.gradient, g.translation)
+        body = LinkAcceleration(
             ca.mtimes(back, body.angular_acceleration)
             + _mixed(cross, carried, turns)
             + xi[:3] * ddq[i],
@@ -114,23 +118,23 @@ def _centripetal(w: ca.SX, u: ca.SX) -> ca.SX:
     return ca.triu2symm(ca.triu(product))
 
 
-def body_wrench(link: ca.SX, body: BodyMotion) -> ca.SX:
+def link_wrench(link: ca.SX, body: LinkAcceleration) -> ca.SX:
     """Return E·A − ad_Vᵀ·(E·V) (6,), the wrench that moves a link with parameters (10,).
 
     The inertia's moment I·α + ω × I·ω is written in the entries of K and ω̂², which the force
     needs anyway.
     """
-    moment, turning = link[1:4], body.turning
-    force = link[0] * body.acceleration + ca.mtimes(turning, moment)
+    moment, gradient = link[1:4], body.gradient
+    force = link[0] * body.acceleration + ca.mtimes(gradient, moment)
     return ca.vertcat(
         ca.mtimes(inertia_moments(body), link[4:10]) + cross(moment, body.acceleration), force
     )
 
 
-def inertia_moments(body: BodyMotion) -> ca.SX:
+def inertia_moments(body: LinkAcceleration) -> ca.SX:
     """Return (3, 6), I·α + ω × I·ω per element of the inertia: xx, xy, yy, xz, yz, zz."""
     x, y, z = 0, 1, 2
-    alpha, k, s = body.angular_acceleration, body.turning, body.centripetal
+    alpha, k, s = body.angular_acceleration, body.gradient, body.centripetal
     return ca.vertcat(
         ca.horzcat(alpha[x], -k[z, x], -s[y, z], k[y, x], k[y, y] - k[z, z], s[y, z]),
         ca.horzcat(s[x, z], k[z, y], alpha[y], k[z, z] - k[x, x], -k[x, y], -s[x, z]),
@@ -150,6 +154,9 @@ def inverse_dynamics(
 
     Parameters
     ----------
+    robot : Robot
+    motion : Motion
+        Symbols q, q̇, q̈ (n,).
     parameters : (10 n,)
         Link parameters.
     tool_wrench : (6,), optional
@@ -162,9 +169,9 @@ def inverse_dynamics(
     if tool_wrench is not None:
         wrench = inverse_adjoint_transpose_times(tool_pose(robot), tool_wrench)
     torque = [ca.SX(1, 1)] * robot.n
-    bodies = body_motions(robot, motion, gravity=gravity)
+    bodies = link_accelerations(robot, motion, gravity=gravity)
     for i in reversed(range(robot.n)):
-        wrench = wrench + body_wrench(parameters[10 * i : 10 * i + 10], bodies[i])
+        wrench = wrench + link_wrench(parameters[10 * i : 10 * i + 10], bodies[i])
         torque[i] = ca.mtimes(xi[i].T, wrench)
         wrench = inverse_adjoint_transpose_times(poses[i], wrench)
     return ca.vertcat(*torque)

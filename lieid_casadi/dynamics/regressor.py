@@ -9,20 +9,20 @@ import casadi as ca
 from lieid_casadi.dynamics.lie import cross, inverse_adjoint_times
 from lieid_casadi.dynamics.motion_symbols import Motion, axes, relative_poses
 from lieid_casadi.dynamics.recursion import (
-    BodyMotion,
-    Reference,
-    body_motions,
+    LinkAcceleration,
+    ReferenceMotion,
     inertia_moments,
+    link_accelerations,
 )
 from lieid_casadi.robot.robot import Robot
 
 
 def regressor(robot: Robot, motion: Motion) -> ca.SX:
-    """Return Y (n, 10 n), upper block triangular: joint j feels the links from j on."""
-    return _projected(robot, motion, body_motions(robot, motion))
+    """Return Y (n, 10 n), upper block triangular: the links from j on act on joint j."""
+    return _projected(robot, motion, link_accelerations(robot, motion))
 
 
-def slotine_li_regressor(robot: Robot, motion: Motion, reference: Reference) -> ca.SX:
+def slotine_li_regressor(robot: Robot, motion: Motion, reference: ReferenceMotion) -> ca.SX:
     """Return Y(q, q̇, q̇_r, q̈_r) (n, 10 n) with Y·π = M·q̈_r + C·q̇_r + G, Ṁ − 2C skew-symmetric.
 
     For adaptive control: Slotine, Li, "On the adaptive control of robot manipulators", IJRR 1987.
@@ -32,35 +32,35 @@ def slotine_li_regressor(robot: Robot, motion: Motion, reference: Reference) -> 
     robot : Robot
     motion : Motion
         Symbols q, q̇ (n,).
-    reference : Reference
+    reference : ReferenceMotion
         Symbols q̇_r, q̈_r (n,).
     """
-    return _projected(robot, motion, body_motions(robot, motion, reference=reference))
+    return _projected(robot, motion, link_accelerations(robot, motion, reference=reference))
 
 
-def _projected(robot: Robot, motion: Motion, bodies: Sequence[BodyMotion]) -> ca.SX:
+def _projected(robot: Robot, motion: Motion, bodies: Sequence[LinkAcceleration]) -> ca.SX:
     """Return the torque of each link parameter, given the links' accelerations.
 
-    Row j of link i's block is z_{ij}ᵀ·W_i, with z_{ij} = joint j's unit twist seen in frame i
+    Row j of link i's block is z_{ij}ᵀ·W_i, with z_{ij} = joint j's unit twist in frame i
     and W_i (6, 10) the link's wrench per parameter. Projecting axes forward costs less than
-    carrying ten wrenches backward.
+    propagating ten wrenches backward.
     """
     blocks = ca.SX(robot.n, 10 * robot.n)
     twists: list[ca.SX] = []
     for i, (g, xi) in enumerate(zip(relative_poses(robot, motion), axes(robot), strict=True)):
         twists = [inverse_adjoint_times(g, twist) for twist in twists] + [xi]
-        wrench = LinkWrench(bodies[i])
+        wrench = _LinkWrench(bodies[i])
         for j, twist in enumerate(twists):
             blocks[j, 10 * i : 10 * i + 10] = wrench.along(twist)
     return blocks
 
 
-class LinkWrench:
+class _LinkWrench:
     """The wrench of one link per parameter, split so that a projection costs few products."""
 
-    def __init__(self, body: BodyMotion) -> None:
+    def __init__(self, body: LinkAcceleration) -> None:
         self.acceleration = body.acceleration
-        self.turning = body.turning
+        self.gradient = body.gradient
         self.rotating = inertia_moments(body)
 
     def along(self, twist: ca.SX) -> ca.SX:
@@ -68,6 +68,6 @@ class LinkWrench:
         z, v = twist[:3], twist[3:]
         return ca.horzcat(
             ca.mtimes(v.T, self.acceleration),
-            (ca.mtimes(self.turning.T, v) + cross(self.acceleration, z)).T,
+            (ca.mtimes(self.gradient.T, v) + cross(self.acceleration, z)).T,
             ca.mtimes(z.T, self.rotating),
         )

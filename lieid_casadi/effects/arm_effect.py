@@ -43,7 +43,13 @@ class SegmentModel(Protocol):
         """Whether the model is fitted to this segment."""
 
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Return the rigid torque (K, n), N·m, of another motion q, dq, ddq (K, n)."""
+        """Return the rigid torque (K, n) of another motion, N·m.
+
+        Parameters
+        ----------
+        q, dq, ddq : (K, n)
+            rad, rad/s, rad/s².
+        """
 
     def smooth(self, x: Array) -> Array:
         """Return a signal (K, …) low-pass filtered such that it can be differentiated twice."""

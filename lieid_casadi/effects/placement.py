@@ -12,7 +12,7 @@ from lieid_casadi.errors import EffectError
 
 @dataclass(frozen=True)
 class Placement:
-    """An effect on one joint (from 0); ``source`` is the joint that acts, for couplings."""
+    """An effect on one joint (from 0); for couplings, ``source`` is the joint that causes it."""
 
     effect: Effect
     joint: int
@@ -20,12 +20,12 @@ class Placement:
 
     @property
     def whole_arm(self) -> bool:
-        """Whether it acts on no joint in particular."""
+        """Whether the effect acts on no joint in particular."""
         return self.effect.whole_arm
 
     @property
     def label(self) -> str:
-        """As written in files: ``stribeck:4`` (joints from 1)."""
+        """The effect as written in files: ``stribeck:4`` (joints from 1)."""
         if self.whole_arm:
             return self.effect.label
         acting = "" if self.source is None else f"<{self.source + 1}"
@@ -39,6 +39,8 @@ def place(spec: str | Effect, n: int, joints: Sequence[int] | None = None) -> li
     ----------
     spec : str or Effect
         ``name[:J[+J…]]`` with joints from 1, or an effect.
+    n : int
+        Number of joints of the arm.
     joints : sequence of int, optional
         Joints from 0; for a spec without joints. None means every joint.
 

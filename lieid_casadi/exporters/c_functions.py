@@ -111,7 +111,7 @@ class Expressions:
     def slotine_li_regressor(self) -> ca.SX:
         """Y(q, q̇, q̇_r, q̈_r) (n, 10 n)."""
         s = self._symbols
-        reference = recursion.Reference(s.dq_r, s.ddq_r)
+        reference = recursion.ReferenceMotion(s.dq_r, s.ddq_r)
         return slotine_li_regressor(self._model.robot, s.motion, reference)
 
     @cached_property

@@ -8,9 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.exporters.xml_edit import Element
-from lieid_casadi.robot.inertia import body_inertia, link_parameters, pseudo_inertia, symmetric
+from lieid_casadi.robot.inertia import (
+    body_inertia,
+    link_parameters,
+    parameter_transport,
+    pseudo_inertia,
+    symmetric,
+)
 from lieid_casadi.robot.pose import pose
 
 Array = NDArray[np.float64]

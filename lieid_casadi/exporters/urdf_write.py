@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.exporters.joint_friction import JointFriction
 from lieid_casadi.exporters.urdf_bodies import inertial_text, number
 from lieid_casadi.exporters.xml_text import attribute
 from lieid_casadi.robot import Joint, Robot
+from lieid_casadi.robot.inertia import parameter_transport
 from lieid_casadi.robot.pose import roll_pitch_yaw
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.dynamics import closed_form, recursion
-from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.robot.inertia import parameter_transport
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]

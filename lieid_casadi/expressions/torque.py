@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.dynamics import closed_form, recursion
-from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.dynamics.lie import constant
 from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.dynamics.regressor import regressor
@@ -19,6 +18,7 @@ from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.instant import ArmInstant
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.model import EffectSignals, Model
+from lieid_casadi.robot.inertia import parameter_transport
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.errors import IdentificationError
 from lieid_casadi.gains.total_least_squares import NullVector, most_likely, null_vector
 from lieid_casadi.identification.regression.design_matrix import (
@@ -24,6 +23,7 @@ from lieid_casadi.identification.regression.least_squares import (
     solve,
 )
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
+from lieid_casadi.robot.inertia import parameter_transport
 
 Array = NDArray[np.float64]
 BODY = 10

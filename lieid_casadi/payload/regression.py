@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled.triangular_factors import Triangle
-from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.design_matrix import Design, JointRows, Rows
 from lieid_casadi.identification.regression.least_squares import (
@@ -33,6 +32,7 @@ from lieid_casadi.identification.regression.least_squares import (
 )
 from lieid_casadi.identification.regression.shape_fit import shape_columns
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
+from lieid_casadi.robot.inertia import parameter_transport
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

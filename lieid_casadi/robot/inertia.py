@@ -88,3 +88,28 @@ def pseudo_inertia(parameters: ArrayLike) -> NDArray[np.float64]:
     inertia = symmetric(p[4:])
     sigma = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     return np.block([[sigma, p[1:4, None]], [p[None, 1:4], p[:1, None]]])
+
+
+def parameter_transport(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrix (10, 10) that expresses link parameters in the parent frame.
+
+    ``pose`` (4, 4) is the pose of the link frame in the parent frame.
+    """
+    moved = pose @ _UNIT_PSEUDO_INERTIAS @ pose.T
+    return np.asarray(np.tensordot(_FROM_PSEUDO_INERTIA, moved, axes=((1, 2), (1, 2))))
+
+
+def _from_pseudo_inertia() -> NDArray[np.float64]:
+    """Return the tensor (10, 4, 4) that maps a pseudo-inertia to link parameters."""
+    tensor = np.zeros((10, 4, 4))
+    tensor[0, 3, 3] = 1.0
+    tensor[[1, 2, 3], [0, 1, 2], 3] = 1.0
+    for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), start=4):
+        tensor[k, i, j] -= 1.0  # the inertia is trace(Σ)·1 − Σ
+        if i == j:
+            tensor[k, [0, 1, 2], [0, 1, 2]] += 1.0
+    return tensor
+
+
+_UNIT_PSEUDO_INERTIAS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
+_FROM_PSEUDO_INERTIA = _from_pseudo_inertia()

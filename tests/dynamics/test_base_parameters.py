@@ -9,7 +9,8 @@ from real_arms import PANDA, TX40, UR10E, needs
 from robot.random_arms import random_arm, random_link, shift_to_axes, to_pinocchio
 
 from lieid_casadi import robots
-from lieid_casadi.dynamics.base_parameters import EnergyColumn, base_parameters
+from lieid_casadi.dynamics.base_parameters import base_parameters
+from lieid_casadi.dynamics.null_space import EnergyColumn
 from lieid_casadi.robot import Joint, Robot
 
 SAMPLES = 60

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.dynamics.base_parameters import parameter_transport
 from lieid_casadi.effects.arm_effect import ArmEffect
 from lieid_casadi.model import Model
 from lieid_casadi.recording.processing.filtering import lowpass
 from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.robot.inertia import parameter_transport
 
 Array = NDArray[np.float64]
 SMOOTH = 1.0 / 3.0  # of the cut-off, which is at least six times the bandwidth of the motion
