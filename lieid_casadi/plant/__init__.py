@@ -1,6 +1,6 @@
-"""An arm to measure when none is there: Pinocchio dynamics, control, sensors, hidden effects.
+"""A simulated arm to measure: Pinocchio dynamics, joint control, sensors, hidden effects.
 
-Nothing of the package's own dynamics or effects is used here, so that a mistake in them shows.
+It shares no dynamics and no effects with the rest of the package, so that it reveals errors there.
 """
 
 from lieid_casadi.plant.arm import Arm, JointFriction, Thermal

@@ -1,4 +1,4 @@
-"""The arm that is measured: its true numbers, friction and hidden effects."""
+"""The simulated arm: its true parameters, friction and hidden effects."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Thermal:
     time_constant: float = 300.0
 
     def at(self, t: Array, n: int) -> Array:
-        """Temperatures (N, n) at times (N,); later joints, being smaller, warm up faster."""
+        """Temperatures (N, n) at times (N,); the smaller joints near the tool warm up faster."""
         pace = 1.0 + 0.5 * np.arange(n) / max(n - 1, 1)
         warmed = 1.0 - np.exp(-np.maximum(t, 0.0)[:, None] * pace / self.time_constant)
         return np.asarray(self.start + self.rise * warmed)
@@ -52,14 +52,14 @@ class Thermal:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """An arm to measure.
+    """A simulated arm.
 
     Attributes
     ----------
     robot
-        As described to the user: kinematics, limits and nominal inertias.
+        Description that users have: kinematics, limits and nominal inertias.
     parameters : (10 n,)
-        True link parameters, without a payload among the effects.
+        True link parameters, without the payload of an effect.
     effects
         Hidden effects.
 

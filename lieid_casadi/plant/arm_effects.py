@@ -10,7 +10,7 @@ from lieid_casadi.plant.effect import HiddenEffect
 
 @dataclass(frozen=True)
 class BaseTilt(HiddenEffect):
-    """The base stands tilted: gravity turned about the base's x, then y axis, rad."""
+    """A tilted base: gravity rotated about the base's x, then y axis, rad."""
 
     name: ClassVar[str] = "base_tilt"
     about_x: float = 0.0

@@ -1,4 +1,4 @@
-"""Arms worth measuring: friction and hidden effects of realistic size for any robot."""
+"""Simulated arms with friction and hidden effects of realistic size, for any robot."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
 
-WARMTH = 12.0  # °C that demo arms with a temperature effect warm up by
+TEMPERATURE_RISE = 12.0  # °C, of demo arms with a temperature effect
 
 
 def demo_arm(
@@ -42,16 +42,18 @@ def demo_arm(
 ) -> Arm:
     """Return the arm that ``lieid demo`` measures.
 
-    Inertias are off the nominal ones by up to 20 %; every joint has Coulomb and viscous friction
-    and an offset, sized by the joint's torque limit; one effect is hidden.
+    Inertias differ from the nominal ones by up to 20 %. Every joint has Coulomb and viscous
+    friction and an offset in proportion to its torque limit. One effect is hidden.
 
     Parameters
     ----------
-    hidden
-        An effect, the name of one (see :func:`hidden_effect`), or None.
-    joint
-        From 0; where a named effect acts.
-    strength
+    robot : Robot
+    seed : int
+    hidden : str, HiddenEffect or None
+        An effect, or the name of one (see `hidden_effect`).
+    joint : int
+        Joint of a named effect, from 0.
+    strength : float
         Factor on the size of a named effect.
     """
     random = np.random.default_rng([seed, 10])
@@ -68,13 +70,13 @@ def demo_arm(
         return arm.with_effects(hidden)
     effect = hidden_effect(arm, hidden, joint, strength=strength, seed=seed)
     if hidden == "temperature_friction":
-        thermal = Thermal(rise=WARMTH, time_constant=20.0)
+        thermal = Thermal(rise=TEMPERATURE_RISE, time_constant=20.0)
         arm = Arm(robot, arm.parameters, friction, (), thermal)
     return arm.with_effects(effect)
 
 
 def demo_sensors(robot: Robot, *, rate: float = 200.0) -> Sensors:
-    """Return sensors of a usual arm: 19-bit encoders, torque noise of 0.3 % of the limits."""
+    """Return typical sensors: 19-bit encoders, torque noise of 0.3 % of the limits."""
     scale = torque_scale(robot)
     return Sensors(
         rate=rate,
@@ -90,9 +92,7 @@ def demo_sensors(robot: Robot, *, rate: float = 200.0) -> Sensors:
 def hidden_effect(
     arm: Arm, name: str, joint: int, *, strength: float = 1.0, seed: int = 0
 ) -> HiddenEffect:
-    """Return an effect of realistic size for a joint (from 0) of this arm.
-
-    Random details (phase, harmonic, source) come from the seed; ``strength`` scales the size.
+    """Return an effect of realistic size.
 
     Parameters
     ----------
@@ -102,22 +102,22 @@ def hidden_effect(
     joint : int
         From 0.
     strength : float
-        Factor on the size.
+        Factor on its size.
     seed : int
-        Of random details.
+        Of random details (phase, harmonic, source).
 
     Raises
     ------
     EffectError
-        The plant has no effect of that name.
+        Unknown name.
     """
     if name not in _MAKERS:
         raise EffectError(f"hidden effect {name!r}; expected one of {', '.join(sorted(_MAKERS))}")
-    return _MAKERS[name](_Size(arm, joint, strength, np.random.default_rng([seed, 11])))
+    return _MAKERS[name](_EffectSize(arm, joint, strength, np.random.default_rng([seed, 11])))
 
 
-class _Size:
-    """Sizes to make effects from: torque, speed, load of one joint."""
+class _EffectSize:
+    """Typical torque, speed and load of one joint, from which effects are sized."""
 
     def __init__(self, arm: Arm, joint: int, strength: float, random: np.random.Generator) -> None:
         self.arm, self.joint, self.strength, self.random = arm, joint, strength, random
@@ -132,7 +132,7 @@ class _Size:
         return float(self.random.choice([-1.0, 1.0]))
 
     def neighbour(self) -> int:
-        """A joint to couple to: the next, or the one before the last."""
+        """Return a joint to couple to: the next, or the previous one for the last joint."""
         n = self.arm.n
         if n < 2:
             raise EffectError("transmission coupling needs a robot of at least two joints")
@@ -158,7 +158,7 @@ class _Size:
         return float(f * x), float(f * y), float(f * z)
 
 
-_MAKERS: dict[str, Callable[[_Size], HiddenEffect]] = {
+_MAKERS: dict[str, Callable[[_EffectSize], HiddenEffect]] = {
     "viscous_polynomial": lambda s: on_joint.ViscousPolynomial(
         s.joint, quadratic=-0.04 * s.torque / s.speed**2, cubic=0.06 * s.torque / s.speed**3
     ),

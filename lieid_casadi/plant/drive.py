@@ -1,4 +1,4 @@
-"""Torques of the drives apart from the rigid arm: friction and hidden effects, evaluated."""
+"""Torques of the drives besides those of the rigid arm: friction and hidden effects."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ Array = NDArray[np.float64]
 
 
 class Drive:
-    """Friction and effects of an arm, ready for many evaluations.
+    """Friction and effects of an arm, prepared for many evaluations.
 
-    Works on one instant, (n,), and on a path, (N, n); only effects that state a term are
-    asked for it.
+    Arrays are (n,) at one instant or (N, n) along a path. Only effects that define a term are
+    evaluated for it.
     """
 
     def __init__(self, arm: Arm) -> None:
         effects = [e for e in arm.effects if isinstance(e, JointEffect)]
         self._friction = arm.friction
-        self._levels = _stating(effects, "level")
-        self._slopes = _stating(effects, "level_slope")
-        self._level_scales = _stating(effects, "level_scale")
-        self._viscous = _stating(effects, "viscous")
-        self._viscous_scales = _stating(effects, "viscous_scale")
-        self._torques = _stating(effects, "torque")
+        self._levels = _defining(effects, "level")
+        self._slopes = _defining(effects, "level_slope")
+        self._level_scales = _defining(effects, "level_scale")
+        self._viscous = _defining(effects, "viscous")
+        self._viscous_scales = _defining(effects, "viscous_scale")
+        self._torques = _defining(effects, "torque")
         self.hysteresis_width = np.zeros(arm.n)
         for effect in arm.effects:
             if isinstance(effect, Presliding):
@@ -66,7 +66,7 @@ class Drive:
         return damping
 
     def smooth(self, s: JointState) -> Array:
-        """All torques but the rigid arm's, armature and dry friction (…, n), N·m."""
+        """All torques except those of the rigid arm, armature and dry friction (…, n), N·m."""
         friction = self._friction.viscous * s.dq
         for effect in self._viscous:
             friction[..., effect.joint] += effect.viscous(s)
@@ -84,7 +84,7 @@ class Drive:
         return np.where(self.hysteretic, direction + (z - direction) * left, 0.0)
 
 
-def _stating(effects: list[JointEffect], *methods: str) -> list[JointEffect]:
+def _defining(effects: list[JointEffect], *methods: str) -> list[JointEffect]:
     return [
         effect
         for effect in effects

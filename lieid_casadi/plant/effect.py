@@ -1,7 +1,7 @@
-"""What the plant's hidden effects have in common.
+"""Base classes of the hidden effects of the plant.
 
-Written on their own: nothing here comes from ``lieid_casadi.effects``, so that one mistake
-cannot hide in both. Each effect carries the name of DESIGN's table, for scoring.
+Nothing here comes from ``lieid_casadi.effects``, so that an error in one is not repeated in the
+other. Each effect has the name of the library's effect, so that a diagnosis can be scored.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(slots=True)
 class JointState:
-    """What a joint's torque may depend on: (n,) in a simulation, (N, n) along a path.
+    """Quantities that joint torques depend on: (n,) in a simulation, (N, n) along a path.
 
     Attributes
     ----------
@@ -50,12 +50,12 @@ class HiddenEffect:
 
 @dataclass(frozen=True)
 class JointEffect(HiddenEffect):
-    """An effect on the torque of one joint (from 0); what it leaves out, it does not change.
+    """An effect on the torque of one joint (from 0); undefined methods change nothing.
 
     The drive's torque is rigid + armature·q̈ + ``torque``
     + ``viscous_scale``·(f_v·q̇ + ``viscous``) + dry friction, where dry friction is
-    sgn(q̇)·``level_scale``·(f_c + ``level``) in motion and whatever is needed, up to that level,
-    at rest.
+    sgn(q̇)·``level_scale``·(f_c + ``level``) in motion; at rest it takes the value that keeps the
+    joint at rest, up to that level.
     """
 
     joint: int

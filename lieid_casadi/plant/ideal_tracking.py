@@ -1,4 +1,4 @@
-"""Ideal tracking: the torques that a given motion takes."""
+"""Ideal tracking: torques and measurements along a given motion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lieid_casadi.recording import Recording
 
 Array = NDArray[np.float64]
 
-AT_REST = 1e-7  # rad/s: an exact path has exact rests, a smoothed one leaves rounding
+AT_REST = 1e-7  # rad/s; a filtered path has rounding errors at rest
 
 
 def measure_along(
@@ -29,15 +29,21 @@ def measure_along(
     seed: int = 0,
     name: str = "",
 ) -> Recording:
-    """Measure an arm that tracks a motion perfectly; far quicker than a simulation.
+    """Measure an arm that tracks a motion perfectly; much faster than a simulation.
 
     Parameters
     ----------
+    arm : Arm
     t : (N,)
+        s.
     q, dq, ddq : (N, n)
-        True motion of the links; must fit one another.
-    sensors
-        Without them the sensors are ideal, one row per instant.
+        True, mutually consistent motion of the links.
+    sensors : Sensors, optional
+        Default: ideal ones, one row per instant.
+    seed : int
+        Of the noise and of dry friction at rest.
+    name : str
+        Of the recording.
     """
     motion = move_along(arm, t, q, dq, ddq, seed=seed)
     return measure(arm, motion, sensors or Sensors(rate=None), seed=seed, name=name)
@@ -46,9 +52,10 @@ def measure_along(
 def move_along(
     arm: Arm, t: ArrayLike, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, *, seed: int = 0
 ) -> TrueMotion:
-    """Return the true signals of an arm that makes a given motion.
+    """Return the true signals of an arm along a given motion.
 
-    At rest dry friction is undetermined: each rest of a joint keeps one random part of it.
+    Dry friction at rest is undetermined: during each rest of a joint it is a constant random
+    fraction of its level.
 
     Parameters
     ----------
@@ -56,9 +63,9 @@ def move_along(
     t : (N,)
         s.
     q, dq, ddq : (N, n)
-        Motion of the links, rad, rad/s, rad/s²; each the derivative of the one before.
+        Motion of the links.
     seed : int
-        Of the friction at rest.
+        Of dry friction at rest.
     """
     t, q, dq, ddq = (np.asarray(x, dtype=float) for x in (t, q, dq, ddq))
     rigid = rigid_torques(arm.rigid_model(), q, dq, ddq) + _tool_torques(arm, q)
@@ -98,12 +105,12 @@ def _motors(
         return link
     from scipy.interpolate import CubicSpline
 
-    wound_up = CubicSpline(t, rigid * arm.compliance)
-    return link[0] + wound_up(t), link[1] + wound_up(t, 1), link[2] + wound_up(t, 2)
+    deflection = CubicSpline(t, rigid * arm.compliance)
+    return link[0] + deflection(t), link[1] + deflection(t, 1), link[2] + deflection(t, 2)
 
 
 def _held(resting: NDArray[np.bool_], seed: int) -> Array:
-    """Return the part −1…1 of its dry friction that each rest of each joint keeps (N, n)."""
+    """Return the fraction of dry friction, −1 to 1, constant during each rest (N, n)."""
     random = np.random.default_rng([seed, 1])
     begins = np.diff(resting, axis=0, prepend=False) & resting
     held = np.zeros(resting.shape)

@@ -1,4 +1,4 @@
-"""Inertias that a real arm might have in place of those in its description."""
+"""True inertias of a simulated arm, near those of its description."""
 
 from __future__ import annotations
 
@@ -10,21 +10,24 @@ from lieid_casadi.robot.inertia import body_inertia, link_parameters
 
 Array = NDArray[np.float64]
 
-LEAST_SPREAD_OF_MASS = 1e-3  # of the largest principal second moment: a body is never flat
+LEAST_MOMENT = 1e-3  # of the largest principal second moment of mass
 
 
 def perturbed_inertias(
     robot: Robot, *, spread: float = 0.2, seed: int, payload: Array | None = None
 ) -> Array:
-    """Return link parameters (10 n,) near the nominal ones, of bodies that can exist.
+    """Return physically consistent link parameters (10 n,) near the nominal ones.
 
     Each mass is scaled by a uniform factor in 1 ± spread, each centre of mass moved by up to
     ``spread`` of its distance and of the body's radius of gyration, and the body stretched
     along its principal axes so that the second moments change by 1 ± spread. A description
-    whose body cannot exist (a flat or negative distribution of mass) is mended first.
+    with a physically inconsistent body (flat or negative distribution of mass) is corrected first.
 
     Parameters
     ----------
+    robot : Robot
+    spread : float
+    seed : int
     payload : (10,), optional
         Body at the tool: link parameters in the tool's frame, added to the last link.
     """
@@ -35,13 +38,13 @@ def perturbed_inertias(
 
 
 def with_payload(robot: Robot, parameters: Array, payload: Array) -> Array:
-    """Return link parameters (10 n,) with a body (10,), given in the tool's frame, at the tool.
+    """Return link parameters with a body added at the tool.
 
     Parameters
     ----------
     robot : Robot
     parameters : (10 n,)
-        Link parameters.
+        Without the body.
     payload : (10,)
         Link parameters of the body in the tool's frame.
     """
@@ -61,10 +64,10 @@ def _perturbed(link: Array, spread: float, random: np.random.Generator) -> Array
     if link[0] <= 0.0:
         return link.copy()
     body = body_inertia(link)
-    # Σ = ∫ r rᵀ dm about the centre of mass: positive definite for every body that can exist.
+    # Σ = ∫ r rᵀ dm about the centre of mass: positive definite for every physical body.
     second_moment = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
     moments, axes = np.linalg.eigh(second_moment)
-    moments = np.maximum(moments, LEAST_SPREAD_OF_MASS * max(float(moments.max()), 1e-9))
+    moments = np.maximum(moments, LEAST_MOMENT * max(float(moments.max()), 1e-9))
     gyration = np.sqrt(moments.sum() / body.mass)
     com = body.com * (1.0 + shift) + 0.5 * shift[::-1] * gyration
     moments = moments * mass_factor * (1.0 + spread * stretch)

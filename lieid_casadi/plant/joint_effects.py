@@ -30,7 +30,7 @@ class ViscousPolynomial(JointEffect):
 
 @dataclass(frozen=True)
 class ViscousAsymmetric(JointEffect):
-    """f·|q̇|: another viscous coefficient backward than forward."""
+    """f·|q̇|: different viscous coefficients forward and backward."""
 
     name: ClassVar[str] = "viscous_asymmetric"
     coefficient: float = 0.0
@@ -41,7 +41,7 @@ class ViscousAsymmetric(JointEffect):
 
 @dataclass(frozen=True)
 class Stribeck(JointEffect):
-    """Dry friction that is larger by ``extra`` (N·m) at rest and falls with (q̇/velocity)²."""
+    """Dry friction that is larger by ``extra`` (N·m) at rest: extra·exp(−(q̇/velocity)²)."""
 
     name: ClassVar[str] = "stribeck"
     extra: float = 0.0
@@ -56,7 +56,7 @@ class Stribeck(JointEffect):
 class LoadFriction(JointEffect):
     """Dry friction that grows with the load: f·|τ| + f1·exp(−f2·|τ|/|q̇|).
 
-    ``generating`` takes the place of ``gain`` where the load drives the joint (τ·q̇ < 0).
+    ``generating`` replaces ``gain`` where the load drives the joint (τ·q̇ < 0).
     """
 
     name: ClassVar[str] = "load_friction"
@@ -89,7 +89,7 @@ class LoadFriction(JointEffect):
 
 @dataclass(frozen=True)
 class TemperatureFriction(JointEffect):
-    """Friction that falls with warmth: f_v·exp(−decay·(T − T̄)), f_c·(1 − slope·(T − T̄))."""
+    """Friction that decreases when warm: f_v·exp(−decay·(T − T̄)), f_c·(1 − slope·(T − T̄))."""
 
     name: ClassVar[str] = "temperature_friction"
     viscous_decay: float = 0.0
@@ -121,7 +121,7 @@ class WarmUp(JointEffect):
 
 @dataclass(frozen=True)
 class PositionFriction(JointEffect):
-    """Dry friction that varies along the turn: amplitude·sin(harmonic·q + phase)."""
+    """Dry friction that varies with the position: amplitude·sin(harmonic·q + phase)."""
 
     name: ClassVar[str] = "position_friction"
     amplitude: float = 0.0
@@ -134,7 +134,7 @@ class PositionFriction(JointEffect):
 
 @dataclass(frozen=True)
 class Presliding(HiddenEffect):
-    """Dahl's hysteresis in place of the sign in dry friction, built up over ``width`` (rad)."""
+    """Dahl's hysteresis in place of the sign in dry friction, with the width ``width`` (rad)."""
 
     name: ClassVar[str] = "presliding"
     joint: int
@@ -177,7 +177,7 @@ class PositionSpring(JointEffect):
 
 @dataclass(frozen=True)
 class TransmissionCoupling(JointEffect):
-    """Friction on this joint from the motion of joint ``source``: a gear that both share."""
+    """Friction on this joint from the motion of joint ``source`` in a shared gear."""
 
     name: ClassVar[str] = "transmission_coupling"
     source: int = 0
@@ -211,7 +211,7 @@ class JointOffset(JointEffect):
 
 @dataclass(frozen=True)
 class ForeignTorque(JointEffect):
-    """Any torque, for effects that are in no library.
+    """Any torque, for effects that are not in the library.
 
     ``function`` takes the :class:`JointState` and returns the torque of this joint; it must work
     on (n,) and on (N, n) arrays (index with ``[..., joint]``).

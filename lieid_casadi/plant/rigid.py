@@ -1,4 +1,4 @@
-"""The rigid body of the plant: a Pinocchio model built by hand from screws and home poses."""
+"""Rigid-body dynamics of the plant: a Pinocchio model from screws and home poses."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ def build_pinocchio(
 ) -> Any:
     """Return a ``pinocchio.Model`` of the arm; its joint coordinates are the robot's.
 
-    Pinocchio turns a link about its joint frame's origin. A link frame may lie off the joint's
-    axis, so the joint frame is put where the axis is nearest to it, with the same orientation,
-    and inertias are carried over.
+    Pinocchio rotates a link about the origin of its joint frame, but the origin of a link frame may
+    be off the joint axis. The joint frame is placed at the nearest point of the axis, with the same
+    orientation, and inertias are transformed.
 
     Parameters
     ----------
+    robot : Robot
     parameters : (10 n,), optional
-        Link parameters about the link frames' origins; without them the robot's own.
+        Link parameters about the link frames' origins. Default: the robot's own.
     gravity : (3,), optional
-        In the base frame, m/s²; without it the robot's own.
+        In the base frame, m/s². Default: the robot's own.
 
     Raises
     ------
     RobotError
-        Parameters of the wrong size, or none where the robot states none.
+        Parameters of the wrong size, or none at all.
     """
     import pinocchio as pin
 
@@ -81,19 +82,23 @@ def _point_on_axis(axis: Array) -> Array:
 def _inertia(link: Array) -> Any:
     import pinocchio as pin
 
-    if link[0] == 0.0:  # no centre of mass to divide by: a pure inertia
+    if link[0] == 0.0:  # a pure inertia has no centre of mass
         return pin.Inertia(0.0, np.zeros(3), pin.Symmetric3(*link[4:]))
     return pin.Inertia.FromDynamicParameters(link)
 
 
 def rigid_torques(model: Any, q: Array, dq: Array, ddq: Array) -> Array:
-    """Return the rigid torques (N, n) of Pinocchio along a path (N, n) each.
+    """Return the rigid torques along a path.
 
     Parameters
     ----------
     model : pinocchio.Model
     q, dq, ddq : (N, n)
-        rad, rad/s, rad/s².
+
+    Returns
+    -------
+    (N, n)
+        N·m.
     """
     import pinocchio as pin
 
@@ -105,16 +110,15 @@ def rigid_torques(model: Any, q: Array, dq: Array, ddq: Array) -> Array:
 
 
 def wrench_torque(model: Any, data: Any, q: Array, wrench: Array) -> Array:
-    """Return Jᵀ·F (n,) of a wrench [m; f] that the tool exerts at its origin, in base axes.
+    """Return Jᵀ·F (n,) of a wrench that the tool exerts.
 
     Parameters
     ----------
-    model : pinocchio.Model
-    data : pinocchio.Data
+    model, data : pinocchio.Model, pinocchio.Data
     q : (n,)
         rad.
     wrench : (6,)
-        [m; f], N·m and N, base axes.
+        [m; f] at the origin of the tool, base axes, N·m and N.
     """
     import pinocchio as pin
 

@@ -1,4 +1,4 @@
-"""Sensors of the plant: rate, encoder, torque and temperature as a recording has them."""
+"""Sensors of the plant: sampling, encoders, torque and temperature sensors."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ PerJoint = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class Sensors:
-    """What is recorded, and how well. The default is ideal; numbers are for all joints or each.
+    """Sensor properties; ideal by default. Numbers are for all joints, tuples for each.
 
     Attributes
     ----------
     rate
-        Hz; None: every instant. Where it does not divide the control rate, the nearest
-        instants are taken, with their true stamps.
+        Hz; None: every instant. If it does not divide the control rate, the nearest instants are
+        sampled, with their true time stamps.
     counts_per_turn
         Encoder counts per turn of the joint; 0: no quantization.
     counts_per_metre
@@ -45,7 +45,7 @@ class Sensors:
     torque_step
         Quantization of the torque, N·m; 0: none.
     temperature
-        Whether there is a temperature column (0.1 °C resolution).
+        Whether to record temperatures (0.1 °C resolution).
     """
 
     rate: float | None = 200.0
@@ -65,7 +65,7 @@ class Sensors:
 def measure(
     arm: Arm, motion: TrueMotion, sensors: Sensors, *, seed: int = 0, name: str = ""
 ) -> Recording:
-    """Return what the sensors say of a motion.
+    """Return the recording of a motion.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def measure(
     Raises
     ------
     RecordingError
-        A rate above that of the motion.
+        The rate is above that of the motion.
     """
     random = [np.random.default_rng([seed, 2, stream]) for stream in range(5)]
     rows = sampled_rows(motion.t, sensors.rate)
@@ -106,12 +106,12 @@ def measure(
 
 
 def sampled_rows(t: Array, rate: float | None) -> NDArray[np.intp]:
-    """Return the instants nearest to those of a clock of ``rate`` Hz, or all of them.
+    """Return the indices nearest to samples at ``rate`` Hz, or all of them for None.
 
     Raises
     ------
     RecordingError
-        A rate above that of t.
+        The rate is above that of t.
     """
     if rate is None:
         return np.arange(t.size)
@@ -126,7 +126,7 @@ def sampled_rows(t: Array, rate: float | None) -> NDArray[np.intp]:
 
 
 def coloured_noise(t: Array, n: int, correlation_time: float, random: np.random.Generator) -> Array:
-    """First-order stationary noise (N, n) of unit variance; correlation exp(−Δt/time).
+    """Return first-order stationary noise (N, n) of unit variance, correlation exp(−Δt/time).
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def coloured_noise(t: Array, n: int, correlation_time: float, random: np.random.
         Number of joints.
     correlation_time : float
         s.
-    random : numpy.random.Generator
+    random : Generator
     """
     white = random.standard_normal((t.size, n))
     keep = np.exp(-np.diff(t) / correlation_time)
@@ -176,7 +176,7 @@ def _velocity(
 
 
 def _torque(arm: Arm, motion: TrueMotion, t: Array) -> Array:
-    """Return what torque sensors without noise say at t: delay, then gain, then drift."""
+    """Return noiseless torque measurements at t: delay, then gain, then drift."""
     from scipy.interpolate import PchipInterpolator
 
     at = np.searchsorted(motion.t, t)

@@ -1,4 +1,4 @@
-"""An arm under joint control, integrated at the control rate."""
+"""Simulation of an arm under joint control, integrated at the control rate."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ Progress = Callable[[float], None]
 
 logger = logging.getLogger("lieid_casadi")
 
-SETTLING = 0.5  # s at the start pose before the recording: the controller finds its balance
-ELASTIC_BANDWIDTH = 20.0  # Hz: an elastic arm's links move more smoothly than a rigid one's
+SETTLING = 0.5  # s at the start pose before the recording, until the controller is in balance
+ELASTIC_BANDWIDTH = 20.0  # Hz, of the links of an elastic arm
 REPORTS = 100
 
 
@@ -40,10 +40,11 @@ class Control:
     bandwidth
         rad/s, of each joint alone.
     stiffness
-        At least this part of the torque scale per radian (metre), so that light joints, too,
-        overcome friction: 100 lets friction of 4 % of the torque limit pull a joint off by 0.0004.
+        Least stiffness in parts of the torque scale per radian (metre), so that light joints also
+        overcome friction: with 100, friction of 4 % of the torque limit causes an error of 0.0004.
     feedforward
-        Nominal rigid torques along the reference; else gravity at the actual pose only.
+        Whether to add nominal rigid torques along the reference; otherwise gravity at the actual
+        pose.
     """
 
     bandwidth: float = 100.0
@@ -63,25 +64,30 @@ def simulate(
     progress: Progress | None = None,
     name: str = "",
 ) -> Recording:
-    """Let an arm track a trajectory and record it.
+    """Simulate an arm that tracks a trajectory and record it.
 
     Parameters
     ----------
-    duration
-        s; the trajectory's own if not given.
-    rate
+    arm : Arm
+    trajectory : ReferenceTrajectory
+    duration : float, optional
+        s. Default: that of the trajectory.
+    rate : float
         Of control and integration, Hz.
-    sensors
-        Ideal ones at 200 Hz if not given.
-    seed
-        For the sensors' noise.
-    progress
-        Called with the part done, 0…1.
+    sensors : Sensors, optional
+        Default: ideal ones at 200 Hz.
+    control : Control, optional
+    seed : int
+        Of the sensor noise.
+    progress : callable, optional
+        Called with the fraction that is done, 0 to 1.
+    name : str
+        Of the recording.
 
     Raises
     ------
     EffectError
-        A presliding stiffness that this rate cannot follow.
+        Presliding too stiff for this rate.
     RecordingError
         Sensors faster than the control.
     """
@@ -98,39 +104,31 @@ def move(
     control: Control | None = None,
     progress: Progress | None = None,
 ) -> TrueMotion:
-    """Let an arm track a trajectory and return the true signals, one row per control period.
+    """Simulate an arm that tracks a trajectory; return true signals, one row per control period.
 
-    The drift-kick-drift rule: torques are those at q + h/2·q̇ with the mean velocity of the
-    step, and each row holds exactly that instant, so τ = rigid + effects to rounding. Joints
-    stick and slip by an implicit rule (friction takes any value up to its level that stops the
-    joint), so rest is rest.
+    Integration is by the drift-kick-drift rule: torques are evaluated at q + h/2·q̇ with the mean
+    velocity of the step, and each row holds that instant, so that τ = rigid + effects to rounding.
+    Stick and slip follow an implicit rule (friction takes any value up to its level that stops the
+    joint), so that a joint at rest stays exactly at rest.
 
-    With elastic joints the links follow the path of the rigid arm, smoothed to 20 Hz, and
-    motors and torques are what this path takes.
+    With elastic joints the links follow the path of the rigid arm, smoothed to 20 Hz; motion of the
+    motors and torques follow from this path.
 
     Parameters
     ----------
-    arm : Arm
-    trajectory : ReferenceTrajectory
-    duration : float, optional
-        s; the trajectory's if left out.
-    rate : float
-        Of the controller, Hz.
-    control : Control, optional
-        Gains of the joint controller.
-    progress : callable, optional
-        Called with the fraction done.
+    arm, trajectory, duration, rate, control, progress
+        See `simulate`.
 
     Raises
     ------
     EffectError
-        A presliding stiffness that this rate cannot follow.
+        Presliding too stiff for this rate.
     """
     span = trajectory.duration if duration is None else duration
     settling = round(SETTLING * rate)
     last = settling + round(span * rate)
     elastic = bool(arm.compliance.any())
-    # The path of an elastic arm is smoothed: keep the ends of the filter out of the recording.
+    # The path of an elastic arm is filtered; the ends of the filter are not recorded.
     t = np.arange(-settling, last + 1 - settling + elastic * settling) / rate
     temperature = arm.thermal.at(t, arm.n)
     controller = _Controller(arm, trajectory, t, control or Control())
@@ -162,7 +160,7 @@ class _Controller:
         self, arm: Arm, trajectory: ReferenceTrajectory, t: Array, control: Control
     ) -> None:
         q, dq, ddq = trajectory.at(np.clip(t, 0.0, trajectory.duration))
-        for effect in arm.effects_of(EncoderOffset):  # the controller sees the encoders
+        for effect in arm.effects_of(EncoderOffset):  # the controller uses the encoders
             q[:, effect.joint] += effect.offset
         self.reference = q
         self._goal, self._goal_velocity = _next(q), _next(dq)
@@ -180,7 +178,7 @@ class _Controller:
         self._limit = np.where(np.isfinite(limit), limit, np.inf)
 
     def command(self, k: int, q: Array, dq: Array) -> DriveCommand:
-        """PD on where the step from q, dq (n,) leads."""
+        """Return the command for the step that starts at q, dq (n,)."""
         import pinocchio as pin
 
         if self._feedforward is None:
@@ -196,12 +194,12 @@ class _Controller:
 
 
 def _next(rows: Array) -> Array:
-    """Each row's successor; the last stays."""
+    """Return the next row for each row; the last is repeated."""
     return np.concatenate([rows[1:], rows[-1:]])
 
 
 def _least_inertia(model: Any, path: Array) -> Array:
-    """Least inertia of each joint with the others free (n,), along a path."""
+    """Return the least inertia of each joint along a path (n,), the other joints being free."""
     import pinocchio as pin
 
     data = model.createData()
@@ -222,7 +220,7 @@ def _check_presliding(arm: Arm, stepper: Stepper, inertia: Array, h: float) -> N
 
 
 class _Rows:
-    """The simulation's memory."""
+    """Recorded signals of a simulation."""
 
     def __init__(self, size: int, n: int) -> None:
         self.q, self.dq, self.ddq, self.tau, self.rigid, self.dry, self.smooth = np.zeros(

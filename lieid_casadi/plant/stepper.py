@@ -1,4 +1,4 @@
-"""One step of the plant: rigid dynamics, effects, and dry friction that sticks and slips."""
+"""Time integration of the plant: rigid dynamics, effects, dry friction with stick and slip."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from lieid_casadi.plant.rigid import wrench_torque
 
 Array = NDArray[np.float64]
 
-MOST_ITERATIONS = 30
-MOST_CHANGES = 4  # of one joint between stick and slip within a step
+MAX_ITERATIONS = 30
+MAX_CHANGES = 4  # of one joint between stick and slip within a step
 TOLERANCE = 1e-10  # N·m, relative to the torques at hand
 
 
 @dataclass(slots=True)
 class DriveCommand:
-    """Torque of the drives within a step, (n,) each: constant − gain·a, cut off at ±limit.
+    """Torque of the drives within a step, (n,) each: constant − gain·a, saturated at ±limit.
 
-    The gain is that of a drive whose own loop is much faster than the step: it sees where the
-    acceleration a of the step leads.
+    The gain represents a drive whose own loop is much faster than the step and reacts to the
+    acceleration a of the step.
     """
 
     constant: Array
@@ -51,7 +51,7 @@ class StepResult:
 
 
 class Stepper:
-    """JointState of an arm (``q``, ``dq``), advanced by drift, kick, drift.
+    """State (``q``, ``dq``) of an arm, integrated by the drift-kick-drift rule.
 
     q̄ = q + h/2·q̇;  q̇ ← q̇ + h·a;  q ← q̄ + h/2·q̇, where a solves
 
@@ -82,7 +82,16 @@ class Stepper:
         self.unsettled = 0
 
     def step(self, t: float, command: DriveCommand, temperature: Array) -> StepResult:
-        """Advance by one step under the drives' torque."""
+        """Integrate one step under the torque of the drives.
+
+        Parameters
+        ----------
+        t : float
+            Start of the step, s.
+        command : DriveCommand
+        temperature : (n,)
+            °C.
+        """
         h, drive = self._h, self._drive
         q = self.q + 0.5 * h * self.dq
         if drive.hysteretic.any():
@@ -99,14 +108,14 @@ class Stepper:
         self.dq = self.dq + h * a
         self.dq[stuck] = 0.0
         self.q = q + 0.5 * h * self.dq
-        turning = sign * v < 0.0  # through zero within the step, against its mean velocity
+        turning = sign * v < 0.0  # reverses within the step
         return StepResult(q, v, a, torque, rigid, smooth, dry, stuck | turning)
 
     def _velocity_lead(self, arm: Arm) -> Array:
-        """Time (n,) from a step's start to where its velocity is taken: h/2.
+        """Time (n,) within a step at which its velocity is evaluated: h/2.
 
-        Where damping stops a joint within a step, the mean velocity would leave the ends of the
-        steps swinging from one to the next: there it is the velocity at the end, h.
+        Where damping stops a joint within a step, the midpoint rule oscillates from step to step;
+        the velocity at the end of the step, h, does not.
         """
         inertia = self._pin.crba(self._model, self._data, self.q) + np.diag(self._armature)
         overdamped = self._h * arm.friction.viscous * np.diag(np.linalg.inv(inertia)) > 1.0
@@ -122,7 +131,7 @@ class Stepper:
     def _accelerate(
         self, state: JointState, command: DriveCommand
     ) -> tuple[Array, Array, Array, Array, Array]:
-        """Solve for the acceleration; ``state`` is left at the mean velocity of the step."""
+        """Solve for the acceleration; sets ``state`` to the mean velocity of the step."""
         h, drive, dq = self._h, self._drive, self.dq
         inertia = self._pin.crba(self._model, self._data, state.q)
         constant = self._tool_torque(state.q)
@@ -130,7 +139,7 @@ class Stepper:
         sign = np.where(free, 0.0, np.sign(dq))
         changes = np.zeros(dq.size, dtype=int)
         a = np.where((dq == 0.0) & ~free, 0.0, self._a)
-        for _ in range(MOST_ITERATIONS):
+        for _ in range(MAX_ITERATIONS):
             state.dq = dq + self._lead * a
             rigid = (
                 inertia @ a + self._pin.nle(self._model, self._data, state.q, state.dq) + constant
@@ -143,7 +152,7 @@ class Stepper:
             balance = rigid + smooth + self._armature * a - torque
             residual = np.where(stuck, a + dq / h, balance + direction * level)
             if np.abs(residual).max() < TOLERANCE * (1.0 + np.abs(torque).max()):
-                revised = _revised(sign, stuck, free, dq + h * a, -balance, level, changes)
+                revised = _revised_signs(sign, stuck, free, dq + h * a, -balance, level, changes)
                 if revised is None:
                     return a, sign, rigid, smooth, level
                 sign = revised
@@ -180,7 +189,7 @@ class Stepper:
         return wrench_torque(self._model, self._data, q, self._wrench)
 
 
-def _revised(
+def _revised_signs(
     sign: Array,
     stuck: NDArray[np.bool_],
     free: NDArray[np.bool_],
@@ -189,10 +198,10 @@ def _revised(
     level: Array,
     changes: NDArray[np.int_],
 ) -> Array | None:
-    """Return signs with joints that must stick or slip changed; None if all is well."""
+    """Return signs in which joints that must stick or slip are changed; None if none must."""
     turned = ~stuck & ~free & (after * sign < 0.0)
-    broken_loose = stuck & (np.abs(needed) > level)
-    wrong = (turned | broken_loose) & (changes < MOST_CHANGES)
+    slipping = stuck & (np.abs(needed) > level)
+    wrong = (turned | slipping) & (changes < MAX_CHANGES)
     if not wrong.any():
         return None
     changes[wrong] += 1

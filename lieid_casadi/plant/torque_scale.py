@@ -1,4 +1,4 @@
-"""How large torques are, where a robot does not say."""
+"""Typical torques of a robot without torque limits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def torque_scale(robot: Robot) -> Array:
-    """Return the size of each joint's torque (n,): its limit, or else 1.5 × a typical peak."""
+    """Return the torque limit of each joint (n,), N·m; without one, 1.5 × a typical peak."""
     import pinocchio as pin
 
     limit = robot.limit("torque")

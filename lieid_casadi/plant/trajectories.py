@@ -1,4 +1,4 @@
-"""Motions to try the plant with: random Fourier series, point to point, constant-speed sweeps."""
+"""Reference motions: random Fourier series, point to point, constant-speed sweeps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DEFAULT_REACH = {True: np.pi, False: 0.5}  # rad, m either side
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """What motions keep to, (n,) each: the robot's limits, or defaults where it states none."""
+    """Limits of the motions, (n,) each: those of the robot, or defaults where it states none."""
 
     lower: Array
     upper: Array
@@ -57,17 +57,20 @@ class FourierTrajectory:
     """A random periodic motion within the robot's limits, at rest at the start of each period.
 
     q(t) = q0 + Σ a_l/(lω)·sin(lωt) − b_l/(lω)·cos(lωt), with Σ a_l = Σ l·b_l = 0, so that
-    velocity and acceleration vanish at the ends. Accelerations keep to 5 rad/s² or the robot's
-    own limit, whichever is less.
+    velocity and acceleration vanish at the ends. Accelerations stay below 5 rad/s² and the robot's
+    own limit.
 
     Parameters
     ----------
+    robot : Robot
     harmonics : int
         At least 2.
     base_frequency : float
         Hz: one over the period.
     periods : int
-        How many are run.
+        Number of periods.
+    seed : int
+        Of the coefficients.
     """
 
     def __init__(
@@ -95,7 +98,7 @@ class FourierTrajectory:
         fastest = float(self._omega[-1])
         one_period = np.linspace(0.0, 2.0 * np.pi / float(self._omega[0]), 200 * self._omega.size)
         q, dq, ddq = self.at(one_period)
-        half = np.pi / 200.0 / fastest  # between the points a signal exceeds them by < 0.1 %
+        half = np.pi / 200.0 / fastest  # half the grid step; covers maxima between grid points
         scale = 0.998 * amplitude * np.min(
             [
                 (envelope.upper - envelope.lower) / np.ptp(q, axis=0),
@@ -122,13 +125,13 @@ class FourierTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class Waypoints:
-    """Moves between poses, each a quintic with rest at both ends, and dwells between them.
+    """Quintic moves from rest to rest between poses, with dwells between them.
 
     Attributes
     ----------
     poses : (P, n)
     starts, moves : (P − 1,)
-        When each move starts and how long it takes, s.
+        Start and duration of each move, s.
     duration
         s.
     """
@@ -144,19 +147,17 @@ class Waypoints:
         leg = np.clip(np.searchsorted(self.starts, times, side="right") - 1, 0, None)
         length = self.moves[leg][:, None]
         s = np.clip((times - self.starts[leg]) / self.moves[leg], 0.0, 1.0)[:, None]
-        way = self.poses[leg + 1] - self.poses[leg]
-        q = self.poses[leg] + way * (s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
-        dq = way / length * (30.0 * s * s * (1.0 - s) ** 2)
-        ddq = way / length**2 * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s))
+        distance = self.poses[leg + 1] - self.poses[leg]
+        q = self.poses[leg] + distance * (s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
+        dq = distance / length * (30.0 * s * s * (1.0 - s) ** 2)
+        ddq = distance / length**2 * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s))
         return q, dq, ddq
 
 
 def point_to_point(
     robot: Robot, *, poses: int = 8, dwell: float = 1.0, speed: float = 0.7, seed: int
 ) -> Waypoints:
-    """Return moves between random poses with dwells (s) between them.
-
-    ``speed`` is the part of the velocity limits that the fastest joint of a move reaches.
+    """Return moves between random poses.
 
     Parameters
     ----------
@@ -164,19 +165,18 @@ def point_to_point(
     poses : int
         Number of poses.
     dwell : float
-        Rest between two moves, s.
+        At rest between two moves, s.
     speed : float
         Part of the velocity limits that the fastest joint of a move reaches.
     seed : int
-        Of the poses.
     """
     envelope = Envelope.of(robot)
     random = np.random.default_rng(seed)
     stops = random.uniform(envelope.lower, envelope.upper, (poses, robot.n))
-    way = np.abs(np.diff(stops, axis=0))
-    # A quintic peaks at 15/8 of its mean velocity and 10/√3 of way/time².
-    by_velocity = 15.0 / 8.0 * way / (speed * envelope.velocity)
-    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / envelope.acceleration)
+    distance = np.abs(np.diff(stops, axis=0))
+    # A quintic has peaks of 15/8 of its mean velocity and 10/√3 of distance/time².
+    by_velocity = 15.0 / 8.0 * distance / (speed * envelope.velocity)
+    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * distance / envelope.acceleration)
     moves = np.maximum(np.maximum(by_velocity, by_acceleration).max(axis=1), 0.1)
     starts = dwell + np.concatenate([[0.0], np.cumsum(moves[:-1] + dwell)])
     return Waypoints(stops, starts, moves, float(starts[-1] + moves[-1] + dwell))
@@ -184,14 +184,14 @@ def point_to_point(
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """One joint forward and back at constant speeds; the others hold their pose.
+    """One joint forward and backward at constant speeds while the others hold their pose.
 
     Attributes
     ----------
     pose : (n,)
-        Pose of the others; the joint starts from ``lower``.
+        Pose of the other joints; the moving joint starts at ``lower``.
     speeds : (S,)
-        One run forward and one back for each.
+        One run forward and one backward for each.
     """
 
     pose: Array
@@ -204,7 +204,9 @@ class Sweep:
 
     def _run(self, speed: float) -> tuple[float, float]:
         """Ramp time and total time of one run."""
-        ramp = 1.5 * speed / self.acceleration  # the smooth ramp peaks at 1.5 of its mean
+        ramp = (
+            1.5 * speed / self.acceleration
+        )  # the peak acceleration of the ramp is 1.5 of its mean
         return ramp, ramp + (self.upper - self.lower) / speed
 
     @property
@@ -223,9 +225,9 @@ class Sweep:
             ramp, total = self._run(speed)
             for origin, sign in ((self.lower, 1.0), (self.upper, -1.0)):
                 on = times >= begin
-                way, rate, growth = _run(times[on] - begin, speed, ramp, total)
-                q[on, self.joint] = origin + sign * way
-                dq[on, self.joint], ddq[on, self.joint] = sign * rate, sign * growth
+                distance, velocity, change = _run(times[on] - begin, speed, ramp, total)
+                q[on, self.joint] = origin + sign * distance
+                dq[on, self.joint], ddq[on, self.joint] = sign * velocity, sign * change
                 begin += total + self.dwell
         return q, dq, ddq
 
@@ -238,10 +240,7 @@ def sweep(
     pose: ArrayLike | None = None,
     dwell: float = 0.5,
 ) -> Sweep:
-    """Return forward and backward runs of one joint (from 0) across its range.
-
-    Speeds (rad/s) are 5, 15, 40 % of the joint's limit if not given; ramps keep to its
-    acceleration.
+    """Return forward and backward runs of one joint across its range.
 
     Parameters
     ----------
@@ -249,16 +248,16 @@ def sweep(
     joint : int
         From 0.
     speeds : sequence of float, optional
-        rad/s (m/s for a prismatic joint).
+        rad/s. Default: 5, 15 and 40 % of the joint's limit.
     pose : (n,), optional
-        Of the other joints, rad; the middle of their ranges if left out.
+        Of the other joints, rad. Default: the middle of the ranges.
     dwell : float
-        Rest between two runs, s.
+        At rest between two runs, s.
 
     Raises
     ------
     RobotError
-        No such joint, a speed that is not positive, or one that the range is too short for.
+        No such joint, or a speed that is not positive or for which the range is too short.
     """
     if not 0 <= joint < robot.n:
         raise RobotError(f"sweep of joint {joint} (from 0); robot {robot.name!r} has {robot.n}")
@@ -277,21 +276,23 @@ def sweep(
 
 
 def _run(t: Array, speed: float, ramp: float, total: float) -> tuple[Array, Array, Array]:
-    """Way, velocity, acceleration of a run from rest to rest with smooth ramps."""
+    """Return distance, velocity and acceleration of a run from rest to rest with smooth ramps."""
     up = np.clip(t / ramp, 0.0, 1.0)
     down = np.clip((t - (total - ramp)) / ramp, 0.0, 1.0)
-    velocity = speed * (_step(up) - _step(down))
+    velocity = speed * (_smooth_step(up) - _smooth_step(down))
     acceleration = speed / ramp * (6.0 * up * (1.0 - up) - 6.0 * down * (1.0 - down))
     cruise = np.clip(t - ramp, 0.0, total - ramp)
-    way = speed * (ramp * _step_integral(up) + cruise - ramp * _step_integral(down))
-    return way, velocity, acceleration
+    distance = speed * (
+        ramp * _smooth_step_integral(up) + cruise - ramp * _smooth_step_integral(down)
+    )
+    return distance, velocity, acceleration
 
 
-def _step(s: Array) -> Array:
+def _smooth_step(s: Array) -> Array:
     return s * s * (3.0 - 2.0 * s)
 
 
-def _step_integral(s: Array) -> Array:
+def _smooth_step_integral(s: Array) -> Array:
     return s**3 - 0.5 * s**4
 
 

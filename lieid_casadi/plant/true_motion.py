@@ -1,4 +1,4 @@
-"""What truly happened on the plant, before any sensor."""
+"""True signals of the plant, before the sensors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class ReferenceTrajectory(Protocol):
-    """A motion to track: at rest before 0 and after ``duration`` (s)."""
+    """A reference for the controller; at rest before 0 and after ``duration`` (s)."""
 
     @property
     def duration(self) -> float:
@@ -26,7 +26,7 @@ class ReferenceTrajectory(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class TrueMotion:
-    """True signals at N instants; (N, n) but for t (N,). SI units.
+    """True signals at N instants: t (N,), all others (N, n). SI units.
 
     τ = rigid + smooth + dry + armature·motor_ddq holds sample by sample.
 
@@ -35,18 +35,18 @@ class TrueMotion:
     q, dq, ddq
         Of the links.
     motor_q, motor_dq, motor_ddq
-        Of the motors: the same, but for elastic joints.
+        Of the motors; they differ from those of the links at elastic joints.
     tau
         Torque that the drives deliver.
     rigid
-        Torque that the rigid arm takes (payload and tool wrench included).
+        Torque of the rigid arm, payload and tool wrench included.
     dry
         Dry friction.
     smooth
-        Everything else: viscous friction, offset, spring, ripple …
+        All other torques: viscous friction, offset, spring, ripple.
     resting : bool
-        Where the joint was at rest, or came to rest or turned within the step: dry friction is
-        then not what the law of motion says at this velocity.
+        Whether the joint was at rest, came to rest or reversed within the step; dry friction then
+        does not follow from the velocity.
     temperature
         °C.
     """

@@ -1,4 +1,4 @@
-"""Links as capsules: given, fitted to collision geometry, or from the skeleton of joints."""
+"""Links as capsules: given, fitted to collision geometry, or along the lines between joints."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
-SKELETON_RADIUS = 0.06  # of the arm's length, where no geometry is known
-WORTH = 0.7  # of one capsule's volume: more capsules must take up less
+SKELETON_RADIUS = 0.06  # of the arm's length, where there is no geometry
+SPLIT_VOLUME = 0.7  # of one capsule's volume: several capsules must be smaller in sum
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,7 @@ class Capsule:
     Attributes
     ----------
     link : int
-        0 the base, i the link that joint i (from 1) moves.
+        0 for the base, i for the link that joint i (from 1) moves.
     start, end : (3,)
         In the link's frame, m.
     """
@@ -39,7 +39,7 @@ def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...
     Parameters
     ----------
     radius : float, optional
-        m; 6 % of the arm's length if left out.
+        m. Default: 6 % of the arm's length.
     """
     homes = [np.eye(4), *(joint.home for joint in robot.joints)]
     homes.append(robot.joints[-1].home @ robot.tool)
@@ -56,21 +56,19 @@ def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...
 def enclosing_all(
     link: int, points: Array, faces: NDArray[np.int64] | None = None, *, splits: int = 2
 ) -> list[Capsule]:
-    """Return one capsule around points (N, 3), or several where those take up less space.
+    """Return one capsule around points, or several where their volume is smaller.
 
-    A mesh with triangles ``faces`` (F, 3) is cut in two across its longest direction; triangles
-    on the cut belong to both parts, so that each lies wholly in one capsule.
+    A mesh is cut in two across its longest direction; each triangle is inside one capsule.
 
     Parameters
     ----------
     link : int
-        Index of the link, from 0.
     points : (N, 3)
         In the link's frame, m.
-    faces : (F, 3) int, optional
-        Triangles, as indices of points.
+    faces : (F, 3), optional
+        Triangles of a mesh.
     splits : int
-        How often a mesh is cut in two at most.
+        How often a part may be cut again.
     """
     whole = enclosing(link, points)
     if faces is None or splits == 0 or len(faces) < 8:
@@ -85,7 +83,7 @@ def enclosing_all(
         used, renumbered = np.unique(faces[chosen], return_inverse=True)
         part = renumbered.reshape(-1, 3)
         parts += enclosing_all(link, points[used], part, splits=splits - 1)
-    if sum(_volume(part) for part in parts) < WORTH * _volume(whole):
+    if sum(_volume(part) for part in parts) < SPLIT_VOLUME * _volume(whole):
         return parts
     return [whole]
 
@@ -93,8 +91,9 @@ def enclosing_all(
 def enclosing(link: int, points: Array) -> Capsule:
     """Return a small capsule that contains points (N, 3) of a link.
 
-    The axis is the points' longest principal direction; the ends are as far in as the spherical
-    caps allow. Not the smallest capsule, but none of the points is outside.
+    The axis is the principal direction of the points with the smallest capsule; its ends are as
+    close together as the spherical caps allow. No point is outside, but the capsule need not be
+    the smallest one.
     """
     points = np.asarray(points, dtype=float)
     best: Capsule | None = None
@@ -115,7 +114,7 @@ def _along(link: int, points: Array, axis: Array) -> Capsule:
     gap = np.linalg.norm(across - centre, axis=1)
     cap = np.sqrt(np.maximum(radius**2 - gap**2, 0.0))
     low, high = float((along + cap).min()), float((along - cap).max())
-    if low > high:  # a ball is enough
+    if low > high:  # a ball contains all points
         low = high = 0.5 * (low + high)
     ends = centre + low * axis, centre + high * axis
     slack = segment_distance_to_points(points, *ends).max()
@@ -137,15 +136,7 @@ def _volume(capsule: Capsule) -> float:
 
 
 def segment_distance_to_points(points: Array, start: Array, end: Array) -> Array:
-    """Return the distance (N,) of points from a segment.
-
-    Parameters
-    ----------
-    points : (N, 3)
-        m.
-    start, end : (3,)
-        Ends of the segment, m.
-    """
+    """Return the distance (N,) of points from a segment."""
     direction = end - start
     squared = float(direction @ direction)
     share = np.zeros(len(points))

@@ -1,4 +1,4 @@
-"""Limits on a motion, sampled: small classes behind one interface."""
+"""Limits on a motion at samples: constraint sets behind one interface."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class ConstraintSet(ABC):
     Attributes
     ----------
     labels : tuple of str
-        What each quantity is, as messages name it.
-    unit : tuple of str
+        Name of each quantity in messages.
+    units : tuple of str
     lower, upper : (k,)
         Infinite where there is no limit.
     scale : (k,)
-        Size that counts as 1 when violations of different units are weighed.
+        Unit in which violations of different quantities are compared.
     remedy : str
-        What to relax.
+        What to relax, for messages.
     """
 
     labels: tuple[str, ...]
@@ -47,7 +47,7 @@ class ConstraintSet(ABC):
         """Return ∂values/∂(q, dq, ddq) (k, 3 n, N)."""
 
     def excess(self, values: Array) -> Array:
-        """Return by how much values (k, N) break the limits, in their units; negative inside."""
+        """Return by how much values (k, N) exceed the limits, in their units; negative inside."""
         return np.maximum(values - self.upper[:, None], self.lower[:, None] - values)
 
 
@@ -57,8 +57,11 @@ class JointLimits(ConstraintSet):
     Parameters
     ----------
     position : (n, 2)
-        Lower and upper.
+        Lower and upper, rad.
     velocity, acceleration : (n,)
+        rad/s, rad/s².
+    revolute : (n,), optional
+        Whether each joint is revolute; decides the units in messages.
     """
 
     linear = True
@@ -99,7 +102,7 @@ class JointLimits(ConstraintSet):
 
 @dataclass(frozen=True, eq=False)
 class ConstraintRows:
-    """Chosen limits at chosen times: set, quantity, sample and side (+1 upper, −1 lower)."""
+    """Selected limits at selected samples: set, quantity, sample, side (+1 upper, −1 lower)."""
 
     sets: NDArray[np.intp]
     quantities: NDArray[np.intp]
@@ -116,12 +119,12 @@ class ConstraintRows:
         return set(zip(*(column.tolist() for column in columns), strict=True))
 
     def without(self, other: ConstraintRows) -> ConstraintRows:
-        """Return those of these rows that another does not have."""
+        """Return the rows that are not among the other's."""
         keys = zip(*(column.tolist() for column in self.columns), strict=True)
         return self.chosen(np.array([key not in other.keys for key in keys], dtype=bool))
 
     def joined(self, other: ConstraintRows) -> ConstraintRows:
-        """Return these rows and another's that are not among them."""
+        """Return these rows and the other's that are not among them."""
         new = other.without(self)
         pairs = zip(self.columns, new.columns, strict=True)
         return ConstraintRows(*(np.concatenate(pair) for pair in pairs))
@@ -139,8 +142,15 @@ class ConstraintRows:
 class SampledConstraints:
     """Constraint sets on a grid of times, as scaled excesses of the free variables z.
 
-    An excess r is the distance past a limit in parts of its scale, plus ``margin``: feasible
-    with margin where r ≤ 0.
+    The excess is the distance beyond a limit in parts of its scale, plus ``margin``: a motion with
+    nonpositive excess keeps the margin from every limit.
+
+    Parameters
+    ----------
+    sets : tuple of ConstraintSet
+    sampled : SampledBasis
+        Grid of times.
+    margin : float
     """
 
     def __init__(
@@ -151,7 +161,7 @@ class SampledConstraints:
         self.margin = margin
 
     def excess(self, motion: MotionSamples) -> list[tuple[Array, Array]]:
-        """Return per set the scaled excesses (k, N) past the upper and the lower limits."""
+        """Return per set the scaled excesses (k, N) above the upper and below the lower limits."""
         result = []
         for limits in self.sets:
             values, scale = limits.values(motion), limits.scale[:, None]
@@ -185,9 +195,9 @@ class SampledConstraints:
         """Return the excesses of rows (R,)."""
         result = np.empty(len(rows))
         for index, (upper, lower) in enumerate(excess):
-            mine = rows.sets == index
-            where = rows.quantities[mine], rows.samples[mine]
-            result[mine] = np.where(rows.sides[mine] > 0, upper[where], lower[where])
+            own = rows.sets == index
+            where = rows.quantities[own], rows.samples[own]
+            result[own] = np.where(rows.sides[own] > 0, upper[where], lower[where])
         return result
 
     def jacobian(self, motion: MotionSamples, rows: ConstraintRows) -> Array:
@@ -196,17 +206,17 @@ class SampledConstraints:
         n, _, _, d = functions.shape
         result = np.zeros((len(rows), n, d))
         for index, limits in enumerate(self.sets):
-            mine = np.flatnonzero(rows.sets == index)
-            if not len(mine):
+            own = np.flatnonzero(rows.sets == index)
+            if not len(own):
                 continue
-            samples, place = np.unique(rows.samples[mine], return_inverse=True)
+            samples, place = np.unique(rows.samples[own], return_inverse=True)
             part = MotionSamples(
                 motion.t[samples], motion.q[samples], motion.dq[samples], motion.ddq[samples]
             )
-            slopes = limits.jacobian(part)[rows.quantities[mine], :, place]  # (R, 3 n)
-            factor = rows.sides[mine] / limits.scale[rows.quantities[mine]]
+            slopes = limits.jacobian(part)[rows.quantities[own], :, place]  # (R, 3 n)
+            factor = rows.sides[own] / limits.scale[rows.quantities[own]]
             slopes = (slopes * factor[:, None]).reshape(-1, 3, n)
-            result[mine] = np.einsum(
-                "rkj,jkrd->rjd", slopes, functions[:, :, rows.samples[mine], :], optimize=True
+            result[own] = np.einsum(
+                "rkj,jkrd->rjd", slopes, functions[:, :, rows.samples[own], :], optimize=True
             )
         return result.reshape(len(rows), n * d)

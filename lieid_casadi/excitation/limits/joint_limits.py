@@ -1,4 +1,4 @@
-"""A robot's joint limits, completed and checked for a design."""
+"""Joint limits of a robot, with defaults, checked for a design."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
 ACCELERATION = 5.0  # rad/s² (m/s²) where the robot states none
-LEAST_MOTION = 0.05  # rad; a duration that allows less is refused
+LEAST_MOTION = 0.05  # rad; shorter durations are refused
 
 
 @dataclass(frozen=True, eq=False)
 class MotionRange:
     """Limits of every joint: position (n, 2), velocity and acceleration (n,).
 
-    Positions are infinite without end stops.
+    rad, rad/s, rad/s² (m for prismatic joints). Positions are infinite without end stops.
     """
 
     position: Array
@@ -40,7 +40,7 @@ class MotionRange:
 
     @property
     def units(self) -> Array:
-        """Half range, velocity, acceleration (n, 3): what counts as 1."""
+        """Half range, velocity and acceleration limit (n, 3), as units of the free variables."""
         half = np.where(self._stops, self.position, [-np.pi, np.pi])
         return np.stack([0.5 * np.ptp(half, axis=1), self.velocity, self.acceleration], axis=1)
 
@@ -50,17 +50,18 @@ class MotionRange:
 
 
 def motion_range(robot: Robot, acceleration: ArrayLike | None = None) -> MotionRange:
-    """Return a robot's limits.
+    """Return the limits of a robot.
 
     Parameters
     ----------
+    robot : Robot
     acceleration : float or (n,), optional
-        In place of the robot's own; where neither states one, 5 rad/s² (m/s²).
+        In place of the robot's own, rad/s². Default: 5 rad/s² (m/s²) where it states none.
 
     Raises
     ------
     ExcitationError
-        No velocity limit, a position range that is empty, an acceleration that is not positive.
+        No velocity limit, an empty position range, or an acceleration that is not positive.
     """
     position = np.stack([robot.limit("position_lower"), robot.limit("position_upper")], axis=1)
     position = np.where(np.isnan(position), [-np.inf, np.inf], position)
@@ -89,14 +90,14 @@ def check_start_pose(robot: Robot, limits: MotionRange, pose: Array) -> None:
     robot : Robot
     limits : MotionRange
     pose : (n,)
-        rad (m for a prismatic joint).
+        rad.
 
     Raises
     ------
     ExcitationError
     """
     if pose.shape != (robot.n,) or not np.all(np.isfinite(pose)):
-        raise ExcitationError(f"start pose: {pose.size} numbers; expected {robot.n}, one a joint")
+        raise ExcitationError(f"start pose: {pose.size} numbers; expected {robot.n}, one per joint")
     for j, (low, high) in enumerate(limits.position):
         if not low < pose[j] < high:
             raise ExcitationError(
@@ -106,19 +107,19 @@ def check_start_pose(robot: Robot, limits: MotionRange, pose: Array) -> None:
 
 
 def check_duration(robot: Robot, limits: MotionRange, duration: float) -> None:
-    """Refuse a duration in which the velocity or acceleration limits allow no motion to speak of.
+    """Refuse a duration in which the limits allow less than 0.05 rad of motion.
 
     Parameters
     ----------
     robot : Robot
     limits : MotionRange
     duration : float
-        s.
+        Of one period, s.
 
     Raises
     ------
     ExcitationError
-        Names the limit, and the duration that would do.
+        Names the limit and a sufficient duration.
     """
     rate = 2.0 * np.pi / duration
     for name, limit, power in (
@@ -131,8 +132,8 @@ def check_duration(robot: Robot, limits: MotionRange, duration: float) -> None:
             enough = 2.0 * np.pi * (LEAST_MOTION / limit[j]) ** (1.0 / power)
             raise ExcitationError(
                 f"duration: {duration:g} s is too short for the {name} limit of "
-                f"{_joint(robot, j)}, {limit[j]:g}: it could swing by {reach[j]:.2g} only; "
-                f"ask for {enough:.2g} s at least"
+                f"{_joint(robot, j)}, {limit[j]:g}: its amplitude would be {reach[j]:.2g} rad; "
+                f"expected {enough:.2g} s at least"
             )
 
 
@@ -143,7 +144,7 @@ def _acceleration(robot: Robot, given: ArrayLike | None) -> Array:
     values = np.atleast_1d(np.asarray(given, dtype=float))
     if values.size not in (1, robot.n):
         raise ExcitationError(
-            f"acceleration: {values.size} numbers; expected 1 or {robot.n}, one a joint"
+            f"acceleration: {values.size} numbers; expected 1 or {robot.n}, one per joint"
         )
     if not np.all(np.isfinite(values) & (values > 0.0)):
         raise ExcitationError("acceleration: expected positive numbers")

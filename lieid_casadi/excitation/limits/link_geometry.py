@@ -19,15 +19,15 @@ from lieid_casadi.robot.yaml_fields import FARTHEST, Field
 Array = NDArray[np.float64]
 logger = logging.getLogger("lieid_casadi")
 BUNDLED = {"panda": "panda.yaml", "panda_luo2024": "panda.yaml"}  # link frames are the same
-AROUND = 24  # points on a cylinder's rim; just outside, so that their hull contains it
+RIM_POINTS = 24  # on the rim of a cylinder, outside of it, so that their hull contains it
 
 
 def capsules_of(robot: Robot) -> tuple[Capsule, ...]:
     """Return the links as capsules.
 
-    Bundled ones for bundled robots; fitted to the collision geometry of a URDF whose meshes are
-    found (``package://`` in ``ROS_PACKAGE_PATH`` or ``AMENT_PREFIX_PATH``); else the skeleton of
-    lines from joint to joint, and a logged notice says so.
+    Bundled robots have bundled capsules. For a URDF they are fitted to the collision geometry, if
+    its meshes are found (``package://`` in ``ROS_PACKAGE_PATH`` or ``AMENT_PREFIX_PATH``).
+    Otherwise they follow the lines from joint to joint, which is logged as a warning.
     """
     if robot.source is None or robot.source.kind != "urdf":
         if robot.name in BUNDLED:
@@ -40,15 +40,15 @@ def capsules_of(robot: Robot) -> tuple[Capsule, ...]:
         if fitted:
             return fitted
     logger.warning(
-        "robot %s: no collision geometry found; its links count as capsules along the lines from "
-        "joint to joint. Give your own with --capsules if that is too coarse",
+        "robot %s: no collision geometry found; capsules along the lines from joint to joint stand "
+        "for its links. Give capsules with --capsules if these are too coarse",
         robot.name,
     )
     return skeleton(robot)
 
 
 def load_capsules(path: str | Path, robot: Robot) -> tuple[Capsule, ...]:
-    """Read capsules from YAML: ``capsules: [{link, start, end, radius}]``, link 0 the base.
+    """Read capsules from YAML: ``capsules: [{link, start, end, radius}]``; link 0 is the base.
 
     Raises
     ------
@@ -61,16 +61,7 @@ def load_capsules(path: str | Path, robot: Robot) -> tuple[Capsule, ...]:
 
 
 def parse_capsules(text: str, robot: Robot, *, origin: str) -> tuple[Capsule, ...]:
-    """Return capsules from YAML text; see `load_capsules`.
-
-    Parameters
-    ----------
-    text : str
-        YAML.
-    robot : Robot
-    origin : str
-        Name of the file, for error messages.
-    """
+    """Return capsules from YAML text; see `load_capsules`."""
     rows = Field.top(text, origin).mapping(("capsules",))["capsules"]
     if not rows.items():
         raise rows.error("at least one capsule")
@@ -87,7 +78,7 @@ def _capsule(row: Field, robot: Robot) -> Capsule:
 
 
 def fitted_to_urdf(robot: Robot) -> tuple[Capsule, ...]:
-    """Return capsules that contain the collision geometry of a URDF; none if it is not found."""
+    """Return capsules that contain the collision geometry of a URDF; () if it is not found."""
     import pinocchio as pin
 
     source = robot.source
@@ -140,12 +131,12 @@ def _around(link: int, shape: Any, placement: Any, scale: Array) -> list[Capsule
         corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         return enclosing_all(link, placed(corners * np.ravel(shape.halfSide)))
     if isinstance(shape, coal.Cylinder):
-        angles = 2.0 * np.pi * np.arange(AROUND) / AROUND
-        rim = shape.radius / np.cos(np.pi / AROUND) * np.stack([np.cos(angles), np.sin(angles)])
-        heights = np.repeat([shape.halfLength, -shape.halfLength], AROUND)
+        angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+        rim = shape.radius / np.cos(np.pi / RIM_POINTS) * np.stack([np.cos(angles), np.sin(angles)])
+        heights = np.repeat([shape.halfLength, -shape.halfLength], RIM_POINTS)
         return enclosing_all(link, placed(np.column_stack([np.tile(rim, 2).T, heights])))
     if hasattr(shape, "vertices"):
         triangles = [shape.tri_indices(k) for k in range(shape.num_tris)]
         faces = np.array([[triangle[corner] for corner in range(3)] for triangle in triangles])
         return enclosing_all(link, placed(np.array(shape.vertices())), faces)
-    raise RobotError(f"collision shape {type(shape).__name__} is not known; give --capsules")
+    raise RobotError(f"collision shape {type(shape).__name__} is not supported; give --capsules")

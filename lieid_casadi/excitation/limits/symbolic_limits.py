@@ -1,4 +1,4 @@
-"""Limits that are expressions of the motion: torque, speed in space, workspace."""
+"""Limits that are expressions of the motion: joint torque, Cartesian speed."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from lieid_casadi.excitation.sample_functions import SampleKernel, motion_jacobi
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
-STILL = 1e-4  # m/s; √(v² + STILL²) has a gradient at rest
+SMOOTHING = 1e-4  # m/s; √(v² + SMOOTHING²) has a gradient at rest
 
 
 class Limit(Protocol):
-    """A limit that a caller asks for; it becomes a constraint set once the robot is known."""
+    """A limit that a caller specifies; for a robot it becomes a constraint set."""
 
     def on(self, robot: Robot) -> ConstraintSet | None:
-        """Return the set for a robot; None if nothing of the robot can meet the limit.
+        """Return the set for a robot; None if no motion of the robot can violate the limit.
 
         Raises
         ------
@@ -38,7 +38,20 @@ class Limit(Protocol):
 
 
 class SymbolicSet(ConstraintSet):
-    """Quantities given as CasADi expressions, with exact Jacobians."""
+    """Quantities given as CasADi expressions, with exact Jacobians.
+
+    Parameters
+    ----------
+    name : str
+        Of the functions; letters, digits and underscores.
+    symbols : Symbols
+        Of the motion.
+    quantities : SX (k,)
+    jacobian : SX (k, 3 n), optional
+        ∂quantities/∂(q, dq, ddq). Default: by differentiation.
+    labels, units, lower, upper, scale, remedy
+        See `ConstraintSet`.
+    """
 
     def __init__(
         self,
@@ -96,7 +109,7 @@ class Torque:
 
 @dataclass(frozen=True)
 class CartesianSpeed:
-    """Speed of the tool and of every joint's centre (the elbow among them), m/s."""
+    """Speed of the tool and of every joint's centre within ``limit``, m/s."""
 
     limit: float
 
@@ -112,7 +125,7 @@ class CartesianSpeed:
             squared = ca.sumsqr(twist[3:] + cross(twist[:3], constant(point)))
             if ca.depends_on(squared, symbols.dq):
                 labels.append(f"speed of the {label}")
-                speeds.append(ca.sqrt(squared + STILL**2))
+                speeds.append(ca.sqrt(squared + SMOOTHING**2))
         return SymbolicSet(
             "speed", symbols, ca.vertcat(*speeds), labels=labels, units=["m/s"] * len(labels),
             lower=np.full(len(labels), -np.inf), upper=np.full(len(labels), self.limit),

@@ -1,4 +1,4 @@
-"""Where the arm may be: floor, walls, boxes, and clear of itself."""
+"""Workspace limits: floor, walls, boxes and self-collision."""
 
 from __future__ import annotations
 
@@ -22,15 +22,26 @@ from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
 logger = logging.getLogger("lieid_casadi")
-SCALE = 0.2  # m; distances count in parts of it when violations are weighed
+SCALE = 0.2  # m; unit in which violated distances are compared with other violations
 TINY = 1e-12  # m²; keeps square roots and quotients of lengths smooth
-PROBES = 500  # random poses that show which distances vary or are rarely kept
-OFTEN = 1.0 / 3.0
+PROBES = 500  # random poses at which distances are evaluated before the design
+OFTEN = 1.0 / 3.0  # part of these poses; pairs that touch in more are left out
 
 
 @dataclass(frozen=True)
 class Wall:
-    """Half-space that the arm must stay in: normal·x ≤ offset, base frame, m."""
+    """Half-space in which the arm must stay: normal·x ≤ offset, base frame, m.
+
+    Attributes
+    ----------
+    normal : (3,)
+    offset : float
+        m, for a unit normal.
+    name : str
+        In messages.
+    capsules : tuple of Capsule
+        Links. Default: along the lines from joint to joint.
+    """
 
     normal: tuple[float, float, float]
     offset: float
@@ -55,21 +66,14 @@ class Wall:
 
 
 def floor(height: float = 0.0, *, capsules: Sequence[Capsule] = ()) -> Wall:
-    """Return the floor: the arm stays above ``height``, m in the base frame."""
+    """Return the limit that the arm stays above ``height``, m in the base frame."""
     return Wall((0.0, 0.0, -1.0), -height, "floor", tuple(capsules))
 
 
 def workspace_box(
     lower: Sequence[float], upper: Sequence[float], *, capsules: Sequence[Capsule] = ()
 ) -> tuple[Wall, ...]:
-    """Return six walls: the arm stays inside the box from ``lower`` to ``upper``, m.
-
-    Parameters
-    ----------
-    lower, upper : (3,)
-        Corners in the base frame, m.
-    capsules : sequence of Capsule
-        Shape of the links; a skeleton of the arm if left out.
+    """Return six walls: the arm stays inside the box from ``lower`` to ``upper`` (3,), m.
 
     Raises
     ------
@@ -79,7 +83,9 @@ def workspace_box(
     walls = []
     for axis, (low, high) in enumerate(zip(lower, upper, strict=True)):
         if not low < high:
-            raise ExcitationError(f"box: lower {low:g} m, upper {high:g} m along {'xyz'[axis]}")
+            raise ExcitationError(
+                f"workspace box: lower {low:g} m, upper {high:g} m along {'xyz'[axis]}"
+            )
         unit = [0.0, 0.0, 0.0]
         for sign, edge in ((-1.0, low), (1.0, high)):
             unit[axis] = sign
@@ -90,9 +96,18 @@ def workspace_box(
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Box, along the base's axes, that the arm must stay out of; corners in m.
+    """Box along the axes of the base that the arm must avoid.
 
-    Each capsule is tested at ``points`` balls along it that cover it wholly.
+    Each capsule is replaced by balls that contain it (`covering_balls`).
+
+    Attributes
+    ----------
+    lower, upper : (3,)
+        Corners, m.
+    name : str
+        In messages.
+    capsules : tuple of Capsule
+        Links. Default: along the lines from joint to joint.
     """
 
     lower: tuple[float, float, float]
@@ -118,10 +133,10 @@ class Obstacle:
 
 @dataclass(frozen=True)
 class SelfCollision:
-    """Links keep at least ``clearance`` (m) from each other; links as capsules.
+    """Distance of at least ``clearance`` (m) between links, modelled as capsules.
 
-    Left out are neighbours, and pairs that touch in a third of random poses or more: capsules too
-    coarse for links next to each other. A logged notice names them.
+    Adjacent links are left out, and pairs whose capsules touch in a third of random poses or more:
+    they are too coarse for links close to each other. The log names these pairs.
     """
 
     clearance: float = 0.02
@@ -147,18 +162,19 @@ class SelfCollision:
 def capsule_distance(
     poses: Sequence[Pose], symbols: Symbols, a: Capsule, b: Capsule
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the distance of two capsules' surfaces and its Jacobian (1, 3 n).
-
-    The closest points move along their segments to first order without changing the distance, so
-    the Jacobian holds them fixed on the segments: it is smooth wherever they are unique.
+    """Return the distance between the surfaces of two capsules and its Jacobian (1, 3 n).
 
     Parameters
     ----------
     poses : sequence of Pose
-        Of the links in the base frame.
+        Of the base and of every link, in the base frame.
     symbols : Symbols
-        Of the motion.
     a, b : Capsule
+
+    Notes
+    -----
+    The closest points move along their segments to first order without changing the distance, so
+    the Jacobian holds them fixed on the segments: it is smooth wherever they are unique.
     """
     starts = [_place(poses[c.link], c.start) for c in (a, b)]
     edges = [ca.mtimes(poses[c.link].rotation, ca.DM(c.end - c.start)) for c in (a, b)]
@@ -174,7 +190,7 @@ def capsule_distance(
 def _closest(
     starts: list[ca.SX], edges: list[ca.SX], a: Capsule, b: Capsule
 ) -> tuple[ca.SX, ca.SX]:
-    """Return where on both segments (0 to 1) the closest points are (Ericson, 5.1.9)."""
+    """Return the positions (0 to 1) of the closest points on both segments (Ericson, 5.1.9)."""
     between = starts[0] - starts[1]
     length_a = float(np.sum((a.end - a.start) ** 2)) + TINY
     length_b = float(np.sum((b.end - b.start) ** 2)) + TINY
@@ -182,7 +198,7 @@ def _closest(
     on_a, on_b = ca.dot(edges[0], between), ca.dot(edges[1], between)
     s = _unit((along * on_b - on_a * length_b) / (length_a * length_b - along**2 + TINY))
     t = _unit((along * s + on_b) / length_b)
-    # once more each: exact where a clamp was met, and for parallel segments
+    # a second pass makes it exact after clamping and for parallel segments
     s = _unit((along * t - on_a) / length_a)
     t = _unit((along * s + on_b) / length_b)
     s = _unit((along * t - on_a) / length_a)
@@ -230,9 +246,10 @@ def _clearances(
     *,
     often: float = np.inf,
 ) -> ConstraintSet | None:
-    """Return the set distance ≥ clearance, without distances that no motion changes.
+    """Return the set distance ≥ clearance of the distances that depend on the pose.
 
-    Nor those that a share ``often`` of random poses or more fall short of.
+    Distances that are below the clearance in a fraction ``often`` of random poses or more are left
+    out.
     """
     if not distances:
         return None
@@ -240,7 +257,9 @@ def _clearances(
     varying = [k for k in range(len(labels)) if spread[k] > 1e-9 and touching[k] < often]
     coarse = [labels[k] for k in range(len(labels)) if spread[k] > 1e-9 and touching[k] >= often]
     if coarse:
-        logger.info("%s: too coarse to be kept: %s", name, "; ".join(coarse))
+        logger.info(
+            "%s: not checked, because the capsules are too coarse: %s", name, "; ".join(coarse)
+        )
     if not varying:
         return None
     count = len(varying)
@@ -257,7 +276,7 @@ def _clearances(
 def _probed(
     robot: Robot, symbols: Symbols, distances: ca.SX, clearance: float
 ) -> tuple[Array, Array]:
-    """Return the share of random poses with less than the clearance, and how much each varies."""
+    """Return the fraction of random poses below the clearance, and the range of each distance."""
     generator = np.random.default_rng(0)
     low, high = robot.limit("position_lower"), robot.limit("position_upper")
     low, high = np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
