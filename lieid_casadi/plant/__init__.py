@@ -13,6 +13,7 @@ from lieid_casadi.plant.arm_effects import (
     TorqueDelay,
     TorqueGain,
 )
+from lieid_casadi.plant.constant_speed_sweep import sweep
 from lieid_casadi.plant.demo_arm import (
     HIDDEN_EFFECT_NAMES,
     demo_arm,
@@ -43,7 +44,7 @@ from lieid_casadi.plant.rigid import build_pinocchio
 from lieid_casadi.plant.sensors import Sensors, measure
 from lieid_casadi.plant.simulate import Control, move, simulate
 from lieid_casadi.plant.torque_scale import torque_scale
-from lieid_casadi.plant.trajectories import FourierTrajectory, point_to_point, sweep
+from lieid_casadi.plant.trajectories import FourierTrajectory, point_to_point
 from lieid_casadi.plant.true_motion import ReferenceTrajectory, TrueMotion
 
 __all__ = [

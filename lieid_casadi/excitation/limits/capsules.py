@@ -136,7 +136,15 @@ def _volume(capsule: Capsule) -> float:
 
 
 def segment_distance_to_points(points: Array, start: Array, end: Array) -> Array:
-    """Return the distance (N,) of points from a segment."""
+    """Return the distances (N,) of points from a segment.
+
+    Parameters
+    ----------
+    points : (N, 3)
+        m.
+    start, end : (3,)
+        Ends of the segment, m.
+    """
     direction = end - start
     squared = float(direction @ direction)
     share = np.zeros(len(points))

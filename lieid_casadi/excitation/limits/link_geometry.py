@@ -61,7 +61,16 @@ def load_capsules(path: str | Path, robot: Robot) -> tuple[Capsule, ...]:
 
 
 def parse_capsules(text: str, robot: Robot, *, origin: str) -> tuple[Capsule, ...]:
-    """Return capsules from YAML text; see `load_capsules`."""
+    """Return capsules from YAML text; see `load_capsules`.
+
+    Parameters
+    ----------
+    text : str
+        YAML.
+    robot : Robot
+    origin : str
+        Name of the file, for error messages.
+    """
     rows = Field.top(text, origin).mapping(("capsules",))["capsules"]
     if not rows.items():
         raise rows.error("at least one capsule")

@@ -73,7 +73,14 @@ def floor(height: float = 0.0, *, capsules: Sequence[Capsule] = ()) -> Wall:
 def workspace_box(
     lower: Sequence[float], upper: Sequence[float], *, capsules: Sequence[Capsule] = ()
 ) -> tuple[Wall, ...]:
-    """Return six walls: the arm stays inside the box from ``lower`` to ``upper`` (3,), m.
+    """Return six walls: the arm stays inside the box from ``lower`` to ``upper``.
+
+    Parameters
+    ----------
+    lower, upper : (3,)
+        Corners in the base frame, m.
+    capsules : sequence of Capsule
+        Links. Default: along the lines from joint to joint.
 
     Raises
     ------
