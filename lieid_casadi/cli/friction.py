@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
-        "friction", help="friction of one joint, from motion to and fro over the same positions"
+        "friction", help="friction of one joint from its motion in both directions"
     )
     shared_options.add_robot(parser)
     parser.add_argument(

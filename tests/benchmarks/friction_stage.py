@@ -89,7 +89,7 @@ def main():
         theirs[joint] = peer(curve, starts)
         spent[2, joint] = time.process_time() - clock
     began = time.perf_counter()
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # as `two_stage` does
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # as `identify_in_stages` does
         list(pool.map(lambda j: fit_friction(friction_curve(robot, recorded[j], j), MODEL,
                                              starts=starts), range(7)))  # fmt: skip
     together = time.perf_counter() - began
