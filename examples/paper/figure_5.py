@@ -66,7 +66,7 @@ def section(lab: Lab) -> Section:
             f"{DRAWS - 1} other noise realizations at most {100 * again[:, 0].max():.2f} %",
         ),
         Claim(
-            "this project",
+            "this project, extrapolation",
             "the same over the whole rectangle of 0.1–30 °/s and the loads of 6.5.2",
             bool(np.all(rectangle <= 0.03) and np.all(again[:, 1] <= 0.03)),
             f"joint 1, whose slow motion under load cannot be measured, {100 * rectangle[0]:.2f} "

@@ -122,23 +122,18 @@ class Lab:
         return {mass: self._run(1, mass, seed=20 + k) for k, mass in enumerate(PAYLOADS)}
 
     @cached_property
-    def noise_free(self) -> tuple[Recording, Recording]:
-        """Both trajectories without payload, measured without torque noise."""
-        first, second = (
-            self._run(k, 0.0, seed=10 + k, quality=replace(sensors(), torque_noise=0.0))
-            for k in (0, 1)
-        )
+    def repetitions(self) -> tuple[Recording, Recording]:
+        """Both trajectories without payload, with another realization of the noise."""
+        first, second = (self._run(k, 0.0, seed=12 + k) for k in (0, 1))
         return first, second
 
-    def _run(
-        self, which: int, payload: float, *, seed: int, quality: plant.Sensors | None = None
-    ) -> Recording:
+    def _run(self, which: int, payload: float, *, seed: int) -> Recording:
         arm = true_arm(payload)
         period = _Periodic(self.excitations[which])
         # At rest at both ends: the periods differ by noise only, so that one is simulated.
         motion = _repeated(plant.move(arm, period), self.periods)
         name = f"trajectory {which + 1}, {payload:g} kg"
-        return plant.measure(arm, motion, quality or sensors(), seed=seed, name=name)
+        return plant.measure(arm, motion, sensors(), seed=seed, name=name)
 
     @cached_property
     def no_load_fits(self) -> dict[str, Fit]:

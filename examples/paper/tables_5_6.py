@@ -34,7 +34,8 @@ def section(lab: Lab) -> Section:
         "offset: without one, the offset of joint 2 in Table IV (−0.2567 N·m) alone would be more "
         "than the error printed for ref. 6 (0.2282 N·m). Ref. 6 is therefore "
         f"`{REF_6}` with physically consistent links, as its abstract states. “Noise” is the RMS "
-        "difference between the torque with and without sensor noise after the same filters. “The "
+        "difference between two realizations of the noise after the same filters, divided by √2. "
+        "“The "
         "arm's own parameters” are the true parameters in the library's model; their error is "
         "due to the filters, to velocity noise and to friction at standstill, and no model can be "
         "expected to have a smaller one.\n\n"
@@ -71,12 +72,15 @@ def _errors(lab: Lab, recording: Recording) -> dict[str, Errors]:
 
 
 def _noise(lab: Lab, which: int) -> Array:
-    """Return the RMS (n,) of the torque noise after the filters, N·m."""
-    noisy, clean = (
+    """Return the RMS (n,) of the torque noise after the filters, N·m.
+
+    RLOESS is not linear, so that two noisy recordings are compared.
+    """
+    one, other = (
         np.concatenate([s.filter(s.tau) for s in process(recording, PAPERS_FILTERS)])
-        for recording in ((lab.training, lab.verification)[which], lab.noise_free[which])
+        for recording in ((lab.training, lab.verification)[which], lab.repetitions[which])
     )
-    return np.asarray(np.sqrt(np.mean((noisy - clean) ** 2, axis=0)))
+    return np.asarray(np.sqrt(0.5 * np.mean((one - other) ** 2, axis=0)))
 
 
 def _table(printed: dict[str, Any], here: dict[str, Errors], noise: Array) -> str:

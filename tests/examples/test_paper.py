@@ -166,7 +166,7 @@ def test_page_is_complete(scripts, tmp_path, monkeypatch):
         assert f"(figures/{picture}.png)" in page
         assert 3_000 < (tmp_path / "figures" / f"{picture}.png").stat().st_size < 150_000
     claims = [claim for section in sections for claim in section.claims]
-    assert len([c for c in claims if c.source == "this project"]) == 4
+    assert len([c for c in claims if c.source == "this project"]) == 3
     for claim in claims:
         assert claim.text in page
         if claim.source == "this project":
