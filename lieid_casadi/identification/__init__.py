@@ -1,4 +1,4 @@
-"""From a model and recordings to a fit."""
+"""Identification: fits of a model's parameters to recordings."""
 
 from lieid_casadi.identification.feasible.certificate import Certificate
 from lieid_casadi.identification.feasible.options import FeasibleOptions

@@ -1,1 +1,1 @@
-"""Standard deviations, prediction bands, bootstrap and cross-validation."""
+"""Standard deviations, prediction bands, bootstrap and instrumental variables."""
