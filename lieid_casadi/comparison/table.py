@@ -88,7 +88,10 @@ def digits(value: float, *, sign: str = "") -> str:
 
 def percent(value: float) -> str:
     """Return a fraction in percent, an en dash for NaN."""
-    return "–" if math.isnan(value) else f"{100.0 * value:#.2g}".rstrip(".") + " %"
+    if math.isnan(value):
+        return "–"
+    text = f"{100.0 * value:#.2g}" if value < 0.995 else f"{100.0 * value:.0f}"
+    return text.rstrip(".") + " %"
 
 
 def html_view(comparison: Comparison) -> str:

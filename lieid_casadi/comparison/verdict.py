@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.comparison.table import digits, percent
@@ -20,7 +21,7 @@ def verdict(comparison: Comparison) -> str:
     trained = any(isinstance(warning, SameRecordingWarning) for warning in c.warnings)
     training = ", used to fit the model" if trained else ""
     sentences = [f"{names} ({c.duration:.3g} s{training}): {_size(c)}."]
-    if np.isfinite(c.noise_floor).any():
+    if np.any(np.isfinite(_over_noise(c))):
         sentences.append(_noise(c))
     if any(isinstance(warning, FrictionAtRestWarning) for warning in c.warnings):
         moving = ", ".join(digits(rms) for rms in c.rms_moving[c.rest_dominates])
@@ -45,11 +46,18 @@ def _size(c: Comparison) -> str:
     )
 
 
+def _over_noise(c: Comparison) -> NDArray[np.float64]:
+    """Return the error in motion in multiples of the noise floor (n,).
+
+    NaN for joints that do not move, without measured torque, or without a noise floor.
+    """
+    usable = (c.noise_floor > 0.0) & (c.torque_rms > 0.0)
+    return np.where(usable, c.rms_moving / np.where(usable, c.noise_floor, 1.0), np.nan)
+
+
 def _noise(c: Comparison) -> str:
     """Compare the error in motion with the noise floor."""
-    size = np.where(np.isfinite(c.rms_moving), c.rms_moving, c.rms)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.nan_to_num(size / c.noise_floor, nan=0.0, posinf=0.0)
+    ratio = np.nan_to_num(_over_noise(c), nan=0.0)
     floor = "the noise floor"
     if c.noise_source != "period_to_period":
         floor += " (a lower bound of the noise)"

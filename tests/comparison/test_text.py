@@ -57,6 +57,7 @@ def test_verdict_without_any_torque():
     none = lieid.Recording.from_arrays(t, q, None, np.zeros((len(t), 2)))
     comparison = lieid.compare(arm.fit(), none)
     assert "the measured torque is zero" in verdict(comparison)
+    assert "noise floor" not in verdict(comparison)
     assert comparison.to_dict()["relative_rms"] == [None, None]
     assert comparison.to_dict()["correlation"] == [None, None]
 
@@ -70,7 +71,8 @@ def test_digits(value, text):
 
 
 def test_percent():
-    assert [percent(x) for x in (0.02, 0.512, 1.2, float("nan"))] == ["2.0 %", "51 %", "1.2e+02 %", "–"]  # fmt: skip  # noqa: E501
+    values = (0.02, 0.512, 0.996, 1.2, float("nan"))
+    assert [percent(x) for x in values] == ["2.0 %", "51 %", "100 %", "120 %", "–"]
 
 
 def test_table_counts_joints_from_one_and_names_units(fit):

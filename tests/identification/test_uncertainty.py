@@ -211,3 +211,14 @@ def test_parameters_are_ranked_by_relative_standard_deviation():
     relative = [row["relative_std"] for row in ranked]
     assert relative == sorted(relative)
     assert relative[0] == pytest.approx(np.min(fit.std / np.abs(fit.values)))
+
+
+def test_variances_of_dependent_parameters_are_not_negative(tmp_path):
+    """At constant velocity the columns of several effects are nearly dependent."""
+    t = np.arange(0.0, 8.0, 0.01)
+    q, tau = 0.2 * np.column_stack([t, t]), np.column_stack([np.sin(t), np.cos(2.0 * t)])
+    recording = lieid.Recording.from_arrays(t, q, None, tau)
+    fit = lieid.identify(lieid.Model(ROBOT, "stribeck,load_friction,armature"), recording)
+    assert np.all(np.diag(fit.covariance) >= 0.0)
+    fit.save(tmp_path / "fit.json")
+    np.testing.assert_array_equal(lieid.Fit.load(tmp_path / "fit.json").std, fit.std)

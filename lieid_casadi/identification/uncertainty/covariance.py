@@ -69,7 +69,10 @@ def hac_covariance(
     first, second = np.diag(stationary), np.diag(general)
     ratio = np.divide(second, first, out=np.ones_like(first), where=first > 0.0)
     growth = np.sqrt(np.maximum(ratio, 1.0))
-    return np.asarray(stationary * np.outer(growth, growth))
+    covariance = stationary * np.outer(growth, growth)
+    # rounding can make variances of nearly dependent parameters negative
+    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), 0.0))
+    return np.asarray(covariance)
 
 
 def _score_covariances(
