@@ -1,8 +1,7 @@
 """Errors and warnings: one named class per cause.
 
-Errors stop the work (bad input, no solution). Warnings never do: they travel in the
-``warnings`` field of every result, so that a suspicious recording is seen beside the
-numbers it produced.
+Errors stop the work (bad input, no solution). Warnings do not: they are in the ``warnings``
+field of every result, so that a suspicious recording is reported beside its numbers.
 """
 
 from __future__ import annotations
@@ -35,11 +34,11 @@ class IdentificationError(LieidError):
 
 
 class ExcitationError(LieidError):
-    """A request that no excitation can meet: limits that are missing or contradict each other."""
+    """A request that no excitation can meet: limits are missing or contradictory."""
 
 
 class CompilerError(LieidError):
-    """No C compiler that works, or a processor that cannot run what was asked for."""
+    """No C compiler that works, or a processor that cannot run the requested code."""
 
 
 class FitFileError(LieidError):
@@ -75,19 +74,19 @@ class UnidentifiableWarning(LieidWarning):
 
 
 class AliasWarning(LieidWarning):
-    """An effect that the other columns absorb, wholly or almost."""
+    """An effect that the other columns absorb completely or almost."""
 
 
 class BoundWarning(LieidWarning):
-    """A coefficient or shape parameter that ran to its bound."""
+    """A coefficient or shape parameter at its bound."""
 
 
 class FrictionAtRestWarning(LieidWarning):
-    """Friction is undetermined at rest: samples left a fit, or weigh in a test's error."""
+    """Friction is undetermined at rest: samples were excluded, or increase a test's error."""
 
 
 class NominalInertiaWarning(LieidWarning):
-    """A stated inertia that no body can have."""
+    """A stated inertia that is physically impossible."""
 
 
 class ConvergenceWarning(LieidWarning):
@@ -95,7 +94,7 @@ class ConvergenceWarning(LieidWarning):
 
 
 class UnknownColumnWarning(LieidWarning):
-    """Columns of a recording that were left aside because their names say nothing."""
+    """Columns of a recording that were ignored because their names are unknown."""
 
 
 class DropoutWarning(LieidWarning):
@@ -115,19 +114,19 @@ class VelocityMismatchWarning(LieidWarning):
 
 
 class TorqueSignWarning(LieidWarning):
-    """A joint's torque runs against what the model or the velocity asks for."""
+    """A joint's torque has the opposite sign of the nominal torque or of friction."""
 
 
 class TorqueOrderWarning(LieidWarning):
-    """Torques of different joints look exchanged."""
+    """Torques of different joints seem to be exchanged."""
 
 
 class JointStillWarning(LieidWarning):
-    """A joint that never moves: its friction and most of its inertia stay unseen."""
+    """A joint that never moves: its friction and most of its inertia are not identifiable."""
 
 
 class TorqueClippedWarning(LieidWarning):
-    """Torque stuck at a limit."""
+    """Torque that stays at its largest value or reaches the robot's limit."""
 
 
 class LowRateWarning(LieidWarning):
@@ -143,11 +142,11 @@ class NotDissipativeWarning(LieidWarning):
 
 
 class ExtrapolationWarning(LieidWarning):
-    """A fitted model that runs off where nothing was measured."""
+    """A fitted model that diverges outside the measured range."""
 
 
 class LoadMismatchWarning(LieidWarning):
-    """The torque of both ways of a joint does not average to the model's rigid torque."""
+    """The mean torque of forward and backward motion is not the model's rigid torque."""
 
 
 class JointLimitWarning(LieidWarning):
@@ -155,7 +154,7 @@ class JointLimitWarning(LieidWarning):
 
 
 class RepeatedRowsWarning(LieidWarning):
-    """Rows that repeat the one before while the arm moves: the source was slower."""
+    """Rows that repeat the previous one while the arm moves: the source is slower."""
 
 
 class ShortSegmentWarning(LieidWarning):
@@ -171,7 +170,7 @@ class NegativeMassWarning(LieidWarning):
 
 
 class ImpossiblePayloadWarning(LieidWarning):
-    """A payload's numbers that no body can have."""
+    """Identified payload parameters that are physically impossible."""
 
 
 class PayloadMisfitWarning(LieidWarning):
@@ -183,7 +182,7 @@ class NotCountedWarning(LieidWarning):
 
 
 class FrictionChangedWarning(LieidWarning):
-    """Friction that is no longer that of the fit."""
+    """Friction that differs from that of the fit."""
 
 
 def warning_list(warnings: Sequence[LieidWarning]) -> list[dict[str, str]]:

@@ -14,9 +14,9 @@ Mask = NDArray[np.bool_]
 
 
 def read_only(values: ArrayLike) -> Array:
-    """Float64 array that nobody can write to: recordings are shared, never changed.
+    """Return a read-only float64 array, because recordings are shared.
 
-    A copy, unless the memory cannot be written to already.
+    A copy, unless the memory is read-only already.
     """
     if isinstance(values, np.ndarray) and values.dtype == np.float64 and _frozen(values):
         return values
@@ -26,7 +26,7 @@ def read_only(values: ArrayLike) -> Array:
 
 
 def _frozen(values: Array) -> bool:
-    """Whether neither an array nor what it is a view of can be written to."""
+    """Return whether an array and every array that it is a view of are read-only."""
     owner: object = values
     while isinstance(owner, np.ndarray):
         if owner.flags.writeable:
@@ -36,7 +36,7 @@ def _frozen(values: Array) -> bool:
 
 
 def hash_of_arrays(arrays: Iterable[Any]) -> str:
-    """sha256 over shapes and bytes of the arrays, in order; None counts too."""
+    """Return the sha256 over shapes and bytes of the arrays, in order; None counts too."""
     digest = hashlib.sha256()
     for array in arrays:
         if array is None:

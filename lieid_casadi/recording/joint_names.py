@@ -1,4 +1,4 @@
-"""How messages name joints."""
+"""Names of joints in messages."""
 
 from __future__ import annotations
 
@@ -8,6 +8,6 @@ import numpy as np
 
 
 def joints_text(joints: Iterable[object]) -> str:
-    """``joint 2`` or ``joints 2, 3`` of a mask over the joints."""
+    """Return ``joint 2`` or ``joints 2, 3`` for a mask over the joints."""
     numbers = [str(index + 1) for index in np.nonzero(np.asarray(list(joints)))[0]]
     return f"joint{'s' if len(numbers) > 1 else ''} {', '.join(numbers)}"

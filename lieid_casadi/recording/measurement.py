@@ -1,4 +1,4 @@
-"""Measured signals as plain arrays: what a reader returns and a recording holds."""
+"""Measured signals as plain arrays: the result of a reader and the data of a recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings that are larger than memory: read part by part, in time, as often as needed."""
+"""Recordings that are larger than the memory, read part by part."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def test_joints_are_ordered_by_the_robot(tmp_path, arm):
     np.testing.assert_array_equal(ordered.tau, arm.tau)
 
 
-def test_messages_of_a_gripper_are_passed_over(tmp_path, arm):
+def test_messages_of_a_gripper_are_ignored(tmp_path, arm):
     gripper = [
         ("/joint_states", START + 3_000_000 + k * 50_000_000, ["finger"], [0.0], None, None, True)
         for k in range(20)

@@ -7,7 +7,7 @@ from recording.planar_arm import measured, motion, nominal_torque
 from lieid_casadi import errors
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording import Recording, check
-from lieid_casadi.robot.robot import Joint, Limits, Robot
+from lieid_casadi.robot import Joint, Limits, Robot
 
 DEGREES = 180 / np.pi
 
@@ -37,18 +37,18 @@ def good():
 @pytest.mark.parametrize("jitter", [0.0, 0.9])
 @pytest.mark.parametrize("rate", [50, 200, 1000])
 @pytest.mark.parametrize("noise", [0.0, 1.0])
-def test_a_good_recording_raises_nothing(jitter, rate, noise):
+def test_a_sound_recording_has_no_warnings(jitter, rate, noise):
     recording = measured(rate=rate, jitter=jitter, noise=noise)
     assert check(recording) == ()
     assert check(recording, robot(torque=100.0)) == ()
     assert check(recording, robot(), nominal_torque=nominal_torque(recording)) == ()
 
 
-def test_positions_alone_raise_nothing(good):
+def test_positions_alone_have_no_warnings(good):
     assert check(Recording.from_arrays(good.t, good.q), robot()) == ()
 
 
-def test_warnings_of_loading_come_along(good):
+def test_warnings_of_loading_are_kept(good):
     loaded = errors.UnknownColumnWarning("voltage")
     assert check(replace(good, warnings=(loaded,))) == (loaded,)
 
@@ -58,7 +58,7 @@ def test_warnings_of_loading_come_along(good):
 
 @pytest.mark.parametrize("field", ["q", "dq", "tau"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_numbers_that_are_none(good, field, value):
+def test_values_that_are_not_finite(good, field, value):
     values = getattr(good, field).copy()
     values[7, 1] = value
     with pytest.raises(RecordingError, match=f"row 8, column {field}2: found {value:g}"):
@@ -202,10 +202,10 @@ def test_exchanged_torques(good, model):
     nominal = nominal_torque(good) if model else None
     swapped = replace(good, tau=good.tau[:, ::-1])
     text = only(check(swapped, nominal_torque=nominal), errors.TorqueOrderWarning)
-    assert "tau1 runs like joint 2, tau2 runs like joint 1" in text
+    assert "tau1 fits joint 2, tau2 fits joint 1" in text
 
 
-def test_a_poor_nominal_model_accuses_nobody(good):
+def test_a_poor_nominal_model_causes_no_warning(good):
     nominal = 0.5 * nominal_torque(good)[:, ::1] + [[5.0, -2.0]]
     assert check(good, nominal_torque=nominal) == ()
 
@@ -217,7 +217,7 @@ def test_clipped_torque(good):
     )
     assert "joints 1, 2" in text
     one = np.clip(good.tau, -np.inf, [np.inf, limit[1]])
-    assert "joint 2 is" in only(check(replace(good, tau=one)), errors.TorqueClippedWarning)
+    assert "joint 2 stays" in only(check(replace(good, tau=one)), errors.TorqueClippedWarning)
 
 
 def test_quantized_torque_is_not_clipped(good):

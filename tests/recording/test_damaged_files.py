@@ -137,7 +137,7 @@ def test_parquet_columns_that_hold_no_numbers(tmp_path, column):
 
 
 def test_thirty_thousand_columns(tmp_path):
-    """Every column is looked at once: the time is linear (a minute if it were quadratic)."""
+    """The header is read in linear time (a minute if it were quadratic)."""
     joints = 15_000
     names = [f"{signal}{j + 1}" for signal in ("q", "x") for j in range(joints)]
     row = ",".join(["0"] * len(names))

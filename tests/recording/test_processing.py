@@ -163,7 +163,7 @@ def dwelling(noise):
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 5e-3])
-def test_rest_is_told_from_motion(noise):
+def test_rest_is_distinguished_from_motion(noise):
     p = one(dwelling(noise), cutoff=5.0)
     inside = (p.filtered_time % 3 > 0.4) & (p.filtered_time % 3 < 2.6)
     truth = (p.filtered_time // 3) % 2 == 0
@@ -198,7 +198,7 @@ def test_short_segments_are_left_out_and_named():
     assert "0 to 0.795 s is too short" in str(warning)
 
 
-def test_nothing_is_left_after_trimming():
+def test_segments_too_short_for_trimming():
     with pytest.raises(RecordingError, match=r"planar: 0 to 0\.995 s is too short: 0 s are left"):
         process(measured(duration=1.0), Processing(cutoff=5.0))
     assert one(measured(duration=1.0), cutoff=5.0, trim=0.1)
@@ -240,7 +240,7 @@ def test_temperature_and_missing_torque():
 # -- periods, RLOESS ------------------------------------------------------------------
 
 
-def test_periods_are_averaged_only_when_asked():
+def test_periods_are_averaged_only_on_request():
     recording = measured(duration=4 * PERIOD + 1)
     assert one(recording, cutoff=5.0).t[-1] == pytest.approx(recording.t[-1], abs=0.01)
     mean = one(recording, cutoff=5.0, average_periods=True)
@@ -264,7 +264,7 @@ def test_motion_without_a_period_is_not_averaged():
 
 
 @pytest.mark.parametrize("rate", [100, 500])
-def test_rloess_takes_outliers_away(rate):
+def test_rloess_removes_outliers_of_a_recording(rate):
     clean = measured(duration=8, rate=rate)
     tau = clean.tau.copy()
     tau[50:-50:97] += 200.0

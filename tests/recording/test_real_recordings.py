@@ -35,7 +35,7 @@ def test_it_loads_without_false_alarms(run):
     assert len(recording) / recording.duration == pytest.approx(rate, rel=0.02)
     assert len(recording.segments()) == 1
     found = [type(warning).__name__ for warning in check(recording, robot)]
-    # joint 2 moves alone there, and says so
+    # only joint 2 moves in this recording, which is a warning
     alone = "joint_2_alone" in recording.name
     assert found == (["JointStillWarning"] if alone else [])
 
@@ -52,7 +52,7 @@ def test_it_is_processed_without_options(run):
 @pytest.mark.parametrize(
     "name", ["ur10e/excitation_50s", "ur10e/point_to_point", "staubli_tx40/excitation"]
 )
-def test_a_swapped_sign_is_told_without_a_model(recordings, name, joint):
+def test_a_swapped_sign_is_reported_without_a_model(recordings, name, joint):
     recording = Recording.load(recordings / f"{name}.csv.gz")
     signs = np.where(np.arange(6) == joint, -1.0, 1.0)
     swapped = Recording.from_arrays(recording.t, recording.q, recording.dq, recording.tau * signs)

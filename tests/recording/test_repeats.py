@@ -13,7 +13,7 @@ SOURCE = 0.034
 
 
 def held(*, source=SOURCE, recorder=1 / 30, duration=24.0, noise=1e-3, dq=True, seed=0):
-    """What a recorder writes that takes the last message of a source."""
+    """Rows of a recorder that writes the last message of a source."""
     random = np.random.default_rng(seed)
     sampled = np.arange(0.0, duration + 1.0, source)
     q, velocity, ddq = motion(sampled)
@@ -35,22 +35,22 @@ def errors(segment, lag):
 
 
 @pytest.mark.parametrize(("source", "recorder"), [(SOURCE, 1 / 30), (0.02, 0.002), (0.01, 0.008)])
-def test_repeats_are_left_out_and_stamps_are_the_sources(source, recorder):
+def test_repeats_are_removed_and_stamps_are_those_of_the_source(source, recorder):
     recording, last = held(source=source, recorder=recorder)
     expected = np.concatenate([[False], np.diff(last) == 0])
     found = repeats(recording)
     np.testing.assert_array_equal(found, expected)
     (segment,) = process(recording, Processing(cutoff=3.0))
-    (told,) = segment.warnings
-    assert isinstance(told, RepeatedRowsWarning)
-    assert f"{found.sum()} of {len(recording)} rows" in str(told)
-    assert f"{1e3 * source:.4g} ms" in str(told)
+    (warning,) = segment.warnings
+    assert isinstance(warning, RepeatedRowsWarning)
+    assert f"{found.sum()} of {len(recording)} rows" in str(warning)
+    assert f"{1e3 * source:.4g} ms" in str(warning)
     late = 0.5 * recorder
     assert np.all(errors(segment, late)[0] < 0.01)
     assert np.all(errors(segment, late)[1] < 0.04)
 
 
-def test_derived_velocity_has_no_dents():
+def test_derived_velocity_is_smooth_across_repeats():
     recording, _ = held(dq=False)
     (segment,) = process(recording, Processing(cutoff=3.0))
     assert np.all(errors(segment, 0.5 / 30)[0] < 0.02)
@@ -79,8 +79,8 @@ def test_an_irregular_source_keeps_its_stamps():
         wandering, recording.q[keep], recording.dq[keep], recording.tau[keep]
     )
     (segment,) = process(part, Processing(cutoff=3.0))
-    (told,) = segment.warnings
-    assert "ms apart" not in str(told)
+    (warning,) = segment.warnings
+    assert "ms apart" not in str(warning)
     np.testing.assert_array_equal(segment.t[[0, -1]], wandering[[0, -1]])
 
 
@@ -97,7 +97,7 @@ def test_a_stream_leaves_out_the_same_rows(tmp_path):
 
 @pytest.mark.real
 @needs(PANDA / "excitation.csv.gz")
-def test_the_panda_was_recorded_faster_than_it_spoke():
+def test_the_panda_was_recorded_faster_than_its_source():
     recording = Recording.load(PANDA / "excitation.csv.gz")
     (segment,) = process(recording, Processing(cutoff=3.0))
     assert repeats(recording).sum() == 14

@@ -42,15 +42,15 @@ def small_windows(monkeypatch):
 @pytest.mark.parametrize("dq", [1e-2, 1e-6, None])
 @pytest.mark.parametrize("cutoff", [1.0, 4.0, 20.0])
 def test_a_long_segment_in_windows_is_that_of_the_whole(monkeypatch, dq, cutoff):
-    long, decided, decide = recording(dq=dq), [], resampling.velocity_of
+    long, decided, decide = recording(dq=dq), [], resampling.velocity_source
     with monkeypatch.context() as patch:
         patch.setattr(
-            resampling, "velocity_of", lambda *a: decided.append(decide(*a)) or decided[0]
+            resampling, "velocity_source", lambda *a: decided.append(decide(*a)) or decided[0]
         )
         (whole,) = process(long, Processing(cutoff=cutoff))
     assert np.all(decided[0].derived == (dq != 1e-6))
     monkeypatch.setattr(resampling, "WINDOW", 3000)
-    # the noise is looked at in places; here they are the whole
+    # the noise is estimated from samples; here from the whole
     monkeypatch.setattr(resampling, "_sampled_velocity", lambda *_: decided[0])
     (parts,) = process(long, Processing(cutoff=cutoff))
     assert parts.rate == whole.rate
@@ -62,7 +62,7 @@ def test_a_long_segment_in_windows_is_that_of_the_whole(monkeypatch, dq, cutoff)
     assert not parts.moving.all()
 
 
-def test_noise_is_found_in_places(monkeypatch):
+def test_noise_is_estimated_from_samples(monkeypatch):
     long = recording()
     (whole,) = process(long, Processing(cutoff=4.0))
     monkeypatch.setattr(resampling, "WINDOW", 3000)
@@ -131,7 +131,7 @@ def test_a_stream_identifies_as_the_recording_does(tmp_path, small_windows):
     assert parts.provenance == whole.provenance
 
 
-def test_nan_in_a_late_part_is_told_with_its_place(tmp_path):
+def test_nan_in_a_late_part_is_located(tmp_path):
     long = recording(5000)
     path = tmp_path / "r.parquet"
     long.save(path)
@@ -142,13 +142,13 @@ def test_nan_in_a_late_part_is_told_with_its_place(tmp_path):
         process(stream(path), Processing(cutoff=4.0))
 
 
-def test_averaged_periods_need_the_whole(tmp_path):
+def test_averaged_periods_need_the_recording_in_memory(tmp_path):
     recording(2000).save(tmp_path / "r.parquet")
     with pytest.raises(RecordingError, match="in memory"):
         process(stream(tmp_path / "r.parquet"), Processing(cutoff=4.0, average_periods=True))
 
 
-def test_what_is_not_there(tmp_path):
+def test_missing_and_damaged_files(tmp_path):
     with pytest.raises(RecordingError, match="no such file"):
         stream(tmp_path / "none.parquet")
     (tmp_path / "text.parquet").write_text("t,q1\n")

@@ -1,4 +1,4 @@
-"""The velocity that processing believes: the measured one, or that of the position."""
+"""Choice between the measured velocity and the derivative of the position."""
 
 import numpy as np
 import pytest
@@ -33,16 +33,16 @@ def bare(recording):
 
 
 @pytest.mark.parametrize("rate", [200, 1000])
-def test_a_fine_encoder_beats_a_noisy_velocity(rate):
+def test_a_fine_encoder_replaces_a_noisy_velocity(rate):
     noisy = at_rate(rate, noise=2.8e-3, quantum=COUNT)
     for found, derived in zip(errors(noisy), errors(bare(noisy)), strict=True):
         np.testing.assert_allclose(found, derived, rtol=1e-9)
-    clean_dq, clean_ddq = errors(at_rate(rate, noise=0.0, quantum=1e-2))  # believes dq
+    clean_dq, clean_ddq = errors(at_rate(rate, noise=0.0, quantum=1e-2))  # uses dq
     assert np.all(errors(noisy)[1] < clean_ddq + 0.01)
     assert np.all(errors(noisy)[0] < clean_dq + 1e-3)
 
 
-def test_a_coarse_encoder_does_not():
+def test_a_coarse_encoder_does_not_replace_the_velocity():
     exact = at_rate(200, noise=0.0)
     coarse = at_rate(200, noise=2.8e-3, quantum=5e-3)
     measured_alone = errors(at_rate(200, noise=2.8e-3, quantum=1.0))
@@ -79,7 +79,7 @@ def test_dead_zone_of_a_derivative_is_that_of_the_filtered_one():
     assert np.mean(p.moving[p.t > 10.5]) < 0.01
 
 
-def test_a_noisy_measured_velocity_still_says_what_is_slow():
+def test_a_noisy_measured_velocity_still_determines_the_dead_zone():
     arm = measured(noise=0.2)
     (p,) = process(arm, Processing(cutoff=5.0))
     assert np.all(p.dead_zone > 0)

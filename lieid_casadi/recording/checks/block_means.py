@@ -1,4 +1,4 @@
-"""Block means of a recording: what the checks look at, free of noise and of gaps."""
+"""Block means of a recording, on which the checks work: less noise, and no gaps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BLOCK_SECONDS = 0.04
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Means over B blocks; ``dq`` and ``ddq`` from differences of q, whatever dq says.
+    """Means over B blocks; ``dq`` and ``ddq`` are differences of q, not the measured dq.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Blocks:
     tau, nominal
         (B, n) or None.
     travelled, integrated
-        (B', n) way from one block's first row to the next one's by q, and by the integral
+        (B', n) change from one block's first row to the next one's: of q, and of the integral
         of the measured dq (None without dq).
     """
 
@@ -38,7 +38,15 @@ class Blocks:
 
 
 def block_means(recording: Recording, nominal: Array | None = None) -> Blocks:
-    """Block means of all segments; no block spans a gap."""
+    """Return block means of all segments; no block spans a gap.
+
+    Parameters
+    ----------
+    recording
+        N rows, n joints.
+    nominal
+        (N, n) nominal torque, N·m.
+    """
     size = max(1, round(BLOCK_SECONDS * recording.rate))
     edges = _edges(recording, size)
     parts: dict[str, list[Array]] = {name: [] for name in Blocks.__dataclass_fields__}
@@ -67,7 +75,7 @@ def block_means(recording: Recording, nominal: Array | None = None) -> Blocks:
 
 
 def _edges(recording: Recording, size: int) -> list[tuple[int, int]]:
-    """First and last row of the segments that hold at least three blocks."""
+    """Return first and last row of the segments that hold at least three blocks."""
     lengths = [len(segment) for segment in recording.segments()]
     ends = np.cumsum(lengths)
     return [

@@ -37,7 +37,7 @@ def check(
     Parameters
     ----------
     recording
-        What was measured.
+        Signals of one run.
     robot
         Adds the number of joints and the limits.
     nominal_torque

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 DEGREES = 180.0 / np.pi
 #: Mean step over median step beyond which stamps come in clusters.
 CLUSTERED = 2.0
-#: Ratio of dq's integral to the way of q, and what it means.
+#: Ratio of the integral of dq to the change of q, and the unit that it shows.
 UNIT_RATIOS = (
     (DEGREES, "dq in degrees per second and q in radians: convert dq with numpy.deg2rad"),
     (1.0 / DEGREES, "q in degrees and dq in radians per second: convert q with numpy.deg2rad"),
@@ -46,7 +46,7 @@ STILL = 1e-3
 
 
 def check_time(recording: Recording) -> list[LieidWarning]:
-    """Lost samples, gaps that split the recording into segments, and clustered stamps."""
+    """Report lost samples, gaps that split the recording into segments, and clustered stamps."""
     return [*_dropouts(recording), *_clusters(recording)]
 
 
@@ -81,7 +81,7 @@ def _clusters(recording: Recording) -> list[LieidWarning]:
 
 
 def check_velocity(recording: Recording, blocks: Blocks) -> list[LieidWarning]:
-    """Whether dq integrates to q.
+    """Compare the integral of dq with q.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def check_velocity(recording: Recording, blocks: Blocks) -> list[LieidWarning]:
 
 
 def check_still(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
-    """Joints that never move."""
+    """Name the joints that never move."""
     limits = np.full(recording.n, STILL)
     if robot is not None:
         limits = np.array([STILL if joint.revolute else 0.1 * STILL for joint in robot.joints])
@@ -133,7 +133,7 @@ def check_still(recording: Recording, robot: Robot | None) -> list[LieidWarning]
 
 
 def check_rate(recording: Recording) -> list[LieidWarning]:
-    """Motion that comes near the Nyquist frequency."""
+    """Report motion near the Nyquist frequency."""
     band = motion_band(recording)
     if band is None or band < 0.1 * recording.rate:
         return []
@@ -147,7 +147,7 @@ def check_rate(recording: Recording) -> list[LieidWarning]:
 
 
 def _moving_enough(way: Array, recording: Recording) -> Mask:
-    """Joints whose way per block stands above the resolution of q."""
+    """Return the joints whose change per block is above the resolution of q."""
     per_block = np.sqrt(np.mean(way**2, axis=0))
     distinct = [np.unique(column) for column in recording.q.T]
     quantum = np.array([np.min(np.diff(d)) if d.size > 1 else np.inf for d in distinct])
@@ -160,12 +160,12 @@ def _gain_and_correlation(way: Array, integral: Array) -> tuple[Array, Array]:
         others = np.sum(integral**2, axis=0)
         gain = np.sqrt(others / squares)
         correlation = products / np.sqrt(squares * others)
-    # a joint that stands exactly still has no gain; it is not among those that move
+    # a joint exactly at rest has no gain; it is not among those that move
     return np.nan_to_num(gain, posinf=0.0), np.nan_to_num(correlation)
 
 
 def _runs_like(way: Array, integral: Array, moving: Mask, joint: int) -> str:
-    """Hint: the joint whose motion this column of dq shows instead."""
+    """Return a remark on the joint whose motion this column of dq shows instead."""
     column = np.repeat(integral[:, [joint]], way.shape[1], axis=1)
     _, correlation = _gain_and_correlation(way, column)
     best = int(np.argmax(np.where(moving, np.abs(correlation), 0.0)))

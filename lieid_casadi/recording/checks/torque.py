@@ -22,20 +22,20 @@ from lieid_casadi.recording.recording import Recording
 if TYPE_CHECKING:
     from lieid_casadi.robot.robot import Robot
 
-#: Correlation with the nominal torque that tells its sign.
-TELLING = 0.5
-#: What another order of the joints must gain, in log of unexplained variance, altogether.
-#: On recordings of real arms every exchange of two joints loses 2 or more against a
-#: nominal model; without one, exchanges that nothing tells apart gain 0.02.
+#: Correlation with the nominal torque beyond which the sign of the torque is determined.
+DECISIVE = 0.5
+#: Least decrease of the sum over the joints of the log of unexplained variance by which another
+#: order of the joints is reported. On recordings of real arms every exchange of two joints loses
+#: 2 or more with a nominal model; without one, indistinguishable exchanges gain 0.02.
 ORDER_GAIN = 1.0
-#: Part of the torque without friction that the nominal torque must be to tell the sign.
+#: Least ratio of the nominal torque to the measured one, friction removed, to determine a sign.
 EXPECTED_PART = 0.3
-#: Joints that move less have no friction to look at, rad or m.
+#: Least motion, rad or m, from which friction can be estimated.
 ENOUGH_MOTION = 0.05
 
 
 def check_torque(recording: Recording, blocks: Blocks, robot: Robot | None) -> list[LieidWarning]:
-    """Exchanged, swapped or clipped torques.
+    """Report torques that are constant, exchanged, of the wrong sign or clipped.
 
     Parameters
     ----------
@@ -55,13 +55,19 @@ def check_torque(recording: Recording, blocks: Blocks, robot: Robot | None) -> l
         return found
     exchanged = _exchanged(blocks, moving)
     if exchanged:
-        pairs = ", ".join(f"tau{j + 1} runs like joint {k + 1}" for j, k in exchanged.items())
-        return [*found, TorqueOrderWarning(f"{title}: torques of joints exchanged? {pairs}")]
+        pairs = ", ".join(f"tau{j + 1} fits joint {k + 1}" for j, k in exchanged.items())
+        return [
+            *found,
+            TorqueOrderWarning(
+                f"{title}: torques of joints seem to be exchanged ({pairs}): check the "
+                "order of the columns"
+            ),
+        ]
     return found + _swapped(blocks, moving, title)
 
 
 def _constant(recording: Recording, title: str) -> list[LieidWarning]:
-    """Joints whose torque has one value only."""
+    """Name joints whose torque has one value only."""
     assert recording.tau is not None
     constant = np.ptp(recording.tau, axis=0) == 0.0
     if not constant.any():
@@ -76,7 +82,7 @@ def _constant(recording: Recording, title: str) -> list[LieidWarning]:
 
 
 def _exchanged(blocks: Blocks, moving: Mask) -> dict[int, int]:
-    """Column of tau -> joint that explains it better, if another order is clearly better."""
+    """Return column of tau -> joint that explains it better, if another order is clearly better."""
     joints = np.nonzero(moving)[0]
     misfit = np.zeros((joints.size, joints.size))
     assert blocks.tau is not None
@@ -96,20 +102,20 @@ def _exchanged(blocks: Blocks, moving: Mask) -> dict[int, int]:
 
 
 def _gravity_like(blocks: Blocks, joint: int, moving: Mask) -> Array:
-    """Columns of the rigid body: the nominal torque, or sines and cosines of all joints."""
+    """Return the columns of the rigid body: nominal torque, or sines and cosines of all joints."""
     if blocks.nominal is not None:
         return np.column_stack([np.ones(len(blocks.q)), blocks.nominal[:, joint]])
     return _angles(blocks.q[:, moving])
 
 
 def _angles(q: Array) -> Array:
-    """1, sines and cosines of all joints, and of sums and differences of neighbours."""
+    """Return 1, sines and cosines of all joints, and of sums and differences of neighbours."""
     angles = np.column_stack([q, q[:, 1:] + q[:, :-1], q[:, 1:] - q[:, :-1]])
     return np.column_stack([np.ones(len(q)), np.sin(angles), np.cos(angles)])
 
 
 def _own(blocks: Blocks, joint: int) -> Array:
-    """Columns of the joint's own motion: inertia and friction."""
+    """Return the columns of the joint's own motion: inertia and friction."""
     dq = blocks.dq[:, joint]
     return np.column_stack([blocks.ddq[:, joint], np.sign(dq), dq])
 
@@ -120,29 +126,29 @@ def _swapped(blocks: Blocks, moving: Mask, title: str) -> list[LieidWarning]:
         against = np.zeros_like(moving)
     else:
         correlation = _model_correlation(blocks)
-        against = correlation < -TELLING
-        friction &= correlation < TELLING
+        against = correlation < -DECISIVE
+        friction &= correlation < DECISIVE
     found: list[LieidWarning] = []
     if against.any():
         found.append(
             TorqueSignWarning(
-                f"{title}: torque of {joints_text(against)} runs against the nominal model "
-                f"(correlation {correlation[against].min():.2f}): sign swapped?"
+                f"{title}: torque of {joints_text(against)} is opposite to the nominal model "
+                f"(correlation {correlation[against].min():.2f}): check the sign of the torque"
             )
         )
     friction &= ~against
     if friction.any():
         found.append(
             TorqueSignWarning(
-                f"{title}: friction of {joints_text(friction)} would drive the joint: sign of "
-                "the torque or of the velocity swapped?"
+                f"{title}: friction of {joints_text(friction)} would drive the joint: check the "
+                "signs of torque and velocity"
             )
         )
     return found
 
 
 def _model_correlation(blocks: Blocks) -> Array:
-    """Correlation (n,) of measured and nominal torque, friction taken out of both."""
+    """Return the correlation (n,) of measured and nominal torque, friction removed from both."""
     assert blocks.tau is not None
     assert blocks.nominal is not None
     correlation = np.zeros(blocks.tau.shape[1])
@@ -152,7 +158,7 @@ def _model_correlation(blocks: Blocks) -> Array:
         both = np.column_stack([blocks.tau[:, j], blocks.nominal[:, j]])
         rest = both - friction @ np.linalg.lstsq(friction, both, rcond=None)[0]
         norms = np.linalg.norm(rest, axis=0)
-        # a nominal torque that is rounding noise, or small beside what is left, tells nothing
+        # a nominal torque of rounding noise, or small beside the measured one, decides nothing
         rounding = 1e-6 * np.linalg.norm(blocks.nominal)
         if norms[1] > max(rounding, EXPECTED_PART * norms[0]):
             correlation[j] = rest[:, 0] @ rest[:, 1] / max(norms[0] * norms[1], 1e-300)
@@ -160,7 +166,7 @@ def _model_correlation(blocks: Blocks) -> Array:
 
 
 def _driving_friction(blocks: Blocks, moving: Mask) -> Mask:
-    """Joints whose friction gives power to the drive, clearly: it can only take it.
+    """Return the joints whose fitted friction clearly adds power, which friction cannot do.
 
     Each torque is fitted by gravity-like and inertia-like columns of all joints and by the
     joint's own friction.
@@ -198,8 +204,8 @@ def _clipped(recording: Recording, title: str, robot: Robot | None) -> list[Liei
         level = float(magnitude[:, mask].max(axis=0)[0])
         found.append(
             TorqueClippedWarning(
-                f"{title}: torque of {joints_text(mask)} is stuck at its largest value "
-                f"({level:.4g}): clipped?"
+                f"{title}: torque of {joints_text(mask)} stays at its largest value "
+                f"({level:.4g}): it seems to be clipped"
             )
         )
     if at_limit.any():
@@ -212,7 +218,7 @@ def _clipped(recording: Recording, title: str, robot: Robot | None) -> list[Liei
 
 
 def _stuck_at_top(magnitude: Array) -> bool:
-    """Many values at the top and few just below it.
+    """Return whether many values are at the top and few just below it.
 
     A smooth peak has 2.4 times as many samples in its top slice as in the next one of the
     same width; a clipped one has far more.
@@ -229,7 +235,7 @@ def _stuck_at_top(magnitude: Array) -> bool:
 
 
 def _in_motion(recording: Recording, magnitude: Array) -> Mask:
-    """Whether the joints move where their torque is largest: a steady hold is no clipping."""
+    """Return whether joints move where their torque is largest; holding still is no clipping."""
     dq = recording.dq
     if dq is None:
         dq = np.gradient(recording.q, recording.t, axis=0)

@@ -1,4 +1,4 @@
-"""Degrees taken for radians: refused where it is certain, a warning where it is not."""
+"""Degrees in place of radians: an error where it is certain, a warning where it is not."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from lieid_casadi.recording.recording import Recording
 if TYPE_CHECKING:
     from lieid_casadi.robot.robot import Robot
 
-#: Positions this many times beyond the limits (and half a radian more) are no radians.
+#: Positions beyond the limits by this factor (and half a radian) are not in radians.
 FAR_BEYOND = 2.0
 #: Two turns: without stated limits, half of the joints beyond this means degrees.
 TWO_TURNS = 4.0 * np.pi
-#: No joint of an arm is that fast, rad/s; a hint only.
+#: Faster than the joints of any arm, rad/s; for warnings only.
 FASTEST = 30.0
 REMEDY = "convert with --units deg (units='deg' in Python)"
 
@@ -44,14 +44,16 @@ def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]
         joint = int(np.argmax(np.where(far, largest / reach, 0.0)))
         raise RecordingError(
             f"{title}: column q{joint + 1}: found {largest[joint]:.4g} where the robot's limits "
-            f"are {lower[joint]:.4g} to {upper[joint]:.4g} rad: degrees? Expected radians: {REMEDY}"
+            f"are {lower[joint]:.4g} to {upper[joint]:.4g} rad, expected radians; if these are "
+            f"degrees, {REMEDY}"
         )
     free = revolute & ~stated
     if free.sum() >= 2 and np.median(largest[free]) > TWO_TURNS:
         joint = int(np.argmax(np.where(free, largest, 0.0)))
         raise RecordingError(
             f"{title}: column q{joint + 1}: found {largest[joint]:.4g}, "
-            f"{largest[joint] / (2.0 * np.pi):.0f} turns: degrees? Expected radians: {REMEDY}"
+            f"{largest[joint] / (2.0 * np.pi):.0f} turns, expected radians; if these are degrees, "
+            f"{REMEDY}"
         )
     return [
         *_suspicious(recording, title, free, revolute),
@@ -65,8 +67,8 @@ def _suspicious(recording: Recording, title: str, free: Mask, revolute: Mask) ->
     if turns.any():
         return [
             UnitsWarning(
-                f"{title}: {joints_text(turns)} beyond two turns ({largest[turns].max():.4g}): "
-                f"degrees instead of radians? If so, {REMEDY}"
+                f"{title}: positions of {joints_text(turns)} exceed two turns "
+                f"({largest[turns].max():.4g} rad); if these are degrees, {REMEDY}"
             )
         ]
     if recording.dq is None:
@@ -77,8 +79,8 @@ def _suspicious(recording: Recording, title: str, free: Mask, revolute: Mask) ->
     top = float(np.abs(recording.dq[:, fast]).max())
     return [
         UnitsWarning(
-            f"{title}: {joints_text(fast)} reach {top:.4g} rad/s: degrees per second? "
-            f"If so, {REMEDY}"
+            f"{title}: {joints_text(fast)} reach {top:.4g} rad/s; if these are degrees per second, "
+            f"{REMEDY}"
         )
     ]
 
@@ -93,8 +95,8 @@ def _beyond_limits(
         return []
     return [
         JointLimitWarning(
-            f"{title}: {joints_text(outside)} up to {over[outside].max():.3g} beyond the "
-            "robot's limits: another zero pose, another robot, or degrees?"
+            f"{title}: positions of {joints_text(outside)} exceed the robot's limits by up to "
+            f"{over[outside].max():.3g}: check the zero pose, the robot and the unit"
         )
     ]
 

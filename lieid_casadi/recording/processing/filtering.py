@@ -1,4 +1,4 @@
-"""Zero-phase low-pass, differences and resampling: the linear tools of processing."""
+"""Zero-phase low-pass, differences and resampling of uniform samples."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from scipy.signal import butter, sosfiltfilt
 from lieid_casadi.recording.arrays import Array
 from lieid_casadi.recording.sample_timing import uniform_count
 
-#: A cut-off above this part of the rate leaves too little below Nyquist to filter.
+#: Cut-offs above this fraction of the rate are too near the Nyquist frequency for a filter.
 HIGHEST_CUTOFF = 0.45
 
 
 def lowpass(x: Array, rate: float, cutoff: float, order: int = 4) -> Array:
-    """Zero-phase Butterworth low-pass along axis 0 (forward and backward).
+    """Return x after a zero-phase Butterworth low-pass along axis 0 (forward and backward).
 
     Parameters
     ----------
@@ -41,17 +41,17 @@ def _sections(order: int, cutoff: float, rate: float) -> Array:
 
 
 def central_difference(x: Array, rate: float) -> Array:
-    """Derivative along axis 0 of uniform samples; one-sided of second order at the ends."""
+    """Return the derivative along axis 0 of uniform samples, of second order at the ends."""
     return np.asarray(np.gradient(x, 1.0 / rate, axis=0, edge_order=2), dtype=np.float64)
 
 
 def uniform_time(t: Array, rate: float) -> Array:
-    """Uniform instants from the first stamp to the last, nearest to the rate."""
+    """Return uniform instants from the first stamp to the last, nearest to the rate."""
     return np.linspace(t[0], t[-1], uniform_count(t, rate))
 
 
 def smooth_at(t: Array, x: Array, instants: Array) -> Array:
-    """Values between the stamps by monotone cubics: no overshoot, no kinks.
+    """Return values at given instants by monotone cubics: no overshoot, no kinks.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def smooth_at(t: Array, x: Array, instants: Array) -> Array:
 
 
 def straight_at(t: Array, x: Array, instants: Array) -> Array:
-    """Values between the stamps by straight lines, for noisy signals.
+    """Return values at given instants by straight lines, for noisy signals.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def straight_at(t: Array, x: Array, instants: Array) -> Array:
 
 
 def decimate(x: Array, rate: float, step: int) -> Array:
-    """Every step-th sample of x (K, ...) behind an anti-aliasing zero-phase low-pass.
+    """Return every step-th sample of x (K, ...) after an anti-aliasing zero-phase low-pass.
 
     Parameters
     ----------

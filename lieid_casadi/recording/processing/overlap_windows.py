@@ -1,8 +1,8 @@
-"""Zero-phase filtering in windows: each reaches over its rows by as much as the filter remembers.
+"""Zero-phase filtering in windows that overlap by the length of the filter's response.
 
-A forward-backward Butterworth filter has an infinite response, but one that fades: beyond
-:func:`filter_memory` samples nothing is left of it in double precision, so that windows with that
-margin give the same rows as the whole signal, ends of the segment included.
+The response of a forward-backward Butterworth filter is infinite but decays: beyond
+:func:`filter_memory` samples it is below double precision, so that windows with that margin give
+the same rows as the whole signal, ends of the segment included.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from scipy.signal import butter
 
 from lieid_casadi.recording.processing.filtering import HIGHEST_CUTOFF
 
-#: What is left of an impulse beyond the filter's memory.
-QUIET = 1e-14
+#: Relative size of the response beyond the filter's memory.
+NEGLIGIBLE = 1e-14
 #: Instants per window, at least; with margins of a tenth little is filtered twice.
 WINDOW = 8192
 
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of filtered rows and what they need.
+    """A stretch of filtered rows and the instants from which they are computed.
 
     Attributes
     ----------
     rows
-        Of the filtered signal.
+        Rows of the filtered signal.
     instants
-        Of the signal on the grid, margins included.
+        Instants of the signal on the grid, margins included.
     inside
-        Where the rows are among the instants of this window.
+        Positions of the rows among the instants of this window.
     """
 
     rows: slice
@@ -42,7 +42,7 @@ class Window:
 
 
 def filter_memory(rate: float, cutoff: float, order: int = 4) -> int:
-    """Samples after which :func:`lowpass` has forgotten an impulse, to 1e-14 of it.
+    """Return the number of samples after which the response of :func:`lowpass` is below 1e-14.
 
     Parameters
     ----------
@@ -58,11 +58,11 @@ def filter_memory(rate: float, cutoff: float, order: int = 4) -> int:
     _, poles, _ = butter(order, cutoff, fs=rate, output="zpk")
     slowest = -np.log(np.abs(poles).max())
     # both ways: poles are double, and the response fades as (1 + k) times a power
-    return int(np.ceil((-np.log(QUIET) + 3.0) / slowest))
+    return int(np.ceil((-np.log(NEGLIGIBLE) + 3.0) / slowest))
 
 
 def windows(count: int, kept: slice, margin: int, size: int | None = None) -> Iterator[Window]:
-    """Windows that cover the kept instants of ``count`` in turn.
+    """Yield windows that cover the kept instants of ``count``.
 
     Parameters
     ----------

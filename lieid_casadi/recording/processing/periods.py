@@ -17,20 +17,20 @@ from lieid_casadi.recording.processing.filtering import (
 )
 from lieid_casadi.recording.recording import Recording
 
-#: Rate at which periods are looked for, Hz.
+#: Rate of the samples in which periods are searched, Hz.
 SEARCH_RATE = 50.0
 #: Half the mean square difference to the motion one period later, over its variance.
-ALIKE = 0.01
-#: The motion must have become as different as this before it repeats.
-UNLIKE = 0.25
+REPEATED = 0.01
+#: Least value of the same ratio that must be exceeded before the first repetition.
+DIFFERENT = 0.25
 
 
 def detect_period(recording: Recording) -> float | None:
-    """Period of the motion, s, or None; at least two full periods must have been recorded.
+    """Return the period of the motion, s, or None; at least two full periods are needed.
 
-    The first lag at which all moving joints come back to where they were (variance of the
-    difference below 2 % of that of q, after it had been above 50 %), then sharpened at the
-    largest multiple that the recording holds.
+    The first lag at which all moving joints return to their positions (variance of the
+    difference below 2 % of that of q, after it was above 50 %), then refined at the largest
+    multiple within the recording.
     """
     if len(recording.segments()) > 1:
         return None
@@ -42,19 +42,19 @@ def detect_period(recording: Recording) -> float | None:
     moving = spread > 0.01
     if not moving.any() or grid.size < 16:
         return None
-    unlike = _difference((q[:, moving] - q[:, moving].mean(axis=0)) / spread[moving])
-    lag = _first_return(unlike[: grid.size // 2 + 1])
+    difference = _difference((q[:, moving] - q[:, moving].mean(axis=0)) / spread[moving])
+    lag = _first_return(difference[: grid.size // 2 + 1])
     if lag is None:
         return None
-    period = _sharpen(unlike, float(lag), 1)
+    period = _refined_period(difference, float(lag), 1)
     multiple = int((0.9 * grid.size) // period)
-    return float(_sharpen(unlike, period, max(1, multiple)) / rate)
+    return float(_refined_period(difference, period, max(1, multiple)) / rate)
 
 
 def period_noise(recording: Recording, *, cutoff: float | None = None) -> Array | None:
-    """Standard deviation (n,) of the torque from period to period, N·m; None if not periodic.
+    """Return the standard deviation (n,) of the torque between periods, N·m; None if not periodic.
 
-    With a cut-off, Hz, that of the low-passed torque: the error that no model can beat.
+    With a cut-off, Hz, that of the low-passed torque: a lower bound of the error of any model.
     """
     if recording.tau is None:
         return None
@@ -75,7 +75,7 @@ def period_noise(recording: Recording, *, cutoff: float | None = None) -> Array 
 
 
 def mean_period(recording: Recording, margin: float) -> Recording:
-    """Mean over all full periods, continued periodically by a margin, s, at both ends.
+    """Return the mean over all full periods, continued periodically by a margin, s, at both ends.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def mean_period(recording: Recording, margin: float) -> Recording:
 
 
 def _difference(x: Array) -> Array:
-    """Half the mean square difference between x (K, m) and itself, by lag (K,)."""
+    """Return half the mean square difference between x (K, m) and itself, by lag (K,)."""
     count = x.shape[0]
     length = next_fast_len(2 * count, real=True)
     spectrum = rfft(x, length, axis=0)
@@ -124,25 +124,36 @@ def _difference(x: Array) -> Array:
     return np.asarray((overlap / 2.0 - products) / ((count - lags) * x.shape[1]))
 
 
-def _first_return(unlike: Array) -> int | None:
-    away = np.nonzero(unlike > UNLIKE)[0]
+def _first_return(difference: Array) -> int | None:
+    away = np.nonzero(difference > DIFFERENT)[0]
     if not away.size:
         return None
-    after = np.arange(1, unlike.size - 1)
-    lowest = (unlike[after] <= unlike[after - 1]) & (unlike[after] <= unlike[after + 1])
-    found = after[lowest & (after > away[0]) & (unlike[after] < ALIKE)]
+    after = np.arange(1, difference.size - 1)
+    here = difference[after]
+    lowest = (here <= difference[after - 1]) & (here <= difference[after + 1])
+    found = after[lowest & (after > away[0]) & (here < REPEATED)]
     return int(found[0]) if found.size else None
 
 
-def _sharpen(unlike: Array, period: float, multiple: int) -> float:
-    """Period in samples from the parabola through the lowest point near a multiple of it."""
+def _refined_period(difference: Array, period: float, multiple: int) -> float:
+    """Return the period in samples, by a parabola through the lowest point near a multiple.
+
+    Parameters
+    ----------
+    difference
+        (K,) difference by lag.
+    period
+        First estimate, samples.
+    multiple
+        Number of periods of the lag at which it is refined.
+    """
     centre = round(period * multiple)
     reach = max(2, multiple)
-    low, high = max(1, centre - reach), min(unlike.size - 2, centre + reach)
+    low, high = max(1, centre - reach), min(difference.size - 2, centre + reach)
     if low >= high:
         return period
-    k = low + int(np.argmin(unlike[low : high + 1]))
-    before, here, after = unlike[k - 1], unlike[k], unlike[k + 1]
+    k = low + int(np.argmin(difference[low : high + 1]))
+    before, here, after = difference[k - 1], difference[k], difference[k + 1]
     curvature = before - 2.0 * here + after
     shift = 0.5 * (before - after) / curvature if curvature > 0.0 else 0.0
     return float((k + np.clip(shift, -0.5, 0.5)) / multiple)

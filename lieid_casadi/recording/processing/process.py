@@ -22,8 +22,12 @@ from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.recording_stream import RecordingStream, scratch
 from lieid_casadi.recording.sample_timing import require_plausible_rate, sample_rate
 
-#: Weight of rest in a filtered sample that counts as moving.
-REST_LEFT = 0.1
+#: Largest weight of samples at rest in a filtered sample that counts as moving.
+LARGEST_REST_WEIGHT = 0.1
+
+
+#: Highest order of the Butterworth filter: higher ones ring and are ill-conditioned.
+HIGHEST_ORDER = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,13 +37,13 @@ class Processing:
     Attributes
     ----------
     cutoff
-        Of the low-pass on torque and columns, Hz; None chooses it from the spectrum.
+        Cut-off of the low-pass on torque and columns, Hz; None chooses it from the spectrum.
     trim
-        Left out at both ends of every segment, s: the filter's edges.
+        Length that is removed at both ends of every segment, s, because of the filter's edges.
     order
-        Of the Butterworth filter (one way).
+        Order of the Butterworth filter in one direction, 1 to 16.
     average_periods
-        Replace periodic motion by its mean period. Erases drift and warm-up.
+        Replace periodic motion by its mean period, which removes drift and warm-up.
     smoother
         ``rloess`` smooths ddq and tau by robust local quadratic regression first (paper, 6.2).
     """
@@ -55,8 +59,8 @@ class Processing:
             raise RecordingError(f"cutoff is {self.cutoff}, expected Hz above 0")
         if not (np.isfinite(self.trim) and self.trim >= 0.0):
             raise RecordingError(f"trim is {self.trim}, expected seconds from 0")
-        if self.order < 1:
-            raise RecordingError(f"order is {self.order}, expected 1 or more")
+        if not 1 <= self.order <= HIGHEST_ORDER:
+            raise RecordingError(f"order is {self.order}, expected 1 to {HIGHEST_ORDER}")
         if self.smoother not in ("butterworth", "rloess"):
             raise RecordingError(
                 f"smoother is {self.smoother!r}, expected 'butterworth' or 'rloess'"
@@ -73,16 +77,16 @@ class Processed:
         (K,) s, on the recording's own clock.
     q, dq, ddq
         (K, n), low-passed well above the cut-off, zero-phase; dq is 0 where a joint rests.
-        dq and ddq are derived from q where it is clearly quieter than the measured dq.
+        dq and ddq are derived from q where that has clearly less noise than the measured dq.
     tau
         (K, n) or None; resampled, not low-passed: :meth:`filter` does that, as it does on
         every regressor column.
     temperature
         (K, n) °C or None.
     payload_label
-        Of the whole segment, or None.
+        Label of the whole segment, or None.
     recording
-        The rows that this segment comes from.
+        The rows of this segment.
     rate, cutoff
         Hz.
     dead_zone
@@ -90,9 +94,9 @@ class Processed:
     moving
         (K, n) False where a joint stays in its dead zone long enough for stiction to hold it.
     options
-        With the cut-off filled in.
+        The options, with the cut-off that was chosen.
     warnings
-        What was left out.
+        Repeated rows and short segments that were removed.
     """
 
     t: Array
@@ -120,7 +124,7 @@ class Processed:
 
     @cached_property
     def kept(self) -> slice:
-        """Instants of the grid that remain after filtering: trimmed, then every step-th."""
+        """Instants of the grid that are kept after filtering: trimmed, then every step-th."""
         edge = round(self.options.trim * self.rate)
         step = max(1, int(self.rate / (4.0 * self.cutoff)))
         return slice(edge, self.t.size - edge, step)
@@ -129,7 +133,7 @@ class Processed:
         """Low-pass along axis 0, trim and decimate: (K, ...) -> (M, ...).
 
         Linear and zero-phase; the same for torque and for every regressor column, so that
-        tau = Y β keeps holding. M samples at no less than four times the cut-off.
+        tau = Y β still holds. M samples at no less than four times the cut-off.
         """
         values = np.asarray(x)
         if values.shape[:1] != self.t.shape:
@@ -138,7 +142,7 @@ class Processed:
 
     @cached_property
     def windows(self) -> tuple[Window, ...]:
-        """Stretches that filter one by one as the whole segment does."""
+        """Windows that can be filtered one by one with the same result as the whole segment."""
         margin = filter_memory(self.rate, self.cutoff, self.options.order)
         return tuple(windows(self.t.size, self.kept, margin))
 
@@ -150,27 +154,27 @@ class Processed:
 
     @cached_property
     def filtered_time(self) -> Array:
-        """(M,) s, instants of what :meth:`filter` returns."""
+        """(M,) s, instants of the rows that :meth:`filter` returns."""
         return self.t[self.kept]
 
     @cached_property
     def filtered_moving(self) -> Mask:
-        """(M, n) True where no rest reaches into the filter's neighbourhood.
+        """(M, n) True where no rest is within the length of the filter.
 
-        At rest dry friction can be anything up to its level, and the filter spreads it.
+        At rest dry friction is undetermined up to its level, and the filter spreads the error.
         """
-        return np.asarray(np.abs(self.filter(self.moving) - 1.0) < REST_LEFT)
+        return np.asarray(np.abs(self.filter(self.moving) - 1.0) < LARGEST_REST_WEIGHT)
 
 
 def process(
     recordings: Recording | RecordingStream | Sequence[Recording | RecordingStream],
     options: Processing | None = None,
 ) -> tuple[Processed, ...]:
-    """Uniform, differentiated signals of every segment of the recordings.
+    """Return uniform, differentiated signals of every segment of the recordings.
 
     Without a cut-off in the options one is chosen for all recordings together (the median of
-    what each of them asks for). Pass ``Processing(cutoff=...)`` with the cut-off of the
-    training data when processing a test.
+    :func:`choose_cutoff` over the recordings). Pass ``Processing(cutoff=...)`` with the cut-off
+    of the training data when processing a test.
 
     Raises
     ------
@@ -231,7 +235,7 @@ def _too_short(segment: Recording | RecordingStream, cutoff: float, trim: float)
 def _process_segment(
     segment: Recording | RecordingStream, options: Processing, cutoff: float
 ) -> Processed:
-    t, rows, told = without_repeats(segment)
+    t, rows, repeated = without_repeats(segment)
     rate = sample_rate(t)
     if cutoff >= HIGHEST_CUTOFF * rate:
         raise RecordingError(
@@ -260,5 +264,5 @@ def _process_segment(
         dead_zone=read_only(signals.dead_zone),
         moving=signals.moving,
         options=options,
-        warnings=() if told is None else (told,),
+        warnings=() if repeated is None else (repeated,),
     )

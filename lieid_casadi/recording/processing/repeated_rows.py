@@ -1,9 +1,9 @@
-"""Rows that a recorder wrote again because its source had nothing new: left out, and told.
+"""Removal of rows that a recorder repeated because its source had no new message.
 
-A recorder that runs faster than the joint's source, or beside it, holds the last message: every
-so often a row repeats the one before in all signals, while the arm moves on. Its stamps are
-those of the recorder; the source's own are up to a period earlier, by an amount that jumps at
-each repeat. Velocity and acceleration that are derived across it are wrong.
+A recorder that is faster than its source, or not synchronized with it, writes the last message
+again: now and then a row repeats the one before in all signals while the arm moves. The stamps
+are those of the recorder; the instants of measurement are up to a period earlier, by an amount
+that changes at each repeat. Velocities and accelerations derived across a repeat are wrong.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.recording_stream import RecordingStream
 from lieid_casadi.recording.sample_timing import sample_period
 
-#: Steps before and after a repeat that tell motion from rest: in quanta, and in RMS steps.
+#: Least steps before and after a repeat that show motion: in quanta, and in RMS steps.
 QUANTA, PART_OF_STEP = 3.0, 0.1
-#: Runs beyond this many times their median, and one row, are a pause: of the arm or of the source.
+#: Runs longer than this multiple of their median, plus one row, are pauses and no repeats.
 LONG = 2.0
-#: Repeats that make a source of its own period of it.
+#: Least number of repeats from which the period of the source is estimated.
 ENOUGH = 3
-#: Spread of the stamps about uniform ones, in periods of the recorder: a period and its jitter.
+#: Largest spread of the stamps about uniform ones, in periods of the recorder (one, and jitter).
 SPREAD = 1.5
-#: Rows that are looked at together.
+#: Rows that are compared at once.
 CHUNK = 1 << 18
 
 Rows = Callable[[int, int], Recording]
@@ -38,43 +38,43 @@ Rows = Callable[[int, int], Recording]
 def without_repeats(
     segment: Recording | RecordingStream,
 ) -> tuple[Array, Rows, RepeatedRowsWarning | None]:
-    """Return stamps (N,), how to read rows by their number, and what there is to tell.
+    """Return stamps (N,), a function that reads rows by number, and a warning if rows were removed.
 
-    Where the rows that are left fit uniform stamps to within the recorder's period, those take
-    the place of the recorder's.
+    Where the remaining rows fit uniform stamps to within the recorder's period, uniform stamps
+    replace those of the recorder.
     """
-    t, looked = segment.t, [segment] if isinstance(segment, Recording) else segment.samples()
-    if not any(repeats(part).any() for part in looked):
+    t, samples = segment.t, [segment] if isinstance(segment, Recording) else segment.samples()
+    if not any(repeats(part).any() for part in samples):
         return t, segment.rows, None
     fresh = np.flatnonzero(~_all_repeats(segment))
-    left = len(t) - len(fresh)
-    stamps, uniform = _uniform(t[fresh], sample_period(t), left)
+    removed = len(t) - len(fresh)
+    stamps, uniform = _uniform(t[fresh], sample_period(t), removed)
 
     def rows(first: int, last: int) -> Recording:
         start, end = int(fresh[first]), int(fresh[last - 1]) + 1
         return _chosen(segment.rows(start, end), fresh[first:last] - start, stamps[first:last])
 
     new = f"; the others are {1e3 * sample_period(stamps):.4g} ms apart" if uniform else ""
-    told = RepeatedRowsWarning(
-        f"{segment.title}: {left} of {len(t)} rows repeat the one before in all "
-        f"signals while the arm moves, and were left out{new}: the source was slower than the "
+    warning = RepeatedRowsWarning(
+        f"{segment.title}: {removed} of {len(t)} rows repeat the one before in all "
+        f"signals while the arm moves, and were removed{new}: the source was slower than the "
         "recorder"
     )
-    return stamps, rows, told
+    return stamps, rows, warning
 
 
 def repeats(recording: Recording) -> Mask:
-    """Mark rows (N,) that repeat the one before, all signals alike, while the arm moves."""
+    """Mark rows (N,) that repeat the one before in all signals while the arm moves."""
     found = np.zeros(len(recording), dtype=bool)
     others = [x for x in (recording.dq, recording.tau, recording.current) if x is not None]
     if not others:  # a position alone repeats where it is coarse
         return found
-    alike = _alike(recording.q)
+    equal = _equal_rows(recording.q)
     for signal in others:
-        if not alike.any():
+        if not equal.any():
             return found
-        alike &= _alike(signal)
-    new = np.concatenate([[0], np.flatnonzero(~alike) + 1, [len(recording)]])  # ends of runs
+        equal &= _equal_rows(signal)
+    new = np.concatenate([[0], np.flatnonzero(~equal) + 1, [len(recording)]])  # ends of runs
     length = np.diff(new)
     if len(length) < 3:
         return found
@@ -98,18 +98,18 @@ def _chosen(part: Recording, rows: NDArray[np.intp], t: Array) -> Recording:
     return replace(part, t=t, payload_label=labels, **signals)
 
 
-def _alike(x: Array) -> Mask:
+def _equal_rows(x: Array) -> Mask:
     return np.asarray(np.all(x[1:] == x[:-1], axis=1))
 
 
 def _quantum(step: Array) -> Array:
-    """Smallest step (n,) above rounding."""
-    seen = np.where(step > 1e-9 * step.max(axis=0, initial=0.0), step, np.inf).min(axis=0)
-    return np.where(np.isfinite(seen), seen, 0.0)
+    """Return the smallest step (n,) above rounding."""
+    smallest = np.where(step > 1e-9 * step.max(axis=0, initial=0.0), step, np.inf).min(axis=0)
+    return np.where(np.isfinite(smallest), smallest, 0.0)
 
 
 def _all_repeats(segment: Recording | RecordingStream) -> Mask:
-    """The same of a whole segment, part by part where it is not in memory."""
+    """Mark repeats in a whole segment, part by part where it is not in memory."""
     if isinstance(segment, Recording):
         return repeats(segment)
     found = np.zeros(len(segment), dtype=bool)
@@ -121,12 +121,12 @@ def _all_repeats(segment: Recording | RecordingStream) -> Mask:
     return found
 
 
-def _uniform(t: Array, period: float, left_out: int) -> tuple[Array, bool]:
-    """Return uniform stamps through those that are left, if they are near enough."""
-    if left_out < ENOUGH:
+def _uniform(t: Array, period: float, removed: int) -> tuple[Array, bool]:
+    """Return uniform stamps in place of t, if those are near enough, and whether they are."""
+    if removed < ENOUGH:
         return t, False
     k = np.arange(len(t), dtype=np.float64)
-    # the first row may be any of its run
+    # the first row may be any row of its run
     line = np.polynomial.Polynomial.fit(k[1:], t[1:], 1)(k)
     if np.ptp((t - line)[1:]) > SPREAD * period:
         return t, False

@@ -19,29 +19,33 @@ from lieid_casadi.recording.processing.filtering import (
 )
 from lieid_casadi.recording.processing.overlap_windows import filter_memory
 from lieid_casadi.recording.processing.robust_loess import robust_loess
-from lieid_casadi.recording.processing.velocity import Look, Velocity, velocity_of
+from lieid_casadi.recording.processing.velocity import (
+    RawSamples,
+    VelocitySource,
+    velocity_source,
+)
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.sample_timing import uniform_count
 
-#: A stay in the dead zone for this long is rest (stiction holds the joint), not a reversal, s.
+#: Least time in the dead zone, s, that counts as rest (stiction holds the joint).
 REST_TIME = 0.03
-#: q, dq, ddq keep this many cut-offs: the columns' filter does the rest, and does it alone. They
-#: keep these Hz at least: reversals and rests are as short as they are, however low the cut-off.
+#: Band of q, dq and ddq in cut-offs, and least band in Hz: the filter of the columns alone limits
+#: the band further, and the duration of reversals and rests does not depend on the cut-off.
 MOTION_BAND, LEAST_BAND = 3.0, 20.0
-#: Rate that the grid keeps at least, in cut-offs and in Hz, so that steps of sgn(dq) stay sharp.
+#: Least rate of the grid, in cut-offs and in Hz, so that steps of sgn(dq) stay sharp.
 GRID_OVER_CUTOFF, LEAST_GRID = 20.0, 120.0
-#: Instants that are filtered at once; longer segments are taken in windows of this length.
+#: Instants that are filtered at once; longer segments are processed in windows of this length.
 WINDOW = 1 << 16
-#: Places, and rows at each, where a long segment's noise is looked at.
-NOISE_PLACES, NOISE_ROWS = 16, 1 << 14
-#: Rows beyond a window that interpolation looks at.
+#: Number of samples of a long segment, and rows of each, from which its noise is estimated.
+NOISE_SAMPLES, NOISE_ROWS = 16, 1 << 14
+#: Rows beyond a window that interpolation needs.
 NEIGHBOURS = 4
 
 Rows = Callable[[int, int], Recording]
 
 
 @dataclass(frozen=True)
-class Grid:
+class UniformGrid:
     """``count`` instants from ``start`` to ``end``, s; every step-th is kept."""
 
     start: float
@@ -50,8 +54,8 @@ class Grid:
     step: int
 
     @classmethod
-    def of(cls, t: Array, rate: float, cutoff: float) -> Grid:
-        """The grid of a segment with stamps t at about a rate, Hz."""
+    def of(cls, t: Array, rate: float, cutoff: float) -> UniformGrid:
+        """Return the grid of a segment with stamps t (N,) at about a rate, Hz."""
         count = uniform_count(t, rate)
         rate = (count - 1) / (t[-1] - t[0])
         step = max(1, int(rate / max(GRID_OVER_CUTOFF * cutoff, LEAST_GRID)))
@@ -63,7 +67,7 @@ class Grid:
         return (self.count - 1) / (self.end - self.start)
 
     def times(self, first: int, last: int) -> Array:
-        """Instants first … last − 1, s."""
+        """Return instants first … last − 1, s."""
         t = self.start + np.arange(first, last) * ((self.end - self.start) / (self.count - 1))
         if last == self.count:
             t[-1] = self.end
@@ -72,7 +76,7 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class GridSignals:
-    """What `Processed` has of one segment, (K, …) on every step-th instant of the grid."""
+    """Signals of one segment, (K, …) on every step-th instant of the grid; see `Processed`."""
 
     t: Array
     q: Array
@@ -94,7 +98,7 @@ def signals_on_grid(
     loess: bool = False,
     allocate: Callable[..., NDArray[Any]] = np.empty,
 ) -> GridSignals:
-    """Resampled, low-passed and differentiated signals of one segment.
+    """Return resampled, low-passed and differentiated signals of one segment.
 
     Parameters
     ----------
@@ -105,11 +109,11 @@ def signals_on_grid(
     rate, cutoff
         Hz.
     loess
-        Smooth ddq and tau by robust local regression; then the segment is taken whole.
+        Smooth ddq and tau by robust local regression; the segment is then processed as a whole.
     allocate
         Makes the arrays of the result from shape and type.
     """
-    grid = Grid.of(t, rate, cutoff)
+    grid = UniformGrid.of(t, rate, cutoff)
     whole = loess or grid.count <= 2 * WINDOW
     velocity = None if whole else _sampled_velocity(t, rows, grid, cutoff)
     kept = len(range(0, grid.count, grid.step))
@@ -141,10 +145,10 @@ def signals_on_grid(
     )
 
 
-def _windows(grid: Grid, cutoff: float, size: int) -> Iterator[tuple[int, int, int, int]]:
-    """Kept instants of each window, and the instants of the grid that they need."""
+def _windows(grid: UniformGrid, cutoff: float, size: int) -> Iterator[tuple[int, int, int, int]]:
+    """Yield the kept instants of each window, and the instants of the grid that they need."""
     rate, kept = grid.rate, len(range(0, grid.count, grid.step))
-    margin = filter_memory(rate, motion_band(cutoff)) + _rest_length(rate) + NEIGHBOURS
+    margin = filter_memory(rate, signal_band(cutoff)) + _rest_length(rate) + NEIGHBOURS
     if grid.step > 1:
         margin = max(margin, filter_memory(rate, 0.4 * rate / grid.step, 8))
     for first in range(0, kept, size):
@@ -157,24 +161,24 @@ def _windows(grid: Grid, cutoff: float, size: int) -> Iterator[tuple[int, int, i
 def _signals(
     part: Recording,
     times: Array,
-    grid: Grid,
+    grid: UniformGrid,
     cutoff: float,
-    velocity: Velocity | None,
+    velocity: VelocitySource | None,
     loess: bool,
-) -> tuple[dict[str, NDArray[Any]], Velocity]:
-    """Signals at times of the grid, at its full rate, and where the velocity came from."""
-    rate, band = grid.rate, motion_band(cutoff)
-    look = _look(part, times, rate)
-    q = lowpass(look.q, rate, band)
+) -> tuple[dict[str, NDArray[Any]], VelocitySource]:
+    """Return signals at times of the grid, at its full rate, and the source of the velocity."""
+    rate, band = grid.rate, signal_band(cutoff)
+    raw = _raw_samples(part, times, rate)
+    q = lowpass(raw.q, rate, band)
     if velocity is None:
-        velocity = velocity_of([look], rate, cutoff, band)
-    dq = lowpass(look.velocity(velocity.derived), rate, band)
+        velocity = velocity_source([raw], rate, cutoff, band)
+    dq = lowpass(raw.velocity(velocity.derived), rate, band)
     if part.ddq is not None:
         ddq = lowpass(smooth_at(part.t, part.ddq, times), rate, band)
     elif np.array_equal(velocity.derived, velocity.accelerates):
         ddq = central_difference(dq, rate)
     else:
-        ddq = central_difference(lowpass(look.velocity(velocity.accelerates), rate, band), rate)
+        ddq = central_difference(lowpass(raw.velocity(velocity.accelerates), rate, band), rate)
     moving = _moving(dq, velocity.dead_zone, rate)
     signals: dict[str, NDArray[Any]] = {
         "t": times,
@@ -194,23 +198,23 @@ def _signals(
     return signals, velocity
 
 
-def _look(part: Recording, times: Array, rate: float) -> Look:
+def _raw_samples(part: Recording, times: Array, rate: float) -> RawSamples:
     q = smooth_at(part.t, part.q, times)
     measured = None if part.dq is None else smooth_at(part.t, part.dq, times)
-    return Look(q, measured, central_difference(q, rate))
+    return RawSamples(q, measured, central_difference(q, rate))
 
 
-def _sampled_velocity(t: Array, rows: Rows, grid: Grid, cutoff: float) -> Velocity:
-    """The decision for a segment that is not looked at as a whole."""
-    found, count = [], min(NOISE_ROWS, len(t) // NOISE_PLACES)
-    for first in np.linspace(0, len(t) - count, NOISE_PLACES).astype(int):
+def _sampled_velocity(t: Array, rows: Rows, grid: UniformGrid, cutoff: float) -> VelocitySource:
+    """Choose the source of the velocity from samples of a segment that is not in memory."""
+    found, count = [], min(NOISE_ROWS, len(t) // NOISE_SAMPLES)
+    for first in np.linspace(0, len(t) - count, NOISE_SAMPLES).astype(int):
         part = rows(int(first), int(first) + count)
         times = np.arange(part.t[0], part.t[-1], 1.0 / grid.rate)
-        found.append(_look(part, times, grid.rate))
-    return velocity_of(found, grid.rate, cutoff, motion_band(cutoff))
+        found.append(_raw_samples(part, times, grid.rate))
+    return velocity_source(found, grid.rate, cutoff, signal_band(cutoff))
 
 
-def motion_band(cutoff: float) -> float:
+def signal_band(cutoff: float) -> float:
     """Return the band of q, dq and ddq, Hz, for a cut-off of the columns."""
     return max(MOTION_BAND * cutoff, LEAST_BAND)
 
@@ -222,9 +226,9 @@ def _rest_length(rate: float) -> int:
 def _moving(dq: Array, dead_zone: Array, rate: float) -> Mask:
     """Mark (K, n) where joints do not rest.
 
-    Dry friction is undetermined where stiction holds a joint, be it for an instant at a reversal.
+    Dry friction is undetermined where stiction holds a joint, even for an instant at a reversal.
     A reversal without stiction passes through the dead zone sooner, and there the velocity's own
-    sign is the best guess.
+    sign is the best estimate.
     """
     structure = np.ones((_rest_length(rate), 1), dtype=bool)
     rest = binary_opening(np.abs(dq) <= dead_zone, structure=structure)

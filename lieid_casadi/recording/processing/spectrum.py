@@ -1,4 +1,4 @@
-"""What the signals themselves say: band of the motion, cut-off, noise of the velocity."""
+"""Band of the motion, cut-off frequency and noise of the velocity, estimated from the signals."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from lieid_casadi.recording.recording import Recording
 
 #: Least and most cut-off over the band of the motion.
 LEAST_BANDS, MOST_BANDS = 6.0, 25.0
-#: Torque is looked at up to this rate, Hz: arms do not follow motion beyond it.
+#: Rate of the torque from which the cut-off is chosen, Hz: arms do not move at higher frequencies.
 TORQUE_RATE = 400.0
-#: Rows that are looked at: a spectrum needs no more.
+#: Rows from which the cut-off is chosen: a spectrum needs no more.
 ENOUGH_ROWS = 1 << 19
 #: Motion, rad or m, and rows that a band is determined from; less is noise about rest.
 LEAST_MOTION, LEAST_ROWS = 0.01, 9
-#: Joints that move less say nothing about the band of their torque, rad or m.
+#: Least motion, rad or m, from which the band of a joint's torque is estimated.
 ENOUGH_MOTION = 0.05
 #: Part of the top speed that is in the dead zone even without noise. On test recordings a
 #: tenth of it is worse for a TX40, three times as much is worse for a UR10e.
@@ -35,11 +35,11 @@ TOP_SPEED_PART = 3e-3
 
 
 def choose_cutoff(recording: Recording) -> float:
-    """Cut-off, Hz, up to which the motion explains the torque.
+    """Return the cut-off, Hz, up to which the motion explains the torque.
 
     Each torque is fitted by gravity-like (sines and cosines of all joints), inertia-like and
-    friction-like columns; the band ends where the spectrum of what they explain falls below
-    that of what they leave (median over the joints). At least six and at most 25 times the
+    friction-like columns; the band ends where the spectrum of the fitted torque falls below
+    that of the residual (median over the joints). At least six and at most 25 times the
     band of the motion (:func:`motion_band`), at most a quarter of the rate. Without torque
     six times the band of the motion. Two digits; 5 Hz where nothing moves.
     """
@@ -62,7 +62,7 @@ def _two_digits(value: float, highest: float) -> float:
 
 
 def _explained_band(recording: Recording) -> float | None:
-    """Median over the joints of the frequency where noise takes over in the torque."""
+    """Return the frequency above which noise dominates the torque, median over the joints."""
     torque = recording.tau if recording.tau is not None else recording.current
     moving = np.ptp(recording.q, axis=0) > ENOUGH_MOTION
     if torque is None or not moving.any():
@@ -78,11 +78,11 @@ def _explained_band(recording: Recording) -> float | None:
         dq = decimate(smooth_at(recording.t, recording.dq, grid), rate, step)
     if len(q) < LEAST_ROWS:
         return None
-    bands = _noise_takes_over(q, dq, tau, rate / step, moving)
+    bands = _noise_frequencies(q, dq, tau, rate / step, moving)
     return float(np.median(bands)) if bands else None
 
 
-def _noise_takes_over(q: Array, dq: Array, tau: Array, rate: float, moving: Mask) -> list[float]:
+def _noise_frequencies(q: Array, dq: Array, tau: Array, rate: float, moving: Mask) -> list[float]:
     ddq = central_difference(lowpass(dq, rate, min(30.0, 0.4 * rate)), rate)
     ones = np.ones((q.shape[0], 1))
     common = np.hstack([ones, np.sin(q[:, moving]), np.cos(q[:, moving]), ddq[:, moving]])
@@ -97,14 +97,14 @@ def _noise_takes_over(q: Array, dq: Array, tau: Array, rate: float, moving: Mask
         frequency, density = welch(both, rate, nperseg=length, axis=0)
         ratio = np.log(np.maximum(density[:, 0], 1e-300) / np.maximum(density[:, 1], 1e-300))
         ratio = np.convolve(ratio, np.full(5, 0.2), "same")
-        # the lowest bins are smeared by the window and by the mean
+        # the lowest bins are blurred by the window and by the mean
         below = np.nonzero(ratio[3:-3] < 0.0)[0]
         bands.append(float(frequency[below[0] + 3] if below.size else frequency[-1]))
     return bands
 
 
 def motion_band(recording: Recording) -> float | None:
-    """Frequency, Hz, below which 99 % of the velocity's power lies; None at rest.
+    """Return the frequency, Hz, below which 99 % of the velocity's power lies; None at rest.
 
     In the longest segment; median over the joints that move by more than 0.01; the lower one
     of measured velocity and differenced position, since either may be noisy.
@@ -134,12 +134,12 @@ def _band(dq: Array, rate: float) -> float | None:
 
 
 def noise_dead_zone(dq: Array, *, kept: float = 1.0, quantum: Array | None = None) -> Array:
-    """Speed below which a joint counts as at rest, per joint.
+    """Return the speed below which a joint counts as at rest, per joint.
 
     Three standard deviations of the velocity's noise, which is the robust spread of the
-    fourth difference of dq (motion leaves nothing there, white noise √70 σ), but at least
-    1.5 steps of dq's resolution and 0.3 % of the joint's top speed: a reversal
-    passes through that within a sample or so, and the sign there is anyone's guess.
+    fourth difference of dq (that of motion is negligible, that of white noise √70 σ), but at
+    least 1.5 steps of dq's resolution and 0.3 % of the joint's top speed: a reversal passes
+    through that within about a sample, and the sign there is undetermined.
 
     Parameters
     ----------
@@ -161,18 +161,19 @@ def noise_dead_zone(dq: Array, *, kept: float = 1.0, quantum: Array | None = Non
     return np.asarray(np.maximum.reduce([noise, 1.5 * step, TOP_SPEED_PART * top, 0 * top + 1e-6]))
 
 
-def noise_spread(places: Sequence[Array]) -> Array:
-    """Standard deviation (n,) of white noise on signals (N, n), seen at some places of them."""
-    fourth = [np.diff(x, n=4, axis=0) for x in places if x.shape[0] > 8]
+def noise_spread(parts: Sequence[Array]) -> Array:
+    """Return the standard deviation (n,) of white noise on parts of signals, (N, n) each."""
+    fourth = [np.diff(x, n=4, axis=0) for x in parts if x.shape[0] > 8]
     if not fourth:
-        return np.zeros(places[0].shape[1])
-    left = np.concatenate(fourth)
-    spread = 1.4826 * np.median(np.abs(left - np.median(left, axis=0)), axis=0)
+        return np.zeros(parts[0].shape[1])
+    differences = np.concatenate(fourth)
+    centred = differences - np.median(differences, axis=0)
+    spread = 1.4826 * np.median(np.abs(centred), axis=0)
     return np.asarray(spread / np.sqrt(70.0))
 
 
 def resolution(values: Array) -> Array:
-    """Smallest step (n,) between distinct values: the quantum, or next to nothing."""
+    """Return the smallest step (n,) between distinct values: the quantum, or rounding."""
     return np.array([_resolution(column) for column in values.T])
 
 

@@ -1,4 +1,4 @@
-"""Bound on what the compressed chunks of a bag inflate to, checked before rosbags reads it.
+"""Limit of the inflated size of a bag's chunks, checked before rosbags reads it.
 
 rosbags inflates a chunk at once, whatever its size. Here each chunk is inflated piece by piece
 and only counted, which takes little time beside the decoding of the messages.

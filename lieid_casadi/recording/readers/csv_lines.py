@@ -1,4 +1,4 @@
-"""Lines of a text file, plain or gzipped, with a bound on what is inflated and on their length."""
+"""Lines of a text file, plain or gzipped, with limits of the inflated size and of their length."""
 
 from __future__ import annotations
 

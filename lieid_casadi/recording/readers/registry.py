@@ -22,7 +22,7 @@ INFLATE_LIMIT = 1 << 30
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """Options of every reader; a reader ignores what its format does not have.
+    """Options of every reader; a reader ignores those that its format has no use for.
 
     Attributes
     ----------
