@@ -252,6 +252,7 @@ def use(effect):
     effects = ",".join([*(name for name in BASE if name != effect.name), spec])
     return [
         "```sh",
+        f"lieid effects {effect.name}",
         f"lieid identify arm.urdf run1.csv --effects {effects} -o fit.json",
         "```",
         "",
