@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
 from lieid_casadi.dynamics.null_space import EnergyColumn
-from lieid_casadi.effects import Effect, Placement, Signals, parse_effects, place
+from lieid_casadi.effects import Effect, Placement, parse_effects, place
 from lieid_casadi.effects.placement import labels
+from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.errors import ModelError
 from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.inertia import LINK_PARAMETER_UNITS
@@ -38,45 +39,6 @@ class Parameter:
         """Name with its joint from 1: ``Izz3``, ``stribeck.v_s:4``."""
         between = ":" if "." in self.name else ""
         return f"{self.name}{between}{self.joint + 1}"
-
-
-@dataclass(frozen=True)
-class EffectSignals:
-    """Symbols (n,) that effect columns depend on, beside the motion."""
-
-    q: ca.SX
-    dq: ca.SX
-    ddq: ca.SX
-    sign: ca.SX
-    load: ca.SX
-    temperature: ca.SX
-    time: ca.SX
-
-    def of(
-        self, joint: int, source: int | None = None, state: Mapping[str, ca.SX] | None = None
-    ) -> Signals:
-        """Return the signals of one joint.
-
-        Parameters
-        ----------
-        joint : int
-            From 0.
-        source : int, optional
-            The joint that acts on it, for couplings.
-        state : mapping, optional
-            The effect's own states by name.
-        """
-        return Signals(
-            q=self.q[joint],
-            dq=self.dq[joint],
-            ddq=self.ddq[joint],
-            sign=self.sign[joint],
-            load=self.load[joint],
-            temperature=self.temperature[joint],
-            time=self.time,
-            other=None if source is None else self.of(source),
-            state=state or {},
-        )
 
 
 class Model:

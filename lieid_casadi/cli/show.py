@@ -52,6 +52,7 @@ def run(args: argparse.Namespace) -> None:
     )
     if not robot.has_inertia:
         output.say(f"No inertia stated for: {', '.join(robot.links_without_inertia)}")
+    output.show_warnings(robot.warnings)
     content = {
         "robot": robot.name,
         "gravity": robot.gravity.tolist(),
@@ -59,6 +60,7 @@ def run(args: argparse.Namespace) -> None:
         "base_parameter_count": base.count,
         "base_parameters": parameters,
         "dropped": [base.names[k] for k in base.dropped],
+        "warnings": [{"name": type(w).__name__, "message": str(w)} for w in robot.warnings],
     }
     files = output.Files()
     files.add_json(args.json, _null_for_nan(content))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,12 +15,12 @@ from numpy.typing import NDArray
 
 from lieid_casadi.compiled.kernel_source import CONSTANT_ARGUMENTS
 from lieid_casadi.compiled.library import BatchArgument, BatchPlan, Kernel, KernelCall, Runtime
+from lieid_casadi.compiled.threads import slices
 from lieid_casadi.expressions.model_functions import SparseFunction
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-SAMPLES_PER_THREAD = 8192  # below it starting a thread takes longer than it saves
 LAST_LEVEL_CACHE = 8 << 20  # bytes; larger results are written past the caches
 BLOCK = 4096  # samples that the virtual machine evaluates at once
 _ROLES = {"sin": 2, "cos": 3}
@@ -158,7 +156,7 @@ class _BoundKernels(BoundEvaluation):
                 self._address, *part, start, size, e.layout.count, *chunks, past_caches
             )
 
-        parts = _slices(len(out), threads, e.runtime.lanes)
+        parts = slices(len(out), threads, e.runtime.lanes)
         if len(parts) == 1:
             failed = run(parts[0])
         else:
@@ -268,27 +266,10 @@ def _address(array: NDArray[Any]) -> int:
     return int(array.__array_interface__["data"][0])  # half the time of array.ctypes.data
 
 
-def default_threads() -> int:
-    """Return $LIEID_THREADS (1 to 9999), else two, or one if only one processor may be used."""
-    stated = os.environ.get("LIEID_THREADS", "")
-    if re.fullmatch("[1-9][0-9]{0,3}", stated):
-        return int(stated)
-    return min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
-
-
 def _names(kernels: Sequence[Kernel]) -> list[str]:
     """Return the arguments of all kernels, q first, of which the runtime takes sines."""
     names = [name for kernel in kernels for name, _ in kernel.arguments]
     return sorted(dict.fromkeys(names), key=lambda name: name != "q")
-
-
-def _slices(samples: int, threads: int, lanes: int) -> list[tuple[int, int]]:
-    """Return slices of samples, whole groups of lanes but the last."""
-    count = min(threads, samples // SAMPLES_PER_THREAD)
-    if count <= 1:
-        return [(0, samples)]
-    step = -(-samples // (count * lanes)) * lanes
-    return [(first, min(first + step, samples)) for first in range(0, samples, step)]
 
 
 def _chunks(layout: MatrixLayout, lanes: int) -> tuple[Indices, NDArray[np.int32]]:

@@ -12,11 +12,11 @@ from lieid_casadi.compiled.batch_evaluation import (
     CompiledEvaluation,
     Evaluation,
     MachineEvaluation,
-    default_threads,
 )
 from lieid_casadi.compiled.kernel_functions import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.compiled.memory_states import states_along
+from lieid_casadi.compiled.threads import default_threads
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]

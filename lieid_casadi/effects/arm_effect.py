@@ -14,7 +14,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.effects.effect import Effect, Signals
+from lieid_casadi.effects.effect import Effect
+from lieid_casadi.effects.signals import Signals
 
 Array = NDArray[np.float64]
 

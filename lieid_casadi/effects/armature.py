@@ -7,8 +7,9 @@ from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Signals
+from lieid_casadi.effects.effect import Coefficient, Effect
 from lieid_casadi.effects.registry import register
+from lieid_casadi.effects.signals import Signals
 
 
 @register

@@ -9,12 +9,13 @@ from __future__ import annotations
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import casadi as ca
 import numpy as np
 
+from lieid_casadi.effects.signals import Signals
 from lieid_casadi.errors import EffectError
 
 
@@ -86,39 +87,6 @@ class MemoryState:
     name: str
     unit: str
     initial: float = 0.0
-
-
-@dataclass(frozen=True)
-class Signals:
-    """Symbols (scalars) of one joint that an effect may use.
-
-    Attributes
-    ----------
-    q, dq, ddq
-        Motion (rad, rad/s, rad/s²; m for a sliding joint).
-    sign
-        sgn(q̇), zero inside the dead zone; a smooth version where gradients are needed.
-    load
-        τ_load, the model's rigid torque on the joint, payload included (N·m).
-    temperature
-        °C, relative to the mean of the training recordings.
-    time
-        s since the start of the segment.
-    other
-        Signals of the joint that acts on this one, for couplings.
-    state
-        The effect's own states at this sample, by name.
-    """
-
-    q: ca.SX
-    dq: ca.SX
-    ddq: ca.SX
-    sign: ca.SX
-    load: ca.SX
-    temperature: ca.SX
-    time: ca.SX
-    other: Signals | None = None
-    state: Mapping[str, ca.SX] = field(default_factory=dict)
 
 
 class Effect(ABC):

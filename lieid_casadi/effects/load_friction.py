@@ -7,8 +7,9 @@ from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals
+from lieid_casadi.effects.effect import Coefficient, Effect, Shape
 from lieid_casadi.effects.registry import register
+from lieid_casadi.effects.signals import Signals
 
 REST_SPEED = 1e-3  # ε, rad/s: Eq. 8 has no limit at q̇ = τ_load = 0; √(q̇² + ε²) gives it one
 

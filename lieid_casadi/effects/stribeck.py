@@ -7,8 +7,9 @@ from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals
+from lieid_casadi.effects.effect import Coefficient, Effect, Shape
 from lieid_casadi.effects.registry import register
+from lieid_casadi.effects.signals import Signals
 
 REGULARIZATION = 1e-6  # added to (q̇/v_s)²: a power below 2 has no derivative at rest otherwise
 

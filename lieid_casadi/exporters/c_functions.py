@@ -13,11 +13,11 @@ from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
 from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.dynamics.regressor import regressor, slotine_li_regressor
+from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.exporters.c_arm_effects import with_arm_effects
 from lieid_casadi.exporters.c_statements import Body, Input, body, each, number
 from lieid_casadi.expressions.instant import ArmInstant
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.model import EffectSignals
 
 Array = NDArray[np.float64]
 AGREEMENT = 1e-13  # of the torque with fewer parameters, relative; the self-test asks for 1e-12

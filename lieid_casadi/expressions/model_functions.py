@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.dynamics.regressor import regressor
-from lieid_casadi.model import EffectSignals, Model
+from lieid_casadi.effects.signals import EffectSignals
+from lieid_casadi.model import Model
 
 SIGNAL_NAMES = ("q", "dq", "ddq", "load", "temperature", "time")
 STEPS = 256  # samples per call of the unrolled step of states

@@ -14,10 +14,11 @@ from lieid_casadi.dynamics.lie import constant
 from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects import ArmEffect
+from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.instant import ArmInstant
 from lieid_casadi.expressions.model_functions import ramp
-from lieid_casadi.model import EffectSignals, Model
+from lieid_casadi.model import Model
 from lieid_casadi.robot.inertia import parameter_transport
 
 Array = NDArray[np.float64]

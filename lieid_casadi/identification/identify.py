@@ -154,7 +154,7 @@ def _prepared(
     found = [w for recording in samples for w in check_with_model(compiled, recording)]
     report("process", 0.1)
     segments, mean = center_temperature(process(given, processing))
-    found += [w for segment in segments for w in segment.warnings]
+    found += [*model.robot.warnings, *(w for segment in segments for w in segment.warnings)]
     return compiled, segments, mean, found
 
 

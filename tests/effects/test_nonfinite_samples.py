@@ -81,5 +81,5 @@ def test_held_states_in_a_diagnosis():
     motion = signals("q", np.nan)
     rows = {k: motion[k][:, :1] for k in ("q", "dq")} | {"time": motion["time"]}
     own = [rows.get(name, np.zeros((200, 1)))[:, :, None] for name in OWN]
-    (states,) = EffectFunction(make("presliding"))._along(own, np.array([[0.01]]))
+    (states,) = EffectFunction(make("presliding"))._states_along(own, np.array([[0.01]]))
     np.testing.assert_allclose(states[:, 0, 0], by_casadi(motion)[:, 0], rtol=1e-13)

@@ -1,5 +1,6 @@
 """URDF files that cannot be used are refused in one line that names the link or joint."""
 
+import json
 import os
 
 import numpy as np
@@ -129,3 +130,14 @@ def test_lines_of_native_libraries_are_captured(capfd):
     os.write(2, b"after\n")
     assert output.text == "a complaint\na notice\n"
     assert capfd.readouterr() == ("", "after\n")
+
+
+def test_warnings_of_a_robot_reach_the_command_line(tmp_path, capsys):
+    from lieid_casadi.cli.main import main
+
+    path, out = tmp_path / "arm.urdf", tmp_path / "robot.json"
+    path.write_text(of_link('ixy="0"', 'ixy="3"'))
+    assert main(["show", str(path), "--json", str(out)]) == 0
+    assert "negative principal moment" in " ".join(capsys.readouterr().out.split())
+    (warning,) = json.loads(out.read_text())["warnings"]
+    assert warning["name"] == "NominalInertiaWarning"

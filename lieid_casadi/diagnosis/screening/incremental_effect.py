@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Effect, Signals
+from lieid_casadi.effects.effect import Effect
 from lieid_casadi.effects.registry import make
+from lieid_casadi.effects.signals import Signals
 
 
 class IncrementalEffect(Effect):

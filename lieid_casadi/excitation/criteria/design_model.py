@@ -7,15 +7,6 @@ from lieid_casadi.effects.arm_effect import ArmEffect
 from lieid_casadi.errors import NotCountedWarning
 from lieid_casadi.model import Model
 
-#: Effects that a design replaces: by what they become in sliding, or at one temperature.
-REPLACED_BY = {
-    "presliding": ("coulomb",),
-    "presliding/load": ("coulomb", "load_friction"),
-    "presliding/square": ("coulomb",),
-    "presliding/lugre": ("coulomb",),
-    "temperature_friction/exponential": ("viscous",),
-}
-
 
 def design_model(model: Model) -> tuple[Model, tuple[NotCountedWarning, ...]]:
     """Return the model whose regressor a design evaluates, and a warning for what differs.
@@ -29,8 +20,8 @@ def design_model(model: Model) -> tuple[Model, tuple[NotCountedWarning, ...]]:
     left_out: list[Placement] = []
     replaced: list[Placement] = []
     for placement in model.placements:
-        others = REPLACED_BY.get(placement.effect.label)
-        if others is not None:
+        others = placement.effect.counted_as
+        if others:
             replaced.append(placement)
             kept += [new for name in others for new in place(name, model.n, [placement.joint])]
         elif follows_from_motion(placement.effect):
@@ -41,7 +32,7 @@ def design_model(model: Model) -> tuple[Model, tuple[NotCountedWarning, ...]]:
     warnings = []
     if replaced:
         names = ", ".join(p.label for p in replaced)
-        dry = sorted({name for p in replaced for name in REPLACED_BY[p.effect.label]})
+        dry = sorted({name for p in replaced for name in p.effect.counted_as})
         warnings.append(
             NotCountedWarning(
                 f"{names}: replaced by {' and '.join(dry)} in the regressor of the design"

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from lieid_casadi.dynamics import recursion
 from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
 from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.criteria.design_model import follows_from_motion
 from lieid_casadi.excitation.sample_functions import SampleKernel, reverse_derivative
-from lieid_casadi.model import EffectSignals, Model
+from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
 
