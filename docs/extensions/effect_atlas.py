@@ -130,7 +130,8 @@ def values_text(fit, effect):
             continue
         name = row["name"].partition(".")[2].partition(":")[0] or row["name"]
         std = "" if row["std"] is None else f" ± {row['std']:.2g}"
-        texts.append(f"{name} = {row['value']:.3g}{std} {row['unit']}")
+        unit = "" if row["unit"] == "1" else f" {row['unit']}"
+        texts.append(f"{name} = {row['value']:.3g}{std}{unit}")
     return ", ".join(texts)
 
 
