@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.compiled import Compiled
 from lieid_casadi.effects import Placement
 from lieid_casadi.errors import LieidWarning
 from lieid_casadi.friction_curves.constant_speed import steady_columns
@@ -58,7 +59,7 @@ def combine_stages(
     """
     placements = _kept_placements(first_stage, friction)
     for own in friction.values():
-        placements += own.model.placements
+        placements += _determined_placements(own)
     stages = [_values_of(first_stage), *map(_values_of_curve, friction.values())]
     model = Model.of_placements(first_stage.model.robot, placements)
     mean = _temperature_mean(first_stage, friction)
@@ -94,8 +95,14 @@ def _values_of(fit: Fit) -> _StageValues:
 
 
 def _values_of_curve(own: FrictionFit) -> _StageValues:
-    values = _by_label(own.parameters, [*own.coefficients, *own.shapes])
-    return _StageValues(values, tuple(p.label for p in own.parameters), own.covariance)
+    determined = Model.of_placements(own.model.robot, _determined_placements(own))
+    labels = {p.label for p in (*determined.columns, *determined.shapes)}
+    kept = [k for k, p in enumerate(own.parameters) if p.label in labels]
+    parameters = [own.parameters[k] for k in kept]
+    values = _by_label(parameters, np.concatenate([own.coefficients, own.shapes])[kept])
+    return _StageValues(
+        values, tuple(p.label for p in parameters), own.covariance[np.ix_(kept, kept)]
+    )
 
 
 def _by_label(parameters: Sequence[Parameter], values: Iterable[float]) -> dict[str, float]:
@@ -140,19 +147,25 @@ def _kept_placements(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> l
     It replaces friction that is odd in velocity, on its own joints.
     """
     odd = {
-        joint: np.any(
-            steady_columns(
-                first_stage.compiled, joint, SPEEDS, first_stage.shapes, load=1.0, temperature=1.0
-            ),
-            axis=0,
-        )
-        for joint in friction
+        joint: _odd_columns(first_stage.compiled, joint, first_stage.shapes) for joint in friction
     }
     return [
         placement
         for placement, columns in _with_columns(first_stage.model)
         if placement.joint not in friction or not odd[placement.joint][columns].any()
     ]
+
+
+def _determined_placements(own: FrictionFit) -> list[Placement]:
+    """Return the effects of a second stage that its curve determines: those odd in velocity."""
+    odd = _odd_columns(own.compiled, own.curve.joint, own.shapes)
+    return [placement for placement, columns in _with_columns(own.model) if odd[columns].any()]
+
+
+def _odd_columns(compiled: Compiled, joint: int, shapes: Array) -> NDArray[np.bool_]:
+    """Mark the columns (m,) whose torque on a joint changes sign with its velocity."""
+    columns = steady_columns(compiled, joint, SPEEDS, shapes, load=1.0, temperature=1.0)
+    return np.asarray(np.any(columns, axis=0))
 
 
 def _with_columns(model: Model) -> list[tuple[Placement, slice]]:

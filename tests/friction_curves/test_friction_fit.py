@@ -317,3 +317,19 @@ def test_third_stage_corrects_friction_that_grows_with_speed(staged, whole):
 def test_stages_need_friction_runs(simple_model):
     with pytest.raises(ModelError, match="no friction runs given"):
         lieid.identify_in_stages(simple_model, excitation(0), {})
+
+
+def test_effects_that_a_curve_does_not_determine_keep_their_first_stage(staged, curve, tmp_path):
+    """Offset and asymmetric friction cancel in the curve; the first stage has the offset."""
+    friction = {0: fit_friction(curve, f"{TRUTH},offset,viscous_asymmetric")}
+    combined = combine_stages(staged.first_stage, friction, [excitation(0)], refit=False)
+    labels = [p.label for p in combined.model.placements]
+    assert labels.count("offset:1") == 1
+    assert "viscous_asymmetric:1" not in labels
+    offsets = [
+        [row["value"] for row in f.parameter_table() if row["name"] == "offset.f_b"]
+        for f in (staged.first_stage, combined)
+    ]
+    assert offsets[0] == offsets[1]
+    combined.save(tmp_path / "fit.json")
+    assert lieid.Fit.load(tmp_path / "fit.json").model.effects == combined.model.effects
