@@ -39,7 +39,7 @@ def panda(starts=10, peers=4):
     began = time.perf_counter()
     problem = panda_problem()
     say(f"panda: built in {time.perf_counter() - began:.2f} s")
-    ours, reached = [], []
+    solutions, reached = [], []
     for seed in range(starts):
         solution = solve(problem, seed)
         violation, _ = verification(problem, solution.z)
@@ -51,33 +51,33 @@ def panda(starts=10, peers=4):
             ),
             None,
         )
-        ours.append(solution)
+        solutions.append(solution)
         reached.append(first)
         say(
             f"  seed {seed}: cond {solution.condition_number:.2f} in {solution.seconds:.2f} s, "
             f"{len(solution.history)} iterations, cond {LEVEL} after {text(first)}, "
             f"violation {violation:.1g} on the grid {FINE}x finer"
         )
-    numbers = [s.condition_number for s in ours]
-    good = sum(n <= 12.5 and s.seconds <= 3.0 for n, s in zip(numbers, ours, strict=True))
+    numbers = [s.condition_number for s in solutions]
+    good = sum(n <= 12.5 and s.seconds <= 3.0 for n, s in zip(numbers, solutions, strict=True))
     say(
         f"  {good} of {starts} at cond <= 12.5 within 3 s (bar 9); "
         f"best {min(numbers):.2f} (bar 11.6)"
     )
     peer = Peer(problem)
     constraints = problem.constraints(1, margin=0.0)
-    theirs = []
+    slsqp = []
     for seed in range(peers):
         for objective in ("log_condition", "surrogate"):
             log = run_slsqp(peer, constraints, random_start(problem, seed), objective=objective)
-            theirs.append(first_time(log, LEVEL))
+            slsqp.append(first_time(log, LEVEL))
             say(
                 f"  SLSQP seed {seed}, {objective}: cond {min(v for _, v, _ in log):.2f} after "
-                f"{log[-1][0]:.1f} s, {len(log)} iterations, cond {LEVEL} after {text(theirs[-1])}"
+                f"{log[-1][0]:.1f} s, {len(log)} iterations, cond {LEVEL} after {text(slsqp[-1])}"
             )
-    mine = np.median([np.inf if t is None else t for t in reached])
-    other = np.median([np.inf if t is None else t for t in theirs])
-    say(f"  cond {LEVEL}, medians: {mine:.3f} s here, {other:.3f} s SLSQP: {other / mine:.1f} x")
+    own = np.median([np.inf if t is None else t for t in reached])
+    other = np.median([np.inf if t is None else t for t in slsqp])
+    say(f"  cond {LEVEL}, medians: {own:.3f} s here, {other:.3f} s SLSQP: {other / own:.1f} x")
 
 
 def limits_problem(solver="ipopt"):

@@ -29,7 +29,7 @@ def test_an_enclosing_capsule_contains_all_points(seed, count):
     assert outside(enclosing(3, points), points) <= 1e-9
 
 
-def test_a_rods_capsule_is_tight():
+def test_capsule_of_a_rod_is_tight():
     rng = np.random.default_rng(0)
     rod = rng.uniform(-0.5, 0.5, (500, 1)) * np.array([[0.0, 0.6, 0.8]])
     rod += 0.05 * rng.uniform(-1.0, 1.0, (500, 3))
@@ -77,7 +77,7 @@ def test_skeleton_runs_along_the_arm():
     assert np.isclose(np.linalg.norm(second.end), 0.4)
 
 
-def test_distances_are_coals():
+def test_distances_match_coal():
     import coal
 
     robot = lieid.robots.panda()
@@ -163,7 +163,7 @@ def test_capsules_contain_a_mesh_that_is_found(tmp_path, monkeypatch):
     assert outside(fore[0], corners + np.array([0.2, 0.0, 0.0])) <= 1e-6
 
 
-def test_a_mesh_that_is_missing_leaves_the_skeleton(tmp_path, caplog):
+def test_missing_mesh_falls_back_to_lines_between_joints(tmp_path, caplog):
     robot = robot_of(tmp_path, '<mesh filename="package://nowhere/fore.stl"/>')
     with caplog.at_level("WARNING", logger="lieid_casadi"):
         links = capsules_of(robot)
@@ -191,7 +191,7 @@ def test_bad_capsule_files(tmp_path, text, message):
         load_capsules(path, lieid.robots.two_link())
 
 
-def test_a_capsule_file(tmp_path):
+def test_capsule_file(tmp_path):
     path = tmp_path / "links.yaml"
     path.write_text("capsules: [{link: 2, start: [0, 0, 0], end: [0.4, 0, 0], radius: 0.05}]")
     (capsule,) = load_capsules(path, lieid.robots.two_link())

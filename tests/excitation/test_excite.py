@@ -1,4 +1,4 @@
-"""Designs end to end: every limit judged by Pinocchio and coal, not by what designed them."""
+"""Designs end to end: limits verified by Pinocchio and coal, independently of the design."""
 
 import pickle
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -53,7 +53,7 @@ def pinocchio_motion(limited):
     return motion, np.array(torques), np.linalg.norm(speeds, axis=1), poses
 
 
-def test_condition_number_is_good_and_true(limited):
+def test_condition_number_matches_pinocchio(limited):
     """σ₁/σ_r of Pinocchio's own regressor, at the samples."""
     import pinocchio as pin
 
@@ -95,7 +95,7 @@ def test_torque_speed_and_floor_hold(pinocchio_motion):
                     assert pose[capsule.link].act(end)[2] >= capsule.radius
 
 
-def test_links_stay_apart_by_coals_exact_distances(pinocchio_motion):
+def test_links_keep_the_clearance_by_exact_distances(pinocchio_motion):
     import coal
 
     links = {capsule.link: capsule for capsule in capsules_of(PANDA)}
@@ -142,7 +142,7 @@ def test_starts_and_ends_at_rest_at_the_start_pose(limited):
     assert (limited.start, limited.end) == (0.0, 20.0)
 
 
-def test_the_trial_of_the_paper(capsys):
+def test_free_start_reaches_the_condition_number_of_the_reference(capsys):
     """43 inertial columns, 5 rad/s², free start: condition number near 12; nothing printed."""
     found = excite(
         lieid.Model(PANDA), criterion="condition", constraints=(), acceleration=5.0,
@@ -177,7 +177,9 @@ def test_the_file_begins_and_ends_at_rest_at_the_rest_pose(free_start):
 
 
 def test_periods_repeat():
-    found = excite(lieid.Model(lieid.robots.two_link()), periods=3, duration=6.0, starts=1)
+    found = excite(
+        lieid.Model(lieid.robots.two_link()), periods=3, duration=6.0, starts=1, max_iterations=20
+    )
     t = np.linspace(0.0, 6.0, 50)
     for k in (1, 2):
         np.testing.assert_allclose(found.at(t + 6.0 * k).q, found.at(t).q, atol=1e-9)
@@ -186,7 +188,9 @@ def test_periods_repeat():
 
 def test_same_seed_same_trajectory_on_any_executor():
     model = lieid.Model(lieid.robots.two_link(), effects="coulomb,viscous")
-    options = {"criterion": "condition", "duration": 6.0, "starts": 3, "seed": 5}
+    options = {
+        "criterion": "condition", "duration": 6.0, "starts": 3, "seed": 5, "max_iterations": 60,
+    }  # fmt: skip
     here = excite(model, **options)
     with ThreadPoolExecutor(2) as threads:
         results = [excite(model, executor=e, **options) for e in (Elsewhere(), threads)]
@@ -231,15 +235,15 @@ def test_interrupt_before_anything_is_feasible():
         excite(lieid.Model(PANDA), starts=1, progress=progress)
 
 
-def test_an_unreachable_workspace_names_the_limit():
+def test_infeasible_workspace_names_the_limit():
     ceiling = Wall((0.0, 0.0, 1.0), 0.3, "ceiling")
     with pytest.raises(NoSolution, match=r"from the ceiling exceeds its limit by .* m at .* s"):
-        excite(lieid.Model(PANDA), constraints=[ceiling], starts=1)
+        excite(lieid.Model(PANDA), constraints=[ceiling], starts=1, max_iterations=20)
 
 
-def test_a_torque_that_gravity_alone_exceeds():
+def test_torque_limit_below_gravity_is_infeasible():
     with pytest.raises(NoSolution, match="torque of joint"):
-        excite(lieid.Model(PANDA), constraints=[Torque(0.05)], starts=1)
+        excite(lieid.Model(PANDA), constraints=[Torque(0.05)], starts=1, max_iterations=20)
 
 
 def robot_with(**changes):
@@ -281,13 +285,13 @@ def test_bad_requests(robot, options, message):
 
 def test_a_robot_without_acceleration_limits_or_end_stops():
     robot = robot_with(acceleration=np.nan, position_lower=np.nan, position_upper=np.nan)
-    found = excite(lieid.Model(robot), duration=8.0, starts=1)
+    found = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=30)
     assert np.abs(found.motion(200.0).ddq[:, 1]).max() <= 5.0
 
 
-def test_combined_keeps_more_volume_than_the_condition_number_alone():
+def test_combined_criterion_improves_log_det():
     """C1's bound on −log det: never much worse than C3's, better than C2's."""
-    options = {"constraints": (), "acceleration": 5.0, "free_start": True, "starts": 2}
+    options = {"constraints": (), "acceleration": 5.0, "free_start": True, "starts": 1}
     model = lieid.Model(PANDA)
     names = "combined", "condition", "hadamard"
     c1, c2, c3 = (excite(model, criterion=name, **options) for name in names)
@@ -323,12 +327,12 @@ def test_unit_norm_scaling_is_named_and_used():
 
 def test_prior_scaling_is_named_and_used():
     model = lieid.Model(lieid.robots.two_link())
-    options = {"duration": 6.0, "starts": 1, "criterion": "condition"}
+    options = {"duration": 6.0, "starts": 1, "criterion": "condition", "max_iterations": 60}
     plain, prior = excite(model, **options), excite(model, scaling="prior", **options)
     assert prior.to_dict()["scaling"] == "prior"
     assert prior.condition_number != plain.condition_number
 
 
-def test_capsules_that_no_pose_frees_are_left_out():
+def test_capsules_that_always_touch_are_left_out():
     base = Capsule(0, np.array([0.0, 0.0, 0.5]), np.array([0.0, 0.0, 0.6]), 5.0)
     assert SelfCollision(0.0, (base, *capsules_of(PANDA)[-1:])).on(PANDA) is None

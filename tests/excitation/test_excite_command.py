@@ -17,6 +17,7 @@ KEYS = {
     "max_violation", "criterion", "coefficients",
 }  # fmt: skip
 QUICK = ["--duration", "6", "--starts", "1", "--rate", "200"]
+SHORT = [*QUICK, "--max-iterations", "30"]
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def test_files_and_keys(folder):
     assert content["solve_seconds"] > 0.0
 
 
-def test_the_csv_is_the_series_of_the_json(folder):
+def test_csv_matches_the_coefficients_in_json(folder):
     with open(folder / "trajectory.csv") as file:
         header = file.readline().strip().split(",")
     assert header == ["t", "q1", "q2", "dq1", "dq2", "ddq1", "ddq2"]
@@ -66,7 +67,7 @@ def test_the_summary(folder):
     assert "change the torques least" in text
 
 
-def test_the_plot_is_a_figure_of_its_own():
+def test_plot_leaves_global_state_alone():
     import matplotlib as mpl
 
     before = dict(mpl.rcParams)
@@ -85,7 +86,7 @@ def test_a_folder_with_content_needs_force(folder, capsys):
     assert captured.err.count("\n") == 1
     assert "not empty" in captured.err
     (folder / "old.txt").write_text("old")
-    assert main(["excite", "two_link", "-o", str(folder), "--force", *QUICK]) == 0
+    assert main(["excite", "two_link", "-o", str(folder), "--force", *SHORT]) == 0
     assert (folder / "old.txt").read_text() == "old"
 
 
@@ -94,14 +95,14 @@ def test_a_folder_with_content_needs_force(folder, capsys):
     [
         (["--start-pose", "0", "99"], 2, "joint 2"),
         (["--duration", "0.2"], 2, "too short for the acceleration limit"),
-        (["--wall", "0", "0", "1", "-5"], 3, "exceeds its limit by"),
+        (["--wall", "0", "0", "1", "-5", "--max-iterations", "20"], 3, "exceeds its limit by"),
         (["--acceleration", "0"], 2, "acceleration"),
         (["--friction-sweep", "7"], 2, "no joint 7"),
         (["--obstacle", "1", "1", "1", "0", "0", "0"], 2, "lower corner"),
         (["--capsules", "nowhere.yaml", "--self-collision"], 2, "nowhere.yaml"),
     ],
 )
-def test_bad_input_leaves_one_line_and_no_files(tmp_path, capsys, options, status, message):
+def test_bad_input_gives_one_line_and_no_files(tmp_path, capsys, options, status, message):
     target = tmp_path / "out"
     assert main(["excite", "two_link", "-o", str(target), *QUICK, *options]) == status
     captured = capsys.readouterr()
@@ -121,7 +122,7 @@ def test_friction_sweep(tmp_path, capsys):
     assert json.loads(report.read_text())["sweeps"][0]["joint"] == 2
 
 
-def test_limits_of_every_option():
+def test_limits_from_all_options():
     from lieid_casadi.cli.main import build_parser
 
     arguments = build_parser().parse_args(
@@ -137,7 +138,7 @@ def test_limits_of_every_option():
     assert len(floor.capsules) == 8
 
 
-def test_interrupted_with_a_trajectory_kept(tmp_path, monkeypatch):
+def test_interrupt_keeps_the_trajectory(tmp_path, monkeypatch):
     import lieid_casadi.excitation as package
 
     calls = []

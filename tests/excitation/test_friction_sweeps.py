@@ -15,7 +15,7 @@ def sweep():
     return friction_sweep(PANDA, 2, seconds=2.0, constraints=[Torque()])
 
 
-def test_the_papers_speeds_forward_and_back(sweep):
+def test_speeds_of_the_paper_forward_and_backward(sweep):
     forward = np.rad2deg([p.speed for p in sweep.parts[::2]])
     back = np.rad2deg([p.speed for p in sweep.parts[1::2]])
     assert len(forward) == 28
@@ -37,7 +37,7 @@ def test_speed_is_constant_and_positions_are_the_same_both_ways(sweep):
         np.testing.assert_allclose(ranges[0], ranges[1], atol=2e-3 * abs(forward.speed))
 
 
-def test_signals_fit_one_another(sweep):
+def test_signals_are_consistent(sweep):
     m = sweep.motion
     step = np.diff(m.t)[:, None]
     mean = 0.5 * (m.dq[1:] + m.dq[:-1])
@@ -48,7 +48,7 @@ def test_signals_fit_one_another(sweep):
     assert np.all(np.diff(m.t) > 0.0)
 
 
-def test_only_one_joint_moves_and_it_comes_home(sweep):
+def test_only_one_joint_moves_and_returns_to_its_start(sweep):
     others = np.delete(sweep.motion.q, 2, axis=1)
     assert np.ptp(others, axis=0).max() == 0.0
     np.testing.assert_allclose(sweep.motion.q[[0, -1]], [sweep.motion.q[0]] * 2, atol=1e-12)
@@ -61,7 +61,7 @@ def test_limits_hold(sweep):
     assert np.all(np.abs(sweep.motion.dq) <= robot.limit("velocity"))
 
 
-def test_speeds_that_do_not_fit_are_left_out():
+def test_speeds_beyond_the_limits_are_left_out():
     fast = friction_sweep(PANDA, 0, speeds=[0.1, 3.0], seconds=1.0)
     assert fast.left_out == (3.0,)
     assert len(fast.parts) == 2

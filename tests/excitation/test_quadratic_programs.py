@@ -24,7 +24,7 @@ def test_solutions_meet_the_optimality_conditions(seed, size, rows):
     np.testing.assert_allclose(multipliers * (limit - matrix @ d), 0.0, atol=1e-7)
 
 
-def test_a_known_program():
+def test_program_with_known_solution():
     solution = quadratic_program.solve(
         np.eye(2), np.array([-3.0, 1.0]), np.eye(2), np.array([1.0, 5.0])
     )
@@ -32,7 +32,7 @@ def test_a_known_program():
     np.testing.assert_allclose(solution.multipliers, [2.0, 0.0], atol=1e-12)
 
 
-def test_no_solution():
+def test_programs_without_solution():
     matrix = np.array([[1.0], [-1.0]])
     assert quadratic_program.solve(np.eye(1), np.zeros(1), matrix, np.array([-1.0, -1.0])) is None
     assert quadratic_program.solve(-np.eye(1), np.zeros(1), matrix, np.ones(2)) is None

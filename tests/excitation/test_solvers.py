@@ -48,7 +48,7 @@ def test_torques_and_joint_limits_hold_between_the_samples(solver):
 
 
 @both
-def test_interruption_keeps_a_trajectory_that_holds(solver):
+def test_interrupt_keeps_a_feasible_trajectory(solver):
     calls = []
 
     def progress(stage, fraction):
@@ -84,9 +84,9 @@ def test_no_solver_reads_a_clock(problem, solver, monkeypatch):
 
 
 @both
-def test_all_criteria_fall(solver):
+def test_criteria_decrease(solver):
     """Each criterion ends below where its start was, and below the other criteria's optima."""
-    options = {"duration": 6.0, "starts": 2, "solver": solver}
+    options = {"duration": 6.0, "starts": 1, "solver": solver}
     model = lieid.Model(lieid.robots.two_link())
     volume = excite(model, criterion="logdet", **options)
     condition = excite(model, criterion="condition", **options)
@@ -109,7 +109,18 @@ def test_an_unknown_solver(tmp_path, capsys):
 
 
 def test_the_solver_is_recorded(tmp_path):
-    quick = ["--duration", "6", "--starts", "1", "--rate", "100", "--solver", "sqp"]
+    quick = [
+        "--duration",
+        "6",
+        "--starts",
+        "1",
+        "--rate",
+        "100",
+        "--solver",
+        "sqp",
+        "--max-iterations",
+        "20",
+    ]
     assert main(["excite", "two_link", "-o", str(tmp_path / "x"), *quick]) == 0
     assert json.loads((tmp_path / "x" / "excitation.json").read_text())["solver"] == "sqp"
 
@@ -212,8 +223,8 @@ def test_ipopt_with_an_exact_hessian():
 
 
 @pytest.mark.parametrize("where", ["value", "gradient", "hessian", "done"])
-@pytest.mark.parametrize("failure", [KeyboardInterrupt(), ValueError("ours")])
-def test_what_our_functions_raise_comes_through_ipopt(failure, where, capfd):
+@pytest.mark.parametrize("failure", [KeyboardInterrupt(), ValueError("in a callback")])
+def test_exceptions_of_callbacks_are_raised_after_ipopt(failure, where, capfd):
     program = Rosenbrock(failure, where)
     with pytest.raises(type(failure)):
         run_ipopt(program, np.zeros(2), np.zeros(1), radius=2.0, barrier=1e-9, iterations=100)
@@ -232,7 +243,7 @@ def test_an_interrupt_while_casadi_prepares(monkeypatch):
         run_ipopt(Rosenbrock(), np.zeros(2), np.zeros(1), radius=2.0, barrier=1e-9, iterations=100)
 
 
-def test_a_run_stops_where_a_limit_was_overlooked(problem):
+def test_a_run_stops_at_a_violated_limit_that_is_not_a_row(problem):
     """Without rows an objective that pulls outwards would leave every limit behind."""
     size = problem.parametrization.size
 

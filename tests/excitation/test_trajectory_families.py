@@ -59,7 +59,7 @@ def test_end_conditions(family, fixed):
         assert np.abs(ends.q - p.pose).max() > 0.05
 
 
-def test_equal_freedom_of_fourier_and_spline():
+def test_fourier_and_spline_have_equal_freedom():
     sizes = {family: parametrization(family, fixed=True).size for family in FAMILIES}
     assert sizes["fourier"] == sizes["spline"] == 2 * (2 * 4 + 1 - 3)
     assert sizes["modified_fourier"] > sizes["fourier"]
@@ -81,7 +81,7 @@ def test_rounding_does_not_rotate_the_free_variables(family, fixed):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_free_variables_come_back(family):
+def test_free_variables_of_a_trajectory(family):
     p = parametrization(family, fixed=True)
     z = np.random.default_rng(3).normal(size=p.size)
     np.testing.assert_allclose(p.variables(p.trajectory(z)), z, atol=1e-9)
@@ -93,9 +93,9 @@ def test_sampled_motion_and_its_gradient(family):
     rng = np.random.default_rng(4)
     z, t = rng.normal(size=p.size), np.linspace(0.0, 7.5, 23)
     sampled, motion = SampledBasis(p, t), p.trajectory(z).at(t)
-    mine = sampled.motion(z)
+    samples = sampled.motion(z)
     for name in ("q", "dq", "ddq"):
-        np.testing.assert_allclose(getattr(mine, name), getattr(motion, name), atol=1e-10)
+        np.testing.assert_allclose(getattr(samples, name), getattr(motion, name), atol=1e-10)
     weights = rng.normal(size=(2, 3, 23))
 
     def value(z):
@@ -107,7 +107,7 @@ def test_sampled_motion_and_its_gradient(family):
     assert np.isclose(sampled.gradient(weights) @ direction, expected)
 
 
-def test_a_unit_of_a_free_variable_fills_a_limit():
+def test_a_unit_of_a_free_variable_reaches_a_limit():
     p = parametrization("fourier", fixed=True)
     t = 8.0 * np.arange(200) / 200
     for k in range(p.size):

@@ -1,4 +1,4 @@
-"""Each hidden effect adds what its formula says, in a simulation and along a path."""
+"""Each hidden effect adds the torque of its formula, in a simulation and along a path."""
 
 import numpy as np
 import pytest
@@ -144,7 +144,7 @@ def test_torque_along_a_path_is_the_rigid_torque_and_the_formula(case):
     np.testing.assert_allclose(friction, expected, atol=1e-8)
 
 
-def test_presliding_follows_dahl():
+def test_presliding_matches_dahl():
     """Dahl's dz/dq = (1 − z·sgn q̇)/w has the solution 1 − 2·e^{−x/w} after a reversal."""
     arm = _arm(Presliding(J, width=0.02))
     t = np.linspace(0.0, 4.0, 4001)
@@ -185,7 +185,7 @@ def test_presliding_too_stiff_for_the_rate_is_refused():
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_elastic_joint_winds_up_by_its_torque(simulated):
+def test_elastic_joint_deflects_in_proportion_to_torque(simulated):
     arm = _arm(JointElasticity(J, stiffness=2000.0))
     trajectory = FourierTrajectory(arm.robot, seed=3, base_frequency=0.25)
     if simulated:

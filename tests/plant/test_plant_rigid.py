@@ -26,7 +26,7 @@ ARMS = [robots.panda, robots.panda_luo2024, robots.two_link] + [
 
 
 @pytest.mark.parametrize("make", ARMS)
-def test_torques_are_those_of_mujoco(make):
+def test_torques_match_mujoco(make):
     robot = make()
     parameters = perturbed_inertias(robot, spread=0.2, seed=1)
     model = build_pinocchio(robot, parameters)
@@ -38,7 +38,7 @@ def test_torques_are_those_of_mujoco(make):
 
 
 @pytest.mark.parametrize("make", ARMS)
-def test_tool_is_where_the_screws_put_it(make):
+def test_tool_pose_and_jacobian_match_mujoco(make):
     robot = make()
     model = build_pinocchio(robot)
     data = model.createData()
@@ -62,7 +62,7 @@ def test_wrong_number_of_parameters_is_refused():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_perturbed_bodies_can_exist_and_stay_near(seed):
+def test_perturbed_bodies_are_physical_and_near_the_nominal_ones(seed):
     robot = robots.panda()
     nominal = robot.link_parameters.reshape(-1, 10)
     links = perturbed_inertias(robot, spread=0.2, seed=seed).reshape(-1, 10)
@@ -99,7 +99,7 @@ def test_external_wrench_adds_its_jacobian_transpose(path):
     np.testing.assert_allclose(added, expected, atol=1e-9)
 
 
-def test_payload_at_rest_weighs_at_its_place(path):
+def test_payload_adds_its_weight(path):
     arm, (t, q, dq, _), twin = path
     com, mass = np.array([0.05, -0.02, 0.1]), 1.5
     loaded = arm.with_effects(Payload(mass=mass, com=tuple(com), radius=0.02))
@@ -112,7 +112,7 @@ def test_payload_at_rest_weighs_at_its_place(path):
         np.testing.assert_allclose(row, jacobian.T @ wrench, atol=1e-9)
 
 
-def test_base_tilt_turns_gravity_and_keeps_its_size(path):
+def test_base_tilt_rotates_gravity(path):
     arm, *_ = path
     tilted = arm.with_effects(BaseTilt(about_x=0.1)).gravity
     x, y, z = arm.robot.gravity

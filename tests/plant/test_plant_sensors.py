@@ -33,7 +33,7 @@ def _measure(sensors, *effects, seed=0):
 TRUTH = move_along(arm_of(ROBOT), T, *PATH)
 
 
-def test_ideal_sensors_tell_the_truth():
+def test_ideal_sensors_measure_the_true_signals():
     recording = _measure(Sensors(rate=None))
     np.testing.assert_array_equal(recording.t, T)
     np.testing.assert_array_equal(recording.q, TRUTH.q)
@@ -49,7 +49,7 @@ def test_rate_that_divides_the_control_rate():
     np.testing.assert_array_equal(recording.q, TRUTH.q[::8])
 
 
-def test_other_rates_take_the_nearest_instants_with_their_stamps():
+def test_other_rates_use_the_nearest_instants_and_their_stamps():
     recording = _measure(Sensors(rate=300.0))
     steps = np.diff(recording.t)
     assert set(np.round(steps * 1000).astype(int)) == {3, 4}
@@ -86,7 +86,7 @@ def test_velocity_from_the_encoder():
     assert (noisy.dq - TRUTH.dq).std() == pytest.approx(0.02, rel=0.03)
 
 
-def test_white_noise_is_as_large_as_stated_per_joint():
+def test_standard_deviation_of_white_noise():
     noise = _measure(Sensors(rate=None, torque_noise=(0.3, 0.05))).tau - TRUTH.tau
     np.testing.assert_allclose(noise.std(axis=0), [0.3, 0.05], rtol=0.03)
     assert abs(np.corrcoef(noise.T)[0, 1]) < 0.03
@@ -132,18 +132,18 @@ def test_delay(delay):
     np.testing.assert_array_equal(recording.tau[:, 1], TRUTH.tau[:, 1])
 
 
-def test_drift_has_no_mean():
+def test_drift_has_zero_mean():
     added = _measure(Sensors(rate=None), BiasDrift(0, rate=0.02)).tau - TRUTH.tau
     np.testing.assert_allclose(added[:, 0], 0.02 * (T - 10.0), atol=1e-9)
 
 
-def test_encoder_offset_is_what_the_encoder_lacks():
+def test_encoder_offset():
     recording = _measure(Sensors(rate=None), EncoderOffset(1, offset=0.05))
     np.testing.assert_allclose(recording.q[:, 1] + 0.05, TRUTH.q[:, 1])
     np.testing.assert_array_equal(recording.tau, TRUTH.tau)
 
 
-def test_temperature_rises_to_its_end():
+def test_temperature_approaches_its_end():
     plain = arm_of(ROBOT)
     warm = Arm(
         ROBOT, plain.parameters, plain.friction, (),
@@ -157,7 +157,7 @@ def test_temperature_rises_to_its_end():
     np.testing.assert_array_equal(recording.tau, TRUTH.tau[::5])
 
 
-def test_noise_follows_the_seed():
+def test_noise_is_reproducible():
     sensors = Sensors(torque_noise=0.1, coloured_noise=0.1, position_noise=1e-4)
     one, same, other = (_measure(sensors, seed=s) for s in (3, 3, 4))
     np.testing.assert_array_equal(one.tau, same.tau)

@@ -45,7 +45,7 @@ def _run(stepper, torque, steps):
         (PositionFriction(1, amplitude=0.3, phase=1.5),),
     ],
 )
-def test_friction_at_rest_holds_and_never_moves_the_arm(effects):
+def test_friction_at_rest_holds_the_arm(effects):
     robot = robots.panda()
     arm = arm_of(robot, coulomb=3.0, offset=0.0, effects=effects)
     q0 = np.array([0.1, -0.5, 0.2, -1.8, 0.3, 1.5, 0.4])
@@ -175,7 +175,7 @@ def test_control_tracks(make, feedforward):
     assert np.abs(motion.q - q).max() < (0.02 if feedforward else 0.1)
 
 
-def test_an_arm_that_dwells_rests():
+def test_an_arm_at_rest_has_zero_velocity():
     arm = demo_arm(robots.panda(), seed=2, hidden=None)
     path = point_to_point(arm.robot, poses=3, dwell=1.0, seed=1)
     motion = move(arm, path)
@@ -185,7 +185,7 @@ def test_an_arm_that_dwells_rests():
     assert np.all(np.abs(motion.dry[last]) <= arm.friction.coulomb + 1e-9)
 
 
-def test_torques_keep_to_the_limits():
+def test_torques_stay_within_limits():
     arm = demo_arm(robots.panda(), hidden="payload", strength=30.0)
     motion = move(arm, FourierTrajectory(arm.robot, seed=3, base_frequency=0.2), duration=1.0)
     limit = arm.robot.limit("torque")
@@ -201,7 +201,7 @@ def test_measuring_along_the_simulated_motion_gives_its_torques():
     np.testing.assert_allclose(again.tau[same], motion.tau[same], atol=1e-6)
 
 
-def test_at_rest_along_a_path_friction_stays_within_its_level_and_holds():
+def test_friction_at_rest_along_a_path_is_constant_within_its_level():
     arm = demo_arm(robots.panda(), hidden=None)
     path = point_to_point(arm.robot, poses=3, dwell=1.0, seed=1)
     t = np.arange(0.0, path.duration, 0.01)
@@ -226,7 +226,7 @@ def test_same_seed_same_recording():
     assert np.abs(demo_arm(robots.two_link(), seed=6).parameters - arm.parameters).max() > 1e-3
 
 
-def test_progress_runs_from_nought_to_one():
+def test_progress_increases_from_zero_to_one():
     arm = demo_arm(robots.two_link())
     seen = []
     simulate(

@@ -49,7 +49,7 @@ def test_every_joint_of_a_fourier_trajectory_moves():
     assert np.all(dq.std(axis=0) > 0.2)
 
 
-def test_fourier_trajectories_are_periodic_and_follow_their_seed():
+def test_fourier_trajectories_are_periodic_and_reproducible():
     robot = robots.panda()
     t = np.linspace(0.1, 4.9, 100)
     one = _fourier(robot)
@@ -59,7 +59,7 @@ def test_fourier_trajectories_are_periodic_and_follow_their_seed():
     assert np.abs(one.at(t)[0] - other.at(t)[0]).max() > 0.1
 
 
-def test_limits_that_are_not_stated_are_taken_as_usual():
+def test_default_limits():
     plain = robots.two_link()
     joints = tuple(Joint(j.name, j.screw, j.home, link=j.link) for j in plain.joints)
     q, dq, ddq = FourierTrajectory(Robot("bare", joints), seed=1).at(np.linspace(0, 10, 5001))
@@ -76,7 +76,7 @@ def test_moves_dwell_at_their_poses():
         assert not dq.any()
 
 
-def test_sweep_runs_at_its_speeds_both_ways_while_the_others_hold():
+def test_sweep_moves_one_joint_at_constant_speeds():
     path = sweep(robots.panda(), 3, speeds=(0.2, 0.6), dwell=0.5)
     t = np.linspace(0, path.duration, 200001)
     q, dq, _ = path.at(t)
@@ -86,7 +86,7 @@ def test_sweep_runs_at_its_speeds_both_ways_while_the_others_hold():
         assert np.ptp(q[on, 3]) > 0.6 * np.ptp(q[:, 3])
 
 
-def test_sweeps_that_cannot_be_are_refused():
+def test_infeasible_sweeps_are_refused():
     with pytest.raises(RobotError, match="sweep of joint 2"):
         sweep(robots.two_link(), 2)
     with pytest.raises(RobotError, match="does not fit"):
