@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 from lieid_casadi.errors import LieidWarning, RecordingError
 from lieid_casadi.recording.arrays import Array, read_only
@@ -96,3 +97,12 @@ class Measurement:
 
     def __len__(self) -> int:
         return int(self.t.size)
+
+    def rows(self, first: int, last: int) -> Self:
+        """Return rows first … last − 1 (from 0)."""
+        rows = slice(first, last)
+        fields = ("t", "q", *OPTIONAL_SIGNALS, "payload_label")
+        signals: dict[str, Any] = {field: getattr(self, field) for field in fields}
+        for field, values in signals.items():
+            signals[field] = None if values is None else values[rows]
+        return replace(self, **signals)

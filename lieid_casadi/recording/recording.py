@@ -271,15 +271,6 @@ class Recording(Measurement):
         """
         write_measurement(self, Path(path))
 
-    def rows(self, first: int, last: int) -> Self:
-        """Return rows first … last − 1 (from 0)."""
-        rows = slice(first, last)
-        fields = ("t", "q", *OPTIONAL_SIGNALS, "payload_label")
-        signals: dict[str, Any] = {field: getattr(self, field) for field in fields}
-        for field, values in signals.items():
-            signals[field] = None if values is None else values[rows]
-        return replace(self, **signals)
-
     def _with_constants_where_needed(self, constants: ArrayLike | None) -> Self:
         if constants is None or self.tau is not None:
             return self

@@ -15,23 +15,19 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording.arrays import Array, Mask
-from lieid_casadi.recording.faults import require_sound
-from lieid_casadi.recording.measurement import Measurement
 from lieid_casadi.recording.readers.file_part import split_part
+from lieid_casadi.recording.readers.part_readers import ConvertedParts, WholeFile
 from lieid_casadi.recording.readers.registry import (
     INFLATE_LIMIT,
     PartReader,
     ReadOptions,
     format_of,
-    read_measurement,
 )
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.sample_timing import gap_limit, sample_rate
-from lieid_casadi.recording.units import convert_units, unit_factors
 
 #: Number of rows in each sample of a long recording, and number of samples.
 SAMPLE_ROWS, SAMPLE_PLACES = 1 << 17, 5
-FileState = tuple[tuple[str, int, int, int, int], ...]
 #: Arrays beyond this size lie in a temporary file, bytes.
 SCRATCH_BYTES = 16 << 20
 
@@ -187,8 +183,8 @@ def stream(
     if not file.exists():
         raise RecordingError(f"{file}: no such file, expected a recording")
     options = ReadOptions(n=n, inflate_limit=inflate_limit)
-    read_parts = format_of(file).read_parts or _WholeFile
-    made = RecordingStream(_ConvertedParts(read_parts(file, options), units, revolute),
+    read_parts = format_of(file).read_parts or WholeFile
+    made = RecordingStream(ConvertedParts(read_parts(file, options), units, revolute),
                            torque_constants)  # fmt: skip
     if len(made) < 2 or not np.all(np.diff(made.t) > 0.0):
         made.rows(0, len(made))  # raises the error with its place
@@ -230,75 +226,6 @@ def memory_bytes() -> int:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
         return 8 << 30
-
-
-class _ConvertedParts:
-    """A part reader whose rows are converted to SI units."""
-
-    def __init__(
-        self, reader: PartReader, units: str | Sequence[str], revolute: Mask | None
-    ) -> None:
-        self._reader, self._units, self._revolute = reader, units, revolute
-        self.name = reader.name
-
-    @property
-    def source_hash(self) -> str:
-        return self._reader.source_hash
-
-    def times(self) -> tuple[Array, Sequence[int]]:
-        t, changes = self._reader.times()
-        return t * unit_factors(self._units)[0], changes
-
-    def rows(self, first: int, last: int) -> Measurement:
-        return convert_units(self._reader.rows(first, last), self._units, self._revolute)
-
-
-class _WholeFile:
-    """A file that can only be read whole; the content of the last one that was used is kept.
-
-    A file that was rewritten is read again by new streams; older streams refuse it, because
-    their stamps are those of the former content.
-    """
-
-    _kept: tuple[tuple[FileState, ReadOptions], Measurement] | None = None
-
-    def __init__(self, file: Path, options: ReadOptions) -> None:
-        self._file, self._options = file, options
-        self._state = _file_state(file)
-        self.name = self._content().name
-
-    @property
-    def source_hash(self) -> str:
-        return self._content().source_hash
-
-    def times(self) -> tuple[Array, Sequence[int]]:
-        content = self._content()
-        labels = np.asarray(content.payload_label or [""] * len(content))
-        return content.t, (np.flatnonzero(labels[1:] != labels[:-1]) + 1).tolist()
-
-    def rows(self, first: int, last: int) -> Measurement:
-        return Recording.of_measurement(self._content()).rows(first, last)
-
-    def _content(self) -> Measurement:
-        if _file_state(self._file) != self._state:
-            raise RecordingError(f"{self._file}: the file was changed while it was being read")
-        key = self._state, self._options
-        if _WholeFile._kept is None or _WholeFile._kept[0] != key:
-            _WholeFile._kept = None
-            content = read_measurement(self._file, self._options)
-            require_sound(content)
-            _WholeFile._kept = key, content
-        return _WholeFile._kept[1]
-
-
-def _file_state(file: Path) -> FileState:
-    """Return identity, size and time of change of a file, or of the files in a folder."""
-    files = sorted(p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]
-    try:
-        found = [(str(p.absolute()), p.stat()) for p in files]
-    except OSError as error:
-        raise RecordingError(f"{file}: cannot be read ({error.strerror or error})") from error
-    return tuple((path, s.st_dev, s.st_ino, s.st_size, s.st_mtime_ns) for path, s in found)
 
 
 def scratch(shape: tuple[int, ...], dtype: Any) -> np.ndarray[Any, Any]:
