@@ -149,11 +149,14 @@ def model_of(args: argparse.Namespace) -> Model:
 
 def recordings_of(paths: Sequence[str], args: argparse.Namespace, robot: Robot) -> list[Recording]:
     """Load recordings; currents become torques by --torque-constants or the robot's own."""
-    from lieid_casadi.recording import Recording
+    from lieid_casadi.recording import Recording, require_plausible_units
 
     constants = _torque_constants(args, robot)
     options = reading_options_of(args, robot)
-    return [Recording.load(path, torque_constants=constants, **options) for path in paths]
+    recordings = [Recording.load(path, torque_constants=constants, **options) for path in paths]
+    for recording in recordings:
+        require_plausible_units(recording, robot)
+    return recordings
 
 
 def training_of(

@@ -1,6 +1,7 @@
 """Recordings of arms: load, check, process."""
 
 from lieid_casadi.recording.checks.check import check
+from lieid_casadi.recording.checks.units import require_plausible_units
 from lieid_casadi.recording.joining import join
 from lieid_casadi.recording.processing.periods import detect_period, period_noise
 from lieid_casadi.recording.processing.process import Processed, Processing, process
@@ -21,5 +22,6 @@ __all__ = [
     "noise_dead_zone",
     "period_noise",
     "process",
+    "require_plausible_units",
     "stream",
 ]

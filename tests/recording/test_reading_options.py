@@ -38,6 +38,16 @@ def test_units_and_smoothing(files, capsys):
     np.testing.assert_allclose(found["values"], expected["values"], rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize(("options", "unit"), [([], "ms"), (["--units", "ms"], "deg")])
+def test_a_prediction_from_other_units_is_refused(files, capsys, options, unit):
+    assert identified(files, "si.csv.gz", "--cutoff", "5", "--effects", "coulomb")[0] == 0
+    capsys.readouterr()
+    arguments = [str(files / "fit.json"), str(files / "degrees.csv.gz")]
+    assert main(["predict", *arguments, "-o", str(files / "p.csv"), *options]) == 2
+    assert f"convert with --units {unit}" in capsys.readouterr().err
+    assert not (files / "p.csv").exists()
+
+
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [

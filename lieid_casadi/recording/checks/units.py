@@ -10,6 +10,7 @@ from lieid_casadi.errors import JointLimitWarning, LieidWarning, RecordingError,
 from lieid_casadi.recording.arrays import Array, Mask
 from lieid_casadi.recording.joint_names import joints_text
 from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.sample_timing import require_plausible_rate
 
 if TYPE_CHECKING:
     from lieid_casadi.robot.robot import Robot
@@ -21,6 +22,25 @@ TWO_TURNS = 4.0 * np.pi
 #: Faster than the joints of any arm, rad/s; for warnings only.
 FASTEST = 30.0
 REMEDY = "convert with --units deg (units='deg' in Python)"
+
+
+def require_plausible_units(recording: Recording, robot: Robot | None = None) -> None:
+    """Refuse stamps that are not in seconds and positions that are not in radians.
+
+    Parameters
+    ----------
+    recording
+        As it was loaded.
+    robot
+        Adds the position limits.
+
+    Raises
+    ------
+    RecordingError
+        Names the unit that the values seem to be in.
+    """
+    require_plausible_rate(recording.t, recording.title)
+    check_units(recording, robot)
 
 
 def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
