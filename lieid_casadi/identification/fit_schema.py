@@ -21,8 +21,10 @@ SCHEMA = 2
 KIND = "lieid-fit"
 LARGEST_FILE = 64 << 20  # bytes; a fit of ten joints with all effects has less than 1 MB
 
-Positive = Annotated[float, Meta(gt=0.0)]
-NotNegative = Annotated[float, Meta(ge=0.0)]
+LARGEST = 1e100  # of any number: its square is finite
+Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
+NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
 
 
 class RobotText(Struct, forbid_unknown_fields=True):
@@ -37,10 +39,10 @@ class RobotText(Struct, forbid_unknown_fields=True):
 class NoiseFile(Struct, forbid_unknown_fields=True):
     """Noise of one joint's residual; ``rises`` is `Noise.motion_ratio`."""
 
-    filter: Annotated[list[float], Meta(min_length=1, max_length=100)]
+    filter: Annotated[list[Number], Meta(min_length=1, max_length=100)]
     sigma: Positive
     spread: Positive
-    rises: Annotated[float, Meta(ge=1.0)] = 1.0
+    rises: Annotated[float, Meta(ge=1.0, le=LARGEST)] = 1.0
 
 
 class ProcessingFile(Struct, forbid_unknown_fields=True):
@@ -87,11 +89,11 @@ class CertificateFile(Struct, forbid_unknown_fields=True):
 
     regularization: NotNegative
     regularization_source: str
-    pseudo_inertia_eigenvalue: list[float]
-    mass_matrix_eigenvalue: float
+    pseudo_inertia_eigenvalue: list[Number]
+    mass_matrix_eigenvalue: Number
     poses: int
-    least_dissipation: float | None
-    divergence: list[float]
+    least_dissipation: Number | None
+    divergence: list[Number]
     rms: list[NotNegative]
     rms_wls: list[NotNegative]
 
@@ -105,11 +107,11 @@ class Content(Struct, forbid_unknown_fields=True):
     effects: list[str]
     method: str
     names: list[str]
-    values: list[float]
-    shapes: list[float]
-    std: list[float | None]
-    covariance: list[list[float | None]]
-    parameters: list[float]
+    values: list[Number]
+    shapes: list[Number]
+    std: list[Number | None]
+    covariance: list[list[Number | None]]
+    parameters: list[Number]
     noise: list[Positive]
     residual_noise: list[NoiseFile]
     rms_train: list[NotNegative]
@@ -119,7 +121,7 @@ class Content(Struct, forbid_unknown_fields=True):
     conditioning: ConditioningFile
     warnings: list[WarningFile]
     provenance: ProvenanceFile
-    temperature_mean: list[float] | None
+    temperature_mean: list[Number] | None
     certificate: CertificateFile | None = None
 
 

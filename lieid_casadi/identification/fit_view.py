@@ -56,7 +56,7 @@ def plot_parameters(fit: Fit, ax: Axes | None = None) -> Figure:
     from matplotlib.figure import Figure
 
     numbers = np.concatenate([fit.values, fit.shapes])
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         significance = np.nan_to_num(np.abs(numbers) / fit.std, nan=0.0, posinf=0.0)
     order = np.argsort(-significance)
     if ax is None:

@@ -1,7 +1,7 @@
 """Fit files: valid content loads identically, any other content is one `FitFileError`."""
 
 import json
-import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,6 +106,8 @@ def test_bytes_that_are_no_fit(content, words, tmp_path):
         (["covariance", 1], [], "covariance[1] has 0 entries"),
         (["covariance", 1, 1], -1.0, "covariance[1][1]"),
         (["values"], ["1"], "values"),
+        (["parameters", 0], 1e200, "parameters[0]"),
+        (["certificate", "rms_wls", 0], 1e200, "rms_wls[0]"),
         (["a\nb\x1b[31m"], 0, "unknown field `a b?[31m`"),
         (["parameters"], [], "parameters has 0 entries"),
         (["temperature_mean"], [20.0], "temperature_mean has 1 entries"),
@@ -146,9 +148,16 @@ def test_a_file_that_is_not_there_or_too_large(tmp_path, monkeypatch):
     assert "larger than 1 MB" in refusal(b" " * ((1 << 20) + 1), tmp_path)
 
 
-def test_a_prediction_that_is_not_finite_is_refused(text, run, tmp_path):
-    content = json.loads(text)
-    content["parameters"] = [1e308] * len(content["parameters"])
-    broken = loaded(json.dumps(content), tmp_path)
-    with pytest.raises(ModelError, match=re.escape("expected a finite number")):
+def test_a_prediction_that_is_not_finite_is_refused(fit, run):
+    broken = replace(fit, parameters=np.full_like(fit.parameters, 1e308))
+    with pytest.raises(
+        ModelError, match=r"predicted torque of joint 1 .* expected a finite number"
+    ):
         broken.predict(run)
+
+
+def test_a_covariance_that_is_not_positive_gives_a_finite_band(text, run, tmp_path):
+    content = json.loads(text)
+    content["covariance"][0][1] = content["covariance"][1][0] = -1e6
+    band = loaded(json.dumps(content), tmp_path).predict_band(run)
+    assert np.isfinite(band.parameter_std).all()

@@ -62,7 +62,8 @@ class Certificate:
     @property
     def cost(self) -> Array:
         """Relative increase of the training error per joint (n,) over weighted least squares."""
-        return np.asarray(self.rms / self.rms_wls - 1.0)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            return np.asarray(self.rms / self.rms_wls - 1.0)
 
     def summary(self) -> str:
         """Return the result of the checks and the increase in error as text."""

@@ -81,6 +81,7 @@ def predict_band(fit: Fit, recording: Recording, *, level: float = 0.95) -> Pred
         recording, fit.processing, fit.temperature_mean, torque_and_variance, 2 * fit.model.n
     )
     torque, variance = np.hsplit(both, 2)
+    variance = np.maximum(variance, 0.0)  # rounding
     half = norm.ppf(0.5 + 0.5 * level) * np.sqrt(variance + fit.rms_train_raw**2)
     return PredictionBand(torque, torque - half, torque + half, np.sqrt(variance), level)
 
