@@ -57,7 +57,7 @@ def test_a_body_at_the_tool_is_named(fit):
     ],
 )
 def test_a_torque_added_to_one_joint_is_named(fit, effect, joint, torque):
-    recording = recorded("excitation_14_harmonics")
+    recording = recorded("excitation_14_harmonics").cut(0.0, 25.0)
     tau = recording.tau.copy()
     tau[:, joint] += torque(recording)
     found = lieid.diagnose(fit, replace(recording, tau=tau))

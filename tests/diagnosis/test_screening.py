@@ -5,7 +5,7 @@ import pytest
 
 from lieid_casadi.diagnosis.options import DiagnosisOptions, Penalty
 from lieid_casadi.diagnosis.screening import screen as screening_module
-from lieid_casadi.diagnosis.screening.baseline import Baseline
+from lieid_casadi.diagnosis.screening.baseline import Baseline, with_groups
 from lieid_casadi.diagnosis.screening.candidate_columns import assemble_columns
 from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_gain
 from lieid_casadi.diagnosis.screening.evidence import HypothesisFamily
@@ -54,6 +54,20 @@ def test_gain_is_the_fall_of_the_sum_of_squares():
     for group in range(6):
         both = np.column_stack([model, candidates.stacked(group)])
         assert screening.gain[group] == pytest.approx(misfit(model, torque) - misfit(both, torque))
+
+
+def test_gain_beside_added_groups_is_the_fall_of_the_sum_of_squares():
+    random, matrices, candidates = random_problem(seed=4)
+    torques = [random.normal(size=ROWS) for _ in range(2)]
+    baseline = with_groups(Baseline.of(matrices, torques), candidates, [1, 2])
+    assert baseline.rank == 3 + 2 * 2
+    columns = [np.concatenate(matrices), candidates.stacked(1), candidates.stacked(2)]
+    model, torque = np.column_stack(columns), np.concatenate(torques)
+    screening = screen(candidates, baseline)
+    for group in (0, 3, 4, 5):
+        both = np.column_stack([model, candidates.stacked(group)])
+        assert screening.gain[group] == pytest.approx(misfit(model, torque) - misfit(both, torque))
+    assert screening.rank[1] == screening.rank[2] == 0
 
 
 def test_columns_in_the_span_of_the_model_are_absorbed():

@@ -24,15 +24,18 @@ class Baseline:
 
     Attributes
     ----------
-    basis : (R, p)
+    model : (R, p)
         Orthonormal basis of the model's columns.
+    added : (R, a)
+        Orthonormal basis of the columns added to it, orthogonal to ``model``.
     residual : (R,)
-        Whitened torque minus its projection onto the basis.
+        Whitened torque minus its projection onto both.
     ends : (n + 1,) int
         Joint j has rows ends[j] to ends[j + 1].
     """
 
-    basis: Array
+    model: Array
+    added: Array
     residual: Array
     ends: NDArray[np.intp]
 
@@ -54,7 +57,8 @@ class Baseline:
         basis = basis[:, sizes > RANK_TOLERANCE * sizes.max(initial=1e-300)]
         torque = np.concatenate(torques)
         ends = np.concatenate([[0], np.cumsum([len(t) for t in torques])]).astype(np.intp)
-        return cls(basis, torque - basis @ (basis.T @ torque), ends)
+        residual = torque - basis @ (basis.T @ torque)
+        return cls(basis, np.zeros((len(torque), 0)), residual, ends)
 
     @property
     def rows(self) -> int:
@@ -69,13 +73,21 @@ class Baseline:
         """Return columns (…, k) on the rows of the joints as (R, k): zero on rows of a prior."""
         return np.pad(columns, ((0, self.rows - len(columns)), (0, 0)))
 
-    def outside(self, columns: Array) -> Array:
-        """Return the part of columns (R, k) that the basis does not span.
+    @property
+    def rank(self) -> int:
+        """Dimension of the span."""
+        return self.model.shape[1] + self.added.shape[1]
 
-        The projection is applied twice, against rounding.
-        """
-        rest = columns - self.basis @ (self.basis.T @ columns)
-        return np.asarray(rest - self.basis @ (self.basis.T @ rest))
+    def project_out(self, columns: Array) -> Array:
+        """Return columns (R, k) minus their projection onto the span."""
+        rest = columns - self.model @ (self.model.T @ columns)
+        if self.added.shape[1]:
+            rest = rest - self.added @ (self.added.T @ columns)
+        return np.asarray(rest)
+
+    def outside(self, columns: Array) -> Array:
+        """Return the part of columns (R, k) outside the span, projected twice against rounding."""
+        return self.project_out(self.project_out(columns))
 
     def with_columns(self, columns: Array) -> Baseline:
         """Return the baseline of a model with further columns (…, k)."""
@@ -85,17 +97,16 @@ class Baseline:
         u, sizes, _ = np.linalg.svd(rest, full_matrices=False)
         new = u[:, sizes > ABSORBED]
         residual = self.residual - new @ (new.T @ self.residual)
-        return Baseline(np.hstack([self.basis, new]), residual, self.ends)
+        return Baseline(self.model, np.hstack([self.added, new]), residual, self.ends)
 
     def coefficients(self, columns: Array, *, least: float) -> Array:
         """Return the coefficients (k,) of further columns (…, k) fitted beside the model.
 
-        Directions with less than ``least`` of a unit column outside the basis stay at zero.
+        Directions with less than ``least`` of a unit column outside the span stay at zero.
         """
         size = np.linalg.norm(columns, axis=0)
         size[size == 0.0] = 1.0
-        rest = self.padded(columns)
-        rest = rest - self.basis @ (self.basis.T @ rest)
+        rest = self.project_out(self.padded(columns))
         return np.asarray(np.linalg.lstsq(rest / size, self.residual, rcond=least)[0] / size)
 
 

@@ -113,6 +113,37 @@ class CandidateColumns(Generic[T]):
                 inner[offset, own.columns[:count][neighbours]] += product[neighbours]
         return inner
 
+    def inner_in_span(self, basis: Array, ends: Indices) -> Array:
+        """Return inner products within groups (k, m) of the projections onto a span.
+
+        Parameters
+        ----------
+        basis : (R, p)
+            Orthonormal.
+        ends : (n + 1,) int
+            Joint j has rows ends[j] to ends[j + 1] of the basis.
+        """
+        projected = np.zeros((basis.shape[1], self.count))
+        for j, own in enumerate(self.joints):
+            projected[:, own.columns] += basis[ends[j] : ends[j + 1]].T @ own.matrix
+        inner = np.zeros_like(self.inner)
+        for offset in range(len(inner)):
+            count = self.count - offset
+            inner[offset, :count] = np.einsum(
+                "pc,pc->c", projected[:, :count], projected[:, offset:]
+            )
+        return inner
+
+    def inner_in_model(self, basis: Array, ends: Indices) -> Array:
+        """Return `inner_in_span` of a model's basis; the last result is kept."""
+        if not self._model_spans or self._model_spans[0][0] is not basis:
+            self._model_spans[:] = [(basis, self.inner_in_span(basis, ends))]
+        return self._model_spans[0][1]
+
+    @cached_property
+    def _model_spans(self) -> list[tuple[Array, Array]]:
+        return []
+
     @cached_property
     def lower_bounds(self) -> Array:
         """Lower bound of the coefficient of each column (m,)."""

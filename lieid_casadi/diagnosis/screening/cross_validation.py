@@ -52,8 +52,7 @@ def cross_validated_gain(columns: Array, baseline: Baseline, folds: Indices) -> 
     folds : (…,) int
         Fold of each row of the joints; rows of a prior are in none.
     """
-    columns = baseline.padded(columns)
-    rest = columns - baseline.basis @ (baseline.basis.T @ columns)
+    rest = baseline.project_out(baseline.padded(columns))
     folds = np.pad(folds, (0, len(rest) - len(folds)), constant_values=-1)
     total = 0.0
     for fold in np.unique(folds[folds >= 0]):

@@ -53,7 +53,7 @@ class Screening:
 
     def statistic(self, noise: Array) -> Array:
         """Return the gains (G, B) that white rows (R, B) would give."""
-        rest = noise - self.baseline.basis @ (self.baseline.basis.T @ noise)
+        rest = self.baseline.project_out(noise)
         return _gains(self.candidates, self._roots, _products(self.candidates, self.baseline, rest))
 
 
@@ -97,15 +97,10 @@ def _selectable(
 
 def _grams(candidates: CandidateColumns[Any], baseline: Baseline) -> tuple[Array, Array]:
     """Return inner products of the projected columns (k, m) by offset, and squared norms (m,)."""
-    projected = np.zeros((baseline.basis.shape[1], candidates.count))
-    for j, own in enumerate(candidates.joints):
-        projected[:, own.columns] += baseline.basis[baseline.joint(j)].T @ own.matrix
-    inner = candidates.inner.copy()
-    norms = inner[0].copy()
-    for offset in range(len(inner)):
-        count = candidates.count - offset
-        inner[offset, :count] -= np.einsum("pc,pc->c", projected[:, :count], projected[:, offset:])
-    return inner, norms
+    inner = candidates.inner - candidates.inner_in_model(baseline.model, baseline.ends)
+    if baseline.added.shape[1]:
+        inner -= candidates.inner_in_span(baseline.added, baseline.ends)
+    return inner, candidates.inner[0]
 
 
 def _inverse_roots(

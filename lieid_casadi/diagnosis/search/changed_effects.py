@@ -232,7 +232,8 @@ def _without_columns(context: ScreeningContext, noise: Sequence[Noise]) -> Basel
     """Return the residual of a model whose parameters cannot move."""
     residuals = context.whitened(noise, context.residual)
     ends = np.concatenate([[0], np.cumsum([len(r) for r in residuals])]).astype(np.intp)
-    return Baseline(np.zeros((ends[-1], 0)), np.concatenate(residuals), ends)
+    empty = np.zeros((ends[-1], 0))
+    return Baseline(empty, empty, np.concatenate(residuals), ends)
 
 
 def _with_prior(context: ScreeningContext, noise: Sequence[Noise]) -> Baseline:

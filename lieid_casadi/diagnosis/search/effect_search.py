@@ -290,7 +290,7 @@ def _significance(
     screening = screen(candidates, beside, None)
     after = beside.with_columns(candidates.stacked(group))
     rows = int(after.ends[len(context.runs)])  # rows of a prior follow
-    freedom = max(after.rows - after.basis.shape[1], 1)
+    freedom = max(after.rows - after.rank, 1)
     dispersion = max(float(np.sum(after.residual[:rows] ** 2)) / freedom, 1.0)
     gain = float(screening.gain[group]) / dispersion
     family = HypothesisFamily.of(

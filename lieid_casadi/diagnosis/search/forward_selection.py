@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -49,55 +50,63 @@ def best_set(
     excluded : bool array, optional
         Marks candidates (not groups) that are left out.
     """
+    selection = _Selection(candidates, baseline, penalty, options, excluded)
     selected: list[int] = []
     for _ in range(options.most_effects_at_once):
         beside = with_groups(baseline, candidates, selected)
-        best = _best(candidates, beside, selected, penalty, options, excluded)
+        best = selection.best(beside, selected)
         if best is None:
             break
         selected = [*selected, best]
         if len(selected) > 1:
-            selected = _exchanged(candidates, baseline, selected, penalty, options, excluded)
+            selected = selection.exchanged(selected)
     return selected
 
 
-def _best(
-    candidates: CandidateColumns[Any],
-    baseline: Baseline,
-    selected: Sequence[int],
-    penalty: Penalty,
-    options: DiagnosisOptions,
-    excluded: Mask | None,
-) -> int | None:
-    """Return the group with the largest positive penalized gain of a candidate not selected."""
-    score = penalized_gain(screen(candidates, baseline, options), penalty)
-    taken = np.isin(candidates.owner_index, candidates.owner_index[list(selected)])
-    if excluded is not None:
-        taken |= excluded[candidates.owner_index]
-    score = np.where(taken, -np.inf, score)
-    if not len(score):
-        return None
-    best = int(np.argmax(score))
-    return best if score[best] > 0.0 else None
+@dataclass(frozen=True, eq=False)
+class _Selection:
+    """The problem of `best_set`, and the best groups found beside others."""
 
+    candidates: CandidateColumns[Any]
+    baseline: Baseline
+    penalty: Penalty
+    options: DiagnosisOptions
+    excluded: Mask | None
+    found: dict[tuple[int, ...], int | None] = field(default_factory=dict)
 
-def _exchanged(
-    candidates: CandidateColumns[Any],
-    baseline: Baseline,
-    selected: list[int],
-    penalty: Penalty,
-    options: DiagnosisOptions,
-    excluded: Mask | None,
-) -> list[int]:
-    """Return the groups after each was replaced by the best one beside the others."""
-    for _ in range(options.exchange_rounds):
-        before = list(selected)
-        for position in range(len(selected)):
-            others = selected[:position] + selected[position + 1 :]
-            beside = with_groups(baseline, candidates, others)
-            best = _best(candidates, beside, others, penalty, options, excluded)
-            if best is not None:
-                selected[position] = best
-        if selected == before:
-            break
-    return selected
+    def best(self, beside: Baseline, others: Sequence[int]) -> int | None:
+        """Return the group with the largest positive penalized gain of a candidate not selected.
+
+        Parameters
+        ----------
+        beside : Baseline
+            With the other groups.
+        others : sequence of int
+        """
+        candidates = self.candidates
+        score = penalized_gain(screen(candidates, beside, self.options), self.penalty)
+        taken = np.isin(candidates.owner_index, candidates.owner_index[list(others)])
+        if self.excluded is not None:
+            taken |= self.excluded[candidates.owner_index]
+        score = np.where(taken, -np.inf, score)
+        if not len(score):
+            return None
+        best = int(np.argmax(score))
+        return best if score[best] > 0.0 else None
+
+    def exchanged(self, selected: list[int]) -> list[int]:
+        """Return the groups after each was replaced by the best one beside the others."""
+        for _ in range(self.options.exchange_rounds):
+            before, first = list(selected), self.baseline
+            for position in range(len(selected)):
+                others = selected[:position] + selected[position + 1 :]
+                key = tuple(others)
+                if key not in self.found:
+                    beside = with_groups(first, self.candidates, selected[position + 1 :])
+                    self.found[key] = self.best(beside, others)
+                best = self.found[key]
+                selected[position] = selected[position] if best is None else best
+                first = with_groups(first, self.candidates, selected[position : position + 1])
+            if selected == before:
+                break
+        return selected

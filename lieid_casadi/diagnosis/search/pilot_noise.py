@@ -28,7 +28,7 @@ def pilot_noise(context: ScreeningContext) -> tuple[tuple[Noise, ...], tuple[Noi
     smooth = context.smooth.whitened(white, context.runs)
     groups = best_set(smooth, rich, options.pilot_smooth_penalty, options)
     rich = with_groups(rich, smooth, groups)
-    freedom = 1.0 - rich.basis.shape[1] / max(rich.rows, 1)
+    freedom = 1.0 - rich.rank / max(rich.rows, 1)
     coloured = []
     for j, (noise, runs) in enumerate(zip(white, context.runs, strict=True)):
         residual = rich.residual[rich.joint(j)] * noise.sigma / runs.weights(noise.spread)

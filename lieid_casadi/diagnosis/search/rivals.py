@@ -100,8 +100,7 @@ def remaining_part(candidates: CandidateColumns[Any], baseline: Baseline, group:
     columns = candidates.stacked(group)
     norms = np.linalg.norm(columns, axis=0)
     scaled = baseline.padded(columns / np.where(norms > 0.0, norms, 1.0))
-    rest = scaled - baseline.basis @ (baseline.basis.T @ scaled)
-    return float(np.linalg.svd(rest, compute_uv=False)[0])
+    return float(np.linalg.svd(baseline.project_out(scaled), compute_uv=False)[0])
 
 
 def _alike(worse: Array, blocks: NDArray[np.intp], deviations: float) -> bool:
