@@ -76,7 +76,7 @@ class Baseline:
     @property
     def rank(self) -> int:
         """Dimension of the span."""
-        return self.model.shape[1] + self.added.shape[1]
+        return int(self.model.shape[1] + self.added.shape[1])
 
     def project_out(self, columns: Array) -> Array:
         """Return columns (R, k) minus their projection onto the span."""
