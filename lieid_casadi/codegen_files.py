@@ -1,4 +1,4 @@
-"""Where the C side (runtime header, template, CMake project) lies on this machine."""
+"""Location of the C code: runtime headers, templates, example controller."""
 
 from pathlib import Path
 
@@ -6,10 +6,10 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def codegen_folder() -> Path:
-    """Folder with the C side that exported models are built with.
+    """Folder with the C code that exported models are built with.
 
-    A wheel carries it inside the package; in a checkout (also an editable install) it lies
-    at the top level, beside the package.
+    In a wheel it is inside the package; in a checkout (also an editable install) it is at the top
+    level, next to the package.
 
     Returns
     -------
@@ -30,6 +30,6 @@ def codegen_folder() -> Path:
         if (folder / "README.md").is_file():
             return folder
     raise FileNotFoundError(
-        f"the C side of lieid-casadi is missing: no folder 'codegen' in {_PACKAGE} or beside it; "
+        f"the C code of lieid-casadi is missing: no folder 'codegen' in {_PACKAGE} or next to it; "
         "install the package again"
     )

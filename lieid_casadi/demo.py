@@ -1,4 +1,4 @@
-"""The whole loop on a simulated arm: excite, measure, identify, diagnose, add, export."""
+"""The whole workflow on a simulated arm: excite, measure, identify, diagnose, add, export."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-HIDDEN, HIDDEN_JOINT = "load_friction", 1  # what the plant has and the first model lacks
+HIDDEN, HIDDEN_JOINT = "load_friction", 1  # in the plant, missing in the first model
 EFFECTS = "coulomb,viscous,offset"
 DURATION = 20.0  # s of each run
-STARTS = 2  # of the excitation's optimization
+STARTS = 2  # of the search for the excitation
 
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """What the demo designed, measured and found.
+    """Results of the demo.
 
     Attributes
     ----------
     excitation : Excitation
-        Run on the plant for ``train``; ``test`` is another motion.
+        Executed by the plant for ``train``; ``test`` is another motion.
     fit, comparison
         Of the model without the hidden effect, on ``test``.
     diagnosis : Diagnosis
     better, better_comparison
-        With the effects that the diagnosis found.
+        Of the model with the effects that the diagnosis found, on ``test``.
     """
 
     excitation: Excitation
@@ -61,19 +61,23 @@ class Demo:
 
 
 def run_demo(robot: Robot, *, seed: int = 0, progress: Progress | None = None) -> Demo:
-    """Design a motion, measure a simulated arm along it, find what the model lacks.
+    """Design a motion, record a simulated arm along it, and diagnose the model.
 
-    The plant's inertias differ from the nominal ones by up to 20 %; its friction and the hidden
-    effect are written out in the plant, and nothing of them is passed on but the recordings.
+    The inertias of the plant differ from the nominal ones by up to 20 %. Identification and
+    diagnosis see only the recordings of the plant.
 
     Parameters
     ----------
     robot : Robot
-        With inertias and torque limits.
+        With nominal inertias.
     seed : int
-        Of the excitation, the test motion and the noise.
+        Of the excitation, the sensors' noise and the diagnosis.
     progress : callable, optional
-        Called with a stage's name and the fraction done.
+        Called with the stage and the completed fraction.
+
+    Returns
+    -------
+    Demo
     """
     report = progress or (lambda stage, fraction: None)
     model = Model(robot, EFFECTS)

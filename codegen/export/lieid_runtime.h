@@ -1,4 +1,4 @@
-/* What exported models compute with beside sin, cos, exp, tanh, fabs and sqrt.
+/* Functions of exported models in addition to sin, cos, exp, tanh, fabs and sqrt.
  *
  * C99 and C++, IEEE 754 doubles; no allocation, no state, no other function of the mathematical
  * library. lieid_log and lieid_atan use the reductions and polynomials of fdlibm (Copyright (C)

@@ -1,1 +1,1 @@
-"""The command line: one command a file; computing is done by the library."""
+"""The command line: one command per file, which calls the library."""

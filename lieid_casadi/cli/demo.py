@@ -1,4 +1,4 @@
-"""``lieid demo [-o DIR]``: the main job on a simulated arm, no robot or data needed."""
+"""``lieid demo [-o DIR]``: the whole workflow on a simulated arm, without a robot or data."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("demo", help="the whole loop on a simulated arm")
+    parser = commands.add_parser("demo", help="the whole workflow on a simulated arm")
     shared_options.add_output_folder(parser, default="lieid-demo")
     parser.add_argument(
         "--robot", type=InputPath, default="panda", metavar="ROBOT", help="default: panda"
@@ -27,7 +27,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Run the loop and write recordings, fits, plots and the report into a folder."""
+    """Run the workflow and write recordings, fits, plots and the report into a folder."""
     from lieid_casadi.demo import run_demo
     from lieid_casadi.robot import Robot
 
@@ -74,7 +74,7 @@ def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
 
 
 def content(demo: Demo) -> dict[str, Any]:
-    """Return the demo's numbers for machines."""
+    """Return the results of the demo as JSON content."""
     return {
         "excitation": demo.excitation.to_dict(),
         "before": {"effects": demo.fit.model.effects, **demo.comparison.to_dict()},
@@ -84,7 +84,7 @@ def content(demo: Demo) -> dict[str, Any]:
 
 
 def show(demo: Demo, folder: Path) -> None:
-    """Print the story: the motion, the verdict, the error per joint before and after."""
+    """Print the excitation, the verdict, and the error per joint before and after."""
     before, after = demo.comparison, demo.better_comparison
     output.say(
         f"Excitation: condition number {demo.excitation.condition_number:.3g}, "
@@ -115,6 +115,6 @@ def show(demo: Demo, folder: Path) -> None:
         )
     )
     output.say(
-        f"{folder}/report.html tells it with pictures; excitation, recordings, fits and C code "
-        "for a controller are beside it."
+        f"The report is {folder}/report.html; {folder} also has the excitation, recordings, fits "
+        "and C code."
     )

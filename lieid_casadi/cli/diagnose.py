@@ -1,4 +1,4 @@
-"""``lieid diagnose``: which effects a model lacks, or what has changed since a fit."""
+"""``lieid diagnose``: effects that a model lacks, or changes since a fit."""
 
 from __future__ import annotations
 
@@ -122,7 +122,9 @@ def _changed(args: argparse.Namespace) -> Diagnosis:
 def _asker() -> Callable[[Proposal], bool]:
     """Return a question on the terminal for each step."""
     if not sys.stdin.isatty():
-        raise UsageError("--interactive asks on a terminal; leave it out here")
+        raise UsageError(
+            "--interactive: standard input is not a terminal; expected one, or no option"
+        )
 
     def ask(proposal: Proposal) -> bool:
         output.say(

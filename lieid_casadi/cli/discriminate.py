@@ -22,15 +22,17 @@ def add_parser(commands: Any) -> None:
         "discriminate", help="design the trajectory that separates rival effects"
     )
     parser.add_argument("fit", type=InputPath, metavar="FIT")
-    parser.add_argument("effects", nargs="+", metavar="EFFECT", help="stribeck:4, two at least")
+    parser.add_argument(
+        "effects", nargs="+", metavar="EFFECT", help="such as stribeck:4; at least two"
+    )
     shared_options.add_output_folder(parser)
     parser.add_argument(
         "--size", action="append", default=[], metavar="EFFECT=V1[,V2…]",
-        help="coefficients, then shapes, of an effect; default: fitted, else as large as the noise",
+        help="coefficients and shape parameters of an effect; default: fitted, or noise level",
     )  # fmt: skip
     parser.add_argument(
         "--recordings", nargs="+", type=InputPath, default=[], metavar="REC",
-        help="along which the colour of the fit's noise is measured",
+        help="recordings that the spectrum of the noise is estimated from",
     )  # fmt: skip
     parser.add_argument("--level", type=number, default=0.95, metavar="P", help="default: 0.95")
     parser.add_argument("--duration", type=number, default=10.0, metavar="S", help="of one period")
@@ -102,16 +104,18 @@ def show(result: Discrimination, folder: Path) -> None:
     output.say(result.summary())
     output.show(
         make_table(
-            "If one were true, and the other fitted",
-            ["true", "fitted", "left, % of the effect", "χ² a period", "χ² needed"],
+            "Residual if one effect is true and the other is fitted",
+            ["true", "fitted", "residual, % of the effect", "χ² per period", "χ² required"],
             [
                 [p.true, p.rival, 100.0 * p.remaining, p.noncentrality, p.needed]
                 if p.separable
-                else [p.true, p.rival, "contains it", None, None]
+                else [p.true, p.rival, "can represent it", None, None]
                 for p in result.pairs
             ],
         )
     )
     sizes = [f"{label}: {', '.join(f'{x:.4g}' for x in v)}" for label, v in result.sizes.items()]
     output.say(f"Sizes: {'; '.join(sizes)}. Designed in {result.solve_seconds:.2g} s.")
-    output.say(f"Files in {folder}; trajectory.csv is one period, to be run {result.periods} ×.")
+    output.say(
+        f"Files in {folder}; trajectory.csv is one period, to be repeated {result.periods} times."
+    )

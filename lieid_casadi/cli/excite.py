@@ -1,4 +1,4 @@
-"""``lieid excite ROBOT -o DIR``: the trajectory that identifies the arm best, within limits."""
+"""``lieid excite ROBOT -o DIR``: an optimal excitation trajectory within limits."""
 
 from __future__ import annotations
 
@@ -57,19 +57,25 @@ def _add_motion(parser: argparse.ArgumentParser) -> None:
         "--start-pose", nargs="+", type=number, metavar="Q", help="default: middle of the ranges"
     )
     group.add_argument(
-        "--free-start", action="store_true", help="start anywhere; run in from the start pose"
+        "--free-start",
+        action="store_true",
+        help="choose the first pose; an approach motion from the start pose is added",
     )
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("limits beside those of position and velocity")
+    group = parser.add_argument_group("limits in addition to those of position and velocity")
     group.add_argument(
-        "--acceleration", nargs="+", type=number, metavar="A", help="rad/s², one or one a joint"
+        "--acceleration",
+        nargs="+",
+        type=number,
+        metavar="A",
+        help="rad/s², one number or one per joint",
     )
     group.add_argument(
         "--torque-fraction", type=number, default=1.0, metavar="F", help="of the torque limits"
     )
-    group.add_argument("--no-torque", action="store_true", help="leave torque limits aside")
+    group.add_argument("--no-torque", action="store_true", help="ignore torque limits")
     group.add_argument(
         "--cartesian-speed", type=number, metavar="M/S", help="of tool and joint centres"
     )
@@ -109,7 +115,7 @@ def _add_search(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Design a trajectory, write and print it; 130 if interrupted with a trajectory kept."""
+    """Design, write and print; return 130 if interrupted with a trajectory kept."""
     from lieid_casadi.excitation import excite
 
     folder = Path(args.output)
@@ -136,7 +142,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
-    """Return the limits that the options ask for."""
+    """Return the limits that the options state."""
     from lieid_casadi.excitation import (
         CartesianSpeed,
         Obstacle,
@@ -149,11 +155,11 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
         workspace_box,
     )
 
-    asked = args.floor is not None or args.wall or args.workspace_box or args.obstacle
+    bounded = args.floor is not None or args.wall or args.workspace_box or args.obstacle
     links: Any = ()
     if args.capsules is not None:
         links = load_capsules(args.capsules, robot)
-    elif asked or args.self_collision is not None:
+    elif bounded or args.self_collision is not None:
         links = capsules_of(robot)
     limits: list[Limit] = []
     stated = robot.limit("torque")

@@ -1,4 +1,4 @@
-"""``lieid export FIT --to c|urdf -o DIR``: the fit for a controller or a simulator."""
+"""``lieid export FIT --to c|urdf -o DIR``: a fit for controllers and simulators."""
 
 from __future__ import annotations
 
@@ -31,9 +31,7 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.identification import Fit
 
     if args.prefix is not None and args.to != "c":
-        raise UsageError(
-            f"--prefix {args.prefix}: only C code has names to prefix; expected --to c"
-        )
+        raise UsageError(f"--prefix {args.prefix}: a prefix applies to C code; expected --to c")
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
     files, notes = _export(fit, args)

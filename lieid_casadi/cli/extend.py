@@ -1,4 +1,4 @@
-"""``lieid extend FIT --add stribeck:4 --train A…``: add an effect, refit, show the fall."""
+"""``lieid extend FIT --add stribeck:4 --train A…``: add an effect and fit again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("extend", help="add an effect to a fit, refit, before and after")
+    parser = commands.add_parser("extend", help="add an effect, fit again, compare the errors")
     parser.add_argument("fit", type=InputPath, metavar="FIT")
     parser.add_argument("--add", required=True, metavar="A,B:2+3,…", help="effects to add")
     parser.add_argument(
@@ -43,7 +43,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Refit, print and write."""
+    """Fit again, print and write."""
     from lieid_casadi.diagnosis.extend import extend
     from lieid_casadi.identification import Fit
 
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def print_extension(extension: Extension) -> None:
-    """Print errors before and after, joint by joint, and the new numbers."""
+    """Print errors per joint before and after, and the new parameters."""
     tested = extension.rms_test is not None
     columns = ["joint", "train before", "after", "%"]
     columns += ["test before", "after", "%"] if tested else []

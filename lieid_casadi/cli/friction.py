@@ -34,8 +34,8 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--effects",
         metavar="A,B,…",
-        help="friction model to fit: effects, or a model's name such as paper; "
-        "default: all of the literature are tried and ranked",
+        help="friction model: effects, or the name of a model such as paper; default: all models "
+        "of the literature are fitted and ranked",
     )
     parser.add_argument(
         "--fit",
@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> None:
         output.say(f"  * {model.name}: {model.note}.")
     output.show(parameter_table(fit))
     if agreement is not None:
-        output.say(f"Curve's fit and {args.fit}: {agreement}.")
+        output.say(f"Friction curve and {args.fit}: {agreement}.")
     output.show_warnings([*curve.warnings, *fit.warnings])
 
 

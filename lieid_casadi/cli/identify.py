@@ -235,5 +235,5 @@ def print_fit(fit: Fit, comparison: Comparison | None) -> None:
         output.say(fit.certificate.summary())
     output.show_warnings(fit.warnings)
     if comparison is not None:
-        known = {str(w) for w in fit.warnings}
-        output.show_warnings([w for w in comparison.warnings if str(w) not in known])
+        printed = {str(w) for w in fit.warnings}
+        output.show_warnings([w for w in comparison.warnings if str(w) not in printed])

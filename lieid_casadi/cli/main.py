@@ -1,4 +1,4 @@
-"""Entry point of ``lieid``: parse, run one command, turn its outcome into an exit status."""
+"""Entry point of ``lieid``: parse, run one command, return its exit status."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def build_parser() -> Parser:
     """Return the parser of all commands."""
     parser = Parser(
         prog="lieid",
-        description="Identify the dynamic model of a robot arm and learn what it lacks.",
+        description="Identify the dynamic model of a robot arm and find the effects that it lacks.",
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"lieid {__version__}")
@@ -63,7 +63,7 @@ def main(words: Sequence[str] | None = None) -> int:
         # the reader of the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
-    except Exception as error:  # the outermost frame: every cause gets its status
+    except Exception as error:  # the outermost frame: every error gets a status
         if args.debug:
             raise
         return _status(args, error)
@@ -98,7 +98,7 @@ def _say(line: str) -> None:
 
 
 def _log_to_stderr() -> None:
-    """Show the library's notices on a terminal; elsewhere stderr stays empty."""
+    """Print notices of the library on a terminal; elsewhere stderr stays empty."""
     if sys.stderr.isatty():
         handler = logging.StreamHandler()
         handler.setFormatter(logging.Formatter("lieid: %(message)s"))

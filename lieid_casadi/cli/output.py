@@ -1,4 +1,4 @@
-"""What a command shows and writes: tables on stdout, progress on stderr, files as a whole."""
+"""Output of commands: tables on stdout, progress on stderr, files as a whole."""
 
 from __future__ import annotations
 
@@ -109,26 +109,26 @@ class Files:
         self._contents: list[tuple[str, bytes]] = []
 
     def add(self, path: str | None, content: Callable[[], bytes]) -> None:
-        """Add a file, if it was asked for; its content is made now."""
+        """Add a file, if a path is given; its content is computed now."""
         if path is not None:
             self._contents.append((path, content()))
 
     def add_fit(self, path: str | None, fit: Fit) -> None:
-        """Add a fit file, if it was asked for."""
+        """Add a fit file, if a path is given."""
         from lieid_casadi.identification.fit_file import content_of
 
         self.add(path, lambda: content_of(fit))
 
     def add_json(self, path: str | None, content: dict[str, Any]) -> None:
-        """Add a result for machines, if it was asked for."""
+        """Add a result for machines, if a path is given."""
         self.add(path, lambda: json_bytes(content))
 
     def add_html(self, path: str | None, page: Callable[[], str]) -> None:
-        """Add a report, if it was asked for."""
+        """Add a report, if a path is given."""
         self.add(path, lambda: html_bytes(page()))
 
     def add_picture(self, path: str | None, figure: Callable[[], Figure]) -> None:
-        """Add a picture, if it was asked for."""
+        """Add a picture, if a path is given."""
         if path is not None:
             self.add(path, lambda: picture_bytes(path, figure()))
 

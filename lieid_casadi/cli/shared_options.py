@@ -1,4 +1,4 @@
-"""Options that several commands share, and how they become objects."""
+"""Options that several commands share, and the objects made from them."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What leaves the package: files for controllers and simulators."""
+"""Files for controllers and simulators: C, URDF, MJCF."""

@@ -1,4 +1,4 @@
-"""Effects on the whole arm or on what is measured, at one instant: what exported C has of them."""
+"""Effects on the whole arm or on the measurement in exported C, which sees one instant."""
 
 from __future__ import annotations
 
@@ -20,8 +20,13 @@ def with_arm_effects(columns: ca.SX, model: Model, arm: ArmInstant, values: Arra
 
     Parameters
     ----------
+    columns : (n, m) ca.SX
+        Effect columns; those of effects on the whole arm are replaced.
+    model : Model
+    arm : ArmInstant
+        The arm at the instant.
     values : (m,)
-        Coefficients of the fit: columns stand for the whole change that these make.
+        Coefficients of the fit, at which these effects are linearized.
 
     Raises
     ------
@@ -35,8 +40,8 @@ def with_arm_effects(columns: ca.SX, model: Model, arm: ArmInstant, values: Arra
             now = p.effect.instant_columns(arm, p.joint, ca.SX(ca.DM(values[first:last])))
             if now is None:
                 raise ExportError(
-                    f"{p.label} needs the motion along time, of which exported C sees one "
-                    "instant; expected a fit without it"
+                    f"{p.label} needs the motion over time, and exported C sees one instant; "
+                    "expected a fit without this effect"
                 )
             columns[:, first:last] = now
         first = last
@@ -44,14 +49,14 @@ def with_arm_effects(columns: ca.SX, model: Model, arm: ArmInstant, values: Arra
 
 
 def arm_notes(fit: Fit) -> list[str]:
-    """Return what a user of the code should know about such effects."""
+    """Return notes for users of the code on such effects."""
     placed = [p for p in fit.model.placements if isinstance(p.effect, ArmEffect)]
-    said = {p.label: p.effect.export_note for p in placed if isinstance(p.effect, ArmEffect)}
-    notes = [f"{label}: {text}" for label, text in said.items() if text]
-    inside = [label for label, text in said.items() if not text]
+    texts = {p.label: p.effect.export_note for p in placed if isinstance(p.effect, ArmEffect)}
+    notes = [f"{label}: {text}" for label, text in texts.items() if text]
+    inside = [label for label, text in texts.items() if not text]
     if inside:
         notes.append(
-            f"{', '.join(inside)}: counted among the effects; rigid_torque, gravity and "
-            "mass_matrix are those of the arm without"
+            f"{', '.join(inside)}: part of the effects; rigid_torque, gravity and mass_matrix do "
+            "not include them"
         )
     return notes

@@ -8,9 +8,9 @@ from typing import Any
 
 from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.exporters.c_arm_effects import arm_notes
-from lieid_casadi.exporters.c_functions import Functions, functions
+from lieid_casadi.exporters.c_functions import ExportedFunctions, functions
 from lieid_casadi.exporters.c_prefix import check_prefix
-from lieid_casadi.exporters.c_self_test import Check, check
+from lieid_casadi.exporters.c_self_test import SelfTestData, self_test_data
 from lieid_casadi.exporters.c_statements import number
 from lieid_casadi.exporters.c_text import comment, numbered, render, wrapped
 from lieid_casadi.identification.fit import Fit
@@ -29,7 +29,7 @@ EFFECT_CALLS = ("friction", "torque", "effect_columns", "base_regressor")
 
 @dataclass(frozen=True)
 class CExport:
-    """What was written, and what a user should know about it."""
+    """The files of an export, and notes for their users."""
 
     files: tuple[Path, ...]
     notes: tuple[str, ...]
@@ -38,9 +38,9 @@ class CExport:
 def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool = False) -> CExport:
     """Write the identified model as C99: library, self-test, CMake project and README.
 
-    The functions need no memory but their arguments and no mathematics but sin, cos, exp, tanh,
-    fabs and sqrt; the header tells order, shape and unit of each argument. The self-test compares
-    them with CasADi.
+    The functions use no memory except their arguments, and of the mathematical library only sin,
+    cos, exp, tanh, fabs and sqrt; the header states order, shape and unit of each argument. The
+    self-test compares their results with CasADi.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool =
     folder : str or Path
         Made if it does not exist; written as a whole or not at all.
     prefix : str
-        Of all names, so that several arms fit into one program.
+        Prefix of all names, so that one program can contain several arms.
     force : bool
         Replace what an earlier export wrote into the folder; other files are kept.
 
@@ -95,14 +95,14 @@ def c_files(fit: Fit, prefix: str, notes: list[str]) -> dict[str, bytes]:
         "CMakeLists.txt": "CMakeLists.txt.jinja",
         "README.md": "README.md.jinja",
     }
-    content |= _test_content(fit, check(fit))
+    content |= _test_content(fit, self_test_data(fit))
     files = {name: render(template, content).encode() for name, template in names.items()}
     runtime = codegen_folder() / "export" / "lieid_runtime.h"
     return files | {runtime.name: runtime.read_bytes()}
 
 
-def _content(fit: Fit, prefix: str, made: Functions) -> dict[str, Any]:
-    """Return what the templates fill in."""
+def _content(fit: Fit, prefix: str, made: ExportedFunctions) -> dict[str, Any]:
+    """Return the variables of the templates."""
     from lieid_casadi import __version__
 
     model, robot = fit.model, fit.model.robot
@@ -159,7 +159,7 @@ def _content(fit: Fit, prefix: str, made: Functions) -> dict[str, Any]:
 def _rows(
     parameters: tuple[Parameter, ...], values: Any, labels: Any = None, stds: Any = None
 ) -> list[dict[str, str]]:
-    """Return number, name and unit of parameters, ready for a comment."""
+    """Return value, name and unit of parameters, safe in a comment."""
     return [
         {
             "label": comment(parameter.label if labels is None else labels[k]),
@@ -182,8 +182,8 @@ def _units(kinds: set[bool]) -> dict[str, str]:
     return {key: " or ".join(units[key] for units in pairs) for key in turning}
 
 
-def _test_content(fit: Fit, stored: Check) -> dict[str, Any]:
-    """Return what the template of the self-test needs beside the rest."""
+def _test_content(fit: Fit, stored: SelfTestData) -> dict[str, Any]:
+    """Return the further variables of the template of the self-test."""
     inputs, results = stored.inputs, stored.results
     names = ("q", "dq", "ddq", "dq_r", "ddq_r", "temperature")
     numbers = {
@@ -215,12 +215,13 @@ def _test_content(fit: Fit, stored: Check) -> dict[str, Any]:
 
 
 def _notes(fit: Fit) -> list[str]:
-    """Return what a user of the code should know."""
+    """Return notes for users of the code."""
     notes = []
     if not fit.physically_consistent:
         notes.append(
-            "the link parameters are those of no body that can exist (torques are right, but the "
-            "mass matrix need not be positive definite); --method feasible gives some that are"
+            "the link parameters are not physically consistent: torques are correct, but the mass "
+            "matrix may not be positive definite; lieid identify --method feasible gives a "
+            "consistent fit"
         )
     timed = [p.label for p in fit.model.placements if "time" in p.effect.signals]
     stateless = [p.label for p in fit.model.placements if p.effect.states]

@@ -1,4 +1,4 @@
-"""The functions of a fitted model as they are exported: expressions with the numbers folded in."""
+"""Functions of a fitted model for export: expressions with the identified numbers as constants."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.dynamics.regressor import regressor, slotine_li_regressor
 from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.exporters.c_arm_effects import with_arm_effects
-from lieid_casadi.exporters.c_statements import Body, Input, body, each, number
+from lieid_casadi.exporters.c_statements import FunctionBody, FunctionInput, body, each, number
 from lieid_casadi.expressions.instant import ArmInstant
 from lieid_casadi.identification.fit import Fit
 
 Array = NDArray[np.float64]
-AGREEMENT = 1e-13  # of the torque with fewer parameters, relative; the self-test asks for 1e-12
+AGREEMENT = 1e-13  # of the torque with fewer parameters, relative; the self-test requires 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Symbols:
-    """All that exported functions may depend on, columns (n,) unless stated."""
+class ExportSymbols:
+    """Symbols on which exported functions depend, (n,) unless stated."""
 
     motion: Motion
     dq_r: ca.SX
@@ -37,8 +37,8 @@ class Symbols:
     states: ca.SX
 
     @classmethod
-    def of(cls, fit: Fit, prefix: str = "") -> Symbols:
-        """Return fresh symbols; ``prefix`` tells those of an earlier sample apart."""
+    def of(cls, fit: Fit, prefix: str = "") -> ExportSymbols:
+        """Return new symbols; those of an earlier sample have a ``prefix``."""
         n = fit.model.n
 
         def column(name: str, size: int = n) -> ca.SX:
@@ -57,26 +57,34 @@ class Symbols:
 
     @property
     def signals(self) -> EffectSignals:
-        """What effects see."""
+        """The signals of effects."""
         m = self.motion
         return EffectSignals(m.q, m.dq, m.ddq, self.sign, self.load, self.temperature, self.time)
 
 
-class Expressions:
-    """The model's functions for given link parameters, coefficients and shapes.
+class ExportExpressions:
+    """Functions of a model for given link parameters, coefficients and shape parameters.
 
     Parameters
     ----------
-    links : (10 n,), coefficients : (m,), shapes : (s,)
-        Numbers, or symbols to try the numbers against.
-    all_links : (10 n,), optional
-        Link parameters where ``links`` are fewer: a turned gravity shows more of them.
+    fit : Fit
+    symbols : ExportSymbols
+        Symbols of the sample.
+    links : (10 n,) ca.SX
+        Link parameters: numbers, or symbols for the evaluation in the self-test.
+    coefficients : (m,) ca.SX
+        Coefficients of the effects, numbers or symbols.
+    shapes : (s,) ca.SX
+        Shape parameters, numbers or symbols.
+    all_links : (10 n,) ca.SX, optional
+        The identified link parameters, if ``links`` is a reduced set: in another direction of
+        gravity, more parameters have an effect.
     """
 
     def __init__(
         self,
         fit: Fit,
-        symbols: Symbols,
+        symbols: ExportSymbols,
         links: ca.SX,
         coefficients: ca.SX,
         shapes: ca.SX,
@@ -146,19 +154,19 @@ class Expressions:
         return self.rigid_torque + self.with_load(self.friction)
 
     def with_load(self, expression: ca.SX) -> ca.SX:
-        """Put the rigid torque in the place of the load."""
+        """Replace the load by the rigid torque."""
         return ca.substitute(expression, self._symbols.load, ca.densify(self.rigid_torque))
 
-    def advance(self, before: Symbols) -> ca.SX:
+    def advance(self, before: ExportSymbols) -> ca.SX:
         """Return the states (S,) at this sample from those at the sample before."""
         return self._model.advance(
             before.signals, self._symbols.signals, self._shapes, before.states
         )
 
 
-def folded(fit: Fit, symbols: Symbols) -> Expressions:
-    """Return the model's functions with the identified numbers in them."""
-    return Expressions(
+def folded(fit: Fit, symbols: ExportSymbols) -> ExportExpressions:
+    """Return the functions of the model with the identified numbers as constants."""
+    return ExportExpressions(
         fit,
         symbols,
         ca.SX(ca.DM(fewer_parameters(fit))),
@@ -169,10 +177,10 @@ def folded(fit: Fit, symbols: Symbols) -> Expressions:
 
 
 def fewer_parameters(fit: Fit) -> Array:
-    """Return link parameters (10 n,) of the same torque, zero wherever the arm leaves a choice.
+    """Return link parameters (10 n,) with the same torque and as many zeros as possible.
 
-    Those of the rigid base parameters; the fit's own where rounding in the robot's geometry
-    would make the torque another.
+    Only the parameters that head a rigid base parameter are not zero. If rounding in the geometry
+    of the robot would change the torque, the link parameters of the fit are returned.
     """
     robot, links = fit.model.robot, fit.link_parameters
     base: BaseParameters = base_parameters(robot)
@@ -192,16 +200,16 @@ def fewer_parameters(fit: Fit) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Functions:
-    """Bodies of the C functions, by name, and what the memory of effects needs."""
+class ExportedFunctions:
+    """Bodies of the C functions by name, and what the states of effects depend on."""
 
-    bodies: dict[str, Body]
-    advance: Body | None
+    bodies: dict[str, FunctionBody]
+    advance: FunctionBody | None
     remembers_load: bool
     advance_reads_load: bool
 
 
-def functions(fit: Fit) -> Functions:
+def functions(fit: Fit) -> ExportedFunctions:
     """Return the C of every function.
 
     Raises
@@ -209,7 +217,7 @@ def functions(fit: Fit) -> Functions:
     ExportError
         An effect uses an operation without a C form, or needs more than one instant.
     """
-    now, before = Symbols.of(fit), Symbols.of(fit, "before_")
+    now, before = ExportSymbols.of(fit), ExportSymbols.of(fit, "before_")
     expressions = folded(fit, now)
     motion = rigid_inputs(now)
     references = motion | {
@@ -231,7 +239,7 @@ def functions(fit: Fit) -> Functions:
     if fit.model.columns:
         bodies["effect_columns"] = body(expressions.effect_columns, loaded, to="matrix")
     if not fit.model.states:
-        return Functions(bodies, None, False, False)
+        return ExportedFunctions(bodies, None, False, False)
     after = expressions.advance(before)
     past = sample_inputs(fit, before, of="state->before.")
     past["load"] = each(before.load, "state->before_load[{j}]")
@@ -239,11 +247,11 @@ def functions(fit: Fit) -> Functions:
     inputs["states"] = inputs.pop("before_states")
     advance = body(ca.densify(after), inputs, to="after")
     remembers = "before_load" in advance.used
-    return Functions(bodies, advance, remembers, remembers or "load" in advance.used)
+    return ExportedFunctions(bodies, advance, remembers, remembers or "load" in advance.used)
 
 
-def rigid_inputs(symbols: Symbols, *, of: str = "") -> dict[str, Input]:
-    """Return the inputs of functions of the motion alone, members ``of`` a sample or arguments."""
+def rigid_inputs(symbols: ExportSymbols, *, of: str = "") -> dict[str, FunctionInput]:
+    """Return the inputs of functions of the motion alone; ``of`` is the expression of a sample."""
     motion = symbols.motion
     return {
         "q": each(motion.q, of + "q[{j}]"),
@@ -254,15 +262,15 @@ def rigid_inputs(symbols: Symbols, *, of: str = "") -> dict[str, Input]:
     }
 
 
-def sample_inputs(fit: Fit, symbols: Symbols, *, of: str) -> dict[str, Input]:
-    """Return the inputs of functions that take a whole sample and the state.
+def sample_inputs(fit: Fit, symbols: ExportSymbols, *, of: str) -> dict[str, FunctionInput]:
+    """Return the inputs of functions of a whole sample and the state.
 
     Parameters
     ----------
     fit : Fit
-    symbols : Symbols
+    symbols : ExportSymbols
     of : str
-        Prefix of the arguments' names in C.
+        C expression of the sample, such as ``sample->``.
     """
     mean = fit.temperature_mean
     warmth = [
@@ -271,7 +279,7 @@ def sample_inputs(fit: Fit, symbols: Symbols, *, of: str) -> dict[str, Input]:
     ]
     return rigid_inputs(symbols, of=of) | {
         "sign": each(symbols.sign, f"lieid_direction({of}dq[{{j}}], v0, {{j}})"),
-        "temperature": Input(symbols.temperature, tuple(warmth)),
-        "time": Input(symbols.time, (f"{of}time",)),
+        "temperature": FunctionInput(symbols.temperature, tuple(warmth)),
+        "time": FunctionInput(symbols.time, (f"{of}time",)),
         "states": each(symbols.states, "state->values[{j}]"),
     }

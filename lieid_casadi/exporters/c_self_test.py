@@ -1,4 +1,4 @@
-"""What the self-test of exported C compares with: inputs and results of CasADi, stored."""
+"""Inputs and results of CasADi that the self-test of exported C compares with."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.exporters.c_functions import Expressions, Symbols
+from lieid_casadi.exporters.c_functions import ExportExpressions, ExportSymbols
 from lieid_casadi.identification.fit import Fit
 
 Array = NDArray[np.float64]
@@ -18,8 +18,8 @@ SMOOTHING = 0.05  # v0, rad/s, of the smooth sign
 
 
 @dataclass(frozen=True, eq=False)
-class Check:
-    """Samples of one motion (K, ·) and, by function, what Python makes of them (K, size).
+class SelfTestData:
+    """Samples of one motion (K, ·) and the results of each function (K, size).
 
     Results named ``…_smooth`` belong to the sign tanh(q̇/v0), v0 (n,); the others to the sharp one.
     """
@@ -29,20 +29,20 @@ class Check:
     results: dict[str, Array]
 
 
-def check(fit: Fit) -> Check:
-    """Evaluate the model, numbers not folded in, along a motion through the joints' ranges.
+def self_test_data(fit: Fit) -> SelfTestData:
+    """Evaluate the model, with numbers as inputs, along a motion through the joints' ranges.
 
-    Joints start at rest, so that sgn(0) = 0 is met.
+    Joints start at rest, so that sgn(0) = 0 occurs.
     """
     inputs = _motion(fit)
     v0 = np.full(fit.model.n, SMOOTHING)
-    machine = _Machine(fit)
+    machine = _Evaluator(fit)
     results = machine.rigid(inputs)
     inputs["load"] = results["rigid_torque"]
     for ending, sign in (("", np.sign(inputs["dq"])), ("_smooth", np.tanh(inputs["dq"] / v0))):
         for name, values in machine.effects(inputs | {"sign": sign}).items():
             results[name + ending] = values
-    return Check(inputs, v0, results)
+    return SelfTestData(inputs, v0, results)
 
 
 def _motion(fit: Fit) -> dict[str, Array]:
@@ -66,18 +66,18 @@ def _motion(fit: Fit) -> dict[str, Array]:
     }
 
 
-class _Machine:
-    """CasADi's virtual machine on the functions of a fit, numbers being inputs."""
+class _Evaluator:
+    """Evaluation of the functions of a fit by CasADi, with the numbers as inputs."""
 
     def __init__(self, fit: Fit) -> None:
         self._fit, model = fit, fit.model
-        self._now, self._before = Symbols.of(fit), Symbols.of(fit, "before_")
+        self._now, self._before = ExportSymbols.of(fit), ExportSymbols.of(fit, "before_")
         numbers = [
             ca.SX.sym("links", 10 * model.n),
             ca.SX.sym("coefficients", len(model.columns)),
             ca.SX.sym("shapes", len(model.shapes)),
         ]
-        self._expressions = Expressions(fit, self._now, *numbers)
+        self._expressions = ExportExpressions(fit, self._now, *numbers)
         self._arguments = [*_all(self._now), *_all(self._before), *numbers]
         self._numbers = [fit.link_parameters, fit.effect_coefficients, fit.shapes]
 
@@ -118,16 +118,16 @@ class _Machine:
     def _row(self, inputs: dict[str, Array], k: int) -> list[Array]:
         n, model = self._fit.model.n, self._fit.model
         mean = 0.0 if self._fit.temperature_mean is None else self._fit.temperature_mean
-        known = {name: values[k] for name, values in inputs.items()}
-        zero, q = np.zeros(n), known["q"]
+        row = {name: values[k] for name, values in inputs.items()}
+        zero, q = np.zeros(n), row["q"]
         return [
-            q, np.sin(q), np.cos(q), known["dq"], known["ddq"], known["dq_r"], known["ddq_r"],
-            known.get("sign", zero), known.get("load", zero), known["temperature"] - mean,
-            known["time"], known.get("states", np.zeros(len(model.states))),
+            q, np.sin(q), np.cos(q), row["dq"], row["ddq"], row["dq_r"], row["ddq_r"],
+            row.get("sign", zero), row.get("load", zero), row["temperature"] - mean,
+            row["time"], row.get("states", np.zeros(len(model.states))),
         ]  # fmt: skip
 
 
-def _all(symbols: Symbols) -> list[ca.SX]:
+def _all(symbols: ExportSymbols) -> list[ca.SX]:
     m, s = symbols.motion, symbols
     return [
         m.q, m.sin, m.cos, m.dq, m.ddq, s.dq_r, s.ddq_r, s.sign, s.load, s.temperature, s.time,

@@ -60,20 +60,20 @@ SCALARS = Dialect(
 
 
 @dataclass(frozen=True)
-class Input:
+class FunctionInput:
     """A vector of symbols and the C expression of each of its elements."""
 
     symbol: ca.SX
     texts: tuple[str, ...]
 
 
-def each(symbol: ca.SX, pattern: str) -> Input:
+def each(symbol: ca.SX, pattern: str) -> FunctionInput:
     """Return an input whose element j is a pattern with ``{j}`` filled in."""
-    return Input(symbol, tuple(pattern.format(j=j) for j in range(symbol.size1())))
+    return FunctionInput(symbol, tuple(pattern.format(j=j) for j in range(symbol.size1())))
 
 
 @dataclass(frozen=True)
-class Body:
+class FunctionBody:
     """The body of a C function that writes a matrix, row after row.
 
     All inputs are read before the first result is written: they may be the same memory.
@@ -89,7 +89,7 @@ class Body:
         return "\n".join(INDENT + line for line in self.lines)
 
 
-def body(matrix: ca.SX, inputs: Mapping[str, Input], *, to: str) -> Body:
+def body(matrix: ca.SX, inputs: Mapping[str, FunctionInput], *, to: str) -> FunctionBody:
     """Return the C statements that evaluate a matrix.
 
     Parameters
@@ -129,7 +129,7 @@ def body(matrix: ca.SX, inputs: Mapping[str, Input], *, to: str) -> Body:
     loads = [f"const double {x.name} = {x.text};" for x in written.inputs]
     zeros = _zeros(to, matrix.shape[0] * columns, places)
     used = frozenset(names[x.argument] for x in written.inputs)
-    return Body((*loads, *zeros, *written.lines), used, written.operations)
+    return FunctionBody((*loads, *zeros, *written.lines), used, written.operations)
 
 
 def _zeros(to: str, size: int, places: Sequence[int]) -> list[str]:

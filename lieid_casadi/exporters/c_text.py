@@ -1,4 +1,4 @@
-"""C text from templates: comments that cannot break out, numbers that read back bit by bit."""
+"""C text from templates: safe comments, and numbers that are read back bit by bit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def comment(text: str) -> str:
     """Return text that is safe in a C comment, in one line.
 
     Names come from the user's files: comment marks, line ends (also by a backslash) and characters
-    that reorder what is shown are taken out.
+    that reorder the text are removed.
     """
     shown = "".join(c if unicodedata.category(c)[0] != "C" else " " for c in text)
     shown = " ".join(shown.replace("\\", "/").split())
@@ -34,15 +34,15 @@ def comment(text: str) -> str:
 
 
 def markdown(text: str) -> str:
-    r"""Return text in one line in which nothing is markup for Markdown or HTML.
+    r"""Return text in one line without markup of Markdown or HTML.
 
     Examples
     --------
     >>> markdown("<b>|`a_1`")
-    '&lt;b&gt;\\|\\`a\\_1\\`'
+    '&lt;b&gt;\\|\\`a_1\\`'
     """
     shown = escape(comment(text), quote=False)
-    return re.sub(r"([\\`*_{}\[\]()#+!|~$])", r"\\\1", shown)
+    return re.sub(r"([\\`*\[\]|~$])", r"\\\1", shown)
 
 
 def numbers(values: NDArray[np.float64]) -> str:
@@ -52,14 +52,14 @@ def numbers(values: NDArray[np.float64]) -> str:
 
 
 def numbered(names: Iterable[str]) -> list[str]:
-    """Return lines ``0 NAME, 1 NAME, …`` to stand in a comment."""
+    """Return lines ``0 NAME, 1 NAME, …`` for a comment."""
     words = [f"{k} {comment(name)}".replace(" ", "\0") for k, name in enumerate(names)]
     lines = textwrap.wrap(", ".join(words), WIDTH - 6, break_on_hyphens=False)
     return [line.replace("\0", " ") for line in lines]
 
 
 def wrapped(texts: Iterable[str]) -> list[str]:
-    """Return lines of texts that begin with a dash, to stand in a comment."""
+    """Return texts as lines of a list for a comment."""
     lines = []
     for text in texts:
         lines += textwrap.wrap(text, WIDTH - 4, initial_indent="- ", subsequent_indent="  ")
@@ -67,7 +67,7 @@ def wrapped(texts: Iterable[str]) -> list[str]:
 
 
 def render(template: str, content: dict[str, Any]) -> str:
-    """Return a template of ``codegen/export`` filled in."""
+    """Return the text of a template of ``codegen/export``."""
     return _environment().get_template(template).render(content)
 
 

@@ -1,4 +1,4 @@
-"""What simulators know of a joint beside its inertia: armature, damping, dry friction."""
+"""Properties of joints in simulators: armature, damping, dry friction."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from lieid_casadi.identification.fit import Fit
 
-# effect coefficients that simulators have a place for
+# coefficients that simulators have an attribute for
 PLACES = {"armature.I_a": "armature", "viscous.f_v": "damping", "coulomb.f_c": "friction"}
 
 
 @dataclass(frozen=True)
-class JointFriction:
-    """One joint's numbers; None where the model lacks the effect.
+class SimulatorJoint:
+    """Properties of one joint; None if the model does not have the effect.
 
     Armature in kg·m², damping in N·m·s/rad, friction in N·m (sliding joints: kg, N·s/m, N).
     """
@@ -22,18 +22,18 @@ class JointFriction:
     friction: float | None = None
 
 
-def joint_frictions(fit: Fit) -> tuple[JointFriction, ...]:
-    """Return what the fit says per joint; negative values, which no simulator takes, are 0."""
+def simulator_joints(fit: Fit) -> tuple[SimulatorJoint, ...]:
+    """Return the properties of each joint; negative values, which simulators refuse, become 0."""
     found: list[dict[str, float]] = [{} for _ in range(fit.model.n)]
     for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True):
         place = PLACES.get(column.name)
         if place is not None:
             found[column.joint][place] = max(float(value), 0.0)
-    return tuple(JointFriction(**numbers) for numbers in found)
+    return tuple(SimulatorJoint(**numbers) for numbers in found)
 
 
 def left_out(fit: Fit, places: set[str]) -> list[str]:
-    """Return the names of effects that have none of the given places."""
+    """Return the names of effects that have none of the given attributes."""
     names = []
     for column in fit.model.columns:
         effect = column.name.rpartition(".")[0]

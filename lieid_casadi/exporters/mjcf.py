@@ -1,8 +1,8 @@
-"""Armature, damping and dry friction for MuJoCo, which reads no armature from URDF."""
+"""Armature, damping and dry friction for MuJoCo, which does not read armature from URDF."""
 
 from __future__ import annotations
 
-from lieid_casadi.exporters.joint_friction import JointFriction, joint_frictions
+from lieid_casadi.exporters.joint_friction import SimulatorJoint, simulator_joints
 from lieid_casadi.exporters.urdf_bodies import number
 from lieid_casadi.exporters.xml_text import attribute, comment
 from lieid_casadi.identification.fit import Fit
@@ -28,13 +28,13 @@ def mjcf_snippet(fit: Fit, *, file: str) -> str:
         HEAD.format(robot=comment(robot.name), file=comment(file)),
         "<mujocoinclude>\n  <default>\n",
     ]
-    for joint, numbers in zip(robot.joints, joint_frictions(fit), strict=True):
+    for joint, numbers in zip(robot.joints, simulator_joints(fit), strict=True):
         lines.append(f"    <default class={attribute('identified_' + joint.name)}>\n")
         lines.append(f"      <joint{_attributes(numbers)}/>\n    </default>\n")
     lines.append("  </default>\n</mujocoinclude>\n")
     return "".join(lines)
 
 
-def _attributes(numbers: JointFriction) -> str:
+def _attributes(numbers: SimulatorJoint) -> str:
     values = ((name, getattr(numbers, place)) for place, name in ATTRIBUTES)
     return "".join(f' {name}="{number(value)}"' for name, value in values if value is not None)

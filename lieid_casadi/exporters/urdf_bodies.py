@@ -1,4 +1,4 @@
-"""How the identified inertia of a joint is shared by the URDF links that move with it."""
+"""Distribution of the identified inertia of a joint over the URDF links that move with it."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from lieid_casadi.robot.inertia import (
 from lieid_casadi.robot.pose import pose
 
 Array = NDArray[np.float64]
-SHARE = 0.5  # of the most that the links carried along may keep, where they cannot keep all
-ROOM = 0.95  # of the most: below it they keep all
+SHARE = 0.5  # of the largest possible share, if the rigidly attached links cannot keep all
+KEPT = 0.95  # below this fraction of the possible inertia they keep all
 
 
 @dataclass(frozen=True, eq=False)
-class Member:
-    """A link that moves with a joint without being its own child link.
+class RigidMember:
+    """A link that is rigidly attached to the child link of a joint.
 
     ``placement`` (4, 4) is its frame in the frame of the joint's child link; ``nominal`` (10,)
     its link parameters in its own frame.
@@ -37,24 +37,26 @@ class Member:
 
 
 @dataclass(frozen=True, eq=False)
-class Split:
-    """Link parameters of a joint's child link (10,), and what part of its own each member keeps."""
+class InertiaSplit:
+    """Link parameters of a joint's child link (10,), and the share that each member keeps."""
 
     own: Array
     share: float
-    members: tuple[Member, ...]
+    members: tuple[RigidMember, ...]
 
 
-def split(identified: Array, members: Sequence[Member]) -> Split:
-    """Return how an identified inertia (10,) is shared; every share is a body that can exist.
+def split(identified: Array, members: Sequence[RigidMember]) -> InertiaSplit:
+    """Return the distribution of an identified inertia; each part is physically consistent.
 
-    Members keep their nominal inertia and the child link gets the rest. Where that would not be
-    a body, the members' masses and inertias are scaled down alike.
+    Members keep their nominal inertia and the child link gets the rest. If the rest would not be
+    physically consistent, masses and inertias of all members are scaled by one factor.
 
     Parameters
     ----------
     identified : (10,)
         Link parameters in the frame of the joint's child link, positive definite.
+    members : sequence of RigidMember
+        Links that are rigidly attached to the child link.
     """
     heavy = tuple(m for m in members if np.any(m.nominal != 0.0))
     carried = np.zeros(10)
@@ -62,23 +64,25 @@ def split(identified: Array, members: Sequence[Member]) -> Split:
         carried += parameter_transport(member.placement) @ member.nominal
     root = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(identified)))
     largest = float(np.linalg.eigvalsh(root @ pseudo_inertia(carried) @ root.T)[-1])
-    share = 1.0 if largest < ROOM else SHARE / largest
-    return Split(identified - share * carried, share, heavy)
+    share = 1.0 if largest < KEPT else SHARE / largest
+    return InertiaSplit(identified - share * carried, share, heavy)
 
 
-def members_of(links: dict[str, Element], joints: Sequence[Element], child: str) -> list[Member]:
-    """Return the links that move with a link: over the given joints, at zero, and on from there.
+def members_of(
+    links: dict[str, Element], joints: Sequence[Element], child: str
+) -> list[RigidMember]:
+    """Return the links attached to a link by joints that are rigid in the model, held at zero.
 
     Parameters
     ----------
     links : dict
         Name → element.
     joints : sequence of Element
-        Joints that count as fixed.
+        Joints that are not part of the chain.
     child : str
         Name of the link.
     """
-    found: list[Member] = []
+    found: list[RigidMember] = []
     places = {child: np.eye(4)}
     waiting = [child]
     while waiting:
@@ -88,7 +92,7 @@ def members_of(links: dict[str, Element], joints: Sequence[Element], child: str)
                 continue
             name = _link_of(joint, "child")
             places[name] = places[parent] @ origin_of(joint)
-            found.append(Member(name, places[name], stated_parameters(links[name])))
+            found.append(RigidMember(name, places[name], stated_parameters(links[name])))
             waiting.append(name)
     return found
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from lieid_casadi.exporters.joint_friction import JointFriction, joint_frictions
+from lieid_casadi.exporters.joint_friction import SimulatorJoint, simulator_joints
 from lieid_casadi.exporters.urdf_bodies import (
-    Split,
+    InertiaSplit,
     inertial_text,
     members_of,
     number,
@@ -19,8 +19,8 @@ from lieid_casadi.robot import Joint
 def edited_urdf(fit: Fit, text: str) -> tuple[str, list[str]]:
     """Return the URDF with a fit's link inertias and friction, and notes on what was done.
 
-    Every character stands as it was, but for <inertial> of the links that move and damping and
-    friction in <dynamics>.
+    All other characters stay as they are: only <inertial> of moving links, and damping and
+    friction in <dynamics>, change.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def edited_urdf(fit: Fit, text: str) -> tuple[str, list[str]]:
     rigid = [element for name, element in joints.items() if name not in chain]
     bodies = fit.link_parameters.reshape(-1, 10)
     for joint, body, friction in zip(
-        fit.model.robot.joints, bodies, joint_frictions(fit), strict=True
+        fit.model.robot.joints, bodies, simulator_joints(fit), strict=True
     ):
         shared = split(body, members_of(links, rigid, joint.link_name))
         document.replace_child(links[joint.link_name], "inertial", inertial_text(shared.own))
@@ -42,27 +42,27 @@ def edited_urdf(fit: Fit, text: str) -> tuple[str, list[str]]:
             for member in shared.members:
                 scaled = inertial_text(shared.share * member.nominal)
                 document.replace_child(links[member.name], "inertial", scaled)
-        notes += _told(joint, shared)
+        notes += _notes_on_members(joint, shared)
         _write_friction(document, joints[joint.name], friction)
     notes += _meshes(document.root)
     return document.edited(), notes
 
 
-def _told(joint: Joint, shared: Split) -> list[str]:
+def _notes_on_members(joint: Joint, shared: InertiaSplit) -> list[str]:
     if not shared.members:
         return []
     names = ", ".join(member.name for member in shared.members)
-    moved = f"{names}: moved by {joint.name} with {joint.link_name}"
+    moved = f"{names}: rigidly attached to {joint.link_name}"
     rest = f"{joint.link_name} has the rest"
     if shared.share == 1.0:
-        return [f"{moved}, own inertia kept; {rest}"]
+        return [f"{moved}; the nominal inertia is kept, {rest}"]
     return [
-        f"{moved}, nominally heavier than all that was identified there; scaled by "
-        f"{shared.share:.3g}; {rest}"
+        f"{moved}; the nominal inertia exceeds the identified one and was scaled by "
+        f"{shared.share:.3g}, {rest}"
     ]
 
 
-def _write_friction(document: XmlText, joint: Element, friction: JointFriction) -> None:
+def _write_friction(document: XmlText, joint: Element, friction: SimulatorJoint) -> None:
     new = {
         name: number(value)
         for name, value in (("damping", friction.damping), ("friction", friction.friction))
@@ -77,7 +77,7 @@ def _write_friction(document: XmlText, joint: Element, friction: JointFriction) 
 
 
 def _meshes(root: Element) -> list[str]:
-    """Tell mesh paths that stand relative to the original file."""
+    """Return a note if paths of meshes are relative to the original file."""
     if any("://" not in path and not path.startswith("/") for path in _mesh_paths(root)):
         return ["mesh files are named relative to the folder of the original URDF"]
     return []

@@ -1,4 +1,4 @@
-"""``lieid export FIT --to urdf``: the robot with the inertias that were identified."""
+"""``lieid export FIT --to urdf``: the robot with the identified inertias."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.joint_friction import joint_frictions, left_out, negative
+from lieid_casadi.exporters.joint_friction import left_out, negative, simulator_joints
 from lieid_casadi.exporters.mjcf import mjcf_snippet
 from lieid_casadi.exporters.urdf_edit import edited_urdf
 from lieid_casadi.exporters.urdf_write import written_urdf
@@ -19,7 +19,7 @@ from lieid_casadi.robot.joint import STANDARD_GRAVITY
 
 @dataclass(frozen=True)
 class UrdfExport:
-    """What was written, and what a user should know about it."""
+    """The files of an export, and notes for their users."""
 
     urdf: Path
     mjcf: Path
@@ -71,17 +71,19 @@ def urdf_text(fit: Fit) -> tuple[str, list[str]]:
         text, notes = edited_urdf(fit, robot.source.text)
     else:
         bodies = fit.link_parameters.reshape(-1, 10)
-        text, notes = written_urdf(robot, bodies, joint_frictions(fit))
-    homeless = left_out(fit, {"armature", "damping", "friction"})
-    if any(numbers.armature is not None for numbers in joint_frictions(fit)):
-        notes.append("URDF has no place for armature; it is in the MuJoCo file")
-    if homeless:
-        notes.append(f"neither URDF nor MuJoCo has a place for {', '.join(homeless)}")
+        text, notes = written_urdf(robot, bodies, simulator_joints(fit))
+    left = left_out(fit, {"armature", "damping", "friction"})
+    if any(numbers.armature is not None for numbers in simulator_joints(fit)):
+        notes.append("URDF has no element for armature; it is in the MuJoCo file")
+    if left:
+        notes.append(
+            f"not exported, because URDF and MuJoCo have no element for it: {', '.join(left)}"
+        )
     if negative(fit):
         notes.append(f"written as 0 because it is negative: {', '.join(negative(fit))}")
     if not np.allclose(robot.gravity, STANDARD_GRAVITY, atol=1e-9):
         x, y, z = robot.gravity
-        notes.append(f"URDF has no place for gravity; set it to ({x:g}, {y:g}, {z:g}) m/s²")
+        notes.append(f"URDF has no element for gravity; set it to ({x:g}, {y:g}, {z:g}) m/s²")
     return text, notes
 
 
@@ -92,8 +94,9 @@ def _check_possible(fit: Fit) -> None:
     runs = " ".join(source.name or "TRAIN" for source in fit.provenance.recordings) or "TRAIN…"
     option = f" --effects {effects}" if effects else ""
     raise ExportError(
-        f"a fit of method {fit.method} need not have masses and inertias that can exist; expected "
-        f"one of method feasible: lieid identify ROBOT {runs}{option} --method feasible -o fit.json"
+        f"masses and inertias of a fit of method {fit.method} may not be physically consistent; "
+        f"expected a fit of method feasible: lieid identify ROBOT {runs}{option} --method feasible "
+        "-o fit.json"
     )
 
 

@@ -1,4 +1,4 @@
-"""A URDF written from screws, for a robot that was not read from one."""
+"""A URDF written from screws, for robots that were not read from a URDF."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.exporters.joint_friction import JointFriction
+from lieid_casadi.exporters.joint_friction import SimulatorJoint
 from lieid_casadi.exporters.urdf_bodies import inertial_text, number
 from lieid_casadi.exporters.xml_text import attribute
 from lieid_casadi.robot import Joint, Robot
@@ -16,20 +16,24 @@ from lieid_casadi.robot.pose import roll_pitch_yaw
 
 Array = NDArray[np.float64]
 ON_AXIS = 1e-12  # m
-REACH = 1e3  # m, of a sliding joint without limits, which URDF does not know
+REACH = 1e3  # m, limit of prismatic joints without limits, which URDF requires
 
 
 def written_urdf(
-    robot: Robot, bodies: Array, frictions: Sequence[JointFriction]
+    robot: Robot, bodies: Array, frictions: Sequence[SimulatorJoint]
 ) -> tuple[str, list[str]]:
-    """Return a URDF of a robot, and notes on what URDF could not say.
+    """Return a URDF of a robot, and notes on differences.
 
-    A link's frame is the robot's own, moved onto the joint's axis where it lies beside it.
+    Link frames are those of the robot; the origin is moved onto the axis of the joint if it is
+    not on it.
 
     Parameters
     ----------
+    robot : Robot
     bodies : (n, 10)
         Link parameters in the robot's link frames.
+    frictions : sequence of SimulatorJoint
+        One per joint.
     """
     names = _link_names(robot)
     lines = [
@@ -44,18 +48,18 @@ def written_urdf(
         back[:3, 3] = -shift[:3, 3]
         frame = np.asarray(joint.home @ shift)
         lines += _link(names[i + 1], parameter_transport(back) @ body)
-        lines += _joint(joint, _seen_from(before, frame), names[i : i + 2], friction)
+        lines += _joint(joint, _relative_pose(before, frame), names[i : i + 2], friction)
         before = frame
         if np.any(shift[:3, 3]):
             notes.append(f"{names[i + 1]}: its frame was moved onto the axis of {joint.name}")
-    tool = _seen_from(before, robot.joints[-1].home @ robot.tool)
+    tool = _relative_pose(before, robot.joints[-1].home @ robot.tool)
     lines += [f"  <link name={attribute(names[-1])}/>"]
     lines += [f'  <joint name={attribute(names[-1] + "_joint")} type="fixed">']
     lines += [*_between(tool, names[-2:]), "  </joint>", "</robot>", ""]
     return "\n".join(lines), notes
 
 
-def _seen_from(frame: Array, pose: Array) -> Array:
+def _relative_pose(frame: Array, pose: Array) -> Array:
     return np.asarray(np.linalg.solve(frame, pose))
 
 
@@ -73,7 +77,7 @@ def _link(name: str, body: Array) -> list[str]:
     return [f"  <link name={attribute(name)}>", f"    {inertial}", "  </link>"]
 
 
-def _joint(joint: Joint, place: Array, names: Sequence[str], friction: JointFriction) -> list[str]:
+def _joint(joint: Joint, place: Array, names: Sequence[str], friction: SimulatorJoint) -> list[str]:
     limits = joint.limits
     bounded = np.isfinite(limits.position_lower) and np.isfinite(limits.position_upper)
     axis = joint.axis[:3] if joint.revolute else joint.axis[3:]

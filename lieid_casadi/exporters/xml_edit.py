@@ -1,4 +1,4 @@
-"""Changes inside an XML text that leave every other character as it is."""
+"""Edits of an XML text that leave all other characters unchanged."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ QUOTES = b"\"'"
 
 @dataclass
 class Element:
-    """One element and where it stands, in bytes of the UTF-8 text.
+    """One element and its position, in bytes of the UTF-8 text.
 
     ``opened`` is the end of the start tag; an element without content has none but this.
     """
@@ -29,7 +29,7 @@ class Element:
 
 
 class XmlText:
-    """An XML text with edits that are made all at once.
+    """An XML text with edits that are applied together.
 
     Parameters
     ----------
@@ -43,11 +43,11 @@ class XmlText:
         self.root = _parse(self._data)
 
     def replace(self, element: Element, text: str) -> None:
-        """Put a text in the place of an element."""
+        """Replace an element by a text."""
         self._edits.append((element.start, element.end, text))
 
     def add_child(self, parent: Element, text: str) -> None:
-        """Put a text before an element's first child, on a line of its own."""
+        """Insert a text before the first child of an element, on its own line."""
         outer = self._indentation(parent)
         inner = outer + "  "
         shifted = text.replace("\n", "\n" + inner)
@@ -114,4 +114,4 @@ def _tag_end(data: bytes, start: int) -> tuple[int, bool]:
             quote = byte
         elif byte == ord(">"):
             return position + 1, data[position - 1] == ord("/")
-    raise ValueError("a tag without an end")  # expat has refused it before
+    raise ValueError("a tag without an end")  # expat refuses such a text

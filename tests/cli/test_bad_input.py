@@ -1,4 +1,4 @@
-"""Bad input through the command line: status 2, one line that names the place, nothing written."""
+"""Bad input through the command line: status 2, one line that names the location, no files."""
 
 import json
 import os

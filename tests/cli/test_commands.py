@@ -33,7 +33,7 @@ def test_version(capsys):
     assert capsys.readouterr().out.strip() == f"lieid {lieid.__version__}"
 
 
-def test_identify_writes_what_it_promises(runs, tmp_path, capsys):
+def test_identify_writes_fit_json_and_report(runs, tmp_path, capsys):
     out, report = tmp_path / "new" / "a.json", tmp_path / "r.html"
     fit = tmp_path / "new" / "fit.json"
     arguments = ["identify", "two_link", runs[0], "--test", runs[1], "-o", fit]

@@ -1,4 +1,4 @@
-"""Fits with numbers of realistic size, made without data, and C compilers to build them with."""
+"""Fits with realistic numbers, made without data, and C compilers."""
 
 import ctypes
 import shutil
@@ -36,7 +36,7 @@ PANDA = (
 
 
 def made_fit(robot, effects, *, seed=0):
-    """A fit of made-up numbers: links of the robot off by up to 30 %, coefficients below 1."""
+    """A fit of random numbers: link parameters off by up to 30 %, coefficients below 1."""
     model, random = lieid.Model(robot, effects), np.random.default_rng(seed)
     links = plant.perturbed_inertias(robot, spread=0.3, seed=seed)
     parameters = np.concatenate([links, random.uniform(0.05, 0.5, len(model.columns))])
@@ -77,7 +77,7 @@ ARMS = {
 
 
 def run(command, folder):
-    """Run a command that must succeed; skip where it is not there."""
+    """Run a command that must succeed; skip if it is not installed."""
     if shutil.which(command[0]) is None:
         pytest.skip(f"no {command[0]}")
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)

@@ -1,4 +1,4 @@
-"""Effects on the whole arm and on what is measured, in exported C, against Fit.predict."""
+"""Effects on the whole arm and on the measurement in exported C, against Fit.predict."""
 
 import ctypes
 import dataclasses
@@ -35,9 +35,12 @@ def tooled(robot):
     return dataclasses.replace(robot, tool=pose((0.05, 0.02, 0.12), (0.1, -0.2, 0.3)))
 
 
-def arms(effects):
-    yield made_fit(tooled(PANDA), f"{FRICTION},{effects}")
-    yield made_fit(tooled(random_arm(np.random.default_rng(4), 5)), effects, seed=1)
+def arms(name):
+    """A small arm with one effect; a Panda with all."""
+    if name == "all":
+        yield made_fit(tooled(PANDA), f"{FRICTION},{EFFECTS[name]}")
+    else:
+        yield made_fit(tooled(random_arm(np.random.default_rng(4), 5)), EFFECTS[name], seed=1)
 
 
 def short_recordings(n):
@@ -70,7 +73,7 @@ class Arm:
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_torque_is_that_of_predict(name, tmp_path):
-    for number, fit in enumerate(arms(EFFECTS[name])):
+    for number, fit in enumerate(arms(name)):
         arm = Arm(fit, tmp_path / f"{number}")
         for recording in short_recordings(fit.model.n):
             expected = fit.predict(recording)
@@ -80,7 +83,7 @@ def test_torque_is_that_of_predict(name, tmp_path):
 
 @pytest.mark.parametrize("name", sorted(set(EFFECTS) - {"bias_drift"}))
 def test_the_effect_is_in_the_torque(name):
-    """What is compared above is not two times nothing."""
+    """The effects compared above change the torque."""
     fit = made_fit(tooled(PANDA), f"{FRICTION},{EFFECTS[name]}")
     bare = dataclasses.replace(fit, parameters=np.where(_of_arm(fit), 0.0, fit.parameters))
     recording = next(short_recordings(7))
@@ -95,7 +98,7 @@ def _of_arm(fit):
 
 
 def test_columns_times_coefficients_are_the_friction(tmp_path):
-    (fit, _) = arms(EFFECTS["all"])
+    (fit,) = arms("all")
     arm, recording = Arm(fit, tmp_path / "arm"), next(short_recordings(7))
     m, p = len(fit.model.columns), fit.model.base.count
     compiled = lieid.compile(fit.model)
@@ -113,8 +116,9 @@ def test_columns_times_coefficients_are_the_friction(tmp_path):
         np.testing.assert_allclose(base @ fit.values, whole, atol=1e-9)
 
 
-def test_it_is_the_plants_payload_wrench_and_tilt(tmp_path):
-    """Against arms that have them, not against this package's own columns."""
+def test_torque_is_that_of_a_simulated_arm_with_the_effect(tmp_path):
+    """Compared with simulated arms, not with columns of this package."""
+    robot = random_arm(np.random.default_rng(6), 4, mixed=False)
     cases = {
         # a point at the tool: of another body the effect neglects the inertia about it
         "payload": (plant.Payload(1.5, (0.0, 0.0, 0.0), 1e-9), [1.5, 0.0, 0.0, 0.0]),
@@ -123,17 +127,19 @@ def test_it_is_the_plants_payload_wrench_and_tilt(tmp_path):
             [1.0, -2.0, 0.5, 10.0, 5.0, -8.0],
         ),
         "base_tilt": (plant.BaseTilt(0.06, -0.04), [0.06, -0.04]),
-        "encoder_offset:4": (plant.EncoderOffset(3, 0.05), [0.05]),
+        "encoder_offset:3": (plant.EncoderOffset(2, 0.05), [0.05]),
         "torque_gain:3": (plant.TorqueGain(2, 0.1), [0.1]),
     }
     t = np.arange(0.0, 2.0, 0.05)
-    motion = plant.FourierTrajectory(PANDA, base_frequency=0.1, seed=4).at(t)
+    motion = plant.FourierTrajectory(robot, base_frequency=0.1, seed=4).at(t)
     for number, (label, (effect, coefficients)) in enumerate(cases.items()):
-        hidden = plant.Arm(PANDA, PANDA.link_parameters, plant.JointFriction.none(7), (effect,))
+        hidden = plant.Arm(
+            robot, robot.link_parameters, plant.JointFriction.none(robot.n), (effect,)
+        )
         recording = plant.measure_along(hidden, t, *motion)
-        fit = made_fit(PANDA, label)
+        fit = made_fit(robot, label)
         fit = dataclasses.replace(
-            fit, parameters=np.concatenate([PANDA.link_parameters, coefficients])
+            fit, parameters=np.concatenate([robot.link_parameters, coefficients])
         )
         arm = Arm(fit, tmp_path / f"{number}")
         exact = lieid.Recording.from_arrays(t, recording.q, motion[1], recording.tau, ddq=motion[2])
@@ -151,14 +157,14 @@ def test_strict_build_agrees_with_python(build, tmp_path):
     assert shown.endswith("0 of the above differ by more than 1e-12\n")
 
 
-def test_what_is_left_out_is_told(tmp_path):
+def test_notes_name_what_is_not_exported(tmp_path):
     fit = made_fit(PANDA, "coulomb,torque_delay:2,bias_drift:1,payload")
     notes = export_c(fit, tmp_path / "arm").notes
     text = (tmp_path / "arm" / "README.md").read_text() + (tmp_path / "arm" / "arm.h").read_text()
     for label, words in (
         ("torque_delay:2", "without the delay"),
         ("bias_drift:1", "does not carry over"),
-        ("payload", "rigid_torque, gravity and mass_matrix are those of the arm without"),
+        ("payload", "rigid_torque, gravity and mass_matrix do not include them"),
     ):
         assert any(note.startswith(label) and words in note for note in notes)
         assert text.count(f"{label}: ") >= 2
@@ -171,9 +177,9 @@ def test_what_is_left_out_is_told(tmp_path):
     np.testing.assert_array_equal(a, b)
 
 
-def test_elasticity_needs_more_than_an_instant(tmp_path, capsys):
+def test_elasticity_is_refused(tmp_path, capsys):
     fit = made_fit(PANDA, "coulomb,joint_elasticity:2")
-    with pytest.raises(ExportError, match="joint_elasticity:2 needs the motion along time"):
+    with pytest.raises(ExportError, match="joint_elasticity:2 needs the motion over time"):
         export_c(fit, tmp_path / "arm")
     assert not (tmp_path / "arm").exists()
     fit.save(tmp_path / "fit.json")
@@ -182,7 +188,7 @@ def test_elasticity_needs_more_than_an_instant(tmp_path, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_whole_segment_effect_of_ones_own_is_refused_unless_it_says_so(tmp_path):
+def test_user_effects_over_a_segment_are_refused(tmp_path):
     from lieid_casadi.effects import ArmEffect, Coefficient
 
     class Late(ArmEffect):

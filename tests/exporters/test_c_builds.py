@@ -1,4 +1,4 @@
-"""Exported C builds without a warning, runs clean, and its self-test means something."""
+"""Exported C builds without warnings, and its self-test passes and finds errors."""
 
 import re
 import shutil
@@ -77,7 +77,7 @@ def test_cmake_builds_and_tests(presliding):
 
 
 @pytest.mark.parametrize("where", ["rigid_torque", "mass_matrix", "base_regressor", "advance"])
-def test_self_test_sees_a_wrong_number(tmp_path, where):
+def test_self_test_finds_a_wrong_number(tmp_path, where):
     export_c(ARMS["presliding"](), tmp_path / "arm")
     source = tmp_path / "arm" / "arm.c"
     text = source.read_text()
@@ -120,7 +120,7 @@ def test_two_arms_in_one_program(tmp_path):
     run([str(tmp_path / "both")], tmp_path)
 
 
-def test_names_cannot_leave_their_comment(tmp_path):
+def test_names_stay_inside_comments(tmp_path):
     import dataclasses
 
     evil = "*/ #error \\"

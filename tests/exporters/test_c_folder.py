@@ -1,4 +1,4 @@
-"""What an export refuses, what it leaves behind, and the command line."""
+"""Folders of exported C: refused requests, files, and the command line."""
 
 import casadi as ca
 import numpy as np
@@ -58,7 +58,7 @@ def test_an_earlier_export_is_replaced_only_by_force(fit, tmp_path):
     assert names(tmp_path) == {"arm"}
 
 
-def test_file_in_the_way(fit, tmp_path):
+def test_a_file_in_place_of_the_folder(fit, tmp_path):
     (tmp_path / "arm").write_text("")
     for folder, message in (("arm", "is a file"), ("arm/below", "is not a folder")):
         with pytest.raises(OutputError, match=message):
@@ -168,7 +168,7 @@ def test_saved_fit_is_exported_bit_by_bit(fit, fit_file, tmp_path):
     ("words", "message"),
     [
         (["--to", "c", "--prefix", "9"], "prefix '9': expected letters"),
-        (["--to", "urdf", "--prefix", "x"], "only C code has names to prefix"),
+        (["--to", "urdf", "--prefix", "x"], "a prefix applies to C code"),
         (["--to", "urdf"], "--method feasible"),
         (["--to", "matlab"], "invalid choice: 'matlab'"),
     ],

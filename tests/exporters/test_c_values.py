@@ -170,14 +170,14 @@ def test_a_motion_can_begin_again(tmp_path):
     assert np.abs(first[0, :, 0] - first[2, :, 0]).max() > 1e-3  # z = 0 at first
 
 
-def test_gravity_of_a_sliding_arm_by_mujocos_neighbour():
-    """`build_pinocchio` of the plant and of the tests agree, so one mistake cannot hide."""
+def test_gravity_of_an_arm_with_prismatic_joints():
+    """`build_pinocchio` of the plant and the conversion of the tests agree."""
     fit = ARMS["sliding"]()
-    ours, theirs = build_pinocchio(fit.model.robot), to_pinocchio(fit.model.robot)
+    exported, original = build_pinocchio(fit.model.robot), to_pinocchio(fit.model.robot)
     q = np.array([0.3, -0.2, 0.1, 0.5])
     close(
-        pin.computeGeneralizedGravity(ours, ours.createData(), q),
-        pin.computeGeneralizedGravity(theirs, theirs.createData(), q),
+        pin.computeGeneralizedGravity(exported, exported.createData(), q),
+        pin.computeGeneralizedGravity(original, original.createData(), q),
     )
 
 

@@ -9,7 +9,7 @@ from exporters.c_arms import made_fit
 
 import lieid_casadi as lieid
 from lieid_casadi.exporters.c_export import export_c
-from lieid_casadi.exporters.joint_friction import joint_frictions
+from lieid_casadi.exporters.joint_friction import simulator_joints
 from lieid_casadi.exporters.mjcf import mjcf_snippet
 from lieid_casadi.exporters.urdf_write import written_urdf
 from lieid_casadi.exporters.xml_text import comment
@@ -54,7 +54,7 @@ def test_mujoco_files_are_well_formed(name):
 def test_urdf_files_are_well_formed(name):
     fit = named(name)
     bodies = fit.link_parameters.reshape(-1, 10)
-    text, _ = written_urdf(fit.model.robot, bodies, joint_frictions(fit))
+    text, _ = written_urdf(fit.model.robot, bodies, simulator_joints(fit))
     root = ElementTree.fromstring(text)
     assert {element.tag for element in root} == {"link", "joint"}
     if name.isprintable():

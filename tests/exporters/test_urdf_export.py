@@ -1,4 +1,4 @@
-"""Exported URDFs: read by Pinocchio and MuJoCo, they move as the fit says."""
+"""Exported URDFs: their dynamics in Pinocchio and MuJoCo are those of the fit."""
 
 import re
 from dataclasses import replace
@@ -61,7 +61,7 @@ EFFECTS = "coulomb,viscous,offset,armature"
 
 
 def fitted(robot, *, truth=None, effects=EFFECTS, seed=0):
-    """A feasible fit of an arm that wanders about; ``truth`` (10 n,) are its bodies."""
+    """A feasible fit of an arm with random motion and link parameters ``truth`` (10 n,)."""
     rng, n = np.random.default_rng(seed), robot.n
     if truth is None:
         truth = plant.perturbed_inertias(robot, spread=0.3, seed=seed)
@@ -98,7 +98,7 @@ def heavier(fit, factor):
 
 
 def pinocchio_torques(path, fit, states):
-    """Pinocchio's RNEA on the file: joints that the fit knows move, others stay at zero."""
+    """Pinocchio's RNEA on the file: joints of the fit move, others stay at zero."""
     import pinocchio as pin
 
     model = pin.buildModelFromUrdf(str(path))
@@ -199,11 +199,14 @@ def test_the_robot_reads_back(bench, tmp_path):
     np.testing.assert_allclose(again.link_parameters, bench.link_parameters, rtol=1e-12, atol=1e-14)
 
 
-def test_members_keep_their_inertia_where_there_is_room(bench, tmp_path):
+def test_members_keep_their_nominal_inertia_if_possible(bench, tmp_path):
     fit = heavier(bench, 3.0)
     done = export_urdf(fit, tmp_path)
     (note,) = [note for note in done.notes if note.startswith("hand, finger")]
-    assert note == "hand, finger: moved by elbow with fore, own inertia kept; fore has the rest"
+    assert (
+        note
+        == "hand, finger: rigidly attached to fore; the nominal inertia is kept, fore has the rest"
+    )
     root = ElementTree.parse(done.urdf).getroot()
     assert root.find("link[@name='hand']/inertial/mass").get("value") == "0.6"
     mass = float(root.find("link[@name='fore']/inertial/mass").get("value"))
@@ -211,11 +214,11 @@ def test_members_keep_their_inertia_where_there_is_room(bench, tmp_path):
     check_torques(done.urdf, fit)
 
 
-def test_members_are_scaled_where_the_whole_is_lighter_than_they_are(bench, tmp_path):
+def test_members_are_scaled_if_the_identified_inertia_is_smaller(bench, tmp_path):
     fit = heavier(bench, 0.4)
     done = export_urdf(fit, tmp_path)
     (note,) = [note for note in done.notes if note.startswith("hand, finger")]
-    assert "heavier than all that was identified there; scaled by 0.2;" in note  # half of 0.4
+    assert "exceeds the identified one and was scaled by 0.2," in note  # half of 0.4
     root = ElementTree.parse(done.urdf).getroot()
     for name, nominal in (("hand", 0.6), ("finger", 0.1)):
         mass = root.find(f"link[@name='{name}']/inertial/mass").get("value")
@@ -223,13 +226,13 @@ def test_members_are_scaled_where_the_whole_is_lighter_than_they_are(bench, tmp_
     check_torques(done.urdf, fit)
 
 
-def test_effects_without_a_place_are_named(bench, tmp_path):
+def test_effects_that_are_not_exported_are_named(bench, tmp_path):
     notes = export_urdf(bench, tmp_path).notes
-    assert any("no place for armature" in note for note in notes)
-    assert any("neither URDF nor MuJoCo has a place for offset" in note for note in notes)
+    assert any("no element for armature" in note for note in notes)
+    assert any("URDF and MuJoCo have no element for it: offset" in note for note in notes)
 
 
-def test_the_mujoco_file_gives_joints_armature_damping_and_friction(bench, tmp_path):
+def test_the_mujoco_file_has_armature_damping_and_friction(bench, tmp_path):
     import mujoco
 
     done = export_urdf(bench, tmp_path)
@@ -251,16 +254,16 @@ def test_the_mujoco_file_gives_joints_armature_damping_and_friction(bench, tmp_p
         assert model.dof_frictionloss[j - 1] == numbers[f"coulomb.f_c:{j}"]
 
 
-def test_a_fit_that_need_not_be_possible_is_refused_with_the_command(bench, tmp_path):
+def test_a_fit_without_certificate_is_refused_with_the_command(bench, tmp_path):
     for fit in (
         replace(bench, method="wls", certificate=None),
         replace(bench, parameters=-bench.parameters),
     ):
         with pytest.raises(
             ExportError, match=r"method feasible: lieid identify ROBOT run\.csv"
-        ) as told:
+        ) as raised:
             export_urdf(fit, tmp_path / "out")
-        assert "--effects coulomb,viscous,offset,armature --method feasible" in str(told.value)
+        assert "--effects coulomb,viscous,offset,armature --method feasible" in str(raised.value)
     assert not (tmp_path / "out").exists()
 
 
@@ -279,7 +282,7 @@ def test_bundled_robots_get_a_urdf_from_their_screws(robot, tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_axes_beside_their_frames_sliding_joints_and_odd_gravity(seed, tmp_path):
+def test_offset_axes_prismatic_joints_and_other_gravity(seed, tmp_path):
     robot = random_arm(np.random.default_rng(seed), 4)
     fit = fitted(robot, effects="viscous")
     done = export_urdf(fit, tmp_path)

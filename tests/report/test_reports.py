@@ -1,4 +1,4 @@
-"""Reports: one file, nothing fetched, nothing of a stranger's executed."""
+"""Reports: one file that loads nothing and executes nothing from names."""
 
 import re
 from base64 import b64decode
@@ -101,7 +101,7 @@ def test_every_parameter_is_listed_with_its_deviation(page, fit):
         assert value_text(row["value"], row["std"]) in text
 
 
-def test_names_from_strangers_are_text(fit, comparison):
+def test_names_are_text(fit, comparison):
     robot = fit.model.robot
     joints = tuple(replace(joint, name=EVIL) for joint in robot.joints)
     model = lieid.Model(replace(robot, name=EVIL, joints=joints), arm.EFFECTS)
@@ -161,7 +161,7 @@ def test_sections_join_in_their_order_and_fold():
     assert "a < b" in text
 
 
-def test_a_template_that_lacks_its_data_is_an_error():
+def test_a_template_without_its_data_is_an_error():
     from jinja2 import UndefinedError
 
     with pytest.raises(UndefinedError, match="sentence"):
@@ -183,5 +183,5 @@ def test_the_same_result_gives_the_same_report(fit, comparison):
         (0.5, 0.0, "0.5"),
     ],
 )
-def test_values_have_the_digits_that_they_deserve(value, std, text):
+def test_digits_follow_the_standard_deviation(value, std, text):
     assert value_text(value, std) == text

@@ -1,1 +1,1 @@
-"""One section of a report a file, its template beside it."""
+"""Sections of reports: one per file, with its template."""
