@@ -105,7 +105,7 @@ def make(label: str) -> Effect:
     if label not in REGISTER:
         names = ", ".join(sorted(REGISTER))
         raise EffectError(
-            f"unknown effect {label!r}; expected one of {names}, "
-            "or a user-defined effect given with --effects-file"
+            f"unknown effect {label!r}; expected the file of a user-defined effect "
+            f"(--effects-file), or one of {names}"
         )
     return REGISTER[label]()

@@ -29,5 +29,14 @@ def dependence_section(comparison: Comparison) -> Section:
 
 
 def picture_section(title: str, figure: Figure, note: str) -> Section:
-    """Return a section of one figure."""
+    """Return a section of one figure.
+
+    Parameters
+    ----------
+    title : str
+    figure : Figure
+        Embedded as PNG.
+    note : str
+        Explanation, shown before the figure; may be empty.
+    """
     return Section(title, "picture.html", {"uri": data_uri(figure), "alt": title, "note": note})
