@@ -93,6 +93,17 @@ def identify(
         Recordings that do not match the model; an unknown method; a negative nominal mass.
     NoSolution
         Method ``feasible`` found no solution; the message says why and what to relax.
+
+    Examples
+    --------
+    >>> import lieid_casadi as lieid, numpy as np
+    >>> robot, t = lieid.robots.two_link(), np.arange(0.0, 10.0, 0.01)[:, None]
+    >>> q, dq, ddq = np.sin([1, 2] * t), [1, 2] * np.cos([1, 2] * t), [-1, -4] * np.sin([1, 2] * t)
+    >>> tau = lieid.compile(lieid.Model(robot)).inverse_dynamics(q, dq, ddq, robot.link_parameters)
+    >>> recording = lieid.Recording.from_arrays(t[:, 0], q, dq, tau + 0.5 * dq)
+    >>> fit = lieid.identify(lieid.Model(robot, "viscous"), recording)
+    >>> fit.effect_coefficients.round(2)
+    array([0.5, 0.5])
     """
     if isinstance(recordings, Recording | RecordingStream):
         recordings = [recordings]

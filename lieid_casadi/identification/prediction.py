@@ -157,7 +157,7 @@ def predict_recording(
         raise ModelError(
             f"{recording.name or 'recording'}: the predicted torque of joint {joint + 1} at "
             f"t = {recording.t[row]:g} s is {found[row, joint]}; expected a finite number: check "
-            "the parameters of the model and the units of the recording"
+            "the effects and parameters of the model, and the units of the recording"
         )
     return found
 

@@ -1,12 +1,15 @@
 """Identification on the simulated arm, whose dynamics and effects are implemented separately."""
 
 import re
+from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.effects import Coefficient, Effect, Shape
 from lieid_casadi.errors import (
     AliasWarning,
     BoundWarning,
@@ -246,3 +249,21 @@ def test_cross_validation_detects_overfitting():
     fit = lieid.identify(model, recording, processing=CUTOFF)
     assert np.all(fit.rms_cv > fit.rms_train)
     assert np.all(fit.rms_cv < 3.0 * fit.rms_train)
+
+
+@pytest.mark.parametrize("shapes", [(), (Shape("k", "1", lower=0.1, upper=10.0, initial=1.0),)])
+def test_an_effect_that_is_not_finite_is_refused(shapes):
+    class Root(Effect):
+        name = "root"
+        formula = "f·√q̇"
+        coefficients = (Coefficient("f", "N·m"),)
+        signals = ("dq",)
+
+        def columns(self, s, shape):
+            return [ca.sqrt(s.dq) * shape.get("k", 1.0)]
+
+    Root.shapes = shapes
+    bare = replace(ROBOT, joints=tuple(replace(j, link=None) for j in ROBOT.joints), source=None)
+    model = lieid.Model(bare, [Root()])
+    with pytest.raises(IdentificationError, match="joint 1: a column of the regression is not"):
+        lieid.identify(model, measured(duration=5.0)[1], processing=CUTOFF)

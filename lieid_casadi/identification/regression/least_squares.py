@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from lieid_casadi.compiled.triangular_factors import Triangle, triangular
+from lieid_casadi.errors import IdentificationError
 from lieid_casadi.identification.regression.rows import Rows
 
 Array = NDArray[np.float64]
@@ -65,6 +66,11 @@ def joint_factors(rows: Rows, weights: Sequence[Array] | None = None) -> list[Fa
     rows : Rows
     weights : sequence of (R,), optional
         Multiply the rows of each joint; 1 if left out.
+
+    Raises
+    ------
+    IdentificationError
+        An entry that is not finite.
     """
     if weights is None and rows.unweighted is not None:
         return rows.unweighted
@@ -73,6 +79,12 @@ def joint_factors(rows: Rows, weights: Sequence[Array] | None = None) -> list[Fa
         for j, (joint, triangle) in enumerate(zip(part.joints, triangles, strict=True)):
             weight = None if weights is None else weights[j][where[j]]
             triangle.add(joint.matrix, joint.torque, weights=weight)
+    for j, triangle in enumerate(triangles):
+        if not np.isfinite(triangle.r).all():
+            raise IdentificationError(
+                f"joint {j + 1}: a column of the regression is not finite at some sample; "
+                "check the formulas of the effects on this joint"
+            )
     factors = [
         widened(triangle.r, columns, rows.count, int(length))
         for triangle, columns, length in zip(triangles, rows.columns, rows.lengths, strict=True)
