@@ -46,7 +46,9 @@ def _export(fit: Fit, args: argparse.Namespace) -> tuple[list[str], tuple[str, .
     from lieid_casadi.exporters.urdf_export import export_urdf
 
     if args.to == "c":
-        made = export_c(fit, args.output, prefix=args.prefix or "arm", force=args.force)
+        made = export_c(
+            fit, args.output, prefix="arm" if args.prefix is None else args.prefix, force=args.force
+        )
         return [path.name for path in made.files], made.notes
     written = export_urdf(fit, args.output, force=args.force)
     return [written.urdf.name, written.mjcf.name], written.notes

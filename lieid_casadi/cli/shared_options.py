@@ -247,12 +247,15 @@ def _torque_constants(args: argparse.Namespace, robot: Robot) -> list[float] | N
         try:
             constants = [float(text) for text in args.torque_constants.split(",")]
         except ValueError:
+            constants = []
+        if not constants or not all(np.isfinite(k) and k != 0.0 for k in constants):
             raise UsageError(
-                f"--torque-constants {args.torque_constants}: expected numbers K1,…,K{robot.n}"
-            ) from None
+                f"--torque-constants {args.torque_constants}: expected numbers K1,…,K{robot.n} "
+                "other than 0, N·m/A"
+            )
         if len(constants) != robot.n:
             raise UsageError(
-                f"--torque-constants: {len(constants)} numbers; expected {robot.n}, one a joint"
+                f"--torque-constants: {len(constants)} numbers; expected {robot.n}, one per joint"
             )
         return constants
     if np.all(np.isfinite(robot.torque_constants)):

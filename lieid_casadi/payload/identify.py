@@ -91,7 +91,11 @@ def identify_payload(
         check(recording, fit.model.robot)  # raises here; warnings need the torque with the payload
     found = payload_warnings.fit_warnings(fit, given)
     report("process", 0.2)
-    options = replace(fit.processing, average_periods=False, cutoff=cutoff or fit.processing.cutoff)
+    options = replace(
+        fit.processing,
+        average_periods=False,
+        cutoff=fit.processing.cutoff if cutoff is None else cutoff,
+    )
     segments, _ = center_temperature(process(given, options), fit.temperature_mean)
     require_one_load(segments)
     run = LoadedRun(fit, Design(fit.compiled, segments))

@@ -245,13 +245,18 @@ def test_bad_input_writes_nothing(run, tmp_path):
         ["identify", "two_link"],
         ["identify", "two_link", "x.csv", "--method", "magic"],
         ["identify", "two_link", "x.csv", "--cutoff", "fast"],
-        ["identify", "two_link", "x.csv", "--torque-constants", "1,b"],
+        ["identify", "two_link", "{good}", "--torque-constants", "1,b"],
+        ["identify", "two_link", "{good}", "--torque-constants", "1,inf"],
+        ["identify", "two_link", "{good}", "--torque-constants", "0,1"],
+        ["excite", "two_link", "-o", "out", "--duration", "1e300"],
         ["fly"],
         [],
     ],
 )
-def test_usage(run, arguments):
-    refused(run(*arguments))
+def test_usage(run, tmp_path, monkeypatch, good, arguments):
+    monkeypatch.chdir(tmp_path)
+    refused(run(*(word.format(good=good) for word in arguments)))
+    assert not list(tmp_path.iterdir())
 
 
 OWN = """import casadi as ca

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lieid_casadi.errors import ExcitationError
 
 Array = NDArray[np.float64]
+LONGEST = 3600.0  # s, of one period
 DEGREE = 5  # of the splines, and of the polynomial of the modified Fourier series
 
 
@@ -151,8 +152,10 @@ def make(
     ExcitationError
         Unknown family, or numbers out of range.
     """
-    if not (np.isfinite(duration) and duration > 0.0):
-        raise ExcitationError(f"duration: {duration:g} s; expected a positive number")
+    if not 0.0 < duration <= LONGEST:
+        raise ExcitationError(
+            f"duration: {duration:g} s; expected a positive number of at most {LONGEST:g} s"
+        )
     if not 2 <= harmonics <= 100:
         raise ExcitationError(f"harmonics: {harmonics}; expected 2 to 100")
     if family == "fourier":
