@@ -104,7 +104,7 @@ def read_fields(path: str | Path) -> dict[str, Any]:
         _check_sizes(model, content)
         processing = Processing(**msgspec.to_builtins(content.processing))
     except EffectError as error:  # names an effect that is not registered
-        raise EffectError(f"{path}: {reason_of(error)}") from None
+        raise EffectError(f"{path}: {error}") from None
     except LieidError as error:
         raise FitFileError(f"{path}: {reason_of(error)}") from None
     provenance = content.provenance

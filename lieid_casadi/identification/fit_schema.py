@@ -50,7 +50,7 @@ class ProcessingFile(Struct, forbid_unknown_fields=True):
 
     cutoff: Positive
     trim: NotNegative
-    order: Annotated[int, Meta(ge=1, le=100)]
+    order: int
     average_periods: bool
     smoother: str
 
@@ -104,7 +104,7 @@ class Content(Struct, forbid_unknown_fields=True):
     kind: str
     schema: int
     robot: RobotText
-    effects: list[str]
+    effects: list[Annotated[str, Meta(max_length=200)]]
     method: str
     names: list[str]
     values: list[Number]

@@ -106,6 +106,7 @@ def test_bytes_that_are_no_fit(content, words, tmp_path):
         (["covariance", 1], [], "covariance[1] has 0 entries"),
         (["covariance", 1, 1], -1.0, "covariance[1][1]"),
         (["values"], ["1"], "values"),
+        (["effects", 0], 1000 * "a", "effects[0]"),
         (["parameters", 0], 1e200, "parameters[0]"),
         (["certificate", "rms_wls", 0], 1e200, "rms_wls[0]"),
         (["a\nb\x1b[31m"], 0, "unknown field `a b?[31m`"),
@@ -135,7 +136,7 @@ def test_entries_that_are_not_valid(place, value, words, text, tmp_path):
 
 
 def test_an_unknown_effect_is_named(text, tmp_path):
-    with pytest.raises(EffectError, match=r"fit\.json: unknown effect 'cuolomb'"):
+    with pytest.raises(EffectError, match=r"fit\.json: unknown effect 'cuolomb'; .*--effects-file"):
         loaded(text.replace('"coulomb:1"', '"cuolomb:1"'), tmp_path)
 
 
