@@ -1,4 +1,4 @@
-"""Every arm that the dynamics are checked on, as our robot and as Pinocchio's model."""
+"""Every arm on which the dynamics are tested, as a `Robot` and as a model of Pinocchio."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,7 +25,7 @@ class Arm:
     robot: Robot
     pinocchio: pin.Model
     tool: int
-    shift: np.ndarray  # our link parameters → Pinocchio's
+    shift: np.ndarray  # matrix that maps our link parameters to Pinocchio's
     states: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     @cached_property
@@ -75,7 +75,10 @@ ARMS = [
         pytest.param(name, id=name, marks=[pytest.mark.real, needs(path)])
         for name, (path, *_) in REAL.items()
     ),
-    *(pytest.param(name, id=name) for name in RANDOM),
+    *(
+        pytest.param(name, id=name, marks=[pytest.mark.slow] if seed >= 8 else [])
+        for name, seed in RANDOM.items()
+    ),
 ]
 
 
