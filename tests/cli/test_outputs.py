@@ -13,7 +13,8 @@ from cli.test_bad_input import columns, refused, run, write  # noqa: F401 - a fi
 
 import lieid_casadi as lieid
 from lieid_casadi.atomic_file import PREFIX, SUFFIX, atomic_binary
-from lieid_casadi.cli.main import main
+from lieid_casadi.cli.main import build_parser, main
+from lieid_casadi.cli.option_types import InputPath, OutputFile, OutputFolder, PictureFile
 from lieid_casadi.errors import OutputError
 from lieid_casadi.output_folder import MANIFEST, output_folder, write_folder
 
@@ -382,3 +383,28 @@ def test_library_functions_do_not_replace_files_of_others(work):
         with pytest.raises(OutputError):
             made()
         assert tree(work) == before
+
+
+def test_every_path_of_every_command_is_checked():
+    """An option without the type of a path would not be compared with the other paths."""
+    types = {
+        OutputFile: {"json", "html", "yaml"},
+        PictureFile: {"plot"},
+        InputPath: {
+            "robot", "fit", "recording", "recordings", "train", "test", "unloaded", "loaded",
+            "effects_file", "capsules",
+        },
+    }  # fmt: skip
+    (commands,) = (a for a in build_parser()._actions if a.dest == "command")
+    checked = 0
+    for command in commands.choices.values():
+        for action in command._actions:
+            for kind, names in types.items():
+                if action.dest in names:
+                    assert action.type is kind, (command.prog, action.dest)
+                    checked += 1
+            if action.dest == "output":
+                assert action.type in (OutputFile, OutputFolder), command.prog
+            elif action.metavar in ("FILE", "DIR", "REC", "FIT"):
+                assert issubclass(action.type, (InputPath, OutputFile, OutputFolder))
+    assert checked > 30
