@@ -65,7 +65,9 @@ def plot_parameters(fit: Fit, ax: Axes | None = None) -> Figure:
     places = np.arange(len(order))
     ax.barh(places, significance[order], color="tab:blue")
     ax.axvline(3.0, color="0.4", linewidth=1.0, linestyle="--")
-    ax.set_yticks(places, [fit.fitted[k].label for k in order], fontsize=6)
+    # names of a user's effects are not mathematical expressions
+    labels = [fit.fitted[k].label.replace("$", r"\$") for k in order]
+    ax.set_yticks(places, labels, fontsize=6)
     ax.set_xscale("symlog", linthresh=1.0)
     ax.invert_yaxis()
     ax.set_xlabel("|value| / standard deviation (dashed: 3)")

@@ -267,3 +267,20 @@ def test_an_effect_that_is_not_finite_is_refused(shapes):
     model = lieid.Model(bare, [Root()])
     with pytest.raises(IdentificationError, match="joint 1: a column of the regression is not"):
         lieid.identify(model, measured(duration=5.0)[1], processing=CUTOFF)
+
+
+def test_the_plot_and_the_table_accept_any_effect_name():
+    class Waves(Effect):
+        name = "a$x^{$<b>"
+        formula = "a·sin(6q)"
+        coefficients = (Coefficient("a", "N·m"),)
+        signals = ("q",)
+
+        def columns(self, s, shape):
+            return [ca.sin(6.0 * s.q)]
+
+    fit = lieid.identify(
+        lieid.Model(ROBOT, [Waves()]), measured(duration=5.0)[1], processing=CUTOFF
+    )
+    fit.plot().draw_without_rendering()
+    assert "&lt;b&gt;" in fit._repr_html_()
