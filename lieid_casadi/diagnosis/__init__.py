@@ -1,7 +1,8 @@
 """Diagnosis of a model: effects that it lacks, or changes since it was fitted."""
 
 from lieid_casadi.diagnosis.diagnose import diagnose
-from lieid_casadi.diagnosis.diagnosis import Diagnosis, DiagnosisStep, Evidence
+from lieid_casadi.diagnosis.diagnosis import Diagnosis
+from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep, Evidence
 from lieid_casadi.diagnosis.extend import Extension, extend
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained

@@ -7,10 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from lieid_casadi.comparison import compare
-from lieid_casadi.diagnosis.diagnosis import Diagnosis, DiagnosisStep
+from lieid_casadi.diagnosis.diagnosis import Diagnosis
+from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.residual.projected_residual import ProjectedResidual
 from lieid_casadi.diagnosis.residual.residual_description import describe_parts
+from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 from lieid_casadi.diagnosis.screening.aliases import aliases
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.search.changed_effects import ChangedEffects
@@ -58,13 +60,7 @@ def diagnose_changed(
         lambda fraction: report("search for changes", 0.2 + 0.6 * fraction),
     )
     report("describe the residual", 0.8)
-    parts = problem.unexplained()
-    partial = partial_effects(problem, parts)
-    if partial:
-        problem.remove(partial, PARTIAL)
-        parts = problem.unexplained()
-    baseline = problem.current_baseline(problem.white)
-    parts = describe_parts(parts, ProjectedResidual.of(problem.context, problem.white, baseline))
+    parts = _unexplained(problem)
     steps = tuple(
         DiagnosisStep.of(a, rms_train=None, rms_test=a.errors[1], moving=a.errors[1])
         for a in problem.accepted
@@ -92,6 +88,17 @@ def diagnose_changed(
         expected=problem.expected,
         limits_reached=tuple(problem.limits_reached),
     )
+
+
+def _unexplained(problem: ChangedEffects) -> tuple[Unexplained, ...]:
+    """Return the unexplained parts, after effects that only partly explain them are removed."""
+    parts = problem.unexplained()
+    partial = partial_effects(problem, parts)
+    if partial:
+        problem.remove(partial, PARTIAL)
+        parts = problem.unexplained()
+    baseline = problem.current_baseline(problem.white)
+    return describe_parts(parts, ProjectedResidual.of(problem.context, problem.white, baseline))
 
 
 def held_out_noise(fit: Fit) -> tuple[Noise, ...]:

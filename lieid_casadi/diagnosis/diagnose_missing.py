@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import Comparison, compare
-from lieid_casadi.diagnosis.diagnosis import Diagnosis, DiagnosisStep
+from lieid_casadi.diagnosis.diagnosis import Diagnosis
+from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.residual.projected_residual import ProjectedResidual
 from lieid_casadi.diagnosis.residual.residual_description import describe_parts
@@ -64,34 +65,73 @@ def diagnose_missing(
     first = identify(model, train, method=method, processing=processing)
     processing = first.processing
     segments, _ = center_temperature(process(train, processing), first.temperature_mean)
-    comparisons: dict[Fit, Comparison] = {}
-
-    def tested(fit: Fit) -> Comparison | None:
-        if tests and fit not in comparisons:
-            comparisons[fit] = compare(fit, tests)
-        return comparisons.get(fit)
-
-    def test_error(fit: Fit) -> Array:
-        comparison = tested(fit)
-        return np.full(fit.model.n, np.nan) if comparison is None else comparison.rms_moving
+    comparisons = FitComparisons(tests)
 
     def refit(larger: Model, start: ShapeStart | None) -> Fit:
         return identify(larger, train, method=method, processing=processing, start=start)
 
     problem = MissingEffects(
-        first, segments, refit, test_error, options=options, seed=seed, ask=ask
+        first, segments, refit, comparisons.error, options=options, seed=seed, ask=ask
     )
     problem.run(lambda fraction: report("search for missing effects", 0.1 + 0.8 * fraction))
     report("describe the residual", 0.9)
     parts = _unexplained(problem, tests)
-    last_errors = tested(problem.fit) or compare(problem.fit, train)
-    before, last = tested(first), problem.context
-    warnings = [*first.warnings, *problem.fit.warnings, *_same_recording(first, tests)]
-    warnings += [] if before is None else before.warnings
+    steps = _steps(problem, comparisons)
+    before = comparisons.of(first)
+    last = comparisons.of(problem.fit) or compare(problem.fit, train)
+    report("done", 1.0)
+    return Diagnosis(
+        mode="missing",
+        verdict="unexplained" if parts else "effect_found" if steps else "sufficient",
+        joint_names=tuple(joint.name for joint in model.robot.joints),
+        noise_floor=last.noise_floor,
+        noise_source=last.noise_source,
+        baseline_effects=tuple(model.effects),
+        baseline_train=first.rms_train,
+        baseline_test=None if before is None else before.rms,
+        steps=steps,
+        unexplained=parts,
+        rejected=tuple((r.candidate.placement.label, r.reason) for r in problem.rejected),
+        aliases=_aliases(problem),
+        tried=len(problem.context.candidates.owners) + len(steps),
+        fit=problem.fit,
+        warnings=_warnings(problem, before, tests),
+        train=first.provenance.recordings,
+        test=tuple(Source(r.name, r.source_hash) for r in tests),
+        baseline_moving=None if before is None else before.rms_moving,
+        limits_reached=tuple(problem.limits_reached),
+    )
+
+
+class FitComparisons:
+    """Comparisons of fits with the test recordings, each computed once.
+
+    Parameters
+    ----------
+    tests : sequence of Recording
+        May be empty.
+    """
+
+    def __init__(self, tests: Sequence[Recording]) -> None:
+        self._tests, self._compared = tests, dict[Fit, Comparison]()
+
+    def of(self, fit: Fit) -> Comparison | None:
+        """Return the comparison of a fit, None without a test."""
+        if self._tests and fit not in self._compared:
+            self._compared[fit] = compare(fit, self._tests)
+        return self._compared.get(fit)
+
+    def error(self, fit: Fit) -> Array:
+        """Return the error of joints in motion (n,), N·m; NaN without a test."""
+        comparison = self.of(fit)
+        return np.full(fit.model.n, np.nan) if comparison is None else comparison.rms_moving
+
+
+def _steps(problem: MissingEffects, comparisons: FitComparisons) -> tuple[DiagnosisStep, ...]:
     steps = []
     for accepted in problem.accepted:
         assert accepted.fit is not None
-        test = tested(accepted.fit)
+        test = comparisons.of(accepted.fit)
         steps.append(
             DiagnosisStep.of(
                 accepted,
@@ -100,28 +140,16 @@ def diagnose_missing(
                 moving=None if test is None else test.rms_moving,
             )
         )
-    report("done", 1.0)
-    return Diagnosis(
-        mode="missing",
-        verdict="unexplained" if parts else "effect_found" if steps else "sufficient",
-        joint_names=tuple(joint.name for joint in model.robot.joints),
-        noise_floor=last_errors.noise_floor,
-        noise_source=last_errors.noise_source,
-        baseline_effects=tuple(model.effects),
-        baseline_train=first.rms_train,
-        baseline_test=None if before is None else before.rms,
-        steps=tuple(steps),
-        unexplained=parts,
-        rejected=tuple((r.candidate.placement.label, r.reason) for r in problem.rejected),
-        aliases=_aliases(problem),
-        tried=len(last.candidates.owners) + len(steps),
-        fit=problem.fit,
-        warnings=unique_warnings(warnings),
-        train=first.provenance.recordings,
-        test=tuple(Source(r.name, r.source_hash) for r in tests),
-        baseline_moving=None if before is None else before.rms_moving,
-        limits_reached=tuple(problem.limits_reached),
-    )
+    return tuple(steps)
+
+
+def _warnings(
+    problem: MissingEffects, before: Comparison | None, tests: Sequence[Recording]
+) -> tuple[LieidWarning, ...]:
+    """Return the warnings of the first and the last fit and of the test, each once."""
+    first = problem.first.fit
+    warnings = [*first.warnings, *problem.fit.warnings, *_same_recording(first, tests)]
+    return unique_warnings([*warnings, *(() if before is None else before.warnings)])
 
 
 def _unexplained(problem: MissingEffects, tests: Sequence[Recording]) -> tuple[Unexplained, ...]:

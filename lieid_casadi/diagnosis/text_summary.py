@@ -10,7 +10,8 @@ from lieid_casadi.tables import Table, make_table
 from lieid_casadi.tables import html as to_html
 
 if TYPE_CHECKING:
-    from lieid_casadi.diagnosis.diagnosis import Diagnosis, DiagnosisStep
+    from lieid_casadi.diagnosis.diagnosis import Diagnosis
+    from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep
     from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 
 

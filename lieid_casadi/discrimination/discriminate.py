@@ -151,19 +151,14 @@ def discriminate(
         stacked = rivals.columns_along(feasible.motion(z))
         return min(noncentrality(rivals, stacked, *pair) / needed[pair] for pair in separable)
 
-    values: list[float] = []
+    values = []
     for k, z in enumerate(drawn):
         progress("random motions", 0.3 * k / starts)
         values.append(criterion(z))
-    refined: list[SearchedMotion] = []
-    for k, at in enumerate(best_starts(values, REFINED)):
-        progress(f"refine {k + 1} of {REFINED}", 0.3 + 0.7 * k / REFINED)
-        share = max((evaluations - starts) // REFINED, 1)
-        refined.append(
-            random_search(criterion, feasible, drawn[at], evaluations=share, random=random)
-        )
-        if refined[-1].interrupted:
-            break
+    refined = _refined(
+        criterion, feasible, [drawn[k] for k in best_starts(values, REFINED)],
+        evaluations=max((evaluations - starts) // REFINED, 1), random=random, progress=progress,
+    )  # fmt: skip
     best, violation = feasible.verified(max(refined, key=lambda motion: motion.value).z)
     rivals.refine_grids()
     stacked = rivals.columns_along(feasible.motion(best))
@@ -184,6 +179,27 @@ def discriminate(
         max_violation=violation, evaluations=len(values) + sum(r.evaluations for r in refined),
         solve_seconds=time.monotonic() - began, rate=rate, interrupted=refined[-1].interrupted,
     )  # fmt: skip
+
+
+def _refined(
+    criterion: Callable[[Array], float],
+    feasible: FeasibleMotions,
+    starts: Sequence[Array],
+    *,
+    evaluations: int,
+    random: np.random.Generator,
+    progress: Callable[[str, float], None],
+) -> list[SearchedMotion]:
+    """Return the starts (m,) improved by random steps, with so many evaluations for each."""
+    refined: list[SearchedMotion] = []
+    for k, start in enumerate(starts):
+        progress(f"refine {k + 1} of {len(starts)}", 0.3 + 0.7 * k / len(starts))
+        refined.append(
+            random_search(criterion, feasible, start, evaluations=evaluations, random=random)
+        )
+        if refined[-1].interrupted:
+            break
+    return refined
 
 
 def _check_options(fit: Fit, level: float, starts: int, evaluations: int, rate: float) -> None:

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 from hidden_effects.arms import ARMS, load_arm
-from hidden_effects.effect_library import CHANGED, MISSING, ReferenceMotion, ScalableEffect
+from hidden_effects.effect_library import CHANGED, MISSING
 from hidden_effects.foreign import FOREIGN
 from hidden_effects.motions import draw_motion
+from hidden_effects.scalable_effect import ReferenceMotion, ScalableEffect
 from numpy.typing import NDArray
 
 from lieid_casadi.plant import (

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from hidden_effects.base_span import BaseSpan, NoiselessRecord, noiseless_record
 from hidden_effects.case_setup import CaseSetup, with_hidden
-from hidden_effects.effect_library import ScalableEffect
+from hidden_effects.scalable_effect import ScalableEffect
 from numpy.typing import NDArray
 
 from lieid_casadi.plant import Arm, move_along

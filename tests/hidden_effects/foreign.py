@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from hidden_effects.effect_library import ReferenceMotion, ScalableEffect, with_effect
+from hidden_effects.scalable_effect import ReferenceMotion, ScalableEffect, with_effect
 from numpy.typing import NDArray
 
 from lieid_casadi.plant import ForeignTorque, JointState

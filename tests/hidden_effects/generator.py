@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from hidden_effects.arms import write_robot
 from hidden_effects.case_setup import Case, CaseSetup, choose_effects, draw_setup, with_hidden
-from hidden_effects.effect_library import ScalableEffect
 from hidden_effects.effect_sizes import EffectSizes, find_strengths, planned
 from hidden_effects.motions import Smoothed
+from hidden_effects.scalable_effect import ScalableEffect
 from hidden_effects.similar_effects import most_similar
 from numpy.typing import NDArray
 

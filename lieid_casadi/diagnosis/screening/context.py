@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.baseline import Baseline
-from lieid_casadi.diagnosis.screening.candidate_columns import (
-    CandidateColumns,
+from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
+from lieid_casadi.diagnosis.screening.candidate_evaluation import (
     ColumnCache,
     evaluate_candidates,
 )
@@ -97,24 +97,21 @@ class ScreeningContext:
         with_candidates : bool
             False leaves the candidates out.
         """
-        design = Design(fit.compiled, segments)
-        rows = design.rows(fit.shapes, fit.parameters)
+        rows, matrices = _model_rows(fit, segments)
         runs = _runs(fit, rows, segments) if previous is None else previous.runs
         cache: ColumnCache = {} if previous is None else previous.cache
-        matrices = _dense(rows)
-        if len(fit.shapes):
-            slopes = shape_columns(design, fit.values, fit.shapes, fit.parameters)
-            matrices = [np.column_stack([m, s]) for m, s in zip(matrices, slopes, strict=True)]
-        on_line = [_on_time_line(rows, j, m) for j, m in enumerate(matrices)]
-        torque = [_on_time_line(rows, j, rows.joints[j].torque) for j in range(fit.model.n)]
-        residual = [_on_time_line(rows, j, r) for j, r in enumerate(rows.residuals(fit.values))]
+        torque = [joint.torque for joint in rows.joints]
+        model_columns, torques, residuals = (
+            _on_runs(rows, runs, values)
+            for values in (matrices, torque, rows.residuals(fit.values))
+        )
         signals = [SegmentSignals.of(fit, s) for s in segments]
         scanned = 0
 
         def scan(effect: Effect, joint: int) -> Array:
             nonlocal scanned
             at = runs[joint].all
-            grid, count = scanned_grid(effect, signals, joint, residual[joint][at], at, options)
+            grid, count = scanned_grid(effect, signals, joint, residuals[joint], at, options)
             scanned += count
             return grid
 
@@ -127,9 +124,9 @@ class ScreeningContext:
             fit,
             tuple(segments),
             runs,
-            tuple(m[run.all] for m, run in zip(on_line, runs, strict=True)),
-            tuple(t[run.all] for t, run in zip(torque, runs, strict=True)),
-            tuple(r[run.all] for r, run in zip(residual, runs, strict=True)),
+            model_columns,
+            torques,
+            residuals,
             tuple(signals),
             evaluate_candidates(wanted, signals, runs, cache),
             cache,
@@ -195,6 +192,17 @@ def _runs(fit: Fit, rows: Rows, segments: Sequence[Processed]) -> tuple[Runs, ..
     return runs_of(usable, segments, np.concatenate(doubt))
 
 
+def _model_rows(fit: Fit, segments: Sequence[Processed]) -> tuple[Rows, list[Array]]:
+    """Return the rows of a fit, and each joint's columns and derivatives by shape parameters."""
+    design = Design(fit.compiled, segments)
+    rows = design.rows(fit.shapes, fit.parameters)
+    matrices = _dense(rows)
+    if len(fit.shapes):
+        slopes = shape_columns(design, fit.values, fit.shapes, fit.parameters)
+        matrices = [np.column_stack([m, s]) for m, s in zip(matrices, slopes, strict=True)]
+    return rows, matrices
+
+
 def _dense(rows: Rows) -> list[Array]:
     """Return the matrix of each joint in all p columns (N_j, p)."""
     matrices = []
@@ -205,8 +213,11 @@ def _dense(rows: Rows) -> list[Array]:
     return matrices
 
 
-def _on_time_line(rows: Rows, joint: int, values: Array) -> Array:
-    """Return values (N_j, …) of a joint on the common time line of all segments, zero elsewhere."""
-    line = np.zeros((int(rows.segments[-1]), *values.shape[1:]))
-    line[rows.joints[joint].instant] = values
-    return line
+def _on_runs(rows: Rows, runs: Sequence[Runs], values: Sequence[Array]) -> tuple[Array, ...]:
+    """Return values (M_j, …) on the rows of each joint at the instants of its runs (N_j, …)."""
+    found = []
+    for joint, run, own in zip(rows.joints, runs, values, strict=True):
+        line = np.zeros((int(rows.segments[-1]), *own.shape[1:]))
+        line[joint.instant] = own
+        found.append(line[run.all])
+    return tuple(found)

@@ -37,7 +37,7 @@ class IncrementalEffect(Effect):
         return own
 
     def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the states of the effect."""
+        """Return the states of the effect at ``now``; see `Effect.advance`."""
         return self._effect.advance(before, now, shape)
 
 

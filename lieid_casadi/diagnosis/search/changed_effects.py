@@ -17,8 +17,9 @@ from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_gain
-from lieid_casadi.diagnosis.search.effect_search import Offer, SearchProblem, unexplained_parts
+from lieid_casadi.diagnosis.search.effect_search import unexplained_parts
 from lieid_casadi.diagnosis.search.parameter_checks import is_unresolved, unresolved_text
+from lieid_casadi.diagnosis.search.search_problem import Offer, SearchProblem
 from lieid_casadi.diagnosis.search.search_results import (
     AcceptedEffect,
     RejectedEffect,

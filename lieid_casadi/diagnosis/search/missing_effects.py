@@ -15,7 +15,7 @@ from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.screening.screen import screen
 from lieid_casadi.diagnosis.search.candidate_selection import grid_peaks, refined_shapes
-from lieid_casadi.diagnosis.search.effect_search import Offer, SearchProblem, logger, search
+from lieid_casadi.diagnosis.search.effect_search import search
 from lieid_casadi.diagnosis.search.parameter_checks import (
     belongs_to,
     implausible_sign,
@@ -23,6 +23,7 @@ from lieid_casadi.diagnosis.search.parameter_checks import (
 )
 from lieid_casadi.diagnosis.search.pilot_noise import pilot_noise
 from lieid_casadi.diagnosis.search.pruning import baseline_without, redundant_effects
+from lieid_casadi.diagnosis.search.search_problem import Offer, SearchProblem, logger
 from lieid_casadi.diagnosis.search.search_results import (
     AcceptedEffect,
     Proposal,

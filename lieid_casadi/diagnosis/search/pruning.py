@@ -12,8 +12,8 @@ from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.screening.smooth_functions import smooth_columns
-from lieid_casadi.diagnosis.search.effect_search import SearchProblem
 from lieid_casadi.diagnosis.search.parameter_checks import belongs_to
+from lieid_casadi.diagnosis.search.search_problem import SearchProblem
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 

@@ -1,0 +1,162 @@
+"""One step of a diagnosis: an effect, its parameters, errors and evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.json_numbers import numbers_or_none
+
+if TYPE_CHECKING:
+    from lieid_casadi.diagnosis.screening.candidates import Candidate
+    from lieid_casadi.diagnosis.search.search_results import AcceptedEffect
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Evidence for a step.
+
+    Attributes
+    ----------
+    log10_p : float
+        log₁₀ of the family-wise p-value over all candidates that were screened.
+    rows : int
+        Effective sample size: whitened rows of all joints.
+    effect_size : float
+        RMS of the residual that the effect explains on the joint where the error falls most, N·m.
+    held_out_before, held_out_after : float
+        Error of that joint, N·m: of blocked cross-validation, or of the new recording if the
+        model is kept.
+    confirmed : bool or None
+        Whether the error on the test falls; None without a test.
+    """
+
+    log10_p: float
+    rows: int
+    effect_size: float
+    held_out_before: float
+    held_out_after: float
+    confirmed: bool | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the evidence for JSON."""
+        return {
+            "p_value": float(10.0 ** max(self.log10_p, -300.0)),
+            "log10_p": max(self.log10_p, -1e6),
+            "effective_rows": self.rows,
+            "effect_size": self.effect_size,
+            "rms_cv_before": self.held_out_before,
+            "rms_cv_after": self.held_out_after,
+            "test_confirms": self.confirmed,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisStep:
+    """One effect that was found.
+
+    Attributes
+    ----------
+    label : str
+        As on the command line, ``load_friction:2``.
+    effect : str
+        Its name.
+    joints : tuple of int
+        From 0; target and source for couplings, none for effects on the whole arm.
+    parameters : dict
+        Estimated coefficients and shape parameters by name.
+    units : dict
+        Unit of each parameter.
+    rms_train, rms_test : (n,) or None
+        Error of each joint after this step, N·m. ``rms_test`` is None without a test,
+        ``rms_train`` if the model is kept.
+    evidence : Evidence
+    indistinguishable : tuple of (Candidate, str)
+        Rivals, and the kind of rivalry: ``exact`` if no data can separate the two, ``data`` if
+        these data cannot.
+    fit : Fit or None
+        With this effect and those before it; None if the model is kept.
+    moving : (n,) or None
+        Test error of joints in motion, N·m.
+    """
+
+    label: str
+    effect: str
+    joints: tuple[int, ...]
+    parameters: dict[str, float]
+    units: dict[str, str]
+    rms_train: Array | None
+    rms_test: Array | None
+    evidence: Evidence
+    indistinguishable: tuple[tuple[Candidate, str], ...]
+    fit: Fit | None = None
+    moving: Array | None = None
+
+    @classmethod
+    def of(
+        cls,
+        accepted: AcceptedEffect,
+        *,
+        rms_train: Array | None,
+        rms_test: Array | None,
+        moving: Array | None,
+    ) -> DiagnosisStep:
+        """Return the step of an accepted effect.
+
+        Parameters
+        ----------
+        accepted : AcceptedEffect
+        rms_train, rms_test, moving : (n,) or None
+            Errors after the step, N·m.
+        """
+        before, after = accepted.errors[:, accepted.joint]
+        return cls(
+            label=accepted.candidate.placement.label,
+            effect=accepted.candidate.name,
+            joints=accepted.candidate.joints,
+            parameters=accepted.parameters,
+            units=accepted.units,
+            rms_train=rms_train,
+            rms_test=rms_test,
+            evidence=Evidence(
+                log10_p=accepted.significance.log10_p,
+                rows=accepted.significance.rows,
+                effect_size=float(np.sqrt(max(before**2 - after**2, 0.0))),
+                held_out_before=float(before),
+                held_out_after=float(after),
+                confirmed=accepted.confirmed,
+            ),
+            indistinguishable=accepted.rivals,
+            fit=accepted.fit,
+            moving=moving,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the step for JSON, joints from 1."""
+        return {
+            "effect": self.effect,
+            "joints": [j + 1 for j in self.joints],
+            "label": self.label,
+            "parameters": self.parameters,
+            "units": self.units,
+            "rms_train": numbers_or_null(self.rms_train),
+            "rms_test": numbers_or_null(self.rms_test),
+            "rms_test_moving": numbers_or_null(self.moving),
+            "evidence": self.evidence.to_dict(),
+            "indistinguishable": [
+                {"effect": c.name, "joints": [j + 1 for j in c.joints], "kind": kind}
+                for c, kind in self.indistinguishable
+            ],
+        }
+
+
+def numbers_or_null(values: Sequence[float] | Array | None) -> list[float | None] | None:
+    """Return a list with None in place of numbers that are not finite; None for None."""
+    return None if values is None else numbers_or_none(values)
