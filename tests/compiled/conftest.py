@@ -1,4 +1,4 @@
-"""Compiled code of these tests lives in a cache of their own."""
+"""Compiled code of these tests has a cache of its own."""
 
 import pytest
 

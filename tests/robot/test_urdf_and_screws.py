@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.yaml_writer import write_yaml
 
-EARTH = np.array([0.0, 0.0, -9.81])  # URDF knows no gravity; Pinocchio's is this
+EARTH = np.array([0.0, 0.0, -9.81])  # URDF has no gravity; this is Pinocchio's
 
 
 def urdf_of(robot):
