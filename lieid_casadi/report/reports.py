@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from lieid_casadi.comparison import Comparison
@@ -69,9 +70,11 @@ def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None)
         sections.insert(3, unexplained_section(diagnosis))
     if comparison is not None:
         sections += [torques_section(comparison), dependence_section(comparison)]
+    named = [step.effect for step in diagnosis.steps]
+    named += [c.placement.effect.label for s in diagnosis.steps for c, _ in s.indistinguishable]
     return render(
         f"{fit.model.robot.name}: diagnosis",
-        [*sections, *fit_sections(fit), provenance_section(fit, comparison)],
+        [*sections, *fit_sections(fit, named=named), provenance_section(fit, comparison)],
     )
 
 
@@ -102,8 +105,11 @@ def comparison_sections(fit: Fit, comparison: Comparison) -> list[Section]:
     ]
 
 
-def fit_sections(fit: Fit) -> list[Section]:
-    """Return the sections of a fit."""
+def fit_sections(fit: Fit, *, named: Sequence[str] = ()) -> list[Section]:
+    """Return the sections of a fit; ``named`` are further effects to describe."""
     sections = [training_section(fit), effects_section(fit), links_section(fit)]
     sections = [section for section in sections if section.data.get("rows") != []]
-    return [*sections, descriptions_section([*(p.effect.label for p in fit.model.placements)])]
+    return [
+        *sections,
+        descriptions_section([*named, *(p.effect.label for p in fit.model.placements)]),
+    ]

@@ -11,6 +11,8 @@ from comparison import two_link_data as arm
 import lieid_casadi as lieid
 from lieid_casadi.errors import LieidWarning
 from lieid_casadi.report import Section, comparison_report, fit_report, render
+from lieid_casadi.report.reports import fit_sections
+from lieid_casadi.report.sections.effects import anchors
 from lieid_casadi.report.sections.parameters import value_text
 
 EVIL = "<script>alert(1)</script>"
@@ -185,3 +187,11 @@ def test_the_same_result_gives_the_same_report(fit, comparison):
 )
 def test_digits_follow_the_standard_deviation(value, std, text):
     assert value_text(value, std) == text
+
+
+def test_effects_that_the_fit_does_not_have_are_described_if_they_are_named(fit):
+    page = Page(render("x", fit_sections(fit, named=["presliding", "stribeck/two_width", "no"])))
+    ids = page.values("id")
+    assert {"effect-presliding", "effect-stribeck-two_width", "effect-coulomb"} <= set(ids)
+    assert "effect-no" not in ids
+    assert anchors(["presliding", "no"]) == {"presliding": "effect-presliding"}
