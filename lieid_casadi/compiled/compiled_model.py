@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from lieid_casadi.compiled import array_checks
 from lieid_casadi.compiled.base_regressor_blocks import BaseBlocks
 from lieid_casadi.compiled.rigid_functions import RigidFunctions
+from lieid_casadi.effects import ArmEffect
+from lieid_casadi.errors import ModelError
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
@@ -90,7 +92,13 @@ class Compiled(RigidFunctions):
             Array to write to.
         threads : int, optional
             Threads for this call.
+
+        Raises
+        ------
+        ModelError
+            The model has effects on the whole arm or on the measurement.
         """
+        self._require_joint_effects()
         motion = self._motion(q, dq, ddq)
         values = self._signals(motion, load, temperature, time, shapes, dead_zone)
         return self._matrix("base_regressor", values, out, threads)
@@ -158,6 +166,7 @@ class Compiled(RigidFunctions):
         dead_zone: ArrayLike | None = None,
         out: Array | None = None,
         threads: int | None = None,
+        joint_effects_only: bool = False,
     ) -> Array:
         """Return the effects' columns (N, n, m), dropped ones included.
 
@@ -173,7 +182,17 @@ class Compiled(RigidFunctions):
             Array to write to.
         threads : int, optional
             Threads for this call.
+        joint_effects_only : bool
+            Whether effects on the whole arm or on the measurement are left out; otherwise a model
+            that has any is refused, because they do not follow from the signals of one joint.
+
+        Raises
+        ------
+        ModelError
+            The model has effects on the whole arm or on the measurement; use `Fit.torque`.
         """
+        if not joint_effects_only:
+            self._require_joint_effects()
         motion = self._motion(q, dq, ddq)
         values = self._signals(motion, load, temperature, time, shapes, dead_zone)
         return self._matrix("effect_columns", values, out, threads)
@@ -192,6 +211,7 @@ class Compiled(RigidFunctions):
         dead_zone: ArrayLike | None = None,
         out: Array | None = None,
         threads: int | None = None,
+        joint_effects_only: bool = False,
     ) -> Array:
         """Return the torque of all effects (N, n) for linear coefficients (m,).
 
@@ -207,9 +227,28 @@ class Compiled(RigidFunctions):
             Array to write to.
         threads : int, optional
             Threads for this call.
+        joint_effects_only : bool
+            Whether effects on the whole arm or on the measurement are left out; otherwise a model
+            that has any is refused, because they do not follow from the signals of one joint.
+
+        Raises
+        ------
+        ModelError
+            The model has effects on the whole arm or on the measurement; use `Fit.torque`.
         """
+        if not joint_effects_only:
+            self._require_joint_effects()
         motion = self._motion(q, dq, ddq)
         values = self._signals(motion, load, temperature, time, shapes, dead_zone)
         width = len(self.model.columns)
         values["coefficients"] = array_checks.constants("coefficients", coefficients, width)
         return self._vector("friction", values, out, threads)
+
+    def _require_joint_effects(self) -> None:
+        labels = [p.label for p in self.model.placements if isinstance(p.effect, ArmEffect)]
+        if labels:
+            raise ModelError(
+                f"{', '.join(labels)}: effects on the whole arm or on the measurement do not "
+                "follow from the signals of one joint; use Fit.torque or lieid.symbolic, or pass "
+                "joint_effects_only=True where the function takes it"
+            )

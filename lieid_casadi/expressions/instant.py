@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.effects import ArmEffect
+from lieid_casadi.errors import ModelError
+from lieid_casadi.model import Model
 from lieid_casadi.robot.inertia import parameter_transport
 from lieid_casadi.robot.robot import Robot
 
@@ -64,3 +67,39 @@ class ArmInstant:
         """Return the rigid torque (n, 10) per link parameter of a body in the tool frame."""
         last = regressor(self.robot, self.motion)[:, -10:]
         return ca.mtimes(last, ca.sparsify(ca.DM(parameter_transport(self.robot.tool))))
+
+
+def arm_effect_columns(
+    model: Model, arm: ArmInstant, coefficients: ca.SX, *, measurement: bool
+) -> ca.SX:
+    """Return the columns (n, m) of effects on the whole arm or on the measurement; others are zero.
+
+    Parameters
+    ----------
+    model : Model
+    arm : ArmInstant
+    coefficients : (m,)
+        Linear coefficients, numbers or symbols.
+    measurement : bool
+        Whether the columns are those of effects on the measurement, else on the whole arm.
+
+    Raises
+    ------
+    ModelError
+        An effect on the measurement depends on the motion before the instant.
+    """
+    columns = ca.SX(model.n, len(model.columns))
+    first = 0
+    for p in model.placements:
+        last = first + len(p.effect.coefficients)
+        if isinstance(p.effect, ArmEffect) and p.effect.whole_arm != measurement:
+            if p.effect.needs_past:
+                raise ModelError(
+                    f"{p.label}: the measured torque depends on the motion before the instant; "
+                    "expected a model without this effect, or as_measured=False"
+                )
+            now = p.effect.instant_columns(arm, p.joint, coefficients[first:last])
+            if now is not None:
+                columns[:, first:last] = now
+        first = last
+    return columns

@@ -15,8 +15,7 @@ from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.signals import EffectSignals
-from lieid_casadi.errors import ModelError
-from lieid_casadi.expressions.instant import ArmInstant
+from lieid_casadi.expressions.instant import ArmInstant, arm_effect_columns
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.model import Model
 from lieid_casadi.robot.inertia import parameter_transport
@@ -101,9 +100,8 @@ class TorqueExpressions:
         self.time = ca.SX.sym("time")
         self.payload = ca.SX.sym("payload", 10) if payload else None
         self._smooth_velocity = smooth_velocity
-        if as_measured:
-            _require_one_instant(model)
         self._as_measured = as_measured
+        _ = self.measurement_columns  # refuses effects that depend on more than one instant
 
     @property
     def leading_symbols(self) -> dict[str, ca.SX]:
@@ -170,33 +168,33 @@ class TorqueExpressions:
         return ca.densify(ca.mtimes(self.joint_columns, self.values.effects))
 
     @cached_property
-    def arm_columns(self) -> dict[str, ca.SX]:
-        """Columns (n, m) of effects on the whole arm, and of those on the measurement."""
+    def _instant(self) -> ArmInstant:
         torque = self.load + self.joint_torque
-        arm = ArmInstant(self.model.robot, self.motion, self.links, self.links, self.load, torque)
-        columns = {name: ca.SX(self.n, len(self.model.columns)) for name in ("arm", "measurement")}
-        first = 0
-        for p in self.model.placements:
-            last = first + len(p.effect.coefficients)
-            if isinstance(p.effect, ArmEffect):
-                now = p.effect.instant_columns(arm, p.joint, self.values.effects[first:last])
-                if now is not None:
-                    kind = "arm" if p.effect.whole_arm else "measurement"
-                    columns[kind][:, first:last] = now
-            first = last
-        return columns
+        return ArmInstant(self.model.robot, self.motion, self.links, self.links, self.load, torque)
+
+    @cached_property
+    def arm_columns(self) -> ca.SX:
+        """Columns (n, m) of effects on the whole arm."""
+        coefficients = self.values.effects
+        return arm_effect_columns(self.model, self._instant, coefficients, measurement=False)
+
+    @cached_property
+    def measurement_columns(self) -> ca.SX:
+        """Columns (n, m) of effects on the measurement; zero unless asked for."""
+        if not self._as_measured:
+            return ca.SX(self.n, len(self.model.columns))
+        coefficients = self.values.effects
+        return arm_effect_columns(self.model, self._instant, coefficients, measurement=True)
 
     @cached_property
     def arm_torque(self) -> ca.SX:
         """Torque (n,) of effects on the whole arm."""
-        return ca.densify(ca.mtimes(self.arm_columns["arm"], self.values.effects))
+        return ca.densify(ca.mtimes(self.arm_columns, self.values.effects))
 
     @cached_property
     def measurement_torque(self) -> ca.SX:
         """What effects on the measurement add to the torque (n,); zero unless asked for."""
-        if not self._as_measured:
-            return ca.SX.zeros(self.n)
-        return ca.densify(ca.mtimes(self.arm_columns["measurement"], self.values.effects))
+        return ca.densify(ca.mtimes(self.measurement_columns, self.values.effects))
 
     @cached_property
     def loaded_torque(self) -> ca.SX:
@@ -247,9 +245,7 @@ class TorqueExpressions:
     @cached_property
     def base_regressor(self) -> ca.SX:
         """Torque per base parameter (n, p), of the symbol ``load``."""
-        columns = self.joint_columns + self.arm_columns["arm"]
-        if self._as_measured:
-            columns = columns + self.arm_columns["measurement"]
+        columns = self.joint_columns + self.arm_columns + self.measurement_columns
         kept = [int(k) for k in self.model.base.kept]
         return ca.horzcat(regressor(self.model.robot, self.motion), columns)[:, kept]
 
@@ -275,15 +271,3 @@ def _with_body(links: ca.SX, body: ca.SX, model: Model) -> ca.SX:
     """Return link parameters with those (10,) of a body in the tool frame added to the last."""
     transport = ca.sparsify(ca.DM(parameter_transport(model.robot.tool)))
     return ca.vertcat(links[:-10], links[-10:] + ca.mtimes(transport, body))
-
-
-def _require_one_instant(model: Model) -> None:
-    """Refuse effects of the measurement that depend on more than one instant."""
-    past = [
-        p.label for p in model.placements if isinstance(p.effect, ArmEffect) and p.effect.needs_past
-    ]
-    if past:
-        raise ModelError(
-            f"{', '.join(past)}: the measured torque depends on the motion along time, of which "
-            "a function of one instant has no knowledge; expected as_measured=False"
-        )

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import LieidWarning, warning_list
@@ -17,6 +17,7 @@ from lieid_casadi.identification.prediction import predict_recording, torque_alo
 from lieid_casadi.identification.provenance import Provenance
 from lieid_casadi.identification.recording_checks import check_joints
 from lieid_casadi.identification.regression.conditioning import Conditioning
+from lieid_casadi.identification.sample_torque import sample_torque
 from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
@@ -143,6 +144,37 @@ class Fit:
             self.shapes,
             self.temperature_mean,
         )
+
+    def torque(
+        self,
+        q: ArrayLike,
+        dq: ArrayLike,
+        ddq: ArrayLike,
+        *,
+        temperature: ArrayLike | None = None,
+        time: ArrayLike | None = None,
+    ) -> Array:
+        """Return the torque (N, n) at samples: the rigid torque and every effect, N·m.
+
+        No filter and no dead zone is applied. For effects with memory the samples are one
+        segment, in order.
+
+        Parameters
+        ----------
+        q, dq, ddq : (N, n)
+            rad, rad/s, rad/s² (m for a sliding joint).
+        temperature : (N, n), optional
+            °C; for effects of the temperature.
+        time : (N,), optional
+            s; for effects of time and effects with memory.
+
+        Raises
+        ------
+        ModelError
+            A signal that an effect needs is not given, or an effect depends on the motion before
+            the instant (a delay, an elastic joint).
+        """
+        return sample_torque(self, q, dq, ddq, temperature=temperature, time=time)
 
     def predict_band(self, recording: Recording, *, level: float = 0.95) -> PredictionBand:
         """Return the torque with bounds that contain a measured sample with probability ``level``.

@@ -114,6 +114,7 @@ def _effect_torque(
         time=time,
         shapes=shapes,
         dead_zone=signals["dead_zone"],
+        joint_effects_only=True,
     )
 
 

@@ -94,7 +94,7 @@ def test_the_drives_torque_excludes_effects_of_the_measurement(name):
 
 @pytest.mark.parametrize("name", NEED_PAST)
 def test_effects_that_need_the_past_are_refused_as_measured(name):
-    with pytest.raises(ModelError, match=f"{name}:.*expected as_measured=False"):
+    with pytest.raises(ModelError, match=f"{name}:.*as_measured=False"):
         symbolic(fit_with(name), as_measured=True)
 
 

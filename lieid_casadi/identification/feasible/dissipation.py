@@ -174,6 +174,7 @@ def _columns(
         time=time,
         shapes=shapes,
         dead_zone=np.zeros(model.n),
+        joint_effects_only=True,
     )
     return (columns[1:], dq[1:]) if memory else (columns, dq)
 

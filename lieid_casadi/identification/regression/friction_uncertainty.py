@@ -86,8 +86,11 @@ def dry_level(
     if any("load" in p.effect.signals for p in compiled.model.placements):
         motion = q, segment.dq[at], segment.ddq[at]
         signals["load"] = compiled.inverse_dynamics(*motion, parameters[: 10 * n])
+    still, coefficients = np.zeros_like(q), parameters[10 * n :]
     forward, back = (
-        compiled.friction(q, np.full_like(q, dq), np.zeros_like(q), parameters[10 * n :], **signals)
+        compiled.friction(
+            q, np.full_like(q, dq), still, coefficients, **signals, joint_effects_only=True
+        )
         for dq in (SLOW, -SLOW)
     )
     return np.asarray(0.5 * np.abs(forward - back))

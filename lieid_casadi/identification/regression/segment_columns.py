@@ -163,7 +163,9 @@ def effects_along(
         parameters = np.concatenate([parameters, np.zeros(10 * n + width - len(parameters))])
         load = compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, parameters[: 10 * n])
     signals: dict[str, Any] = effect_signals(segment, shapes, load)
-    columns = compiled.effect_columns(segment.q, segment.dq, segment.ddq, **signals)
+    columns = compiled.effect_columns(
+        segment.q, segment.dq, segment.ddq, **signals, joint_effects_only=True
+    )
     if parameters is None:
         return columns
     arm = ModelAlongSegment(compiled, segment, parameters, columns, fitted)
