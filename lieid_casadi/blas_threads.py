@@ -1,6 +1,6 @@
-"""Linear algebra on one thread: our matrices are small, and threads then cost more than they give.
+"""Linear algebra on one thread: for small matrices starting threads takes longer than it saves.
 
-On a busy two-core machine a diagnosis took nine times less processor time this way.
+On a busy machine with two cores a diagnosis took a ninth of the processor time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ R = TypeVar("R")
 
 
 def blas_on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Let BLAS use one thread while a function runs; what was set before comes back."""
+    """Return a function during which BLAS uses one thread; the previous setting is restored."""
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:

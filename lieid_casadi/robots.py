@@ -1,4 +1,4 @@
-"""The robots that come with the package.
+"""The bundled robots.
 
 `lieid_casadi.Robot.load` and the command line accept these names. Their YAML files name the source
 of every number.

@@ -21,7 +21,7 @@ from lieid_casadi.expressions.model_functions import SparseFunction
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-LAST_LEVEL_CACHE = 8 << 20  # bytes; larger results are written past the caches
+LAST_LEVEL_CACHE = 8 << 20  # bytes; larger results bypass the caches
 BLOCK = 4096  # samples that the virtual machine evaluates at once
 _ROLES = {"sin": 2, "cos": 3}
 
@@ -110,7 +110,7 @@ class CompiledEvaluation(Evaluation):
     def _make_calls(self) -> ctypes.Array[KernelCall]:
         calls = (KernelCall * len(self.kernels))()
         start = self.layout.row_starts[:-1].copy()
-        self._kept: list[Indices] = []  # memory that the calls point to
+        self._kept: list[Indices] = []  # keeps alive the memory that the calls point to
         for call, kernel in zip(calls, self.kernels, strict=True):
             arguments = np.array([self.names[name] for name, _ in kernel.arguments])
             starts = start.copy()
@@ -243,7 +243,7 @@ def _make_arguments(names: Sequence[str], kernels: Sequence[Kernel]) -> ctypes.A
         argument.width = max(dict(kernel.arguments).get(name, 0) for kernel in kernels)
         argument.role = 1 if name in CONSTANT_ARGUMENTS else _ROLES.get(name, 0)
         if name in _ROLES:
-            # the runtime writes sines and cosines of every q, also where no kernel reads one
+            # the runtime writes the sines and cosines of every q, even if no kernel reads q
             argument.width = arguments[0].width
     return arguments
 

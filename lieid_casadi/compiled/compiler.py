@@ -123,7 +123,7 @@ def build(compiler: Compiler, target: Target, source: Path, library: Path, inclu
     ]  # fmt: skip
     name, limit = compiler.command[0], timeout()
     try:
-        # a session of its own: the driver's children must end with it
+        # a new session, so that the children of the compiler driver end with it
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
             start_new_session=True, text=True, errors="replace",

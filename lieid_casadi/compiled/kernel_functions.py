@@ -52,7 +52,7 @@ class KernelFunctions(ModelFunctions):
 
     @cached_property
     def memory(self) -> SparseFunction:
-        """States (S, 1) at a sample, of the states and signals at the one before and its own."""
+        """States (S, 1) at a sample, from its signals and the states and signals before it."""
         step, count = self.advance, len(self.model.states)
         names = [str(step.name_in(k)) for k in range(step.n_in())]
         inputs = [ca.SX.sym(name, step.size1_in(k)) for k, name in enumerate(names)]

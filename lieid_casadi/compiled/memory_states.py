@@ -1,4 +1,4 @@
-"""States of effects with memory, compiled: one sample after the other."""
+"""States of effects with memory by compiled code, one sample after the other."""
 
 from __future__ import annotations
 
@@ -13,13 +13,18 @@ from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.expressions import memory
 
 Array = NDArray[np.float64]
-BEFORE = "before_"  # what the arguments that belong to the sample before begin with
+BEFORE = "before_"  # prefix of arguments that belong to the sample before
 
 
 def states_along(kernels: Kernels, signals: Mapping[str, Array]) -> Array:
     """Return the states (N, S) at every sample of one segment; see `memory.states_along`.
 
-    ``kernels`` are those of one lane: each sample follows from the one before it.
+    Parameters
+    ----------
+    kernels : Kernels
+        Those of one lane, because each sample depends on the one before it.
+    signals : mapping
+        Arrays by name.
     """
     compiled = kernels.get(["memory"])
     if compiled is None:

@@ -109,7 +109,7 @@ def coriolis_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
     matrix, links = ca.SX(robot.n, robot.n), _links(parameters)
     poses, xi = relative_poses(robot, motion), axes(robot)
     velocities = link_velocities(robot, motion)
-    # how each axis changes: with its link, as the links before it carry it
+    # rate of each axis: it moves with the links before it
     rates = [ca.mtimes(small_adjoint(v), axis) for v, axis in zip(velocities, xi, strict=True)]
     moments = [_point_moments(link, v) for link, v in zip(links, velocities, strict=True)]
     body, (momentum, turning) = links[-1], moments[-1]

@@ -16,7 +16,7 @@ from lieid_casadi.effects.signals import Signals
 for _module in iter_modules(__path__):
     import_module(f"{__name__}.{_module.name}")
 
-#: The effects that come with the package, in alphabetical order of their modules.
+#: The built-in effects, in alphabetical order of their modules.
 LIBRARY: tuple[type[Effect], ...] = tuple(
     dict.fromkeys(variant.kind for variant in REGISTER.values())
 )

@@ -19,8 +19,8 @@ class FrictionModel:
     source : str
         Where it was published.
     note : str
-        In what it differs from the publication, or, where that is not known in full, what is
-        known of it and what is our reading; empty if it is the printed formula.
+        Differences from the publication. If its formula is not available in full, what is known of
+        it and how it is interpreted here; empty if it is the printed formula.
     """
 
     name: str
@@ -70,33 +70,33 @@ FRICTION_MODELS: dict[str, FrictionModel] = {
             "gao2017",
             ("coulomb", "stribeck", "load_friction", "temperature_friction/exponential"),
             "Gao et al., IROS 2017 (the paper's ref. 7): velocity, temperature and load",
-            "known: one formula of velocity, temperature and load together; its terms are not "
-            "known here. Our reading: a Stribeck curve, viscous friction that falls "
-            "exponentially with temperature, dry friction in proportion to |load|. Recordings "
-            "need a temperature",
+            "published as one formula of velocity, temperature and load; its terms were not "
+            "available. Interpreted here as a Stribeck curve, viscous friction that falls "
+            "exponentially with temperature, and dry friction in proportion to |load|. Needs a "
+            "measured temperature",
         ),
         FrictionModel(
             "gao2017_constant_temperature",
             ("coulomb", "stribeck", "load_friction", "viscous"),
             "Gao et al., IROS 2017 (the paper's ref. 7), at one temperature",
-            "our reading of gao2017, its temperature held; for recordings without one",
+            "gao2017 as interpreted above, at constant temperature; for recordings without one",
         ),
         FrictionModel(
             "he2021",
             ("coulomb", "viscous", "stribeck", "load_friction/stribeck"),
             "He et al., ROBIO 2021 (the paper's ref. 14): low speed",
-            "known: a Stribeck curve at low speed whose depth depends on the load; the terms are "
-            "not known here. Our reading: the load's part is that of Bittencourt et al., IROS "
-            "2010, with exponent 2",
+            "published as a Stribeck curve at low speed whose depth depends on the load; its terms "
+            "were not available. Interpreted here as the load-dependent part of Bittencourt et "
+            "al., IROS 2010, with exponent 2",
         ),
         FrictionModel(
             "madsen2020",
             ("viscous", "viscous_polynomial", "presliding/square"),
             "Madsen et al., Control Engineering Practice 2020 (the paper's ref. 25), in the form "
             "of the authors' program AURT: (F_c + F_cl·τ²)·h + powers of velocity, h a hysteresis",
-            "known: the program's source, where h is the sign (its generalized Maxwell-slip h "
-            "falls back to that), and which powers is a setting. Our reading: one Dahl element "
-            "for h, powers 1 to 3; joint flexibility left out",
+            "from the source of the program, where h is the sign (its generalized Maxwell-slip h "
+            "falls back to that) and the powers are a setting. Interpreted here as one Dahl "
+            "element for h, powers 1 to 3, and no joint flexibility",
         ),
         FrictionModel(
             "panda_sigmoid",

@@ -16,14 +16,15 @@ def states_along(functions: ModelFunctions, signals: Mapping[str, Array]) -> Arr
     """Return the states (N, S) at every sample of one segment.
 
     The first sample has the initial states; each further one follows from the sample before it,
-    in order, whatever the time between them.
+    whatever the time between them. States are held at samples that are not finite
+    (`Effect.next_states`).
 
     Parameters
     ----------
     functions : ModelFunctions
     signals : mapping
         ``q`` and, where known, ``dq``, ``ddq``, ``load``, ``temperature`` (N, n) and ``time``
-        (N, 1); ``shapes`` (s,) and ``dead_zone`` (n,). What is left out is zero.
+        (N, 1); ``shapes`` (s,) and ``dead_zone`` (n,). Signals that are left out are zero.
     """
     samples, model = len(signals["q"]), functions.model
     states = np.empty((samples, len(model.states)))
@@ -36,7 +37,7 @@ def states_along(functions: ModelFunctions, signals: Mapping[str, Array]) -> Arr
         for name in ("shapes", "dead_zone")
     ]
     for first in range(0, samples - 1, STEPS):
-        # the last chunk repeats the last sample; what comes of that is cut off
+        # the last chunk is filled with the last sample; the surplus results are discarded
         rows = np.minimum(np.arange(first, first + STEPS + 1), samples - 1)
         chunk = [x[:, rows] for x in series]
         result = functions.steps(

@@ -1,4 +1,4 @@
-"""The CasADi functions of a model: one place where expressions become callable."""
+"""The CasADi functions of a model, from which batches are compiled."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def sparse_function(
 
 
 def ramp(dq: ca.SX, width: ca.SX) -> ca.SX:
-    """Return sgn(q̇), inside |q̇| ≤ width its expected value beside noise on q̇.
+    """Return sgn(q̇); inside |q̇| ≤ width its expected value under noise on q̇.
 
     With Gaussian noise of a third of the width the sign is erf(3 q̇ / (√2 width)) on average;
     this is the polynomial step of degree seven, within 0.04 of it and cheap in C.
@@ -71,7 +71,7 @@ class ModelFunctions:
     """Lazily built functions of one model; inputs are (n,) columns unless stated.
 
     Rigid functions take ``sin`` and ``cos`` of q beside q itself, so that generated code can
-    compute them apart.
+    compute them separately.
     """
 
     def __init__(self, model: Model) -> None:
@@ -98,7 +98,7 @@ class ModelFunctions:
 
     @cached_property
     def signals(self) -> EffectSignals:
-        """Symbols of the effects, the sign being that of q̇ with a ramp over the dead zone."""
+        """Symbols of the effects; the sign of q̇ has a ramp over the dead zone."""
         m = self.motion
         sign = ramp(m.dq, self.dead_zone)
         return EffectSignals(m.q, m.dq, m.ddq, sign, self.load, self.temperature, self.time)
@@ -127,7 +127,7 @@ class ModelFunctions:
 
     @cached_property
     def effect_columns(self) -> SparseFunction:
-        """Effect columns (n, m), all of them, of motion, load, temperature, time and shapes.
+        """All effect columns (n, m) as a function of motion, load, temperature, time and shapes.
 
         With effects that have memory, ``states`` (S,) is a further input.
         """
@@ -141,7 +141,7 @@ class ModelFunctions:
 
     @cached_property
     def advance(self) -> ca.Function:
-        """States (S,) at a sample, of the states and signals at the one before and its own."""
+        """States (S,) at a sample, from its signals and the states and signals before it."""
         now = self.signals
         symbols = [now.q, now.dq, now.ddq, now.load, now.temperature, now.time]
         past = [
@@ -157,7 +157,7 @@ class ModelFunctions:
 
     @cached_property
     def steps(self) -> ca.Function:
-        """`advance` over STEPS samples in a row: inputs (·, STEPS), states (S, STEPS)."""
+        """`advance` over STEPS consecutive samples: inputs (·, STEPS), states (S, STEPS)."""
         return self.advance.mapaccum("steps", STEPS).expand()
 
     @cached_property

@@ -1,4 +1,4 @@
-"""The descriptions of the robots that come with the package, by name."""
+"""The descriptions of the bundled robots, by name."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from lieid_casadi.robot.urdf_elements import INERTIA, UrdfJoint, UrdfLink, read_
 from lieid_casadi.robot.urdf_tree import check_tree, serial_chain, tip_link
 
 Array = NDArray[np.float64]
-WIDE = "1e6"  # stands for the limits that URDF requires; the stated ones are read elsewhere
+WIDE = "1e6"  # for limits that Pinocchio requires; the stated limits are read separately
 
 
 def read_urdf(
@@ -173,7 +173,7 @@ def _joints(model: Any, chain: Sequence[UrdfJoint]) -> tuple[Joint, ...]:
                 screw=np.concatenate([world[3:], world[:3]]),
                 home=np.array(data.oMi[index].homogeneous),
                 limits=joint.limits,
-                # Pinocchio's order of the ten parameters is ours
+                # in the order of `lieid_casadi.robot.inertia`
                 link=np.array(inertia.toDynamicParameters()) if inertia.mass > 0.0 else None,
                 link_name=joint.child,
             )

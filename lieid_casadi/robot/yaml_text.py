@@ -59,7 +59,7 @@ def load(text: str, origin: str) -> Any:
 
 
 class _Refused(Exception):
-    """An event that plain data does not have."""
+    """An event that has no place in plain data."""
 
     def __init__(self, event: Any, message: str) -> None:
         super().__init__(message)
@@ -131,7 +131,7 @@ class _Composer:
 
 
 def _scalar(text: str) -> str | float | int | bool | None:
-    """Return what a plain (unquoted) scalar stands for."""
+    """Return the value of a plain (unquoted) scalar."""
     if text.lower() in _WORDS:
         return _WORDS[text.lower()]
     if not _NUMBER.fullmatch(text):

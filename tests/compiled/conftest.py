@@ -1,4 +1,4 @@
-"""Compiled code of these tests has a cache of its own."""
+"""Compiled code of these tests is kept in a separate cache."""
 
 import pytest
 

@@ -60,7 +60,7 @@ def test_any_layout_of_the_input_gives_the_same(layout):
     np.testing.assert_array_equal(arm.regressor(*(layout(x) for x in values)), expected)
 
 
-def test_unaligned_input_and_whole_numbers_are_taken():
+def test_unaligned_input_and_integers_are_accepted():
     arm, values = compile(MODEL), motion(9)
     packed = np.zeros((9, 2), dtype=[("flag", "u1"), ("value", "f8")])
     packed["value"] = values[0]
@@ -139,7 +139,7 @@ def test_other_arguments_that_do_not_fit_are_refused():
 
 @pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_bad_sample_stays_alone(lanes, bad):
+def test_a_sample_with_nan_affects_no_other(lanes, bad):
     model = panda()
     arm, links = compile(model, lanes=lanes), model.robot.link_parameters
     values = motion(19, n=7)
@@ -218,7 +218,7 @@ def test_blocks_of_any_part_leave_the_rest_of_the_buffer():
         np.testing.assert_array_equal(buffer[:, last - first :], -7.0)
 
 
-def test_sines_have_room_where_a_function_reads_cosines_only():
+def test_sines_have_memory_if_a_function_reads_cosines_only():
     kernel = SimpleNamespace(arguments=(("q", 2), ("sin", 0), ("cos", 2), ("parameters", 20)))
     arguments = _make_arguments(["q", "sin", "cos", "parameters"], [kernel])
     assert [argument.width for argument in arguments] == [2, 2, 2, 20]

@@ -31,7 +31,7 @@ def libraries(folder):
 
 
 def forget(monkeypatch):
-    """Go on as another process would."""
+    """Continue as another process would."""
     monkeypatch.setattr(kernels, "_libraries", {})
 
 
@@ -39,7 +39,7 @@ def test_a_second_run_finds_what_the_first_one_compiled(fresh_process, monkeypat
     expected = gravity(two_link())
     assert len(libraries(fresh_process)) == 2  # the function, and the runtime
     forget(monkeypatch)
-    monkeypatch.setattr(kernels, "build", None)  # a compiler would be missed
+    monkeypatch.setattr(kernels, "build", None)  # a call of the compiler would fail
     monkeypatch.setattr(kernels, "kernel_source", None)  # nothing is derived either
     arm = two_link()
     np.testing.assert_array_equal(gravity(arm), expected)
@@ -128,7 +128,7 @@ def test_a_cache_that_can_only_be_read_is_used(fresh_process, monkeypatch, caplo
     assert not caplog.records
 
 
-def test_an_old_library_makes_room(fresh_process, monkeypatch):
+def test_the_oldest_libraries_are_deleted(fresh_process, monkeypatch):
     monkeypatch.setattr(cache, "KEEP", 4)
     fresh_process.mkdir()
     for age in range(10):

@@ -31,7 +31,7 @@ def program(path, text):
 
 
 def check_fallback(caplog, *expected):
-    """The whole interface works, and one warning says why it is slow and what to do."""
+    """The whole interface works, and one warning states why it is slow and what to do."""
     arm = compile(MODEL)
     regressor = arm.regressor(Q, Q, Q, out=np.full((20, 2, 20), np.nan), threads=2)
     links = MODEL.robot.link_parameters
@@ -71,14 +71,14 @@ def test_a_folder_as_compiler(fresh_process, monkeypatch, caplog, tmp_path):
 
 
 @pytest.mark.parametrize("stated", ["nan", "inf", "-1", "0", "1e300", "soon"])
-def test_a_time_limit_that_is_none(monkeypatch, caplog, stated):
+def test_an_unusable_time_limit(monkeypatch, caplog, stated):
     monkeypatch.setenv("LIEID_COMPILER_TIMEOUT", stated)
     assert timeout() == DEFAULT_TIMEOUT
     assert f"LIEID_COMPILER_TIMEOUT is '{stated}'; expected seconds" in caplog.text
 
 
 @pytest.mark.parametrize("stated", ["²", "0", "-3", "9" * 5000, "two"])
-def test_a_number_of_threads_that_is_none(monkeypatch, stated):
+def test_an_unusable_number_of_threads(monkeypatch, stated):
     monkeypatch.setenv("LIEID_THREADS", stated)
     assert default_threads() in (1, 2)
 

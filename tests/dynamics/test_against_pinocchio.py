@@ -1,4 +1,4 @@
-"""Every quantity against Pinocchio, which shares no formula with us."""
+"""Every quantity against Pinocchio, which shares no code with the package."""
 
 import casadi as ca
 import numpy as np
@@ -62,7 +62,7 @@ def test_regressor_itself(arm):
 
 
 def test_link_parameters(arm):
-    """Ours, moved to Pinocchio's frames, are what Pinocchio holds."""
+    """Link parameters, expressed in Pinocchio's frames, are those of its model."""
     theirs = np.concatenate([body.toDynamicParameters() for body in arm.pinocchio.inertias[1:]])
     assert_close(arm.shift @ arm.robot.link_parameters, theirs)
 

@@ -1,4 +1,4 @@
-"""The friction library against its formulas written once more in NumPy, and its corners."""
+"""The friction effects against their formulas in NumPy, and at extreme values."""
 
 import casadi as ca
 import numpy as np

@@ -15,7 +15,7 @@ WIDTH = 0.02
 
 
 def loop(t):
-    """Two joints to and fro, with reversals at unlike places."""
+    """Two joints moving back and forth, with reversals at different positions."""
     q = np.column_stack([np.sin(t) + 0.3 * np.sin(3.1 * t), 0.2 * np.cos(2 * t)])
     dq = np.column_stack([np.cos(t) + 0.93 * np.cos(3.1 * t), -0.4 * np.sin(2 * t)])
     return q, dq
@@ -74,15 +74,15 @@ def test_irregular_stamps_change_nothing():
     assert error.max() < 5e-3
 
 
-def test_a_closed_loop_takes_energy():
+def test_a_closed_loop_dissipates_energy():
     t = np.linspace(0.0, 4 * np.pi, 8001)
     arm = lieid.compile(lieid.Model(ROBOT, "presliding:2"))
     q, dq = loop(t)
     torque = arm.effect_columns(q, dq, 0 * q, time=t, shapes=[WIDTH])[:, 1, 0]
     period = np.arange(4000, 8001)  # the second of two that are alike
     work = np.trapezoid(torque[period] * dq[period, 1], t[period])
-    way = np.trapezoid(np.abs(dq[period, 1]), t[period])
-    assert 0.5 * way < work < way  # Coulomb friction would take all of the way
+    distance = np.trapezoid(np.abs(dq[period, 1]), t[period])
+    assert 0.5 * distance < work < distance  # Coulomb friction: equal to the distance
 
 
 def test_lugre_solves_its_equation():
@@ -114,7 +114,7 @@ def test_steady_sliding_is_coulomb_with_the_stribeck_curve():
 
 @pytest.mark.parametrize("samples", [1, 2, STEPS, STEPS + 1, 3 * STEPS + 5])
 def test_any_number_of_samples(samples):
-    """Chunks of the unrolled step join without a seam."""
+    """Chunks of the unrolled step are continuous."""
     t = np.linspace(0.0, 5.0, samples)
     q, dq = loop(t)
     model = lieid.Model(ROBOT, "presliding")

@@ -81,7 +81,7 @@ def test_wrong_shapes_are_named(bad):
 
 
 def by_hand(name, s, shape):
-    """The formulas of the library once more, in NumPy."""
+    """The formulas of the library in NumPy."""
     q, dq, ddq, sign, load = (s[k] for k in ("q", "dq", "ddq", "sign", "load"))
     speed = np.sqrt(dq**2 + 1e-6)
     return {
@@ -157,7 +157,7 @@ def test_the_library_states_formula_units_and_bounds():
         assert all(s.lower <= s.initial <= s.upper < np.inf for s in effect.shapes)
 
 
-def test_own_effect_with_the_decorator():
+def test_user_effect_with_the_decorator():
     @lieid.effect("test_cogging", formula="a·sin(6q)", coefficients={"a": "N·m"}, signals=["q"])
     def cogging(s, shape):
         return [ca.sin(6 * s.q)]

@@ -1,7 +1,7 @@
 """Random arms, and any robot as a model of Pinocchio and of MuJoCo.
 
 Both are built from the robot's data (screws, home poses, links) with arithmetic of their own, so
-that a mistake in the package's dynamics or inertia code cannot hide here.
+that a mistake in the package's dynamics or inertia code is found.
 """
 
 import numpy as np
@@ -14,8 +14,8 @@ def random_arm(rng, n, *, mixed=True, off_origin=True):
     """An arm of n joints with arbitrary axes.
 
     Some axes do not pass through the origin of their link frame (unless ``off_origin`` is false:
-    a URDF cannot say that). Revolute and prismatic joints (``mixed``, n > 1) or revolute ones
-    only; inertias that can exist; gravity of any direction and size; a tool.
+    URDF cannot express that). Revolute and prismatic joints (``mixed``, n > 1) or revolute ones
+    only; physically possible inertias; gravity of any direction and size; a tool.
     """
     sliding = np.zeros(n, dtype=bool)
     if mixed and n > 1:
@@ -54,7 +54,7 @@ def random_pose(rng, size):
 
 
 def random_link(rng):
-    """Ten link parameters of a cloud of point masses, so a body that can exist."""
+    """Ten link parameters of a cloud of point masses, which is physically possible."""
     masses, points = rng.uniform(0.1, 1.0, 8), rng.uniform(-0.3, 0.3, (8, 3))
     inertia = sum(
         m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(masses, points, strict=True)
@@ -103,8 +103,8 @@ def mass_com_inertia(link):
 def to_pinocchio(robot):
     """The robot as a pinocchio.Model with a frame ``tool``.
 
-    Pinocchio's axes pass through the joint frame's origin: where ours do not, its joint frame is
-    the link frame shifted to the axis (see `shift_to_axes`).
+    Pinocchio's axes pass through the joint frame's origin. If an axis of the robot does not, the
+    joint frame is the link frame shifted to the axis (see `shift_to_axes`).
     """
     import pinocchio as pin
 

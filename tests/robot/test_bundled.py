@@ -33,7 +33,7 @@ def tool_at(robot, q):
 
 
 @pytest.mark.parametrize("name", ["panda", "panda_luo2024", "two_link"])
-def test_load_knows_the_names(name):
+def test_bundled_robots_load_by_name(name):
     robot = Robot.load(name)
     assert robot.name == name
     assert robot.has_inertia
@@ -43,7 +43,7 @@ def test_load_knows_the_names(name):
 
 
 @pytest.mark.parametrize("name", ["panda", "panda_luo2024", "two_link"])
-def test_every_link_can_exist(name):
+def test_every_link_is_physically_possible(name):
     for joint in Robot.load(name).joints:
         assert np.linalg.eigvalsh(pseudo_inertia(joint.link)).min() > 0
 
@@ -76,7 +76,7 @@ def test_flange_of_franka_at_its_zero_pose():
 
 
 def test_one_arm_two_zero_poses():
-    """The same physical state gives the same torques and the same place of the tool."""
+    """The same physical state gives the same torques and the same pose of the tool."""
     franka, luo = robots.panda(), robots.panda_luo2024()
     models = [to_pinocchio(franka), to_pinocchio(luo)]
     for q, dq, ddq in zip(*random_states(np.random.default_rng(0), franka, 20), strict=True):

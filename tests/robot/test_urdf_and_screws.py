@@ -1,4 +1,4 @@
-"""One arm written as URDF and as YAML is one arm."""
+"""An arm written as URDF and as YAML is the same robot."""
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.yaml_writer import write_yaml
 
-EARTH = np.array([0.0, 0.0, -9.81])  # URDF has no gravity; this is Pinocchio's
+EARTH = np.array([0.0, 0.0, -9.81])  # URDF states no gravity; this is Pinocchio's default
 
 
 def urdf_of(robot):
@@ -84,7 +84,7 @@ def test_urdf_and_yaml_agree(seed, tmp_path):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_same_kinematics_and_torques_as_the_urdf_in_pinocchio(seed):
-    """Pinocchio reads the URDF itself; the screws come through our YAML."""
+    """Pinocchio reads the URDF itself; the screws are read from YAML."""
     rng = np.random.default_rng(100 + seed)
     arm = random_arm(rng, 2 + seed, off_origin=False)
     theirs = pin.buildModelFromXML(urdf_of(arm))

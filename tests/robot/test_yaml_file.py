@@ -45,7 +45,7 @@ def test_every_key_is_read():
     np.testing.assert_array_equal(robot.tool[:3, :3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 
 
-def test_what_is_left_out():
+def test_defaults_of_optional_keys():
     robot = Robot.parse_yaml(TWO)
     reach = robot.joints[1]
     assert reach.link is None
