@@ -11,6 +11,7 @@ from typing import Any
 
 from fuzz import container_mutations, seeds, text_mutations
 from fuzz.byte_mutations import mutate_bytes
+from fuzz.parquet_mutations import mutate_parquet
 
 #: Bytes of the longest input.
 LONGEST = 4 << 20
@@ -100,7 +101,7 @@ FORMATS = {
         Format("csv.gz", "run.csv.gz", seeds.csv_gz, container_mutations.mutate_gzip,
                _use_recording),
         Format("npz", "run.npz", seeds.npz, container_mutations.mutate_npz, _use_recording),
-        Format("parquet", "run.parquet", seeds.parquet, mutate_bytes, _use_recording),
+        Format("parquet", "run.parquet", seeds.parquet, mutate_parquet, _use_recording),
         Format("mcap", "run.mcap", seeds.mcap, container_mutations.mutate_mcap, _use_recording),
         Format("bag", "run.bag", seeds.ros1_bag, container_mutations.mutate_bag, _use_recording),
         Format("db3", "run.db3", seeds.ros2_database, container_mutations.mutate_sqlite,

@@ -5,12 +5,6 @@ from fuzz.formats import FORMATS
 from fuzz.supervisor import LoadingProcess, fuzz
 
 SHORT, LONG = 300, 2000
-#: Formats whose readers still have escapes (issue 11, section 4): remove the name with the last.
-OPEN: set[str] = {"yaml", "urdf"}
-EACH = [
-    pytest.param(name, marks=[pytest.mark.xfail(run=False)] if name in OPEN else [])
-    for name in FORMATS
-]
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +19,7 @@ def report(tally):
     )
 
 
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize("name", FORMATS)
 def test_mutated_files_give_data_or_an_error(name, child):
     tally = fuzz(FORMATS[name], range(SHORT), 0, child)
     assert tally.counts["data"] + tally.counts["refused"] == SHORT, report(tally)
@@ -33,7 +27,7 @@ def test_mutated_files_give_data_or_an_error(name, child):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize("name", FORMATS)
 def test_many_mutated_files_give_data_or_an_error(name, child):
     tally = fuzz(FORMATS[name], range(LONG), 1, child)
     assert not tally.escapes, report(tally)
