@@ -42,7 +42,9 @@ def add_parser(commands: Any) -> None:
         metavar="B",
         help="recordings that confirm the result and are not fitted",
     )
-    parser.add_argument("--method", choices=("wls", "ols", "robust"), default="wls")
+    parser.add_argument(
+        "--method", choices=("wls", "ols", "robust"), default="wls", help="estimator; default: wls"
+    )
     parser.add_argument(
         "--seed", type=seed, default=0, metavar="N", help="of the bootstrap; default: 0"
     )

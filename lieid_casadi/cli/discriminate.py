@@ -34,12 +34,32 @@ def add_parser(commands: Any) -> None:
         "--recordings", nargs="+", type=InputPath, default=[], metavar="REC",
         help="recordings that the spectrum of the noise is estimated from",
     )  # fmt: skip
-    parser.add_argument("--level", type=number, default=0.95, metavar="P", help="default: 0.95")
-    parser.add_argument("--duration", type=number, default=10.0, metavar="S", help="of one period")
-    parser.add_argument("--harmonics", type=int, default=5, metavar="N")
-    parser.add_argument("--start-pose", type=number, nargs="+", metavar="Q", help="rad")
-    parser.add_argument("--acceleration", type=number, nargs="+", metavar="A", help="rad/s²")
-    parser.add_argument("--rate", type=number, default=1000.0, metavar="HZ", help="of the files")
+    parser.add_argument(
+        "--level", type=number, default=0.95, metavar="P", help="confidence level; default: 0.95"
+    )
+    parser.add_argument(
+        "--duration", type=number, default=10.0, metavar="S", help="of one period, s; default: 10"
+    )
+    parser.add_argument(
+        "--harmonics", type=int, default=5, metavar="N", help="harmonics of each joint; default: 5"
+    )
+    parser.add_argument(
+        "--start-pose",
+        type=number,
+        nargs="+",
+        metavar="Q",
+        help="pose at the start and the end, rad",
+    )
+    parser.add_argument(
+        "--acceleration", type=number, nargs="+", metavar="A", help="acceleration limits, rad/s²"
+    )
+    parser.add_argument(
+        "--rate",
+        type=number,
+        default=1000.0,
+        metavar="HZ",
+        help="sampling rate of the files, Hz; default: 1000",
+    )
     parser.add_argument(
         "--evaluations",
         type=int,
@@ -47,7 +67,9 @@ def add_parser(commands: Any) -> None:
         metavar="N",
         help="of the criterion in the search; default: 1500",
     )
-    parser.add_argument("--seed", type=seed, default=0, metavar="N")
+    parser.add_argument(
+        "--seed", type=seed, default=0, metavar="N", help="of the search; default: 0"
+    )
     shared_options.add_effects_file(parser)
     shared_options.add_recording_options(parser)
     shared_options.add_outputs(parser)

@@ -28,11 +28,17 @@ def add_parser(commands: Any) -> None:
     shared_options.add_robot(parser)
     shared_options.add_output_folder(parser)
     shared_options.add_effects(parser)
-    parser.add_argument("--criterion", choices=CRITERIA, default="combined")
+    parser.add_argument(
+        "--criterion", choices=CRITERIA, default="combined",
+        help="criterion of the regressor that is optimized; default: combined",
+    )  # fmt: skip
     parser.add_argument(
         "--inertial-only", action="store_true", help="leave effects out of the regressor"
     )
-    parser.add_argument("--scaling", choices=("si", "units", "prior", "unit_norm"), default="si")
+    parser.add_argument(
+        "--scaling", choices=("si", "units", "prior", "unit_norm"), default="si",
+        help="scaling of the columns in the criterion; default: si",
+    )  # fmt: skip
     _add_motion(parser)
     _add_limits(parser)
     _add_search(parser)
@@ -47,20 +53,27 @@ def add_parser(commands: Any) -> None:
 
 def _add_motion(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("motion")
-    group.add_argument("--family", choices=FAMILIES, default="fourier")
-    group.add_argument("--duration", type=number, default=20.0, metavar="S", help="of one period")
-    group.add_argument("--harmonics", type=int, default=5, metavar="N")
-    group.add_argument("--periods", type=int, default=1, metavar="N")
-    group.add_argument("--samples", type=int, default=100, metavar="N", help="of the criterion")
-    group.add_argument("--rate", type=number, default=1000.0, metavar="HZ", help="of the files")
     group.add_argument(
-        "--start-pose", nargs="+", type=number, metavar="Q", help="default: middle of the ranges"
+        "--family", choices=FAMILIES, default="fourier", help="of trajectories; default: fourier"
     )
+    for name, kind, default, unit, text in (
+        ("--duration", number, 20.0, "S", "of one period, s"),
+        ("--harmonics", int, 5, "N", "harmonics of each joint"),
+        ("--periods", int, 1, "N", "number of periods"),
+        ("--samples", int, 100, "N", "samples of one period in the criterion"),
+        ("--rate", number, 1000.0, "HZ", "sampling rate of the files, Hz"),
+    ):
+        group.add_argument(
+            name, type=kind, default=default, metavar=unit, help=f"{text}; default: {default:g}"
+        )
     group.add_argument(
-        "--free-start",
-        action="store_true",
+        "--start-pose", nargs="+", type=number, metavar="Q",
+        help="pose at the start and the end, rad; default: middle of the ranges",
+    )  # fmt: skip
+    group.add_argument(
+        "--free-start", action="store_true",
         help="choose the first pose; an approach motion from the start pose is added",
-    )
+    )  # fmt: skip
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:
@@ -73,20 +86,26 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         help="rad/s², one number or one per joint",
     )
     group.add_argument(
-        "--torque-fraction", type=number, default=1.0, metavar="F", help="of the torque limits"
-    )
+        "--torque-fraction", type=number, default=1.0, metavar="F",
+        help="fraction of the torque limits that may be used; default: 1",
+    )  # fmt: skip
     group.add_argument("--no-torque", action="store_true", help="ignore torque limits")
     group.add_argument(
-        "--cartesian-speed", type=number, metavar="M/S", help="of tool and joint centres"
-    )
-    group.add_argument("--floor", nargs="?", type=number, const=0.0, metavar="Z", help="default: 0")
+        "--cartesian-speed", type=number, metavar="V",
+        help="speed limit of the tool and the joint centres, m/s",
+    )  # fmt: skip
+    group.add_argument(
+        "--floor", nargs="?", type=number, const=0.0, metavar="Z",
+        help="stay above the plane z = Z of the base frame, m; default: 0",
+    )  # fmt: skip
     group.add_argument(
         "--wall", nargs=4, type=number, action="append", default=[],
         metavar=("NX", "NY", "NZ", "D"),
-        help="stay where n·x ≤ d",
+        help="stay where n·x ≤ d, base frame, m",
     )  # fmt: skip
     for name, text in (
-        ("--workspace-box", "stay inside this box"), ("--obstacle", "stay out of this box"),
+        ("--workspace-box", "stay inside this box, base frame, m"),
+        ("--obstacle", "stay outside of this box, base frame, m"),
     ):  # fmt: skip
         group.add_argument(
             name, nargs=6, type=number, action="append", default=[],
@@ -94,21 +113,25 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         )  # fmt: skip
     group.add_argument(
         "--self-collision", nargs="?", type=number, const=0.02, metavar="CLEARANCE",
-        help="keep the links apart; default: 0.02 m",
+        help="smallest distance between links, m; default: 0.02",
     )  # fmt: skip
     group.add_argument(
         "--capsules",
         type=InputPath,
         metavar="FILE",
-        help="links as capsules (YAML); default: fitted",
+        help="YAML file with capsules around the links; default: fitted to their geometry",
     )
 
 
 def _add_search(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("search")
-    group.add_argument("--solver", choices=SOLVERS, default="ipopt")
-    group.add_argument("--starts", type=int, default=4, metavar="N")
-    group.add_argument("--seed", type=seed, default=0, metavar="N", help="default: 0")
+    group.add_argument("--solver", choices=SOLVERS, default="ipopt", help="default: ipopt")
+    group.add_argument(
+        "--starts", type=int, default=4, metavar="N", help="number of random starts; default: 4"
+    )
+    group.add_argument(
+        "--seed", type=seed, default=0, metavar="N", help="of the random starts; default: 0"
+    )
     group.add_argument(
         "--max-iterations", type=int, metavar="N", help="of one start; default: no limit"
     )

@@ -30,7 +30,9 @@ def add_parser(commands: Any) -> None:
         metavar="REC",
         help="recordings in which the joint moves in both directions",
     )
-    parser.add_argument("--joint", type=int, required=True, metavar="J", help="from 1")
+    parser.add_argument(
+        "--joint", type=int, required=True, metavar="J", help="number of the joint, from 1"
+    )
     parser.add_argument(
         "--effects",
         metavar="A,B,…",

@@ -38,7 +38,7 @@ def add_parser(commands: Any) -> None:
         metavar="T",
         help="recordings that are not fitted",
     )
-    parser.add_argument("--method", choices=METHODS, default="wls")
+    parser.add_argument("--method", choices=METHODS, default="wls", help="estimator; default: wls")
     parser.add_argument("-o", "--output", type=OutputFile, metavar="fit.json", help="write the fit")
     shared_options.add_effects(parser)
     _add_stages(parser)

@@ -14,7 +14,14 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser("predict", help="torque of a fit along a recording")
     parser.add_argument("fit", type=InputPath, metavar="FIT")
     parser.add_argument("recording", type=InputPath, metavar="REC")
-    parser.add_argument("-o", "--output", type=OutputFile, required=True, metavar="pred.csv")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=OutputFile,
+        required=True,
+        metavar="pred.csv",
+        help="CSV file with t and the torques",
+    )
     shared_options.add_recording_options(parser)
     shared_options.add_effects_file(parser)
     shared_options.add_threads(parser)

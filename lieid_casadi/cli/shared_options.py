@@ -72,7 +72,10 @@ def add_processing(parser: argparse.ArgumentParser) -> None:
 def add_effects(parser: argparse.ArgumentParser, *, default: str = DEFAULT_EFFECTS) -> None:
     """Add --effects and --effects-file."""
     parser.add_argument(
-        "--effects", default=default, metavar="A,B:2+3,…", help=f"default: {default}"
+        "--effects",
+        default=default,
+        metavar="A,B:2+3,…",
+        help=f"effects of the model, on joints 2 and 3 as B:2+3; default: {default or 'none'}",
     )
     add_effects_file(parser)
 
