@@ -67,7 +67,7 @@ _HOME = {
     "Shape": "lieid_casadi.effects",
     "Signals": "lieid_casadi.effects",
     "StagedFit": "lieid_casadi.friction_curves",
-    "SymbolicDynamics": "lieid_casadi.expressions.symbolic",
+    "SymbolicDynamics": "lieid_casadi.expressions.symbolic_dynamics",
     "compare": "lieid_casadi.comparison",
     "compile": "lieid_casadi.compiled",
     "diagnose": "lieid_casadi.diagnosis",
@@ -94,7 +94,8 @@ if TYPE_CHECKING:
     from lieid_casadi.errors import LieidError, LieidWarning
     from lieid_casadi.excitation.excitation import Excitation
     from lieid_casadi.excitation.excite import excite
-    from lieid_casadi.expressions.symbolic import SymbolicDynamics, symbolic
+    from lieid_casadi.expressions.symbolic import symbolic
+    from lieid_casadi.expressions.symbolic_dynamics import SymbolicDynamics
     from lieid_casadi.friction_curves.stages import StagedFit, identify_in_stages
     from lieid_casadi.gains.estimate import DriveGains
     from lieid_casadi.gains.identify import drive_gains

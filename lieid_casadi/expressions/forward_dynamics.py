@@ -44,34 +44,19 @@ def _bias(torque: TorqueExpressions, ddq: ca.SX) -> ca.SX:
 
 def _depends_on_load(torque: TorqueExpressions) -> bool:
     """Whether the torque depends on the acceleration by more than the mass matrix."""
-    return (
-        torque.uses_load
-        or bool(ca.depends_on(torque.measurement_torque, torque.motion.ddq))
-        or (bool(ca.depends_on(torque.measurement_torque, torque.load)))
-    )
+    by = ca.vertcat(torque.load, torque.motion.ddq)
+    return torque.uses_load or bool(ca.depends_on(torque.measurement_torque, by))
 
 
 def inertia(torque: TorqueExpressions) -> ca.SX:
     """Return ∂ID/∂q̈ (n, n): the mass matrix, with the share that friction adds by the load."""
     if not _depends_on_load(torque):
         return torque.mass_matrix
-    m = torque.motion
     effects = torque.joint_torque + torque.measurement_torque
-    direct = ca.jacobian(torque.measurement_torque, m.ddq)
-    by_load = ca.mtimes(
-        ca.jacobian(effects, torque.load),
-        torque_of_links(torque),
-    )
-    by_load = ca.substitute(by_load, torque.load, torque.rigid_torque)
-    direct = ca.substitute(direct, torque.load, torque.rigid_torque)
-    return torque.mass_matrix + direct + by_load
-
-
-def torque_of_links(torque: TorqueExpressions) -> ca.SX:
-    """Return ∂load/∂q̈ (n, n), the mass matrix of the links alone."""
-    from lieid_casadi.dynamics import closed_form
-
-    return closed_form.mass_matrix(torque.model.robot, torque.motion, torque.links)
+    by_load = ca.mtimes(ca.jacobian(effects, torque.load), torque.link_mass_matrix)
+    direct = ca.jacobian(torque.measurement_torque, torque.motion.ddq)
+    added = ca.substitute(by_load + direct, torque.load, torque.rigid_torque)
+    return torque.mass_matrix + added
 
 
 def derivatives(torque: TorqueExpressions, symbols: Sequence[ca.SX]) -> list[ca.SX]:

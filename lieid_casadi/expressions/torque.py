@@ -217,6 +217,11 @@ class TorqueExpressions:
         return ca.jacobian(self.joint_torque, self.motion.ddq)
 
     @cached_property
+    def link_mass_matrix(self) -> ca.SX:
+        """∂load/∂q̈ (n, n): the mass matrix of the links whose torque is the load."""
+        return closed_form.mass_matrix(self.model.robot, self.motion, self.links)
+
+    @cached_property
     def mass_matrix(self) -> ca.SX:
         """M (n, n), armature included."""
         rigid = closed_form.mass_matrix(self.model.robot, self.motion, self.all_links)
