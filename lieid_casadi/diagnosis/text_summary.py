@@ -55,9 +55,10 @@ def _findings(steps: Sequence[DiagnosisStep]) -> list[str]:
 def _finding(steps: Sequence[DiagnosisStep]) -> str:
     """Return effect, joints, parameters, fall of the error, and rivals."""
     first = steps[0]
-    rivals = [c.placement.label for c, _ in first.indistinguishable]
+    rivals = [f"{c.name} on {location(c.joints)}" for c, _ in first.indistinguishable]
     named = f"{first.effect} on {_joined_locations(steps)}"
-    alternatives = f", or {' or '.join(rivals)}, which fit as well" if rivals else ""
+    fit = "fits" if len(rivals) == 1 else "fit"
+    alternatives = f", or {' or '.join(rivals)}, which {fit} as well" if rivals else ""
     values = []
     for name, unit in first.units.items():
         numbers = _and([f"{step.parameters[name]:.3g}" for step in steps])

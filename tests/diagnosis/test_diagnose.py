@@ -100,7 +100,7 @@ def test_steps_with_one_effect_are_one_finding_and_rivals_are_alternatives():
         diagnosis, step, replace(other, indistinguishable=((rival, "data"),))
     ).sentence
     assert "load_friction on joint 1 (" in text
-    assert text.endswith("N·m), or stribeck:2, which fit as well.")
+    assert text.endswith("N·m), or stribeck on joint 2, which fits as well.")
 
 
 def test_two_hidden_effects_are_named():
