@@ -85,9 +85,9 @@ class DiagnosisOptions:
     bootstrap_draws: int = 200
     #: Length of blocks of time (s) whose residuals count as independent. Simulations.
     block_duration: float = 1.0
-    #: Length of blocks (s) that go to the folds of the cross-validation in turn, and the number of
-    #: folds. Statistics.
+    #: Length of blocks (s) that go to the folds of the cross-validation in turn. Statistics.
     fold_duration: float = 2.0
+    #: Folds of the cross-validation. Statistics.
     folds: int = 5
 
     # --- Search for missing effects --------------------------------------------------------------
@@ -101,12 +101,14 @@ class DiagnosisOptions:
     least_delay_samples: float = 1.0
     #: Steps after which the search ends. Cost.
     most_steps: int = 12
-    #: Effects that are selected together, and rounds of exchange among them. Cost.
+    #: Effects that are selected together at most. Cost.
     most_effects_at_once: int = 10
+    #: Rounds of exchange among the selected effects. Cost.
     exchange_rounds: int = 3
-    #: Penalties of the generous selection that estimates the noise: effects, and smooth functions,
-    #: whose small gains may be the noise's own correlation. Simulations.
+    #: Penalty of effects in the generous selection that estimates the noise. Simulations.
     pilot_penalty: Penalty = Penalty(per_parameter=5.0, part=0.02)
+    #: Penalty of smooth functions in that selection; their small gains may be due to the
+    #: correlation of the noise. Simulations.
     pilot_smooth_penalty: Penalty = Penalty(per_parameter=5.0, part=0.3)
 
     # --- Search for changes ----------------------------------------------------------------------
@@ -149,18 +151,18 @@ class DiagnosisOptions:
     #: Family-wise p-value of smooth functions. Stricter than for effects: they are more flexible.
     #: Statistics.
     residual_significance: float = 1e-4
-    #: Least part of a joint's held-out residual variance that is reported; of functions of time,
-    #: which coloured noise resembles. Simulations.
+    #: Least part of a joint's held-out residual variance that is reported. Simulations.
     least_residual_part: float = 0.08
+    #: The same for functions of time, which coloured noise resembles. Simulations.
     least_residual_part_of_time: float = 0.3
-    #: Part of the gain so far that a further smooth function must add, and signals named at most.
-    #: Simulations.
+    #: Part of the gain so far that a further smooth function must add. Simulations.
     least_further_part: float = 0.25
+    #: Signals named at most for each joint, as the JSON format states.
     most_signals: int = 3
-    #: Part of a predicted improvement that the test recordings must show: of smooth functions
-    #: (other poses may be outside of their range), and of a formula.
-    #: Simulations.
+    #: Part of the improvement predicted by smooth functions that the test recordings must show.
+    #: Other poses may be outside of the range of the functions. Simulations.
     least_validated_part: float = 0.2
+    #: The same for a formula. Simulations.
     least_validated_formula_part: float = 0.5
 
     # --- Formula of the residual ------------------------------------------------------------------
