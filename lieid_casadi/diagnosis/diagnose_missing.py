@@ -173,7 +173,7 @@ def _unexplained(problem: MissingEffects, tests: Sequence[Recording]) -> tuple[U
 
 
 def _aliases(problem: MissingEffects) -> Aliases:
-    """Return the candidates that cannot be identified beside the first model."""
+    """Return the candidates that cannot be identified in addition to the first model."""
     candidates = problem.first.candidates.whitened(problem.white, problem.first.runs)
     return aliases(candidates, problem.first.baseline(problem.white))
 

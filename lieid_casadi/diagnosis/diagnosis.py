@@ -51,7 +51,7 @@ class Diagnosis:
     tried : int
         Number of candidates that were screened.
     aliases : Aliases
-        Candidates that cannot be identified beside the first model.
+        Candidates that cannot be identified in addition to the first model.
     fit : Fit
         The last model's.
     warnings : tuple of LieidWarning

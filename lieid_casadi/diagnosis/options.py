@@ -126,9 +126,9 @@ class DiagnosisOptions:
     most_rivals: int = 12
     #: Least gain of a rival, relative to the effect's own gain. Simulations.
     least_rival_gain: float = 0.5
-    #: Part of a rival's gain that may stay beside the effect; with more it is a further cause.
-    #: Simulations.
-    most_rival_gain_beside: float = 0.3
+    #: Part of a rival's gain that may remain in addition to the effect; with more it is a further
+    #: cause. Simulations.
+    most_rival_gain_in_addition: float = 0.3
     #: Standard deviations by which two fits must differ. Statistics: Vuong, Econometrica 1989,
     #: about 95 %.
     rival_deviations: float = 2.0
@@ -143,9 +143,10 @@ class DiagnosisOptions:
     #: Unexplained sum of squares of a joint relative to what its effects explain, above which the
     #: effects are compared with smooth functions. Simulations.
     doubtful_residual: float = 0.03
-    #: Part of an effect's gain that must stay beside smooth functions of the signals that the
-    #: residual depends on; with less the effect only partly explains the residual. Simulations.
-    least_gain_beside_smooth: float = 0.25
+    #: Part of an effect's gain that must remain in addition to smooth functions of the signals
+    #: that the residual depends on; with less the effect only partly explains the residual.
+    #: Simulations.
+    least_gain_with_smooth: float = 0.25
 
     # --- Unexplained residual ---------------------------------------------------------------------
     #: Family-wise p-value of smooth functions. Stricter than for effects: they are more flexible.

@@ -126,7 +126,7 @@ class Discrimination:
         return MotionSamples(t, motion.q, motion.dq, motion.ddq)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``discriminate.json`` holds; joints from 1."""
+        """Return the content of ``discriminate.json``; joints from 1."""
         return {
             "robot": self.model.robot.name,
             "effects": list(self.sizes),

@@ -135,7 +135,7 @@ def test_the_map_is_the_hidden_torque(by_angle):
     truth = 0.15 * SIZE[1] * np.sin(2.0 * q + 0.5) * dq
     seen = np.isfinite(shape.value)
     assert 0.2 < seen.mean() < 1.0
-    # beside viscous friction, which the model has
+    # the model has viscous friction, so that its part is not determined
     columns = np.column_stack([dq[seen], np.sign(dq[seen])])
     left = truth[seen] - shape.value[seen]
     left = left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
@@ -246,9 +246,9 @@ def test_the_printed_code_completes_the_model(tmp_path, capsys):
     command = ["diagnose", "two_link", "--train", str(tmp_path / "a.csv"),
                "--test", str(tmp_path / "b.csv")]  # fmt: skip
     assert main(command) == 0
-    said = capsys.readouterr().out
-    first, last = said.index("    import casadi"), said.index("    return [")
-    lines = said[first : said.index("\n", last)].splitlines()
+    printed = capsys.readouterr().out
+    first, last = printed.index("    import casadi"), printed.index("    return [")
+    lines = printed[first : printed.index("\n", last)].splitlines()
     (tmp_path / "own.py").write_text("\n".join(line[4:] for line in lines) + "\n")
     own = ["--effects-file", str(tmp_path / "own.py")]
     assert main([*command, *own, "--effects", "coulomb,viscous,offset,own_2:2"]) == 0

@@ -49,7 +49,7 @@ def test_writes_the_trajectory_and_prints_its_duration(paths, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "said"),
+    ("words", "status", "message"),
     [
         (["stribeck:1", "stribeck:1"], 2, "twice"),
         (["stribeck:1"], 2, "at least two"),
@@ -61,10 +61,10 @@ def test_writes_the_trajectory_and_prints_its_duration(paths, tmp_path, capsys):
         (["armature:1", "stribeck:1"], 3, "no data"),
     ],
 )
-def test_invalid_requests_are_one_line_and_no_file(paths, tmp_path, capsys, words, status, said):
+def test_invalid_requests_are_one_line_and_no_file(paths, tmp_path, capsys, words, status, message):
     out = tmp_path / "out"
     assert main(["discriminate", paths[0], *words, "-o", str(out), *QUICK]) == status
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert error.count("\n") == 1
     assert not out.exists()

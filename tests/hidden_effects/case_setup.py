@@ -115,7 +115,7 @@ def with_hidden(
 
 
 def draw_setup(case: Case, random: np.random.Generator, noise_factor: float) -> CaseSetup:
-    """Return arm, motions and sensors; ``quiet`` lowers the noise, for effects that stay small."""
+    """Return arm, motions and sensors; the noise is multiplied by ``noise_factor``."""
     arm_name = str(random.choice(ARMS))
     robot = load_arm(arm_name)
     scale, speed = torque_scale(robot), Envelope.of(robot).velocity

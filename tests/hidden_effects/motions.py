@@ -66,7 +66,7 @@ def _move(envelope: Envelope, a: Array, b: Array) -> Waypoints:
 
 
 class Smoothed:
-    """A motion without jumps of its jerk: elastic joints answer to its derivatives up to q⁗."""
+    """A motion without jumps of its jerk: elastic joints react to derivatives up to q⁗."""
 
     def __init__(self, motion: ReferenceTrajectory) -> None:
         self.duration = motion.duration + 2.0 * MARGIN

@@ -75,11 +75,11 @@ def run_case(
         try:
             found, fit = run_diagnosis(folder, by_command=by_command)
         except Exception as problem:  # noqa: BLE001 - every error counts as a failure
-            return score_answer(case, truth, None) | {
+            return score_result(case, truth, None) | {
                 "error": f"{type(problem).__name__}: {problem}"
             }
         seconds = time.perf_counter() - begin
-        result = score_answer(case, truth, found) | {"seconds": round(seconds, 2)}
+        result = score_result(case, truth, found) | {"seconds": round(seconds, 2)}
         if true_model and truth["effects"] and case.kind != "foreign" and not case.changed:
             result |= {"rms_ratio": rms_against_true_model(folder, truth, fit)}
     return result
@@ -109,7 +109,7 @@ def _spec(effect: dict[str, Any]) -> str:
     return f"{effect['effect']}:{'<'.join(map(str, effect['joints']))}"
 
 
-def score_answer(case: Case, truth: dict[str, Any], found: dict[str, Any] | None) -> dict[str, Any]:
+def score_result(case: Case, truth: dict[str, Any], found: dict[str, Any] | None) -> dict[str, Any]:
     """Return the score of a result; None stands for a failure."""
     steps = [] if found is None else found["steps"]
     wanted = [] if case.kind == "foreign" else [_named(e) for e in truth["effects"]]
@@ -128,7 +128,7 @@ def score_answer(case: Case, truth: dict[str, Any], found: dict[str, Any] | None
               "nearest_part")}
             for e in truth["effects"]
         ],
-        "answered": found is not None,
+        "completed": found is not None,
         "verdict": None if found is None else found["verdict"],
         "steps": [list(_named(step)) for step in steps],
         "rivals": [[list(_named(r)) for r in step["indistinguishable"]] for step in steps],
@@ -148,26 +148,26 @@ def _points(
     case: Case, truth: dict[str, Any], result: dict[str, Any], complete: tuple[bool, bool]
 ) -> dict[str, bool]:
     """Return the entries on which the goals are defined."""
-    answered = bool(result["answered"])
+    completed = bool(result["completed"])
     if case.kind == "none":
         alarm = bool(result["steps"]) or result["verdict"] != "sufficient"
-        return {"right": answered and not alarm, "named": bool(result["steps"])}
+        return {"right": completed and not alarm, "named": bool(result["steps"])}
     if case.kind == "foreign":
         return _foreign_points(truth["effects"][0], result)
-    return {"right": answered and complete[0], "right_in_set": answered and complete[1]}
+    return {"right": completed and complete[0], "right_in_set": completed and complete[1]}
 
 
 def _foreign_points(effect: dict[str, Any], result: dict[str, Any]) -> dict[str, bool]:
-    quiet = bool(result["answered"]) and not result["steps"]
+    no_step = bool(result["completed"]) and not result["steps"]
     first = result["unexplained"][0] if result["unexplained"] else None
-    there = first is not None and first["joint"] == effect["joint"]
+    right_joint = first is not None and first["joint"] == effect["joint"]
     signals = first["depends_on"] if first else []
     all_first = set(signals[: len(effect["signals"])]) == set(effect["signals"])
     return {
-        "right": quiet and there and all_first,
-        "quiet": quiet,
-        "joint_first": there,
-        "one_signal_first": there and bool(signals) and signals[0] in effect["signals"],
+        "right": no_step and right_joint and all_first,
+        "no_step": no_step,
+        "joint_first": right_joint,
+        "one_signal_first": right_joint and bool(signals) and signals[0] in effect["signals"],
     }
 
 

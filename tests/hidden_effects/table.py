@@ -101,7 +101,7 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
             Rate.of(compared, lambda r: r["rms_ratio"] <= CLOSE_TO_TRUE_MODEL), 0.95,
         ),
         Goal("foreign: no step, right joint and signals first", Rate.of(foreign, right), 0.90),
-        Goal("foreign: no step", Rate.of(foreign, lambda r: r["quiet"]), 0.90),
+        Goal("foreign: no step", Rate.of(foreign, lambda r: r["no_step"]), 0.90),
     ]  # fmt: skip
     changed = {kind: counted(rows, "changed", kind) for kind in ("single", "none", "foreign")}
     return [
@@ -125,8 +125,8 @@ def show(rows: Sequence[Row], console: Console | None = None) -> None:
     for goal in goals(rows):
         sign = "≤" if goal.at_most else "≥"
         met = {None: "", True: "yes", False: "NO"}[goal.is_met]
-        asked = f"{sign} {100 * goal.required:.0f} %" if goal.required else "–"
-        table.add_row(goal.description, str(goal.rate), asked, met if goal.required else "")
+        required = f"{sign} {100 * goal.required:.0f} %" if goal.required else "–"
+        table.add_row(goal.description, str(goal.rate), required, met if goal.required else "")
     console.print(table)
     for mode in ("missing", "changed"):
         for kind in ("single", "foreign"):
@@ -163,7 +163,7 @@ def _by_effect(console: Console, rows: list[Row], mode: str) -> None:
 
 def named_first(row: Row) -> str:
     """Return the first finding: an effect, perhaps on another joint, unexplained, or nothing."""
-    if not row["answered"]:
+    if not row["completed"]:
         return "failed"
     if not row["steps"]:
         return "unexplained" if row["verdict"] == "unexplained" else "nothing"

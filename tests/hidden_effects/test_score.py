@@ -2,7 +2,7 @@
 
 import pytest
 from hidden_effects.case_setup import Case
-from hidden_effects.score import score_answer
+from hidden_effects.score import score_result
 
 
 def result_with(*steps, unexplained=(), verdict="effect_found"):
@@ -32,7 +32,7 @@ def truth_of(*effects, signals=()):
 
 
 @pytest.mark.parametrize(
-    ("answer", "right", "in_set"),
+    ("result", "right", "in_set"),
     [
         (result_with("stribeck:2"), True, True),
         (result_with("stribeck:3"), False, False),
@@ -43,9 +43,9 @@ def truth_of(*effects, signals=()):
         (None, False, False),
     ],
 )
-def test_score_of_a_single(answer, right, in_set):
-    score = score_answer(
-        Case("single", 0, effect="stribeck", size=5.0), truth_of(("stribeck", 2)), answer
+def test_score_of_a_single(result, right, in_set):
+    score = score_result(
+        Case("single", 0, effect="stribeck", size=5.0), truth_of(("stribeck", 2)), result
     )
     assert (score["right"], score["right_in_set"]) == (right, in_set)
 
@@ -53,14 +53,14 @@ def test_score_of_a_single(answer, right, in_set):
 def test_score_of_a_pair():
     truth = truth_of(("stribeck", 2), ("payload", 1))
     case = Case("pair", 0)
-    assert score_answer(case, truth, result_with("payload:1", "stribeck:2"))["right"]
-    half = score_answer(case, truth, result_with("payload:1"))
+    assert score_result(case, truth, result_with("payload:1", "stribeck:2"))["right"]
+    half = score_result(case, truth, result_with("payload:1"))
     assert not half["right"]
     assert half["missed"] == [["stribeck", (2,)]]
 
 
 @pytest.mark.parametrize(
-    ("answer", "right"),
+    ("result", "right"),
     [
         (result_with(verdict="sufficient"), True),
         (result_with("stribeck:1"), False),
@@ -68,12 +68,12 @@ def test_score_of_a_pair():
         (None, False),
     ],
 )
-def test_score_without_hidden_effects(answer, right):
-    assert score_answer(Case("none", 0), truth_of(), answer)["right"] == right
+def test_score_without_hidden_effects(result, right):
+    assert score_result(Case("none", 0), truth_of(), result)["right"] == right
 
 
 @pytest.mark.parametrize(
-    ("answer", "right"),
+    ("result", "right"),
     [
         (result_with(unexplained=[(2, "q3", "dq2")], verdict="unexplained"), True),
         (result_with(unexplained=[(2, "dq2", "q3", "t")], verdict="unexplained"), True),
@@ -82,7 +82,7 @@ def test_score_without_hidden_effects(answer, right):
         (result_with("stribeck:1", unexplained=[(2, "dq2", "q3")], verdict="unexplained"), False),
     ],
 )
-def test_score_of_a_foreign_effect(answer, right):
+def test_score_of_a_foreign_effect(result, right):
     truth = truth_of(("friction_by_other_angle", 2), signals=("dq2", "q3"))
     case = Case("foreign", 0, effect="friction_by_other_angle", size=5.0)
-    assert score_answer(case, truth, answer)["right"] == right
+    assert score_result(case, truth, result)["right"] == right

@@ -21,7 +21,7 @@ LEAST_OWN_PART = 1e-3  # of a direction outside the model's span, for its coeffi
 
 @dataclass(frozen=True, eq=False)
 class ColumnEstimate:
-    """Estimated coefficients of columns fitted beside a model.
+    """Estimated coefficients of columns fitted in addition to a model.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class ProjectedResidual:
         return rows
 
     def fit(self, columns: Array) -> ColumnEstimate:
-        """Fit columns (R, k) to the residual beside the model (Frisch, Waugh, Lovell).
+        """Fit columns (R, k) to the residual in addition to the model (Frisch, Waugh, Lovell).
 
         The covariance is valid for errors that are correlated within blocks of time (Liang,
         Zeger, Biometrika 1986) and never smaller than for uncorrelated errors. Directions that

@@ -40,7 +40,7 @@ class SmoothShape:
     """A smooth function of one or two signals that explains part of a joint's residual.
 
     Only the part outside the span of the model's columns is determined: a constant is zero
-    beside ``offset``, as is a line through zero beside ``viscous``.
+    if the model has ``offset``, as is a line through zero if it has ``viscous``.
 
     Attributes
     ----------

@@ -159,7 +159,7 @@ def best_subsets(
     score, triple = max(scored, key=lambda found: found[0])
     if not np.isfinite(score):
         return subsets
-    for _ in range(EXCHANGES):  # exchange one term beside the two others
+    for _ in range(EXCHANGES):  # exchange one term, keeping the two others
         again = max(
             (_with_third(gram, products, price, np.delete(triple, k)) for k in range(3)),
             key=lambda found: found[0],

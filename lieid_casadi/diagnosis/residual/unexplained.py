@@ -86,7 +86,7 @@ class Unexplained:
 
 @dataclass(frozen=True, eq=False)
 class SmoothScreen:
-    """Smooth functions and a baseline on rows whitened alike.
+    """Smooth functions and a baseline, whitened in the same way.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Candidates that the model's own columns can replace, wholly or nearly."""
+"""Candidates that the model's own columns span, completely or nearly."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lieid_casadi.identification.fit_warnings import WEAK
 
 @dataclass(frozen=True)
 class Aliases:
-    """Candidates that cannot, or can hardly, be identified beside the model.
+    """Candidates that cannot, or can hardly, be identified in addition to the model.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Aliases:
 
 
 def aliases(candidates: CandidateColumns[Candidate], baseline: Baseline) -> Aliases:
-    """Return the candidates that the baseline spans, wholly or nearly, at their best shape."""
+    """Return the candidates that the baseline spans, completely or nearly, at their best shape."""
     remaining = np.zeros(len(candidates.owners))
     screening = screen(candidates, baseline, None)
     np.maximum.at(remaining, candidates.owner_index, screening.remaining)

@@ -1,4 +1,4 @@
-"""The model's own columns and the residual beside them, to which candidates are compared."""
+"""The model's own columns and the residual of their fit, with which candidates are compared."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class Baseline:
         return Baseline(self.model, np.hstack([self.added, new]), residual, self.ends)
 
     def coefficients(self, columns: Array, *, least: float) -> Array:
-        """Return the coefficients (k,) of further columns (…, k) fitted beside the model.
+        """Return the coefficients (k,) of further columns (…, k) fitted in addition to the model.
 
         Directions with less than ``least`` of a unit column outside the span stay at zero.
         """

@@ -42,7 +42,7 @@ class HypothesisFamily:
         draws : int
             Number of draws of white rows, rounded up to multiples of 50.
         further : int
-            Tests made beside those that are screened.
+            Tests made in addition to those that are screened.
         """
         random = np.random.default_rng([seed, 61])
         rank = np.maximum(screening.rank, 1)
@@ -61,7 +61,7 @@ class HypothesisFamily:
         """Return log₁₀ of the family-wise p-value of a gain with ``rank`` degrees of freedom."""
         half, rank = 0.5 * gain, max(rank, 1)
         log_p = float(chi2.logsf(gain, rank))
-        if not np.isfinite(log_p):  # far out in the tail
+        if not np.isfinite(log_p):  # underflow in the far tail
             log_p = (0.5 * rank - 1.0) * np.log(half) - half - float(gammaln(0.5 * rank))
         if log_p < -30.0:
             return float((log_p + np.log(self.tests)) / np.log(10.0))

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Screening:
-    """The gain of every group of candidate columns beside a baseline.
+    """The gain of every group of candidate columns added to a baseline.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Screening:
 def screen(
     candidates: CandidateColumns[Any], baseline: Baseline, options: DiagnosisOptions | None
 ) -> Screening:
-    """Return the gain of every group beside a baseline.
+    """Return the gain of every group added to a baseline.
 
     Parameters
     ----------

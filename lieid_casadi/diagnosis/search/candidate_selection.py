@@ -44,14 +44,14 @@ def by_contribution(
     contribution = []
     for g in groups:
         others = [h for h in groups if h != g]
-        beside = with_groups(baseline, candidates, others)
-        contribution.append(screen(candidates, beside, options).gain[g])
+        with_others = with_groups(baseline, candidates, others)
+        contribution.append(screen(candidates, with_others, options).gain[g])
     return [groups[k] for k in np.argsort(-np.array(contribution))] if groups else []
 
 
 def simplest_equivalent(
     candidates: CandidateColumns[Candidate],
-    beside: Baseline,
+    with_others: Baseline,
     group: int,
     rivals: list[RivalGroup],
     folds: NDArray[np.intp],
@@ -65,7 +65,7 @@ def simplest_equivalent(
     ----------
     candidates : CandidateColumns
         Whitened as the baseline is.
-    beside : Baseline
+    with_others : Baseline
         With the other selected groups.
     group : int
     rivals : list of RivalGroup
@@ -73,7 +73,7 @@ def simplest_equivalent(
         Fold of each row.
     """
     gains = {
-        g: cross_validated_gain(candidates.stacked(g), beside, folds)
+        g: cross_validated_gain(candidates.stacked(g), with_others, folds)
         for g in [group, *(r.group for r in rivals)]
     }
     owners = {g: candidates.owner(g) for g in gains}

@@ -1,7 +1,7 @@
-"""The search problem of changes: the model is kept, and a new recording is explained beside it.
+"""The search problem of changes: the model is kept, and a new recording is explained by additions.
 
-The fit's parameters may move within their uncertainties (rows of a prior beside the measured
-rows), so that an uncertain parameter is not taken for a change.
+The fit's parameters may move within their uncertainties (rows of a prior in addition to the
+measured rows), so that an uncertain parameter is not taken for a change.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ class ChangedEffects(SearchProblem):
                 grids[index] = finer.grid
             elif isinstance(candidate.effect, ArmEffect):
                 others = [other for other in groups if other != g]
-                beside = with_groups(baseline, candidates, others)
-                values = beside.coefficients(candidates.stacked(g), least=LEAST_OWN_PART)
+                with_others = with_groups(baseline, candidates, others)
+                values = with_others.coefficients(candidates.stacked(g), least=LEAST_OWN_PART)
                 change = np.linalg.norm(values - candidate.grid[point])
                 if change > self.options.coefficient_tolerance * np.linalg.norm(values):
                     grids[index] = np.vstack([candidate.grid, values])
@@ -144,7 +144,7 @@ class ChangedEffects(SearchProblem):
         return np.asarray(misfit > self.options.least_misfit * rises)
 
     def errors(self) -> Array:
-        """Return the error of each joint (n,) beside the accepted changes, N·m."""
+        """Return the error of each joint (n,) with the accepted changes, N·m."""
         return self.expected * self._misfit(self._accepted_columns(self.candidates(self.white)))
 
     def remove(self, out: Sequence[Placement], reason: str) -> None:

@@ -60,11 +60,11 @@ def add_effect(problem: SearchProblem) -> bool:
     folds = context.folds(problem.white)
     for selected in by_contribution(candidates, baseline, groups, options):
         others = [g for g in groups if g != selected]
-        beside = with_groups(baseline, candidates, others)
+        with_others = with_groups(baseline, candidates, others)
         rivals = find_rivals(
-            candidates, beside, selected, excluded=others, blocks=blocks, options=options
+            candidates, with_others, selected, excluded=others, blocks=blocks, options=options
         )
-        group, rivals = simplest_equivalent(candidates, beside, selected, rivals, folds)
+        group, rivals = simplest_equivalent(candidates, with_others, selected, rivals, folds)
         offer = Offer(
             context,
             candidates,
@@ -102,15 +102,15 @@ def _select(problem: SearchProblem) -> tuple[ScreeningContext, list[int]]:
 def _significance(
     problem: SearchProblem, context: ScreeningContext, group: int, others: Sequence[int]
 ) -> Significance:
-    """Return the evidence for a group beside the model and the other selected groups.
+    """Return the evidence for a group in addition to the model and the other selected groups.
 
     The gain is divided by the dispersion of the whitened residual, if that is above one.
     """
     candidates = context.candidates.whitened(problem.coloured, context.runs)
     baseline = problem.baseline(problem.coloured, candidates)
-    beside = with_groups(baseline, candidates, others)
-    screening = screen(candidates, beside, None)
-    after = beside.with_columns(candidates.stacked(group))
+    with_others = with_groups(baseline, candidates, others)
+    screening = screen(candidates, with_others, None)
+    after = with_others.with_columns(candidates.stacked(group))
     rows = int(after.ends[len(context.runs)])  # rows of a prior follow
     freedom = max(after.rows - after.rank, 1)
     dispersion = max(float(np.sum(after.residual[:rows] ** 2)) / freedom, 1.0)
@@ -125,7 +125,7 @@ def _significance(
 
 
 def unexplained_parts(problem: SearchProblem) -> tuple[Unexplained, ...]:
-    """Return what smooth functions explain of the residual beside all accepted effects."""
+    """Return what smooth functions explain of the residual of all accepted effects."""
     context = problem.context
     plain, coloured = (
         SmoothScreen(context.smooth.whitened(noise, context.runs), problem.current_baseline(noise))

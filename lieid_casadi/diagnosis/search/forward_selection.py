@@ -37,7 +37,7 @@ def best_set(
 ) -> list[int]:
     """Return the groups that together have the largest penalized gain, in the order selected.
 
-    After each addition every member is exchanged for the best group beside the others, until
+    After each addition every member is exchanged for the best group given the others, until
     nothing changes.
 
     Parameters
@@ -53,8 +53,8 @@ def best_set(
     selection = _Selection(candidates, baseline, penalty, options, excluded)
     selected: list[int] = []
     for _ in range(options.most_effects_at_once):
-        beside = with_groups(baseline, candidates, selected)
-        best = selection.best(beside, selected)
+        with_others = with_groups(baseline, candidates, selected)
+        best = selection.best(with_others, selected)
         if best is None:
             break
         selected = [*selected, best]
@@ -65,7 +65,7 @@ def best_set(
 
 @dataclass(frozen=True, eq=False)
 class _Selection:
-    """The problem of `best_set`, and the best groups found beside others."""
+    """The problem of `best_set`, and the best groups found, given others."""
 
     candidates: CandidateColumns[Any]
     baseline: Baseline
@@ -74,17 +74,17 @@ class _Selection:
     excluded: Mask | None
     found: dict[tuple[int, ...], int | None] = field(default_factory=dict)
 
-    def best(self, beside: Baseline, others: Sequence[int]) -> int | None:
+    def best(self, with_others: Baseline, others: Sequence[int]) -> int | None:
         """Return the group with the largest positive penalized gain of a candidate not selected.
 
         Parameters
         ----------
-        beside : Baseline
+        with_others : Baseline
             With the other groups.
         others : sequence of int
         """
         candidates = self.candidates
-        score = penalized_gain(screen(candidates, beside, self.options), self.penalty)
+        score = penalized_gain(screen(candidates, with_others, self.options), self.penalty)
         taken = np.isin(candidates.owner_index, candidates.owner_index[list(others)])
         if self.excluded is not None:
             taken |= self.excluded[candidates.owner_index]
@@ -95,15 +95,15 @@ class _Selection:
         return best if score[best] > 0.0 else None
 
     def exchanged(self, selected: list[int]) -> list[int]:
-        """Return the groups after each was replaced by the best one beside the others."""
+        """Return the groups after each was replaced by the best one given the others."""
         for _ in range(self.options.exchange_rounds):
             before, first = list(selected), self.baseline
             for position in range(len(selected)):
                 others = selected[:position] + selected[position + 1 :]
                 key = tuple(others)
                 if key not in self.found:
-                    beside = with_groups(first, self.candidates, selected[position + 1 :])
-                    self.found[key] = self.best(beside, others)
+                    with_others = with_groups(first, self.candidates, selected[position + 1 :])
+                    self.found[key] = self.best(with_others, others)
                 best = self.found[key]
                 selected[position] = selected[position] if best is None else best
                 first = with_groups(first, self.candidates, selected[position : position + 1])

@@ -128,8 +128,8 @@ class MissingEffects(SearchProblem):
         candidate, placement = offer.candidate, offer.candidate.placement
         if offer.significance.log10_p > np.log10(self.options.significance):
             return self.reject(candidate, self.insignificant(offer.significance))
-        beside = with_groups(offer.baseline, offer.candidates, offer.others)
-        gain = screen(offer.candidates, beside, self.options).gain
+        with_others = with_groups(offer.baseline, offer.candidates, offer.others)
+        gain = screen(offer.candidates, with_others, self.options).gain
         shapes = refined_shapes(offer.candidates, gain, offer.group)
         larger = Model.of_placements(self.fit.model.robot, (*self.fit.model.placements, placement))
         start = np.concatenate([self.fit.shapes, shapes])

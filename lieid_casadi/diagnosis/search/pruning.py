@@ -59,7 +59,7 @@ def redundant_effects(
 def partial_effects(problem: SearchProblem, parts: Sequence[Unexplained]) -> list[Placement]:
     """Return accepted effects that only partly explain what the residual follows.
 
-    On a joint with a large unexplained part, the right effect explains as much beside smooth
+    On a joint with a large unexplained part, the right effect explains as much with smooth
     functions of the signals as without them. An effect that merely resembles the cause does not,
     and naming it would be misleading.
     """
@@ -75,14 +75,14 @@ def partial_effects(problem: SearchProblem, parts: Sequence[Unexplained]) -> lis
         if placement.joint == part.joint and not placement.whole_arm:
             columns = smooth_columns(smooth, part.joint, part.depends_on)
             without = problem.baseline_without(placement)
-            least = problem.options.least_gain_beside_smooth
-            if gain_beside_smooth(full, without, columns) < least:
+            least = problem.options.least_gain_with_smooth
+            if gain_with_smooth(full, without, columns) < least:
                 out.append(placement)
     return out
 
 
-def gain_beside_smooth(full: Baseline, without: Baseline, smooth: Array) -> float:
-    """Return an effect's gain beside smooth functions, relative to its gain without them.
+def gain_with_smooth(full: Baseline, without: Baseline, smooth: Array) -> float:
+    """Return an effect's gain in addition to smooth functions, relative to its gain without them.
 
     Parameters
     ----------
@@ -93,8 +93,8 @@ def gain_beside_smooth(full: Baseline, without: Baseline, smooth: Array) -> floa
     """
     alone = float(np.sum(without.residual**2) - np.sum(full.residual**2))
     small, large = (b.with_columns(smooth) for b in (without, full))
-    beside = float(np.sum(small.residual**2) - np.sum(large.residual**2))
-    return beside / alone if alone > 0.0 else 1.0
+    with_smooth = float(np.sum(small.residual**2) - np.sum(large.residual**2))
+    return with_smooth / alone if alone > 0.0 else 1.0
 
 
 def baseline_without(

@@ -37,14 +37,14 @@ class RivalGroup:
 
 def find_rivals(
     candidates: CandidateColumns[Any],
-    beside: Baseline,
+    with_others: Baseline,
     group: int,
     *,
     excluded: Sequence[int],
     blocks: NDArray[np.intp],
     options: DiagnosisOptions,
 ) -> list[RivalGroup]:
-    """Return the rivals of a group beside a baseline, those that are closest first.
+    """Return the rivals of a group, given a baseline, those that are closest first.
 
     Two fits differ significantly if the difference of their squared residuals, summed over
     blocks of time, exceeds two of its standard deviations (Vuong, Econometrica 1989). The test
@@ -54,7 +54,7 @@ def find_rivals(
     ----------
     candidates : CandidateColumns
         Whitened as the baseline is.
-    beside : Baseline
+    with_others : Baseline
         With the other selected groups.
     group : int
     excluded : sequence of int
@@ -63,10 +63,10 @@ def find_rivals(
         Block of time of each row.
     options : DiagnosisOptions
     """
-    alone = screen(candidates, beside, options)
-    both = screen(candidates, with_groups(beside, candidates, [group]), options)
+    alone = screen(candidates, with_others, options)
+    both = screen(candidates, with_groups(with_others, candidates, [group]), options)
     own = float(alone.gain[group])
-    with_group = beside.with_columns(candidates.stacked(group)).residual ** 2
+    with_group = with_others.with_columns(candidates.stacked(group)).residual ** 2
     found: list[RivalGroup] = []
     taken = {int(candidates.owner_index[g]) for g in (*excluded, group)}
     for rival in map(int, np.argsort(-alone.gain)):
@@ -77,9 +77,9 @@ def find_rivals(
         if owner in taken:
             continue
         taken.add(owner)
-        if both.gain[rival] > options.most_rival_gain_beside * gain:
+        if both.gain[rival] > options.most_rival_gain_in_addition * gain:
             continue
-        replaced = beside.with_columns(candidates.stacked(rival))
+        replaced = with_others.with_columns(candidates.stacked(rival))
         if remaining_part(candidates, replaced, group) < ABSORBED:
             found.append(RivalGroup(rival, "exact", gain))
         elif _alike(replaced.residual**2 - with_group, blocks, options.rival_deviations):
