@@ -89,6 +89,17 @@ def test_chunks_of_bags_inflate_to_a_limit(tmp_path, run, format_):
     assert "inflates to more than the limit" in refused(file, inflate_limit=1 << 12)
 
 
+def test_parquet_that_decodes_to_far_more_than_its_size(tmp_path, run):
+    file = tmp_path / "run.parquet"
+    constant = pyarrow.array(np.zeros(500_000))
+    pyarrow.parquet.write_table(pyarrow.table({"t": constant, "q1": constant}), file)
+    assert "inflates to more than the limit" in refused(file, inflate_limit=1 << 20)
+    with pytest.raises(RecordingError, match="inflates to more than the limit"):
+        stream(file, inflate_limit=1 << 20)
+    run.save(file)
+    assert len(Recording.load(file, inflate_limit=16)) == len(run)  # of plausible size
+
+
 # -- statements that the bytes do not hold --------------------------------------------
 
 

@@ -227,7 +227,7 @@ def _too_short(segment: Recording | RecordingStream, cutoff: float, trim: float)
         return None
     where = f"{segment.title}: {segment.t[0]:g} to {segment.t[-1]:g} s"
     return (
-        f"{where} is too short: {max(left, 0.0):.3g} s are left after trimming {trim:g} s at "
+        f"{where} is too short: {max(left, 0.0):.3g} s remain after trimming {trim:g} s at "
         f"both ends, expected {1.0 / cutoff:.3g} s or more (one period of the cut-off)"
     )
 

@@ -10,7 +10,12 @@ import numpy as np
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.recording.measurement import Measurement
 from lieid_casadi.recording.readers.columns import layout_warnings, read_layout
-from lieid_casadi.recording.readers.parquet_parts import ParquetParts, decoded_bytes, import_pyarrow
+from lieid_casadi.recording.readers.parquet_parts import (
+    ParquetParts,
+    decoded_bytes,
+    import_pyarrow,
+    require_bounded_size,
+)
 from lieid_casadi.recording.readers.registry import (
     ReadOptions,
     RecordingFormat,
@@ -31,6 +36,7 @@ def read_parquet(file: Path, options: ReadOptions) -> Measurement:
         pyarrow is not installed.
     """
     _, parquet = import_pyarrow(file)
+    require_bounded_size(file, options.inflate_limit)
     with library_errors(file, "a Parquet file"):
         content = parquet.ParquetFile(file)
         names = content.schema_arrow.names

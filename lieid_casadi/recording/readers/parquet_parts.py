@@ -12,10 +12,17 @@ from lieid_casadi.errors import MissingDependency, RecordingError
 from lieid_casadi.recording.arrays import Array
 from lieid_casadi.recording.measurement import Measurement
 from lieid_casadi.recording.readers.columns import LABEL, read_layout
-from lieid_casadi.recording.readers.registry import ReadOptions, hash_of_file, library_errors
+from lieid_casadi.recording.readers.registry import (
+    ReadOptions,
+    beyond_limit,
+    hash_of_file,
+    library_errors,
+)
 from lieid_casadi.recording.readers.tables import measurement_of_columns
 
 BATCH = 1 << 15  # rows decoded at once
+#: Largest ratio of decoded to stored size in files of measured signals.
+LARGEST_RATIO = 50
 
 
 class ParquetParts:
@@ -39,6 +46,7 @@ class ParquetParts:
     def __init__(self, file: Path, options: ReadOptions) -> None:
         self._pyarrow, parquet = import_pyarrow(file)
         self.name, self._path, self._n = file.name, file, options.n
+        require_bounded_size(file, options.inflate_limit)
         with library_errors(file, "a Parquet file"):
             self._file = parquet.ParquetFile(file)
             names = self._file.schema_arrow.names
@@ -103,6 +111,21 @@ class ParquetParts:
                     BATCH, row_groups=[k], columns=columns or self._used
                 )
                 yield from (batch for batch in batches if len(batch))
+
+
+def require_bounded_size(file: Path, limit: int) -> None:
+    """Refuse a file that decodes to more than the limit, bytes, and to far more than its own size.
+
+    Measured signals hardly compress, so that files of real recordings pass whatever their size.
+
+    Raises
+    ------
+    RecordingError
+        States the limit and how to raise it.
+    """
+    size = decoded_bytes(file)
+    if size > limit and size > LARGEST_RATIO * file.stat().st_size:
+        raise beyond_limit(file, limit)
 
 
 def decoded_bytes(file: Path) -> int:
