@@ -28,16 +28,7 @@ _PARTS = {
 
 
 class BatchFunctions:
-    """The functions of one model, each built when it is first called.
-
-    Parameters
-    ----------
-    model : Model
-    threads : int, optional
-        Threads that share a large batch; two if left out.
-    lanes : int, optional
-        Samples per vector register; the most that the processor has if left out.
-    """
+    """The functions of one model, each built when it is first called; see `Compiled`."""
 
     def __init__(
         self, model: Model, *, threads: int | None = None, lanes: int | None = None

@@ -46,7 +46,8 @@ class Compiled(RigidFunctions):
     """A model's functions on arrays of N samples: q, dq, ddq (N, n) in rad and seconds.
 
     Arrays may have any strides. ``out`` is a C-contiguous array of the result's shape to write to,
-    ``threads`` the number of threads for this call. NaN in a sample gives NaN in that sample only.
+    ``threads`` the number of threads for this call. NaN in a sample gives NaN in that sample only;
+    effects with memory hold their state there (`Effect.next_states`).
     Every method raises `ModelError` for arrays of the wrong shape or kind.
 
     Parameters

@@ -141,3 +141,13 @@ def test_warnings_of_a_robot_reach_the_command_line(tmp_path, capsys):
     assert "negative principal moment" in " ".join(capsys.readouterr().out.split())
     (warning,) = json.loads(out.read_text())["warnings"]
     assert warning["name"] == "NominalInertiaWarning"
+
+
+def test_a_urdf_is_read_without_a_temporary_folder(monkeypatch):
+    from lieid_casadi.robot import native_output
+
+    def refuse():
+        raise FileNotFoundError(2, "No usable temporary directory found")
+
+    monkeypatch.setattr(native_output.tempfile, "TemporaryFile", refuse)
+    assert Robot.parse_urdf(urdf()).n == 1
