@@ -199,7 +199,7 @@ def test_short_segments_are_left_out_and_named():
 
 
 def test_segments_too_short_for_trimming():
-    with pytest.raises(RecordingError, match=r"planar: 0 to 0\.995 s is too short: 0 s are left"):
+    with pytest.raises(RecordingError, match=r"planar: 0 to 0\.995 s is too short: 0 s remain"):
         process(measured(duration=1.0), Processing(cutoff=5.0))
     assert one(measured(duration=1.0), cutoff=5.0, trim=0.1)
 
