@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from lieid_casadi import __version__
 from lieid_casadi.cli import shared_options
-from lieid_casadi.cli.option_types import check_paths
+from lieid_casadi.cli.option_types import check_paths, writes_to_stdout
 from lieid_casadi.cli.output import visible
 
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
@@ -53,8 +53,12 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         shared_options.use_threads(args)
         check_paths(args)
-        status = int(args.run(args) or DONE)
-        sys.stdout.flush()
+        with contextlib.ExitStack() as stack:
+            if writes_to_stdout(args):  # tables must not get into the file
+                nowhere = stack.enter_context(open(os.devnull, "w"))
+                stack.enter_context(contextlib.redirect_stdout(nowhere))
+            status = int(args.run(args) or DONE)
+            sys.stdout.flush()
         return status
     except KeyboardInterrupt:
         _say(f"lieid {args.command}: interrupted")

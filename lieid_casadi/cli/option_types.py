@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import os
 import stat
@@ -89,7 +90,7 @@ def check_paths(args: argparse.Namespace) -> None:
     from lieid_casadi.atomic_file import check_file
     from lieid_casadi.output_folder import check_folder
 
-    values = [v for value in vars(args).values() for v in _flat(value)]
+    values = _values(args)
     inputs = [value for value in values if isinstance(value, InputPath)]
     outputs = [value for value in values if isinstance(value, (OutputFile, OutputFolder))]
     for output in outputs:
@@ -108,8 +109,21 @@ def check_paths(args: argparse.Namespace) -> None:
     _check_different(outputs)
 
 
-def _flat(value: object) -> Sequence[object]:
-    return value if isinstance(value, (list, tuple)) else (value,)
+def writes_to_stdout(args: argparse.Namespace) -> bool:
+    """Return whether a file that a command writes is standard output, as ``/dev/stdout``."""
+    for value in _values(args):
+        if isinstance(value, OutputFile):
+            with contextlib.suppress(OSError):
+                if os.path.samestat(os.stat(value), os.fstat(1)):
+                    return True
+    return False
+
+
+def _values(args: argparse.Namespace) -> list[object]:
+    values: list[object] = []
+    for value in vars(args).values():
+        values += value if isinstance(value, (list, tuple)) else (value,)
+    return values
 
 
 def _overwrites(output: str, given: Path) -> bool:

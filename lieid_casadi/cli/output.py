@@ -27,8 +27,12 @@ def console() -> Console:
     """Return the console of stdout."""
     from rich.console import Console
 
+    class Stdout(Console):
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError  # rich would exit with status 1
+
     width = None if sys.stdout.isatty() else WIDTH
-    return Console(width=width, highlight=False, emoji=False)
+    return Stdout(width=width, highlight=False, emoji=False)
 
 
 def visible(text: str) -> str:

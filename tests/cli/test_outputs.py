@@ -113,15 +113,14 @@ def test_a_named_pipe_is_written_through(tmp_path):
 
 @pytest.mark.parametrize("target", ["/dev/stdout", "same"])
 def test_standard_output_is_written_through(work, target):
-    """Also where the shell has redirected it to the very file that is named."""
+    """Also if the shell has redirected it to the file that is named; without any message."""
     with open("all.csv", "wb") as shown:
         target = "all.csv" if target == "same" else target
         command = [sys.executable, "-m", "lieid_casadi.cli.main", "predict", "fit.json", "run.csv"]
         subprocess.run([*command, "-o", target], stdout=shown, check=True)
     lines = Path("all.csv").read_text().splitlines()
     assert lines[0] == "t,tau1,tau2"
-    assert len(lines) == 402
-    assert "400 rows" in lines[-1]
+    assert len(lines) == 401
 
 
 @pytest.mark.parametrize("fault", ["write", "fsync", "replace"])
@@ -199,6 +198,19 @@ def test_a_missing_permission_is_status_2(work, run, monkeypatch, output):  # no
         outcome = run("identify", "two_link", "run.csv", "-o", output)
     refused(outcome, output, "permission")
     assert tree(work) == before
+
+
+def test_a_closed_reader_of_stdout_is_no_error():
+    lieid = f"{sys.executable} -m lieid_casadi.cli.main show panda"
+    command = f"{lieid} | head -1; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stderr == ""
+    full = subprocess.run(
+        ["bash", "-c", f"{lieid} > /dev/full"], capture_output=True, text=True, check=False
+    )
+    assert full.returncode == 2
+    assert full.stderr.count("\n") == 1
 
 
 # ---- Inputs -------------------------------------------------------------------------------------
