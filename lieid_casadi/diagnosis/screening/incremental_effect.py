@@ -37,7 +37,15 @@ class IncrementalEffect(Effect):
         return own
 
     def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the states of the effect at ``now``; see `Effect.advance`."""
+        """Return the states of the effect after a step.
+
+        Parameters
+        ----------
+        before, now : Signals
+            At the beginning and at the end of the step; ``before`` contains the states.
+        shape : mapping
+            Shape parameters by name.
+        """
         return self._effect.advance(before, now, shape)
 
 

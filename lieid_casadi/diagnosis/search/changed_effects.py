@@ -78,6 +78,16 @@ class ChangedEffects(SearchProblem):
 
         Columns of effects that are computed along a segment depend on the coefficients; these
         are evaluated again at the estimated coefficients.
+
+        Parameters
+        ----------
+        candidates : CandidateColumns
+            Whitened by the white noise.
+        baseline : Baseline
+        groups : sequence of int
+            Selected on the present grids.
+        refined : set of str
+            Not used: grids are refined in every round.
         """
         grids = {}
         for g in groups:

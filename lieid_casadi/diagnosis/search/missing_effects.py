@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,6 @@ from lieid_casadi.diagnosis.screening.screen import screen
 from lieid_casadi.diagnosis.search.candidate_selection import grid_peaks, refined_shapes
 from lieid_casadi.diagnosis.search.effect_search import search
 from lieid_casadi.diagnosis.search.parameter_checks import (
-    belongs_to,
     implausible_sign,
     unresolved_shape,
 )
@@ -28,7 +26,9 @@ from lieid_casadi.diagnosis.search.search_results import (
     AcceptedEffect,
     Proposal,
     RejectedEffect,
+    fitted_parameters,
     parameter_units,
+    with_fit,
 )
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
@@ -109,7 +109,18 @@ class MissingEffects(SearchProblem):
         groups: Sequence[int],
         refined: set[str],
     ) -> Mapping[int, Array]:
-        """Return finer grids around the selected groups and the highest peaks, once per step."""
+        """Return finer grids around the selected groups and the highest peaks, once per step.
+
+        Parameters
+        ----------
+        candidates : CandidateColumns
+            Whitened by the white noise.
+        baseline : Baseline
+        groups : sequence of int
+            Selected on the present grids.
+        refined : set of str
+            Labels of candidates refined in earlier rounds, which are left out.
+        """
         if not groups:
             return {}
         gain = screen(candidates, baseline, self.options).gain
@@ -274,19 +285,3 @@ class MissingEffects(SearchProblem):
                     "differentiating the position shifts the velocity by as much"
                 )
         return ""
-
-
-def fitted_parameters(fit: Fit, placement: Placement) -> dict[str, float]:
-    """Return the coefficients and shape parameters of a placed effect by name."""
-    values = zip(fit.fitted, np.concatenate([fit.values, fit.shapes]), strict=True)
-    return {
-        p.name.rpartition(".")[2]: float(value)
-        for p, value in values
-        if belongs_to(placement, p.name, p.joint)
-    }
-
-
-def with_fit(effect: AcceptedEffect, fit: Fit) -> AcceptedEffect:
-    """Return an accepted effect with another fit and its parameters."""
-    parameters = fitted_parameters(fit, effect.candidate.placement)
-    return replace(effect, fit=fit, parameters=parameters)

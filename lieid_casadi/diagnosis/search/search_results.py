@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.screening.candidates import Candidate
+from lieid_casadi.diagnosis.search.parameter_checks import belongs_to
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
 from lieid_casadi.model import Model
@@ -70,6 +71,22 @@ class AcceptedEffect:
     rivals: tuple[tuple[Candidate, str], ...]
     confirmed: bool | None = None
     fit: Fit | None = None
+
+
+def fitted_parameters(fit: Fit, placement: Placement) -> dict[str, float]:
+    """Return the coefficients and shape parameters of a placed effect by name."""
+    values = zip(fit.fitted, np.concatenate([fit.values, fit.shapes]), strict=True)
+    return {
+        p.name.rpartition(".")[2]: float(value)
+        for p, value in values
+        if belongs_to(placement, p.name, p.joint)
+    }
+
+
+def with_fit(effect: AcceptedEffect, fit: Fit) -> AcceptedEffect:
+    """Return an accepted effect with another fit and its parameters."""
+    parameters = fitted_parameters(fit, effect.candidate.placement)
+    return replace(effect, fit=fit, parameters=parameters)
 
 
 def parameter_units(
