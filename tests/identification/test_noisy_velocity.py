@@ -34,8 +34,8 @@ def errors():
 
 def test_a_noisy_velocity_is_replaced_by_the_derivative(monkeypatch):
     standard, error = errors()
-    monkeypatch.setattr(velocity, "MUCH_QUIETER", np.inf)  # the recorded one, whatever its noise
-    monkeypatch.setattr(velocity, "QUIETER", np.inf)
+    monkeypatch.setattr(velocity, "MUCH_LESS_NOISE", np.inf)  # use dq
+    monkeypatch.setattr(velocity, "LESS_NOISE", np.inf)
     biased, worse = errors()
     assert standard.max() < 4.0
     assert biased.max() > 2.0 * standard.max()
