@@ -34,7 +34,8 @@ import lieid_casadi as lieid
 from lieid_casadi.excitation import CartesianSpeed
 from lieid_casadi.excitation.basis.families import make
 from lieid_casadi.excitation.design_problem import ExcitationProblem
-from lieid_casadi.excitation.excite import make_design, verification
+from lieid_casadi.excitation.excite import verification
+from lieid_casadi.excitation.make_design import make_design
 from lieid_casadi.excitation.solvers.staged_solve import solve
 
 CRITERIA = {"C1": "combined", "C2": "condition", "C3": "hadamard", "C4": "logdet"}

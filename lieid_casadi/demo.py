@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.diagnosis import Diagnosis, diagnose
-from lieid_casadi.excitation import Excitation, excite
+from lieid_casadi.excitation import Excitation, Torque, excite
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.model import Model
 from lieid_casadi.plant import (
@@ -82,7 +82,9 @@ def run_demo(robot: Robot, *, seed: int = 0, progress: Progress | None = None) -
     report = progress or (lambda stage, fraction: None)
     model = Model(robot, EFFECTS)
     report("design the excitation", 0.0)
-    excitation = excite(model, duration=DURATION, starts=STARTS, seed=seed)
+    excitation = excite(
+        model, duration=DURATION, starts=STARTS, seed=seed, margin=1.0, constraints=(Torque(),)
+    )  # the simulated arm has no floor
     other = FourierTrajectory(robot, base_frequency=1.0 / DURATION, seed=seed + 1000)
     train = _measured(robot, _Commanded(excitation), "train", seed, report, 0.15)
     test = _measured(robot, other, "test", seed + 1, report, 0.35)

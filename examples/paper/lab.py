@@ -25,6 +25,7 @@ from friction_runs import SWEEP_RATE, friction_runs
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.excitation import Torque
 from lieid_casadi.excitation.excitation import Excitation
 from lieid_casadi.excitation.friction_sweep import SPEEDS
 from lieid_casadi.friction_curves import (
@@ -95,7 +96,14 @@ class Lab:
         """One trajectory for identification and another for verification (criterion C1)."""
         model = lieid.Model(ROBOT, effects=EQ_16)
         first, second = (
-            lieid.excite(model, start_pose=np.zeros(N), starts=self.starts, seed=seed)
+            lieid.excite(
+                model,
+                start_pose=np.zeros(N),
+                starts=self.starts,
+                seed=seed,
+                margin=1.0,
+                constraints=(Torque(),),
+            )
             for seed in (0, 1)
         )
         return first, second

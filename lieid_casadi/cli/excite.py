@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from lieid_casadi.model import Model
     from lieid_casadi.robot import Robot
 
+MARGIN, TOOL_SPEED, FLOOR, CLEARANCE = 0.8, 1.5, 0.0, 0.02  # of `default_limits`
 CRITERIA = ("combined", "condition", "hadamard", "logdet", "a_optimal", "e_optimal")
 SOLVERS = ("ipopt", "sqp")
 FAMILIES = ("fourier", "modified_fourier", "spline")
@@ -68,7 +69,7 @@ def _add_motion(parser: argparse.ArgumentParser) -> None:
         )
     group.add_argument(
         "--start-pose", nargs="+", type=number, metavar="Q",
-        help="pose at the start and the end, rad; default: middle of the ranges",
+        help="pose at the start and the end, rad; default: found within all limits",
     )  # fmt: skip
     group.add_argument(
         "--free-start", action="store_true",
@@ -83,20 +84,25 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=number,
         metavar="A",
-        help="rad/s², one number or one per joint",
+        help="rad/s², one or one per joint; default: the robot's, or 3",
     )
     group.add_argument(
-        "--torque-fraction", type=number, default=1.0, metavar="F",
-        help="fraction of the torque limits that may be used; default: 1",
+        "--margin", type=number, default=MARGIN, metavar="F",
+        help="part of the velocity and torque limits that is used; default: 0.8",
     )  # fmt: skip
-    group.add_argument("--no-torque", action="store_true", help="ignore torque limits")
+    group.add_argument("--torque-fraction", type=_replaced_by_margin, help=argparse.SUPPRESS)
+    group.add_argument("--no-torque", action="store_true", help="do not check torque limits")
     group.add_argument(
-        "--cartesian-speed", type=number, metavar="V",
-        help="speed limit of the tool and the joint centres, m/s",
+        "--cartesian-speed", type=number, default=TOOL_SPEED, metavar="M/S",
+        help="of tool and joint centres; default: 1.5",
     )  # fmt: skip
     group.add_argument(
-        "--floor", nargs="?", type=number, const=0.0, metavar="Z",
-        help="stay above the plane z = Z of the base frame, m; default: 0",
+        "--floor", nargs="?", type=_height, default=FLOOR, const=FLOOR, metavar="Z",
+        help="height of the floor in the base frame, m, or none; default: 0",
+    )  # fmt: skip
+    group.add_argument(
+        "--unchecked-workspace", action="store_true",
+        help="do not check floor, self-collision and tool speed",
     )  # fmt: skip
     group.add_argument(
         "--wall", nargs=4, type=number, action="append", default=[],
@@ -112,8 +118,9 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
             metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"), help=text,
         )  # fmt: skip
     group.add_argument(
-        "--self-collision", nargs="?", type=number, const=0.02, metavar="CLEARANCE",
-        help="smallest distance between links, m; default: 0.02",
+        "--self-collision", nargs="?", type=number, default=CLEARANCE,
+        const=CLEARANCE, metavar="M",
+        help="least distance between links, m; default: 0.02",
     )  # fmt: skip
     group.add_argument(
         "--capsules",
@@ -121,6 +128,15 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="YAML file with capsules around the links; default: fitted to their geometry",
     )
+
+
+def _height(text: str) -> float | None:
+    """Return a height in m, or None for ``none``."""
+    return None if text == "none" else number(text)
+
+
+def _replaced_by_margin(text: str) -> float:
+    raise argparse.ArgumentTypeError(f"{text}: use --margin, for velocity and torque limits")
 
 
 def _add_search(parser: argparse.ArgumentParser) -> None:
@@ -150,7 +166,8 @@ def run(args: argparse.Namespace) -> int:
             model,
             criterion=args.criterion, inertial_only=args.inertial_only,
             constraints=limits_of(args, model.robot), start_pose=args.start_pose,
-            free_start=args.free_start, acceleration=args.acceleration, family=args.family,
+            free_start=args.free_start, acceleration=args.acceleration, margin=args.margin,
+            family=args.family,
             duration=args.duration, harmonics=args.harmonics, periods=args.periods,
             samples=args.samples, rate=args.rate, scaling=args.scaling, solver=args.solver,
             starts=args.starts, seed=args.seed, max_iterations=args.max_iterations,
@@ -165,39 +182,37 @@ def run(args: argparse.Namespace) -> int:
 
 
 def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
-    """Return the limits that the options state."""
+    """Return the default limits with the changes that the options specify."""
     from lieid_casadi.excitation import (
-        CartesianSpeed,
         Obstacle,
-        SelfCollision,
         Torque,
         Wall,
         capsules_of,
-        floor,
+        default_limits,
         load_capsules,
         workspace_box,
     )
 
-    bounded = args.floor is not None or args.wall or args.workspace_box or args.obstacle
+    workspace = not args.unchecked_workspace
     links: Any = ()
     if args.capsules is not None:
         links = load_capsules(args.capsules, robot)
-    elif bounded or args.self_collision is not None:
+    elif workspace or args.wall or args.workspace_box or args.obstacle:
         links = capsules_of(robot)
-    limits: list[Limit] = []
-    stated = robot.limit("torque")
-    if not args.no_torque and robot.has_inertia and (stated == stated).any():
-        limits.append(Torque(args.torque_fraction))
-    if args.cartesian_speed is not None:
-        limits.append(CartesianSpeed(args.cartesian_speed))
-    if args.floor is not None:
-        limits.append(floor(args.floor, capsules=links))
+    limits: list[Limit] = [
+        limit
+        for limit in default_limits(
+            robot, margin=args.margin, capsules=links,
+            floor_height=args.floor if workspace else None,
+            cartesian_speed=args.cartesian_speed if workspace else None,
+            clearance=args.self_collision if workspace else None,
+        )
+        if not (args.no_torque and isinstance(limit, Torque))
+    ]  # fmt: skip
     limits += [Wall((x, y, z), d, capsules=links) for x, y, z, d in args.wall]
     for corners in args.workspace_box:
         limits += workspace_box(corners[:3], corners[3:], capsules=links)
     limits += [Obstacle(tuple(c[:3]), tuple(c[3:]), capsules=links) for c in args.obstacle]
-    if args.self_collision is not None:
-        limits.append(SelfCollision(args.self_collision, links))
     return limits
 
 
@@ -211,6 +226,7 @@ def _sweep(args: argparse.Namespace, model: Model, folder: Path) -> int:
             joint - 1,
             start_pose=args.start_pose,
             acceleration=args.acceleration,
+            margin=args.margin,
             constraints=limits_of(args, model.robot),
             rate=min(args.rate, 200.0),
         )

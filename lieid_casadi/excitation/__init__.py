@@ -4,6 +4,7 @@ from lieid_casadi.excitation.excitation import Excitation
 from lieid_casadi.excitation.excite import excite
 from lieid_casadi.excitation.friction_sweep import FrictionSweep, friction_sweep
 from lieid_casadi.excitation.limits.capsules import Capsule, enclosing, skeleton
+from lieid_casadi.excitation.limits.default_limits import default_limits
 from lieid_casadi.excitation.limits.link_geometry import capsules_of, load_capsules
 from lieid_casadi.excitation.limits.symbolic_limits import CartesianSpeed, Torque
 from lieid_casadi.excitation.limits.workspace import (
@@ -24,6 +25,7 @@ __all__ = [
     "Torque",
     "Wall",
     "capsules_of",
+    "default_limits",
     "enclosing",
     "excite",
     "floor",

@@ -15,6 +15,7 @@ from lieid_casadi.excitation.criteria.information_matrix import InformationMatri
 from lieid_casadi.excitation.criteria.objective_value import ObjectiveValue
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet, SampledConstraints
 from lieid_casadi.excitation.limits.joint_limits import MotionRange
+from lieid_casadi.excitation.limits.start_pose import check_at_rest, find_start_pose
 from lieid_casadi.excitation.limits.symbolic_limits import Limit
 from lieid_casadi.model import Model
 
@@ -41,8 +42,9 @@ class ExcitationDesign:
         Joint limits.
     limits : tuple of Limit
         Limits besides the joint limits.
-    pose : (n,)
+    pose : (n,) or None
         Start pose; where the trajectory may start anywhere (``fixed`` False), its middle. Rad.
+        None: found within all limits.
     fixed : bool
         Whether the trajectory starts and ends at ``pose``.
     criterion : str
@@ -60,7 +62,7 @@ class ExcitationDesign:
     samples: int
     range: MotionRange
     limits: tuple[Limit, ...]
-    pose: Array
+    pose: Array | None
     fixed: bool
     criterion: str
     column_scale: Array | None
@@ -74,13 +76,20 @@ class ExcitationProblem:
 
     def __init__(self, design: ExcitationDesign) -> None:
         self.design = design
+        self.sets = self._make_sets()
+        self.pose = self._start_pose()
         self.parametrization = Parametrization(
-            design.basis, design.pose, design.fixed, design.range.units
+            design.basis, self.pose, design.fixed, design.range.units
         )
         self.information = InformationMatrix(
             design.model, sign_width=SIGN_WIDTH * design.range.velocity
         )
-        self.sets = self._make_sets()
+
+    def _start_pose(self) -> Array:
+        if self.design.pose is None:
+            return find_start_pose(self.design.range, self.sets)
+        check_at_rest(self.design.pose, self.sets)
+        return self.design.pose
 
     def _make_sets(self) -> tuple[ConstraintSet, ...]:
         robot = self.design.model.robot

@@ -74,6 +74,8 @@ class Excitation:
         For derivation and compilation; for optimization and verification of all starts.
     interrupted : bool
         Whether the user interrupted the search; the trajectory is the best so far.
+    unchecked : tuple of str
+        Limits that were not checked.
     warnings : tuple of LieidWarning
         Effects that the design could not take into account.
     """
@@ -96,6 +98,7 @@ class Excitation:
     build_seconds: float
     solve_seconds: float
     interrupted: bool = False
+    unchecked: tuple[str, ...] = ()
     warnings: tuple[LieidWarning, ...] = field(default=())
 
     @property
@@ -195,6 +198,7 @@ class Excitation:
             "rate": self.rate,
             "rest_pose": self.rest_pose.tolist(),
             "max_violation": self.max_violation,
+            "unchecked": list(self.unchecked),
             "active_limits": [
                 {"quantity": limit.quantity, "used": limit.used} for limit in self.active_limits
             ],

@@ -14,20 +14,18 @@ from lieid_casadi.errors import ExcitationError, NoSolution
 from lieid_casadi.excitation.approach_motion import RestToRest, approach_motion
 from lieid_casadi.excitation.basis import families
 from lieid_casadi.excitation.basis.trajectory import period_grid
-from lieid_casadi.excitation.criteria.column_scaling import column_scale
-from lieid_casadi.excitation.criteria.criterion import NAMES
 from lieid_casadi.excitation.criteria.design_model import design_model
 from lieid_casadi.excitation.criteria.quality import quality
-from lieid_casadi.excitation.design_problem import FINE, ExcitationDesign, ExcitationProblem
+from lieid_casadi.excitation.design_problem import FINE, ExcitationProblem
 from lieid_casadi.excitation.excitation import ActiveLimit, Excitation, StartSummary, active_limits
-from lieid_casadi.excitation.limits.joint_limits import (
-    check_duration,
-    check_start_pose,
-    motion_range,
+from lieid_casadi.excitation.limits.default_limits import (
+    MARGIN,
+    unchecked_limits,
 )
-from lieid_casadi.excitation.limits.symbolic_limits import Limit, Torque
+from lieid_casadi.excitation.limits.symbolic_limits import Limit
+from lieid_casadi.excitation.make_design import make_design
 from lieid_casadi.excitation.solvers.multi_start import StartAttempt, solve_all
-from lieid_casadi.excitation.solvers.staged_solve import SOLVERS, OptimizedStart
+from lieid_casadi.excitation.solvers.staged_solve import OptimizedStart
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
@@ -43,6 +41,7 @@ def excite(
     start_pose: ArrayLike | None = None,
     free_start: bool = False,
     acceleration: ArrayLike | None = None,
+    margin: float = MARGIN,
     family: str = "fourier",
     duration: float = 20.0,
     harmonics: int = 5,
@@ -61,6 +60,9 @@ def excite(
 ) -> Excitation:
     """Design an optimal excitation trajectory within limits.
 
+    By default joint limits, torque, tool speed, a floor at the base plane and self-collision are
+    checked; `Excitation.unchecked` names what is not.
+
     The criterion evaluates the model's own regressor, effects included, as far as its columns
     follow from the motion and the time; warnings name the effects that do not (temperature,
     memory, effects on the whole arm).
@@ -75,13 +77,16 @@ def excite(
         Leave the model's effects out, for comparison with the literature.
     constraints : sequence of Limit, optional
         Limits besides the joint limits: `Torque`, `CartesianSpeed`, `Wall`, `Obstacle`,
-        `SelfCollision`. Default: `Torque`, if the robot states inertias and torque limits.
+        `SelfCollision`. Default: those of `default_limits`; ``()`` leaves all out.
     start_pose : (n,), optional
-        Pose at rest at start and end, rad. Default: the middle of the joint ranges.
+        Pose at rest at start and end, rad. Default: the middle of the joint ranges or, where that
+        is near a limit, a pose that is far from all limits.
     free_start : bool
         Let the trajectory start (at rest) at any pose; a motion from the start pose leads there.
     acceleration : float or (n,), optional
-        Limits in place of the robot's, rad/s². Default: 5 where the robot states none.
+        Limits in place of the robot's, rad/s². Default: 3 where the robot states none.
+    margin : float
+        Part of the velocity limits, and of the torque limits by default, that is used.
     family : str
         ``fourier`` (Eq. 19), ``modified_fourier`` or ``spline``.
     duration : float
@@ -138,7 +143,8 @@ def excite(
     began = time.monotonic()
     design = make_design(
         model, criterion=criterion, inertial_only=inertial_only, constraints=constraints,
-        start_pose=start_pose, free_start=free_start, acceleration=acceleration, samples=samples,
+        start_pose=start_pose, free_start=free_start, acceleration=acceleration, margin=margin,
+        samples=samples,
         basis=families.make(family, duration=duration, harmonics=harmonics), scaling=scaling,
         condition_threshold=condition_threshold, neg_log_det_threshold=neg_log_det_threshold,
         solver=solver,
@@ -161,110 +167,25 @@ def excite(
     )  # fmt: skip
     best = best_of(attempts)
     solved = time.monotonic()
-    approach = RestToRest(design.pose, design.pose, 0.0)
+    approach = RestToRest(problem.pose, problem.pose, 0.0)
     trajectory = problem.parametrization.trajectory(best.z)
     if free_start:
         begin = trajectory.at(np.zeros(1)).q[0]
-        approach = approach_motion(design.pose, begin, design.range, problem.sets, step=1.0 / rate)
+        approach = approach_motion(problem.pose, begin, design.range, problem.sets, step=1.0 / rate)
     motion = trajectory.at(period_grid(duration, samples))
     violation, active = verification(problem, best.z)
     return Excitation(
-        model=design.model, trajectory=trajectory, periods=periods, rest_pose=design.pose,
+        model=design.model, trajectory=trajectory, periods=periods, rest_pose=problem.pose,
         approach=approach, rate=rate, samples=samples, criterion=criterion,
         quality=quality(design.model, motion, design.column_scale),
         scaling=scaling if isinstance(scaling, str) else "given", solver=solver,
         max_violation=violation, active_limits=active, starts=tuple(_start(a) for a in attempts),
         history=best.history,
         build_seconds=built - began, solve_seconds=solved - built,
+        unchecked=unchecked_limits(model.robot, design.limits),
         interrupted=any(a.interrupted for a in attempts),
         warnings=() if inertial_only else design_model(model)[1],
     )  # fmt: skip
-
-
-def make_design(
-    model: Model,
-    *,
-    basis: families.Basis,
-    criterion: str = "combined",
-    inertial_only: bool = False,
-    constraints: Sequence[Limit] | None = None,
-    start_pose: ArrayLike | None = None,
-    free_start: bool = False,
-    acceleration: ArrayLike | None = None,
-    samples: int = 100,
-    scaling: str | ArrayLike = "si",
-    condition_threshold: float | None = None,
-    neg_log_det_threshold: float | None = None,
-    solver: str = "ipopt",
-) -> ExcitationDesign:
-    """Check the arguments of `excite` and return the design that they specify.
-
-    Parameters
-    ----------
-    model : Model
-    basis : Basis
-        Family of trajectories with its coefficients.
-    criterion, inertial_only, constraints, start_pose, free_start, acceleration, samples, scaling
-        As in `excite`.
-    condition_threshold, neg_log_det_threshold : float, optional
-        Δ₁ and Δ₂ of the criterion ``combined``.
-    solver : str
-        ``ipopt`` or ``sqp``.
-
-    Raises
-    ------
-    ExcitationError
-    """
-    if criterion not in NAMES:
-        raise ExcitationError(f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}")
-    if solver not in SOLVERS:
-        raise ExcitationError(f"solver: {solver!r}; expected one of {', '.join(SOLVERS)}")
-    if samples < 4 * basis.size:
-        raise ExcitationError(
-            f"samples: {samples}; expected {4 * basis.size} at least for {basis.size} "
-            "coefficients per joint"
-        )
-    check_thresholds(criterion, condition_threshold, neg_log_det_threshold)
-    reduced = Model(model.robot) if inertial_only else design_model(model)[0]
-    robot = reduced.robot
-    limits = motion_range(robot, acceleration)
-    check_duration(robot, limits, basis.duration)
-    pose = limits.middle if start_pose is None else np.asarray(start_pose, dtype=float)
-    check_start_pose(robot, limits, pose)
-    if constraints is None:
-        limited = robot.has_inertia and bool(np.isfinite(robot.limit("torque")).any())
-        constraints = (Torque(),) if limited else ()
-    return ExcitationDesign(
-        reduced, basis, samples, limits, tuple(constraints), pose, not free_start, criterion,
-        column_scale(reduced, scaling), solver, condition_threshold, neg_log_det_threshold,
-    )  # fmt: skip
-
-
-def check_thresholds(
-    criterion: str, condition_threshold: float | None, neg_log_det_threshold: float | None
-) -> None:
-    """Refuse thresholds that the criterion does not have.
-
-    Parameters
-    ----------
-    criterion : str
-    condition_threshold, neg_log_det_threshold : float or None
-        Δ₁ and Δ₂.
-
-    Raises
-    ------
-    ExcitationError
-    """
-    given = {
-        "condition_threshold": condition_threshold, "neg_log_det_threshold": neg_log_det_threshold,
-    }  # fmt: skip
-    for name, value in given.items():
-        if value is not None and criterion != "combined":
-            raise ExcitationError(
-                f"{name}: only the criterion 'combined' has it, not {criterion!r}"
-            )
-    if condition_threshold is not None and not condition_threshold >= 1.0:
-        raise ExcitationError(f"condition_threshold: {condition_threshold:g}; expected at least 1")
 
 
 def best_of(attempts: Sequence[StartAttempt]) -> OptimizedStart:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,7 +36,7 @@ def save(excitation: Excitation, folder: Path, *, force: bool) -> tuple[Path, ..
     figure = io.BytesIO()
     excitation.plot().savefig(figure, format="png", dpi=120)
     files = {
-        "trajectory.csv": csv_text(motion).encode(),
+        "trajectory.csv": csv_text(motion, comments=limit_comments(excitation)).encode(),
         "excitation.json": json.dumps(content, indent=1, ensure_ascii=False).encode(),
         "joint_trajectory.yaml": joint_trajectory_yaml(ros, names).encode(),
         "excitation.png": figure.getvalue(),
@@ -44,14 +45,25 @@ def save(excitation: Excitation, folder: Path, *, force: bool) -> tuple[Path, ..
     return write_folder(folder, files, force=force)
 
 
-def csv_text(motion: MotionSamples) -> str:
-    """Return t, q1 … qn, dq1 … dqn, ddq1 … ddqn, one row per sample; 12 digits."""
+def limit_comments(excitation: Excitation) -> tuple[str, ...]:
+    """Return the comments of ``trajectory.csv``: the limits that were not checked."""
+    return tuple(f"not checked: {name}" for name in excitation.unchecked)
+
+
+def csv_text(motion: MotionSamples, *, comments: Sequence[str] = ()) -> str:
+    """Return t, q1 … qn, dq1 … dqn, ddq1 … ddqn, one row per sample; 12 digits.
+
+    Comments precede the header, each in a line that begins with ``#``.
+    """
     n = motion.q.shape[1]
     names = [f"{kind}{j + 1}" for kind in ("q", "dq", "ddq") for j in range(n)]
     table = np.column_stack([motion.t, motion.q, motion.dq, motion.ddq])
     row = ",".join(["%.12g"] * table.shape[1]) + "\n"
     return (
-        ",".join(["t", *names]) + "\n" + "".join(row % tuple(values) for values in table.tolist())
+        "".join(f"# {comment}\n" for comment in comments)
+        + ",".join(["t", *names])
+        + "\n"
+        + "".join(row % tuple(values) for values in table.tolist())
     )
 
 

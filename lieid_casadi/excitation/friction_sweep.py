@@ -5,7 +5,7 @@ Half the difference of the torques of both directions at a position is the frict
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from lieid_casadi.errors import ExcitationError, NoSolution
 from lieid_casadi.excitation.approach_motion import PEAK_ACCELERATION, PEAK_VELOCITY, RestToRest
 from lieid_casadi.excitation.basis.trajectory import MotionSamples
+from lieid_casadi.excitation.constant_speed_run import ConstantSpeedRun, MotionPath
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
+from lieid_casadi.excitation.limits.default_limits import MARGIN, default_limits
 from lieid_casadi.excitation.limits.joint_limits import MotionRange, check_start_pose, motion_range
+from lieid_casadi.excitation.limits.start_pose import find_start_pose
 from lieid_casadi.excitation.limits.symbolic_limits import Limit
 from lieid_casadi.model import Model
 
@@ -110,7 +113,8 @@ def friction_sweep(
     seconds: float = 6.0,
     start_pose: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
-    constraints: Sequence[Limit] = (),
+    margin: float = MARGIN,
+    constraints: Sequence[Limit] | None = None,
     rate: float = 200.0,
 ) -> FrictionSweep:
     """Return constant-speed runs of a joint around the start pose.
@@ -125,11 +129,15 @@ def friction_sweep(
     seconds : float
         Longest part at constant speed; slow runs cover a smaller part of the range.
     start_pose : (n,), optional
-        rad. Default: the middle of the joint ranges.
+        rad. Default: the middle of the joint ranges or, where that is near a limit, a pose that is
+        far from all limits.
     acceleration : float or (n,), optional
         Limits in place of the robot's, rad/s².
-    constraints : sequence of Limit
-        Limits besides the joint limits, verified along the whole motion.
+    margin : float
+        Part of the velocity limits, and of the torque limits by default, that is used.
+    constraints : sequence of Limit, optional
+        Limits besides the joint limits, verified along the whole motion. Default: those of
+        `default_limits`.
     rate : float
         Of the samples, Hz.
 
@@ -145,9 +153,19 @@ def friction_sweep(
         raise ExcitationError(f"friction sweep: no joint {joint + 1}; the arm has 1 to {robot.n}")
     if not (seconds > 0.0 and rate > 0.0):
         raise ExcitationError("friction sweep: seconds and rate must be positive")
-    limits = motion_range(robot, acceleration)
-    pose = limits.middle if start_pose is None else np.asarray(start_pose, dtype=float)
-    check_start_pose(robot, limits, pose)
+    limits = motion_range(robot, acceleration, margin=margin)
+    if constraints is None:
+        constraints = default_limits(robot, margin=margin)
+    sets = [s for s in (limit.on(robot) for limit in constraints) if s is not None]
+    sets.append(limits.constraint_set())
+    if start_pose is None:
+        reach = RANGE_USED * limits.units[joint, 0]
+        travel = np.zeros(robot.n)
+        travel[joint] = min(reach, 0.5 * seconds * float(np.max(np.abs(speeds))))
+        pose = find_start_pose(limits, sets, travel=travel)
+    else:
+        pose = np.asarray(start_pose, dtype=float)
+        check_start_pose(robot, limits, pose)
     runs, left_out = _runs(limits, joint, pose[joint], np.sort(np.abs(speeds)), seconds)
     if not runs:
         raise NoSolution(
@@ -155,54 +173,13 @@ def friction_sweep(
             "for every speed; choose a start pose nearer to the middle of the range"
         )
     motion, parts = _motion(pose, joint, runs, rate, float(limits.acceleration[joint]))
-    sets = [s for s in (limit.on(robot) for limit in constraints) if s is not None]
-    _verify(motion, [limits.constraint_set(), *sets])
+    _verify(motion, sets)
     return FrictionSweep(model, joint, motion, tuple(parts), tuple(left_out))
-
-
-@dataclass(frozen=True)
-class _Run:
-    """From rest to rest: a smooth ramp up to ``speed``, a steady part, a ramp down (s)."""
-
-    speed: float
-    ramp: float
-    steady: float
-
-    @property
-    def travel(self) -> float:
-        return self.speed * (self.steady + self.ramp)
-
-    @property
-    def duration(self) -> float:
-        return 2.0 * self.ramp + self.steady
-
-    def at(self, t: Array) -> Array:
-        """Return distance, speed and acceleration (3, N) since the start of the run."""
-        up = np.clip(t / self.ramp, 0.0, 1.0)
-        down = np.clip((t - self.ramp - self.steady) / self.ramp, 0.0, 1.0)
-        distance = self.ramp * (_smooth_step_integral(up) + down - _smooth_step_integral(down))
-        distance = distance + np.clip(t - self.ramp, 0.0, self.steady)
-        slope = (_smooth_step_slope(up) - _smooth_step_slope(down)) / self.ramp
-        return np.asarray(
-            self.speed * np.stack([distance, _smooth_step(up) - _smooth_step(down), slope])
-        )
-
-
-def _smooth_step(u: Array) -> Array:
-    return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
-
-
-def _smooth_step_integral(u: Array) -> Array:
-    return np.asarray(u**4 * (2.5 - 3.0 * u + u**2))
-
-
-def _smooth_step_slope(u: Array) -> Array:
-    return np.asarray(30.0 * u**2 * (1.0 - u) ** 2)
 
 
 def _runs(
     limits: MotionRange, joint: int, centre: float, speeds: Array, seconds: float
-) -> tuple[list[_Run], list[float]]:
+) -> tuple[list[ConstantSpeedRun], list[float]]:
     """Return the runs that fit the joint's range, and the speeds that are left out."""
     low, high = limits.position[joint]
     available = min(2.0 * RANGE_USED * min(centre - low, high - centre), 2.0 * np.pi)
@@ -213,39 +190,15 @@ def _runs(
         if speed > limits.velocity[joint] or steady < ramp:
             left_out.append(speed)
         else:
-            runs.append(_Run(speed, ramp, steady))
+            runs.append(ConstantSpeedRun(speed, ramp, steady))
     return runs, left_out
 
 
-@dataclass
-class _Path:
-    """Position, speed and acceleration of one joint, composed part by part."""
-
-    rate: float
-    time: float = 0.0
-    position: float = 0.0
-
-    def __post_init__(self) -> None:
-        self.times = [np.zeros(1)]
-        self.distances = [np.zeros((3, 1))]
-
-    def add(self, duration: float, distance: Callable[[Array], Array], sign: float = 1.0) -> None:
-        """Append a part that moves by ``sign * distance(t)`` from the end of the path."""
-        count = max(2, round(duration * self.rate))
-        local = duration * np.arange(1, count + 1) / count
-        part = sign * distance(local)
-        part[0] += self.position
-        self.times.append(self.time + local)
-        self.distances.append(part)
-        self.time += duration
-        self.position = float(part[0, -1])
-
-
 def _motion(
-    pose: Array, joint: int, runs: Sequence[_Run], rate: float, acceleration: float
+    pose: Array, joint: int, runs: Sequence[ConstantSpeedRun], rate: float, acceleration: float
 ) -> tuple[MotionSamples, list[ConstantSpeed]]:
     """Compose the runs: to the start, forward, backward, to the next start."""
-    path, parts = _Path(rate), []
+    path, parts = MotionPath(rate), []
     fastest = max(run.speed for run in runs)
 
     def rest() -> None:

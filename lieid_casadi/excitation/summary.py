@@ -34,7 +34,7 @@ def summary(excitation: Excitation) -> str:
         f"{unit}, {effects}); −log det {e.neg_log_det:.4g} for {q.rank} base parameters. "
         f"Solved by {SOLVERS[e.solver]}.{against}",
         f"The stated limits are met on a grid 20 times finer than the samples "
-        f"(largest excess {e.max_violation:.1g}).",
+        f"(largest excess {e.max_violation:.1g}). Not checked: {', '.join(e.unchecked)}.",
     ]
     if e.active_limits:
         names = ", ".join(limit.quantity for limit in e.active_limits[:6])

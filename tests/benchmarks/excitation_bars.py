@@ -17,7 +17,8 @@ from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation import CartesianSpeed, SelfCollision, Torque, capsules_of, floor
 from lieid_casadi.excitation.basis.families import make
 from lieid_casadi.excitation.design_problem import FINE, ExcitationProblem
-from lieid_casadi.excitation.excite import make_design, verification
+from lieid_casadi.excitation.excite import verification
+from lieid_casadi.excitation.make_design import make_design
 from lieid_casadi.excitation.solvers.random_start import random_start
 from lieid_casadi.excitation.solvers.staged_solve import solve
 

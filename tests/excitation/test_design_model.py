@@ -64,13 +64,9 @@ def test_columns_that_depend_on_time():
 
 def test_a_design_warns_of_effects_that_it_leaves_out():
     model = lieid.Model(ROBOT, effects="presliding,viscous,warm_up:1,temperature_friction:2")
-    found = excite(model, duration=8.0, starts=1, max_iterations=40)
-    plain = excite(
-        lieid.Model(ROBOT, effects="coulomb,viscous,warm_up:1"),
-        duration=8.0,
-        starts=1,
-        max_iterations=40,
-    )
+    options = {"duration": 8.0, "starts": 1, "max_iterations": 40, "constraints": ()}
+    found = excite(model, **options)
+    plain = excite(lieid.Model(ROBOT, effects="coulomb,viscous,warm_up:1"), **options)
     assert found.condition_number == pytest.approx(plain.condition_number)
     assert found.to_dict()["effects"] == ["coulomb", "viscous", "warm_up:1"]
     assert [w["name"] for w in found.to_dict()["warnings"]] == ["NotCountedWarning"] * 2

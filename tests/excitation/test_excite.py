@@ -4,6 +4,7 @@ import pickle
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import lieid_casadi as lieid
@@ -146,7 +147,7 @@ def test_free_start_reaches_the_condition_number_of_the_reference(capsys):
     """43 inertial columns, 5 rad/s², free start: condition number near 12; nothing printed."""
     found = excite(
         lieid.Model(PANDA), criterion="condition", constraints=(), acceleration=5.0,
-        free_start=True, starts=2,
+        free_start=True, starts=2, margin=1.0,
     )  # fmt: skip
     assert found.condition_number <= 12.5
     assert found.approach.duration > 0.5
@@ -161,19 +162,43 @@ def test_the_file_begins_and_ends_at_rest_at_the_rest_pose(free_start):
     """Run-in and run-out are smooth: position, velocity and acceleration are continuous."""
     found = excite(
         lieid.Model(lieid.robots.two_link()), duration=6.0, periods=2, starts=1, rate=500.0,
-        start_pose=[0.3, -0.4], free_start=free_start,
+        start_pose=[0.3, -0.4], free_start=free_start, constraints=(), max_iterations=30,
     )  # fmt: skip
     motion = found.motion()
     np.testing.assert_allclose(motion.q[[0, -1]], [[0.3, -0.4]] * 2, atol=1e-9)
     np.testing.assert_allclose(motion.dq[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(motion.ddq[[0, -1]], 0.0, atol=1e-7)
-    assert (found.approach.duration > 0.5) is free_start
+    assert (found.approach.duration > 0.0) is free_start
     assert motion.t[-1] == pytest.approx(found.duration)
     limits = lieid.robots.two_link().limit("velocity")
     assert np.abs(np.diff(motion.q, axis=0)).max() <= 1.001 * limits.max() / 500.0
     for low, high in ((motion.q, motion.dq), (motion.dq, motion.ddq)):
         trapezoid = 0.5 * (high[1:] + high[:-1]) / 500.0
         np.testing.assert_allclose(np.diff(low, axis=0), trapezoid, atol=2e-4)
+
+
+def test_limits_that_are_checked_by_default():
+    """A planar arm over a floor: a start pose is found, and the arm stays above the base plane."""
+    robot = lieid.robots.two_link()
+    found = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=40)
+    motion = found.motion(200.0)
+    assert np.all(np.abs(motion.dq) <= 0.8 * robot.limit("velocity") + 1e-9)
+    assert "floor" not in found.unchecked
+    assert "self-collision" not in found.unchecked
+    assert found.to_dict()["unchecked"] == list(found.unchecked)
+    model = build_pinocchio(robot)
+    data = model.createData()
+    for q in motion.q[::10]:
+        pin.framesForwardKinematics(model, data, q)
+        assert data.oMf[model.getFrameId("tool")].translation[2] > 0.0
+    free = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=40, constraints=())
+    assert {"floor", "self-collision", "tool speed", "torque of every joint"} <= set(free.unchecked)
+
+
+def test_a_start_pose_in_collision_is_refused_before_the_search():
+    under_the_floor = [0.0, 1.2, 0.0, -0.2, 0.0, 1.8, 0.0]
+    with pytest.raises(NoSolution, match=r"start pose violates a limit at rest: .* from the floor"):
+        excite(lieid.Model(PANDA), start_pose=under_the_floor, constraints=[floor(0.5)])
 
 
 def test_periods_repeat():
@@ -190,6 +215,7 @@ def test_same_seed_same_trajectory_on_any_executor():
     model = lieid.Model(lieid.robots.two_link(), effects="coulomb,viscous")
     options = {
         "criterion": "condition", "duration": 6.0, "starts": 3, "seed": 5, "max_iterations": 60,
+        "constraints": (),
     }  # fmt: skip
     here = excite(model, **options)
     with ThreadPoolExecutor(2) as threads:
@@ -220,7 +246,13 @@ def test_interrupt_keeps_the_best_feasible_trajectory():
         if len(calls) == 40:
             raise KeyboardInterrupt
 
-    found = excite(lieid.Model(PANDA), criterion="condition", starts=3, progress=progress)
+    found = excite(
+        lieid.Model(PANDA),
+        criterion="condition",
+        starts=3,
+        progress=progress,
+        constraints=[Torque()],
+    )
     assert found.interrupted
     assert found.max_violation == 0.0
     assert len(found.starts) == 1
@@ -232,12 +264,12 @@ def test_interrupt_before_anything_is_feasible():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        excite(lieid.Model(PANDA), starts=1, progress=progress)
+        excite(lieid.Model(PANDA), starts=1, progress=progress, constraints=())
 
 
 def test_infeasible_workspace_names_the_limit():
     ceiling = Wall((0.0, 0.0, 1.0), 0.3, "ceiling")
-    with pytest.raises(NoSolution, match=r"from the ceiling exceeds its limit by .* m at .* s"):
+    with pytest.raises(NoSolution, match=r"no start pose .* from the ceiling is violated"):
         excite(lieid.Model(PANDA), constraints=[ceiling], starts=1, max_iterations=20)
 
 
@@ -285,13 +317,15 @@ def test_bad_requests(robot, options, message):
 
 def test_a_robot_without_acceleration_limits_or_end_stops():
     robot = robot_with(acceleration=np.nan, position_lower=np.nan, position_upper=np.nan)
-    found = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=30)
-    assert np.abs(found.motion(200.0).ddq[:, 1]).max() <= 5.0
+    found = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=30, constraints=())
+    assert np.abs(found.motion(200.0).ddq[:, 1]).max() <= 3.0
 
 
 def test_combined_criterion_improves_log_det():
     """C1's bound on −log det: never much worse than C3's, better than C2's."""
-    options = {"constraints": (), "acceleration": 5.0, "free_start": True, "starts": 1}
+    options = {
+        "constraints": (), "acceleration": 5.0, "free_start": True, "starts": 1, "margin": 1.0,
+    }  # fmt: skip
     model = lieid.Model(PANDA)
     names = "combined", "condition", "hadamard"
     c1, c2, c3 = (excite(model, criterion=name, **options) for name in names)
@@ -301,7 +335,7 @@ def test_combined_criterion_improves_log_det():
 
 def test_thresholds_of_the_combined_criterion_end_the_search():
     """Eq. 20 as printed: below Δ₁ with −log det at most Δ₂, verified, in fewer iterations."""
-    options = {"duration": 6.0, "starts": 1, "criterion": "combined"}
+    options = {"duration": 6.0, "starts": 1, "criterion": "combined", "constraints": ()}
     model = lieid.Model(lieid.robots.two_link())
     full = excite(model, **options)
     threshold = 1.3 * full.condition_number
@@ -315,7 +349,7 @@ def test_thresholds_of_the_combined_criterion_end_the_search():
 
 def test_unit_norm_scaling_is_named_and_used():
     model = lieid.Model(lieid.robots.two_link(), effects="coulomb,viscous")
-    options = {"duration": 6.0, "starts": 1, "criterion": "condition"}
+    options = {"duration": 6.0, "starts": 1, "criterion": "condition", "constraints": ()}
     scaled = excite(model, scaling="unit_norm", **options)
     plain = excite(model, **options)
     assert scaled.to_dict()["scaling"] == "unit_norm"
@@ -327,7 +361,10 @@ def test_unit_norm_scaling_is_named_and_used():
 
 def test_prior_scaling_is_named_and_used():
     model = lieid.Model(lieid.robots.two_link())
-    options = {"duration": 6.0, "starts": 1, "criterion": "condition", "max_iterations": 60}
+    options = {
+        "duration": 6.0, "starts": 1, "criterion": "condition", "max_iterations": 60,
+        "constraints": (),
+    }  # fmt: skip
     plain, prior = excite(model, **options), excite(model, scaling="prior", **options)
     assert prior.to_dict()["scaling"] == "prior"
     assert prior.condition_number != plain.condition_number

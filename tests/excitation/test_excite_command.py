@@ -16,7 +16,7 @@ KEYS = {
     "condition_number", "start", "end", "neg_log_det", "solve_seconds", "build_seconds",
     "max_violation", "criterion", "coefficients",
 }  # fmt: skip
-QUICK = ["--duration", "6", "--starts", "1", "--rate", "200"]
+QUICK = ["--duration", "6", "--starts", "1", "--rate", "200", "--unchecked-workspace"]
 SHORT = [*QUICK, "--max-iterations", "30"]
 
 
@@ -38,10 +38,12 @@ def test_files_and_keys(folder):
 
 
 def test_csv_matches_the_coefficients_in_json(folder):
-    with open(folder / "trajectory.csv") as file:
-        header = file.readline().strip().split(",")
+    lines = (folder / "trajectory.csv").read_text().splitlines()
+    comments = [line for line in lines if line.startswith("#")]
+    assert "# not checked: floor" in comments
+    header = lines[len(comments)].split(",")
     assert header == ["t", "q1", "q2", "dq1", "dq2", "ddq1", "ddq2"]
-    rows = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1)
+    rows = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=len(comments) + 1)
     assert len(rows) == 6 * 200 + 1
     c = json.loads((folder / "excitation.json").read_text())["coefficients"]
     w, t = 2.0 * np.pi * c["base_frequency"], rows[:, 0]
@@ -95,7 +97,8 @@ def test_a_folder_with_content_needs_force(folder, capsys):
     [
         (["--start-pose", "0", "99"], 2, "joint 2"),
         (["--duration", "0.2"], 2, "too short for the acceleration limit"),
-        (["--wall", "0", "0", "1", "-5", "--max-iterations", "20"], 3, "exceeds its limit by"),
+        (["--wall", "0", "0", "1", "-5", "--max-iterations", "20"], 3, "no start pose"),
+        (["--margin", "1.5"], 2, "margin: 1.5; expected more than 0, at most 1"),
         (["--acceleration", "0"], 2, "acceleration"),
         (["--friction-sweep", "7"], 2, "no joint 7"),
         (["--obstacle", "1", "1", "1", "0", "0", "0"], 2, "lower corner"),
@@ -132,10 +135,33 @@ def test_limits_from_all_options():
     )  # fmt: skip
     limits = command.limits_of(arguments, lieid.robots.panda())
     names = [type(limit).__name__ for limit in limits]
-    assert names == ["Torque", "CartesianSpeed", *["Wall"] * 8, "Obstacle", "SelfCollision"]
+    assert names == ["Torque", "CartesianSpeed", "Wall", "SelfCollision", *["Wall"] * 7, "Obstacle"]
     floor = limits[2]
     assert floor.name == "floor"
     assert len(floor.capsules) == 8
+
+
+def test_torque_fraction_was_replaced_by_margin(tmp_path, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["excite", "two_link", "-o", str(tmp_path / "x"), "--torque-fraction", "0.5"])
+    assert "use --margin" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ([], ["Torque", "CartesianSpeed", "Wall", "SelfCollision"]),
+        (["--floor", "none"], ["Torque", "CartesianSpeed", "SelfCollision"]),
+        (["--unchecked-workspace"], ["Torque"]),
+    ],
+)
+def test_default_limits(options, expected):
+    from lieid_casadi.cli.main import build_parser
+
+    arguments = build_parser().parse_args(["excite", "panda", "-o", "x", *options])
+    limits = command.limits_of(arguments, lieid.robots.panda())
+    assert [type(limit).__name__ for limit in limits] == expected
+    assert limits[0].fraction == 0.8
 
 
 def test_interrupt_keeps_the_trajectory(tmp_path, monkeypatch):

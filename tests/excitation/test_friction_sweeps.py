@@ -62,7 +62,7 @@ def test_limits_hold(sweep):
 
 
 def test_speeds_beyond_the_limits_are_left_out():
-    fast = friction_sweep(PANDA, 0, speeds=[0.1, 3.0], seconds=1.0)
+    fast = friction_sweep(PANDA, 0, speeds=[0.1, 3.0], seconds=1.0, constraints=[])
     assert fast.left_out == (3.0,)
     assert len(fast.parts) == 2
 
@@ -82,6 +82,6 @@ def test_bad_requests():
     with pytest.raises(ExcitationError, match="no joint 9; the arm has 1 to 7"):
         friction_sweep(PANDA, 8)
     with pytest.raises(NoSolution, match="too short for every speed"):
-        friction_sweep(PANDA, 0, speeds=[5.0])
+        friction_sweep(PANDA, 0, speeds=[5.0], constraints=[])
     with pytest.raises(NoSolution, match="torque of joint"):
         friction_sweep(PANDA, 1, speeds=[0.1], constraints=[Torque(0.01)])

@@ -27,7 +27,7 @@ from lieid_casadi.excitation.criteria.criterion import (
 )
 from lieid_casadi.excitation.criteria.information_matrix import InformationMatrix
 from lieid_casadi.excitation.design_problem import ExcitationProblem
-from lieid_casadi.excitation.excite import make_design
+from lieid_casadi.excitation.make_design import make_design
 from lieid_casadi.excitation.solvers.random_start import random_start
 
 STEP = 1e-6

@@ -12,7 +12,7 @@ from lieid_casadi.excitation.limits.constraint_sets import JointLimits
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
-ACCELERATION = 5.0  # rad/s² (m/s²) where the robot states none
+ACCELERATION = 3.0  # rad/s² (m/s²) where the robot states none
 LEAST_MOTION = 0.05  # rad; shorter durations are refused
 
 
@@ -49,14 +49,18 @@ class MotionRange:
         return JointLimits(self.position, self.velocity, self.acceleration, revolute=self.revolute)
 
 
-def motion_range(robot: Robot, acceleration: ArrayLike | None = None) -> MotionRange:
+def motion_range(
+    robot: Robot, acceleration: ArrayLike | None = None, *, margin: float = 1.0
+) -> MotionRange:
     """Return the limits of a robot.
 
     Parameters
     ----------
     robot : Robot
     acceleration : float or (n,), optional
-        In place of the robot's own, rad/s². Default: 5 rad/s² (m/s²) where it states none.
+        In place of the robot's own, rad/s². Default: 3 rad/s² (m/s²) where it states none.
+    margin : float
+        Part of the velocity limits that is used.
 
     Raises
     ------
@@ -71,7 +75,9 @@ def motion_range(robot: Robot, acceleration: ArrayLike | None = None) -> MotionR
                 f"robot {robot.name!r}: position limits of {_joint(robot, j)} contradict each "
                 f"other: lower {low:g}, upper {high:g}"
             )
-    velocity = robot.limit("velocity")
+    if not 0.0 < margin <= 1.0:
+        raise ExcitationError(f"margin: {margin:g}; expected more than 0, at most 1")
+    velocity = margin * robot.limit("velocity")
     missing = [_joint(robot, j) for j in range(robot.n) if not velocity[j] > 0.0]
     if missing:
         raise ExcitationError(
