@@ -1,3 +1,6 @@
+from dataclasses import replace
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -15,7 +18,13 @@ RUNS = {
     "staubli_tx40/excitation": ("staubli_tx40/tx40.urdf", 6, 5000, (12, 30)),
     "franka_panda/excitation": ("franka_panda/panda.urdf", 7, 30, (1.5, 4)),
 }
-UR10E_CONSTANTS = [14.87, 13.26, 11.13, 10.62, 11.03, 11.47]
+UR10E_CONSTANTS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
+
+
+@cache
+def loaded(file, constants=None):
+    """A recording, read once for all tests."""
+    return Recording.load(file, torque_constants=constants)
 
 
 @pytest.fixture(params=RUNS)
@@ -24,8 +33,7 @@ def run(request, recordings):
     lock = ("panda_finger_joint1", "panda_finger_joint2") if "panda" in urdf else ()
     robot = Robot.load(recordings / urdf, lock=lock)
     constants = UR10E_CONSTANTS if "currents" in request.param else None
-    file = recordings / f"{request.param}.csv.gz"
-    recording = Recording.load(file, torque_constants=constants)
+    recording = loaded(recordings / f"{request.param}.csv.gz", constants)
     return recording, robot, n, rate, cutoff
 
 
@@ -53,16 +61,15 @@ def test_it_is_processed_without_options(run):
     "name", ["ur10e/excitation_50s", "ur10e/point_to_point", "staubli_tx40/excitation"]
 )
 def test_a_swapped_sign_is_reported_without_a_model(recordings, name, joint):
-    recording = Recording.load(recordings / f"{name}.csv.gz")
+    recording = loaded(recordings / f"{name}.csv.gz")
     signs = np.where(np.arange(6) == joint, -1.0, 1.0)
-    swapped = Recording.from_arrays(recording.t, recording.q, recording.dq, recording.tau * signs)
-    (warning,) = check(swapped)
+    (warning,) = check(replace(recording, tau=recording.tau * signs))
     assert type(warning).__name__ == "TorqueSignWarning"
     assert f"joint {joint + 1} " in str(warning)
 
 
 def test_the_dwells_of_point_to_point_are_rest(recordings):
-    recording = Recording.load(recordings / "ur10e/point_to_point.csv.gz")
+    recording = loaded(recordings / "ur10e/point_to_point.csv.gz")
     (processed,) = process(recording)
     moving = processed.filtered_moving.mean(axis=0)
     # joints 1 to 4 hardly stop, 5 and 6 wait for others
