@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> None:
     labels = sorted(REGISTER) if args.name is None else [args.name]
     effects = [make(label) for label in labels]
     files = output.Files()
-    files.add_json(args.json, {"schema": 1, "effects": [_to_dict(effect) for effect in effects]})
+    files.add_json(args.json, {"effects": [_to_dict(effect) for effect in effects]})
     files.write()
     if args.name is not None:
         facts = [("effect", args.name), *describe(effects[0])]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
     from lieid_casadi.tables import Table
 
+SCHEMA = 1  # of results as JSON
 WIDTH = 120  # of tables that do not go to a terminal
 
 
@@ -124,8 +125,8 @@ class Files:
         self.add(path, lambda: content_of(fit))
 
     def add_json(self, path: str | None, content: dict[str, Any]) -> None:
-        """Add a result for machines, if a path is given."""
-        self.add(path, lambda: json_bytes(content))
+        """Add a result as JSON, with the version of its schema, if a path is given."""
+        self.add(path, lambda: json_bytes({"schema": SCHEMA} | content))
 
     def add_html(self, path: str | None, page: Callable[[], str]) -> None:
         """Add a report, if a path is given."""

@@ -195,7 +195,9 @@ class Discrimination:
         """
         image = io.BytesIO()
         self.plot().savefig(image, format="png", dpi=120)
-        content = json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
+        content = json.dumps(
+            {"schema": 1} | self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False
+        )
         files = {
             "trajectory.csv": csv_text(self.motion()).encode(),
             "discriminate.json": content.encode(),

@@ -29,7 +29,7 @@ def save(excitation: Excitation, folder: Path, *, force: bool) -> tuple[Path, ..
     force : bool
         Replace the files of an earlier design in the folder.
     """
-    content = excitation.to_dict()
+    content = {"schema": 1} | excitation.to_dict()
     motion = excitation.motion()
     ros = excitation.motion(min(ROS_RATE, excitation.rate))
     names = [joint.name for joint in excitation.model.robot.joints]

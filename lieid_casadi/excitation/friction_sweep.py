@@ -82,7 +82,7 @@ class FrictionSweep:
         from lieid_casadi.excitation.files import csv_text
 
         name = f"friction_sweep_q{self.joint + 1}"
-        content = json.dumps(self.to_dict(), indent=1)
+        content = json.dumps({"schema": 1} | self.to_dict(), indent=1)
         return {f"{name}.csv": csv_text(self.motion).encode(), f"{name}.json": content.encode()}
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:

@@ -112,7 +112,9 @@ def test_show_names_the_base_parameters(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "43 base parameters" in text
     assert "mcx3 + 0.0825 (m4 + m5 + m6 + m7)" in text
-    assert json.loads(out.read_text())["base_parameter_count"] == 43
+    content = json.loads(out.read_text())
+    assert content["base_parameter_count"] == 43
+    assert content["schema"] == 1
 
 
 def test_effects_lists_the_library_and_describes_one_effect(tmp_path, capsys):

@@ -274,10 +274,10 @@ def test_folders_that_are_never_replaced(work, run, monkeypatch, place):  # noqa
     inner, home = work / "inner", work / "home"
     for folder in (inner, home):
         folder.mkdir()
-        (folder / "thesis.txt").write_text("years of work")
+        (folder / "notes.txt").write_text("notes")
     (work / "link").symlink_to(inner)
     for folder in (work, inner, home):
-        content = {"program": "lieid-casadi", "files": ["thesis.txt", "fit.json", "arm.c"]}
+        content = {"program": "lieid-casadi", "files": ["notes.txt", "fit.json", "arm.c"]}
         (folder / MANIFEST).write_text(json.dumps(content))
     monkeypatch.setenv("HOME", str(home))
     monkeypatch.chdir(inner)
@@ -300,10 +300,10 @@ def test_folders_that_are_never_replaced(work, run, monkeypatch, place):  # noqa
 @pytest.mark.parametrize("force", [[], ["--force"]])
 def test_a_folder_without_a_manifest_is_never_replaced(work, run, force):  # noqa: F811
     (work / "out").mkdir()
-    (work / "out" / "thesis.txt").write_text("years of work")
+    (work / "out" / "notes.txt").write_text("notes")
     refused(export(run, "out", *force), "out", "not empty", MANIFEST)
     refused(run("demo", "-o", "out", *force), "out", "not empty", MANIFEST)
-    assert tree(work / "out") == {"thesis.txt": b"years of work"}
+    assert tree(work / "out") == {"notes.txt": b"notes"}
 
 
 def test_demo_checks_its_folder_before_the_work(work, run, monkeypatch):  # noqa: F811

@@ -272,6 +272,6 @@ def test_saved_files_hold_the_motion_and_the_answer(design, tmp_path):
     motion = design.motion()
     assert np.allclose(table["q2"], motion.q[:, 1])
     content = json.loads((tmp_path / "out" / "discriminate.json").read_text())
-    assert content == json.loads(json.dumps(design.to_dict()))
+    assert content == {"schema": 1} | json.loads(json.dumps(design.to_dict()))
     assert content["seconds"] == content["periods"] * content["duration"]
     assert (tmp_path / "out" / "discriminate.png").stat().st_size > 10_000
