@@ -100,7 +100,10 @@ class Diagnosis:
                 "rms_train": numbers_or_null(self.baseline_train),
                 "rms_test": numbers_or_null(self.baseline_test),
             },
-            "steps": [step.to_dict() for step in self.steps],
+            "steps": [
+                step.to_dict() | {"group": group}
+                for step, group in zip(self.steps, self.groups, strict=True)
+            ],
             "unexplained": [u.to_dict() for u in self.unexplained],
             "rejected": [{"effect": label, "reason": reason} for label, reason in self.rejected],
             "tried": self.tried,
@@ -130,6 +133,13 @@ class Diagnosis:
         errors = [self.baseline_test if tested else self.baseline_train]
         errors += [step.rms_test if tested else step.rms_train for step in self.steps]
         return "test" if tested else "training", [values for values in errors if values is not None]
+
+    @property
+    def groups(self) -> tuple[int, ...]:
+        """Group of each step, from 1: steps with the same effect on single joints share one."""
+        names = [step.effect if len(step.joints) == 1 else step.label for step in self.steps]
+        order = list(dict.fromkeys(names))
+        return tuple(order.index(name) + 1 for name in names)
 
     @property
     def sentence(self) -> str:

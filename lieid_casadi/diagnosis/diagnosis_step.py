@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.json_numbers import numbers_or_none
+from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis.screening.candidates import Candidate
@@ -85,6 +85,9 @@ class DiagnosisStep:
         With this effect and those before it; None if the model is kept.
     moving : (n,) or None
         Test error of joints in motion, N·m.
+    share : float
+        RMS of the torque that the effect explains, relative to the RMS of the measured torque of
+        the joint where the error falls most.
     """
 
     label: str
@@ -98,6 +101,7 @@ class DiagnosisStep:
     indistinguishable: tuple[tuple[Candidate, str], ...]
     fit: Fit | None = None
     moving: Array | None = None
+    share: float = float("nan")
 
     @classmethod
     def of(
@@ -117,6 +121,7 @@ class DiagnosisStep:
             Errors after the step, N·m.
         """
         before, after = accepted.errors[:, accepted.joint]
+        effect_size = float(np.sqrt(max(before**2 - after**2, 0.0)))
         return cls(
             label=accepted.candidate.placement.label,
             effect=accepted.candidate.name,
@@ -128,7 +133,7 @@ class DiagnosisStep:
             evidence=Evidence(
                 log10_p=accepted.significance.log10_p,
                 rows=accepted.significance.rows,
-                effect_size=float(np.sqrt(max(before**2 - after**2, 0.0))),
+                effect_size=effect_size,
                 held_out_before=float(before),
                 held_out_after=float(after),
                 confirmed=accepted.confirmed,
@@ -136,6 +141,7 @@ class DiagnosisStep:
             indistinguishable=accepted.rivals,
             fit=accepted.fit,
             moving=moving,
+            share=effect_size / accepted.torque_rms,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -149,6 +155,8 @@ class DiagnosisStep:
             "rms_train": numbers_or_null(self.rms_train),
             "rms_test": numbers_or_null(self.rms_test),
             "rms_test_moving": numbers_or_null(self.moving),
+            "share": number_or_none(self.share),
+            "confirmed": self.evidence.confirmed,
             "evidence": self.evidence.to_dict(),
             "indistinguishable": [
                 {"effect": c.name, "joints": [j + 1 for j in c.joints], "kind": kind}

@@ -95,6 +95,8 @@ def test_steps_with_one_effect_are_one_finding_and_rivals_are_alternatives():
     other = replace(step, label="load_friction:2", joints=(1,))
     text = with_steps(diagnosis, step, other).sentence
     assert "load_friction on joints 1 and 2 (f_tau = " in text
+    arm = replace(step, label="payload", effect="payload", joints=())
+    assert with_steps(diagnosis, step, arm, other).groups == (1, 2, 1)
     rival = Candidate(Placement(make("stribeck"), 1), np.ones((1, 1)))
     text = with_steps(
         diagnosis, step, replace(other, indistinguishable=((rival, "data"),))
@@ -142,6 +144,8 @@ def test_json_has_the_stated_keys():
     assert len(step["rms_test"]) == 2
     assert isinstance(step["indistinguishable"], list)
     assert content["mode"] == "missing"
+    assert 0.0 < step["share"] < 1.0
+    assert (step["confirmed"], step["group"]) == (True, 1)
 
 
 def test_without_a_test_errors_are_cross_validated():

@@ -133,6 +133,7 @@ class ChangedEffects(SearchProblem):
                 parameter_units(robot, candidate.placement, parameters),
                 self.expected * np.array([before, after]),
                 joint,
+                self.torque_rms(joint),
                 offer.significance,
                 offer.rivals,
             )

@@ -172,6 +172,7 @@ class MissingEffects(SearchProblem):
                 parameter_units(fit.model.robot, placement, parameters),
                 errors,
                 joint,
+                self.torque_rms(joint),
                 offer.significance,
                 offer.rivals,
                 confirmed,

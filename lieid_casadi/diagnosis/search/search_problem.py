@@ -162,6 +162,10 @@ class SearchProblem(ABC):
         labels |= {a.candidate.placement.label for a in self.accepted}
         return np.array([c.placement.label in labels for c in candidates.owners], dtype=bool)
 
+    def torque_rms(self, joint: int) -> float:
+        """Return the RMS of the measured torque on a joint, N·m."""
+        return float(np.sqrt(np.mean(self.context.torque[joint] ** 2)))
+
     def reject(self, candidate: Candidate, reason: str) -> bool:
         """Keep the reason for which a candidate is rejected, and return False."""
         logger.info("rejected %s: %s", candidate.placement.label, reason)

@@ -53,6 +53,8 @@ class AcceptedEffect:
         new recording if it is kept.
     joint : int
         Where the error falls most, from 0.
+    torque_rms : float
+        RMS of the measured torque on that joint, N·m.
     significance : Significance
     rivals : tuple of (Candidate, str)
         Candidates that could take its place, and the kind of rivalry, ``exact`` or ``data``.
@@ -67,6 +69,7 @@ class AcceptedEffect:
     units: dict[str, str]
     errors: Array
     joint: int
+    torque_rms: float
     significance: Significance
     rivals: tuple[tuple[Candidate, str], ...]
     confirmed: bool | None = None
