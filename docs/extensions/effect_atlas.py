@@ -1,6 +1,7 @@
 """Write the effect atlas: a page for each effect, from its definition and the simulated arm."""
 
 import inspect
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -173,11 +174,11 @@ def page(kind, joint, trial):
         "",
         *docstring(kind),
         "",
-        "| effect | term | |",
+        "| effect | term | option |",
         "| --- | --- | --- |",
     ]
     for each in registered(kind):
-        meaning = kind.options.get(each.option, "")
+        meaning = kind.options.get(each.option, "none")
         lines.append(f"| `{each.label}` | {cell(each.formula)} | {cell(meaning)} |")
     lines += ["", *parameters(kind), *facts(kind())]
     lines += ["## Torque and residual", "", picture_text(kind, joint, trial), ""]
@@ -189,8 +190,8 @@ def page(kind, joint, trial):
 def docstring(kind):
     """Return an effect's docstring without its sections, as Markdown."""
     text = inspect.cleandoc(kind.__doc__ or "").split("\nOptions\n-----")[0]
-    text = text.split("\nNotes\n-----")[0].replace("*", "\\*").replace("|", "\\|")
-    return text.replace("``", "`").splitlines()
+    lines = text.split("\nNotes\n-----")[0].replace("``", "`").splitlines()
+    return [line if line.startswith("    ") else re.sub(r"([*|])", r"\\\1", line) for line in lines]
 
 
 def cell(text):
