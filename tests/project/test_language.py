@@ -24,7 +24,7 @@ BANNED = {
 }
 ALLOWED = {
     "`told`": "a former key of JSON files",
-    "`--room`": "a former option",
+    "--room": "a former option",
     ".tell()": "position in a file",
 }
 FOLDERS = {
