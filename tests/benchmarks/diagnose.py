@@ -1,4 +1,4 @@
-"""Processor time of a whole diagnosis, beside refitting once for every candidate.
+"""Processor time of a whole diagnosis, compared with one refit for every candidate.
 
     python tests/benchmarks/diagnose.py [--samples 3000 100000]
 

@@ -40,7 +40,7 @@ def measured(effect, duration=8.0):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_predicted_torque_is_the_plants(name):
+def test_the_predicted_torque_matches_the_simulated_arm(name):
     effect, label, coefficients = CASES[name]
     recording = measured(effect)
     model = lieid.Model(ROBOT, label)
@@ -68,7 +68,7 @@ def test_the_fit_finds_the_value(name):
     np.testing.assert_allclose(found, coefficients, rtol=0.05)
 
 
-def test_drift_does_not_carry_over_to_another_recording():
+def test_drift_of_one_recording_is_not_predicted_for_another():
     recording = measured(plant.BiasDrift(0, 0.5))
     fit = lieid.identify(
         lieid.Model(ROBOT, "bias_drift:1"), recording, processing=Processing(cutoff=20.0)
@@ -83,7 +83,7 @@ def test_drift_does_not_carry_over_to_another_recording():
     assert not elsewhere.any()
 
 
-def test_an_effect_on_the_whole_arm_names_no_joint():
+def test_an_effect_on_the_whole_arm_has_no_joint():
     model = lieid.Model(ROBOT, "coulomb,base_tilt")
     assert model.effects == ["coulomb", "base_tilt"]
     with pytest.raises(lieid.LieidError, match="whole arm"):

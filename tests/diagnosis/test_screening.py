@@ -56,7 +56,7 @@ def test_gain_is_the_fall_of_the_sum_of_squares():
         assert screening.gain[group] == pytest.approx(misfit(model, torque) - misfit(both, torque))
 
 
-def test_gain_beside_added_groups_is_the_fall_of_the_sum_of_squares():
+def test_gain_given_added_groups_is_the_fall_of_the_sum_of_squares():
     random, matrices, candidates = random_problem(seed=4)
     torques = [random.normal(size=ROWS) for _ in range(2)]
     baseline = with_groups(Baseline.of(matrices, torques), candidates, [1, 2])

@@ -209,7 +209,7 @@ def test_a_change_that_is_no_effect_has_a_formula():
     assert again.verdict == "effect_found"
 
 
-def test_json_keeps_its_keys_and_has_more(by_angle, with_bump):
+def test_json_of_unexplained_parts(by_angle, with_bump):
     for diagnosis, *_ in (by_angle, with_bump):
         for part in diagnosis.to_dict()["unexplained"]:
             json.dumps(part, allow_nan=False)
