@@ -85,8 +85,8 @@ def test_total_least_squares_is_unbiased_by_noise():
     wide = lieid.Processing(cutoff=40.0)
     off = []
     for seed in range(3):
-        one = amperes(ARM, motion=4 + seed, seed=seed, sensors=noisy)
-        other = amperes(LOADED, motion=24 + seed, seed=50 + seed, sensors=noisy)
+        one = amperes(ARM, motion=4 + seed, seed=seed, seconds=20.0, sensors=noisy)
+        other = amperes(LOADED, motion=24 + seed, seed=50 + seed, seconds=20.0, sensors=noisy)
         found = lieid.drive_gains(PANDA, one, other, mass=MASS, processing=wide)
         off.append((found.gains - GAINS) / found.std)
     assert np.all(np.abs(np.mean(off, axis=0)) < 3.0 / np.sqrt(len(off)))
