@@ -51,7 +51,7 @@ def run(criterion, seeds, **thresholds):
     design = make_design(
         model, basis=make("fourier", duration=20.0, harmonics=5), criterion=criterion,
         constraints=(CartesianSpeed(V_C),), start_pose=np.zeros(7), scaling="unit_norm",
-        **thresholds,
+        margin=1.0, **thresholds,
     )  # fmt: skip
     problem, rows = ExcitationProblem(design), []
     for seed in seeds:

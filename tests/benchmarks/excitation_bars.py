@@ -31,7 +31,7 @@ def panda_problem(solver="ipopt"):
     """43 inertial columns, 5 harmonics at 0.05 Hz, 5 rad/s², free start, 100 samples."""
     design = make_design(
         lieid.Model(lieid.robots.panda()), basis=make(), criterion="condition", constraints=(),
-        acceleration=5.0, free_start=True, solver=solver,
+        acceleration=5.0, free_start=True, margin=1.0, solver=solver,
     )  # fmt: skip
     return ExcitationProblem(design)
 
@@ -86,7 +86,7 @@ def limits_problem(solver="ipopt"):
     robot = lieid.robots.panda()
     links = capsules_of(robot)
     design = make_design(
-        lieid.Model(robot), basis=make(), criterion="condition", acceleration=5.0,
+        lieid.Model(robot), basis=make(), criterion="condition", acceleration=5.0, margin=1.0,
         constraints=(
             Torque(), CartesianSpeed(SPEED), floor(capsules=links), SelfCollision(0.02, links),
         ),
@@ -121,7 +121,7 @@ def ur10e_problem(solver="ipopt", duration=20.0):
     robot = lieid.Robot.from_urdf(UR10E)
     design = make_design(
         lieid.Model(robot, effects=["coulomb", "viscous", "offset"]),
-        basis=make(duration=duration), criterion="condition",
+        basis=make(duration=duration), criterion="condition", acceleration=5.0, margin=1.0,
         constraints=(Torque(), SelfCollision(0.02, capsules_of(robot))), solver=solver,
     )  # fmt: skip
     return ExcitationProblem(design)

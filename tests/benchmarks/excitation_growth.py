@@ -38,7 +38,12 @@ def three_joints():
 def row(label, robot, *, family="fourier", harmonics=5, samples=100, duration=20.0):
     basis = make(family, harmonics=harmonics, duration=duration)
     design = make_design(
-        lieid.Model(robot), basis=basis, criterion="condition", constraints=(), samples=samples
+        lieid.Model(robot),
+        basis=basis,
+        criterion="condition",
+        constraints=(),
+        samples=samples,
+        margin=1.0,
     )
     began = time.process_time()
     problem = ExcitationProblem(design)

@@ -14,7 +14,7 @@ import sys
 import numpy as np
 
 import lieid_casadi as lieid
-from lieid_casadi.excitation import excite
+from lieid_casadi.excitation import Torque, excite
 from lieid_casadi.plant.demo_arm import demo_arm, demo_sensors
 from lieid_casadi.plant.ideal_tracking import measure_along
 from lieid_casadi.plant.trajectories import FourierTrajectory
@@ -54,7 +54,7 @@ def main(seeds=50):
     robot = lieid.robots.panda()
     model = lieid.Model(robot, effects=EFFECTS)
     arm = demo_arm(robot, seed=1, hidden=None)
-    best = excite(model, duration=DURATION, acceleration=5.0, rate=1000.0)
+    best = excite(model, duration=DURATION, acceleration=5.0, margin=1.0, constraints=(Torque(),))
     optimal = best.motion()
     t = np.arange(0.0, DURATION + 1e-9, 1e-3)
     random = FourierTrajectory(robot, base_frequency=1.0 / DURATION, seed=5)
