@@ -179,6 +179,7 @@ def reading_options_of(args: argparse.Namespace, robot: Robot) -> dict[str, Any]
 
     options: dict[str, Any] = {
         "n": robot.n,
+        "joint_names": [joint.name for joint in robot.joints],  # bags name theirs
         "units": args.units,
         "revolute": np.array([joint.revolute for joint in robot.joints]),
     }

@@ -196,6 +196,7 @@ def load_or_stream(
     *,
     torque_constants: ArrayLike | None = None,
     n: int | None = None,
+    joint_names: Sequence[str] | None = None,
     units: str | Sequence[str] = (),
     revolute: Mask | None = None,
     inflate_limit: int = INFLATE_LIMIT,
@@ -204,20 +205,22 @@ def load_or_stream(
 
     Parameters
     ----------
-    path, torque_constants, n, units, revolute, inflate_limit
-        As for :meth:`Recording.load`.
+    path, torque_constants, n, joint_names, units, revolute, inflate_limit
+        As for :meth:`Recording.load`. Streamed formats number their joints and have no names.
     """
     file, _, _ = split_part(path)
     decoded_bytes = format_of(file).decoded_bytes
     large = decoded_bytes is not None and file.exists() and decoded_bytes(file) > memory_bytes() / 8
-    return (stream if large else Recording.load)(
-        path,
-        torque_constants=torque_constants,
-        n=n,
-        units=units,
-        revolute=revolute,
-        inflate_limit=inflate_limit,
-    )
+    options: dict[str, Any] = {
+        "torque_constants": torque_constants,
+        "n": n,
+        "units": units,
+        "revolute": revolute,
+        "inflate_limit": inflate_limit,
+    }
+    if large:
+        return stream(path, **options)
+    return Recording.load(path, joint_names=joint_names, **options)
 
 
 def memory_bytes() -> int:

@@ -7,6 +7,7 @@ import io
 import random
 import sqlite3
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -101,7 +102,7 @@ def _other_header(content: bytes, rng: random.Random) -> bytes:
 def _other_array(content: bytes, rng: random.Random) -> np.ndarray:
     try:
         array = np.load(io.BytesIO(content))
-    except (ValueError, OSError, EOFError):
+    except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError):
         array = np.zeros(3)
     with np.errstate(all="ignore"):
         changes: tuple[Callable[[], np.ndarray], ...] = (

@@ -3,6 +3,7 @@ import pytest
 from recording.bag_files import NAMES, START, StoragePlugin, arm_messages, write
 from recording.planar_arm import measured
 
+import lieid_casadi as lieid
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording import Recording
 
@@ -91,3 +92,22 @@ def test_bad_bags(tmp_path, arm):
     (tmp_path / "empty").mkdir()
     with pytest.raises(RecordingError, match="not a bag that can be read"):
         Recording.load(tmp_path / "empty")
+
+
+def test_commands_match_joints_by_name(tmp_path, arm):
+    """Joint state topics are often in alphabetical order, without a word about it."""
+    from lieid_casadi.cli.main import main
+
+    arm.save(tmp_path / "run.csv")
+    write(tmp_path / "bag", arm_messages(arm, names=["elbow", "shoulder"]))
+    fits = [tmp_path / "csv.json", tmp_path / "bag.json"]
+    for recording, fit in zip((tmp_path / "run.csv", tmp_path / "bag"), fits, strict=True):
+        assert main(["identify", "two_link", str(recording), "--cutoff", "8", "-o", str(fit)]) == 0
+    values = [lieid.Fit.load(fit).values for fit in fits]
+    np.testing.assert_allclose(values[0], values[1], rtol=1e-6)
+
+
+def test_a_bag_of_other_joints_lists_them(tmp_path, arm):
+    bag = write(tmp_path / "bag", arm_messages(arm))
+    with pytest.raises(RecordingError, match=r"joints a, b.*found shoulder, elbow"):
+        Recording.load(bag, joint_names=["a", "b"])

@@ -71,6 +71,7 @@ class _JointRows:
     """Rows of the recording, collected from the messages."""
 
     names: tuple[str, ...] | None
+    others: tuple[str, ...] = ()  # of a message with none of the joints
     times: list[tuple[int, int]] = field(default_factory=list)
     rows: dict[str, list[Array]] = field(
         default_factory=lambda: {"position": [], "velocity": [], "effort": []}
@@ -83,6 +84,7 @@ class _JointRows:
         place = {name: index for index, name in enumerate(message.names)}
         missing = [name for name in self.names if name not in place]
         if len(missing) == len(self.names):
+            self.others = message.names
             return
         if missing:
             raise RecordingError(
@@ -105,7 +107,8 @@ class _JointRows:
         """
         if not self.times or not self.names:
             wanted = f" with the joints {listed(self.names)}" if self.names else ""
-            raise RecordingError(f"{file}: no JointState message{wanted}, expected some")
+            found = f" (found {listed(self.others)})" if self.others else ""
+            raise RecordingError(f"{file}: no JointState message{wanted}{found}, expected some")
         if n is not None and n != len(self.names):
             raise RecordingError(
                 f"{file}: found {len(self.names)} joints ({listed(self.names)}), "
