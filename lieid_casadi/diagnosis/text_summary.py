@@ -49,7 +49,7 @@ def _findings(steps: Sequence[DiagnosisStep]) -> list[str]:
     for step in steps:
         together = len(step.joints) == 1 and not step.indistinguishable
         groups.setdefault((step.effect,) if together else (step.label, ""), []).append(step)
-    return [_finding(group) for group in groups.values()]
+    return [_finding(sorted(group, key=lambda step: step.joints)) for group in groups.values()]
 
 
 def _finding(steps: Sequence[DiagnosisStep]) -> str:

@@ -93,7 +93,7 @@ def test_steps_with_one_effect_are_one_finding_and_rivals_are_alternatives():
     diagnosis = diagnosis_of(LOAD_FRICTION)
     (step,) = diagnosis.steps
     other = replace(step, label="load_friction:2", joints=(1,))
-    text = with_steps(diagnosis, step, other).sentence
+    text = with_steps(diagnosis, other, step).sentence
     assert "load_friction on joints 1 and 2 (f_tau = " in text
     arm = replace(step, label="payload", effect="payload", joints=())
     assert with_steps(diagnosis, step, arm, other).groups == (1, 2, 1)
