@@ -1,4 +1,4 @@
-"""What a solver of excitation problems is: its iterates, its Hessian, and one method."""
+"""Interface of the solvers of excitation problems: iterates, Hessian, and one method."""
 
 from __future__ import annotations
 
