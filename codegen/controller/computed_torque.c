@@ -9,13 +9,13 @@ void computed_torque(controller *c, const controller_reference *reference, const
     const double w = c->settings.bandwidth;
     double friction[ARM_JOINTS];
     arm_sample sample;
-    memset(&sample, 0, sizeof sample); /* no thermometers here */
+    memset(&sample, 0, sizeof sample); /* this example measures no temperatures */
     for (int j = 0; j < ARM_JOINTS; j++)
         sample.ddq[j] = reference->ddq[j] + 2.0 * w * (reference->dq[j] - dq[j])
                         + w * w * (reference->q[j] - q[j]);
     arm_rigid_torque(q, dq, sample.ddq, torque);
 
-    /* Friction of the motion that is wanted: measured velocities would make it rattle at rest. */
+    /* Friction at the reference: with measured velocities it would chatter at rest. */
     memcpy(sample.q, reference->q, sizeof sample.q);
     memcpy(sample.dq, reference->dq, sizeof sample.dq);
     sample.time = c->cycles * c->settings.period;

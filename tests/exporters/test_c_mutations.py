@@ -43,8 +43,9 @@ def mutations(name, text):
 def free_values(text):
     """Return lines whose values may differ as long as they are finite.
 
-    These are sums |a| + |b| + … that are only compared with the largest number, and the product
-    that finds a reversal within a step: a step without one may be split at any point.
+    These are sums |a| + |b| + … that are only compared with the largest number, the product that
+    finds a reversal within a step (a step without one may be split at any point), and the divisor
+    of the motion up to the reversal, whose dividend is zero without one.
     """
     start = text.find("static void advanced(")
     end, first = text.find("\n}\n", start), text[:start].count("\n")
@@ -55,6 +56,8 @@ def free_values(text):
     }
     waiting = re.findall(r"(t\d+) <= 1\.797", text)
     found = {n for n, value in defined.values() if re.fullmatch(r"before_dq_\d \* dq_\d", value)}
+    divisors = re.findall(r"= t\d+ / (t\d+);", text[start:end])
+    found |= {defined[name][0] for name in divisors}
     while waiting:
         number, value = defined.get(waiting.pop(), (None, ""))
         if number is not None and re.fullmatch(r"fabs\(\w+\)|\w+ \+ \w+", value):
@@ -78,7 +81,7 @@ def altered(line):
         yield ""
     constant = NUMBER.search(line)
     if constant and not line.lstrip().startswith(("/*", "*")):
-        wrong = repr(float(constant[0]) * (1.0 + 1e-9) or 1e-3)
+        wrong = repr(float(constant[0]) * (1.0 + 1e-3) or 1e-3)
         yield line[: constant.start()] + wrong + line[constant.end() :]
 
 
