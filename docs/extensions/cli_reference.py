@@ -66,7 +66,7 @@ def section(name, parser, text):
     lines += ["::", "", *(f"   {line}" for line in usage.splitlines()), ""]
     formatter = parser._get_formatter()
     for action in parser._actions:
-        if isinstance(action, argparse._HelpAction):
+        if isinstance(action, argparse._HelpAction) or action.help == argparse.SUPPRESS:
             continue
         help_text = formatter._expand_help(action) if action.help else ""
         lines += [f".. option:: {signature(action, formatter)}", ""]
