@@ -22,6 +22,11 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--to", choices=FORMATS, required=True, help="C99 code, or URDF and MJCF")
     shared_options.add_output_folder(parser)
     parser.add_argument("--prefix", metavar="NAME", help="prefix of all C names; default: arm")
+    parser.add_argument(
+        "--functions",
+        metavar="NAME,NAME…",
+        help="C functions to write, such as torque,mass_matrix; default: all that the fit has",
+    )
     shared_options.add_effects_file(parser)
     parser.set_defaults(run=run)
 
@@ -32,6 +37,8 @@ def run(args: argparse.Namespace) -> None:
 
     if args.prefix is not None and args.to != "c":
         raise UsageError(f"--prefix {args.prefix}: a prefix applies to C code; expected --to c")
+    if args.functions is not None and args.to != "c":
+        raise UsageError("--functions: a choice of functions applies to C code; expected --to c")
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
     files, notes = _export(fit, args)
@@ -47,7 +54,11 @@ def _export(fit: Fit, args: argparse.Namespace) -> tuple[list[str], tuple[str, .
 
     if args.to == "c":
         made = export_c(
-            fit, args.output, prefix="arm" if args.prefix is None else args.prefix, force=args.force
+            fit,
+            args.output,
+            prefix="arm" if args.prefix is None else args.prefix,
+            functions=None if args.functions is None else args.functions.split(","),
+            force=args.force,
         )
         return [path.name for path in made.files], made.notes
     written = export_urdf(fit, args.output, force=args.force)

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.exporters.c_arm_effects import arm_notes
-from lieid_casadi.exporters.c_functions import ExportedFunctions, functions
+from lieid_casadi.exporters.c_functions import (
+    RIGID_ARGUMENTS,
+    SAMPLE_ARGUMENTS,
+    ExportedFunctions,
+    exported_functions,
+    select,
+)
 from lieid_casadi.exporters.c_prefix import check_prefix
-from lieid_casadi.exporters.c_self_test import SelfTestData, self_test_data
+from lieid_casadi.exporters.c_self_test import self_test_content
 from lieid_casadi.exporters.c_statements import number
 from lieid_casadi.exporters.c_text import comment, numbered, render, wrapped
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import Parameter
 from lieid_casadi.output_folder import check_folder, write_folder
-
-RIGID_CALLS = {  # function: its arguments
-    "rigid_torque": ("q", "dq", "ddq"),
-    "gravity": ("q",),
-    "mass_matrix": ("q",),
-    "regressor": ("q", "dq", "ddq"),
-    "slotine_li_regressor": ("q", "dq", "dq_r", "ddq_r"),
-}
-EFFECT_CALLS = ("friction", "torque", "effect_columns", "base_regressor")
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,14 @@ class CExport:
     notes: tuple[str, ...]
 
 
-def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool = False) -> CExport:
+def export_c(
+    fit: Fit,
+    folder: str | Path,
+    *,
+    prefix: str = "arm",
+    functions: Sequence[str] | None = None,
+    force: bool = False,
+) -> CExport:
     """Write the identified model as C99: library, self-test, CMake project and README.
 
     The functions use no memory except their arguments, and of the mathematical library only sin,
@@ -49,6 +54,10 @@ def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool =
         Made if it does not exist; written as a whole or not at all.
     prefix : str
         Prefix of all names, so that one program can contain several arms.
+    functions : sequence of str, optional
+        Functions to write, of `lieid_casadi.exporters.c_functions.NAMES`; those that they call are
+        added. Default: all that the fit has. Forward dynamics are left out, with a note, if the
+        mass matrix is not positive definite in a pose within the joint limits.
     force : bool
         Replace what an earlier export wrote into the folder; other files are kept.
 
@@ -59,8 +68,8 @@ def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool =
     Raises
     ------
     ExportError
-        The prefix is not usable, an effect has no C form or needs more than one instant, or a
-        number is not finite.
+        The prefix is not usable, a function does not exist, an effect has no C form or needs more
+        than one instant, or a number is not finite.
     OutputError
         The folder has other content or cannot be written.
     """
@@ -68,12 +77,13 @@ def export_c(fit: Fit, folder: str | Path, *, prefix: str = "arm", force: bool =
     check_folder(folder, force=force)
     for value in (*fit.parameters, *fit.values, *fit.shapes):
         number(value)
-    notes = _notes(fit)
-    written = write_folder(folder, c_files(fit, prefix, notes), force=force)
+    chosen, left_out = select(fit, functions)
+    notes = [*left_out, *_notes(fit)]
+    written = write_folder(folder, c_files(fit, prefix, chosen, notes), force=force)
     return CExport(written, tuple(notes))
 
 
-def c_files(fit: Fit, prefix: str, notes: list[str]) -> dict[str, bytes]:
+def c_files(fit: Fit, prefix: str, names: Sequence[str], notes: list[str]) -> dict[str, bytes]:
     """Return the content of all files by name.
 
     Parameters
@@ -81,13 +91,15 @@ def c_files(fit: Fit, prefix: str, notes: list[str]) -> dict[str, bytes]:
     fit : Fit
     prefix : str
         Of files and functions.
+    names : sequence of str
+        Functions, in the order of `NAMES`.
     notes : list of str
         What the export leaves out.
     """
-    made = functions(fit)
+    made = exported_functions(fit, names)
     content = _content(fit, prefix, made) | {"notes": [comment(note) for note in notes]}
     content["note_lines"] = wrapped(content["notes"])
-    names = {
+    templates = {
         f"{prefix}.h": "arm.h.jinja",
         f"{prefix}.c": "arm.c.jinja",
         f"{prefix}_parameters.c": "arm_parameters.c.jinja",
@@ -95,8 +107,8 @@ def c_files(fit: Fit, prefix: str, notes: list[str]) -> dict[str, bytes]:
         "CMakeLists.txt": "CMakeLists.txt.jinja",
         "README.md": "README.md.jinja",
     }
-    content |= _test_content(fit, self_test_data(fit))
-    files = {name: render(template, content).encode() for name, template in names.items()}
+    content |= self_test_content(fit, made.bodies)
+    files = {name: render(template, content).encode() for name, template in templates.items()}
     runtime = codegen_folder() / "export" / "lieid_runtime.h"
     return files | {runtime.name: runtime.read_bytes()}
 
@@ -106,7 +118,7 @@ def _content(fit: Fit, prefix: str, made: ExportedFunctions) -> dict[str, Any]:
     from lieid_casadi import __version__
 
     model, robot = fit.model, fit.model.robot
-    used = [made.bodies["friction"].used, made.bodies["base_regressor"].used]
+    used = [function.used for name, function in made.bodies.items() if name in SAMPLE_ARGUMENTS]
     used += [made.advance.used] if made.advance else []
     kinds = {joint.revolute for joint in robot.joints}
     formulas = {p.effect.label: p.effect.formula for p in model.placements}
@@ -148,6 +160,8 @@ def _content(fit: Fit, prefix: str, made: ExportedFunctions) -> dict[str, Any]:
         "coefficient_lines": numbered(f"{c.label} [{c.unit}]" for c in model.columns),
         "base_lines": numbered(f"{c.label} [{c.unit}]" for c in model.base_columns),
         "bodies": made.bodies,
+        "rigid": [name for name in RIGID_ARGUMENTS if name in made.bodies],
+        "of_samples": [name for name in SAMPLE_ARGUMENTS if name in made.bodies],
         "advance": made.advance,
         "remembers_load": made.remembers_load,
         "advance_reads_load": made.advance_reads_load,
@@ -180,38 +194,6 @@ def _units(kinds: set[bool]) -> dict[str, str]:
     sliding = {"q": "m", "dq": "m/s", "ddq": "m/s²", "tau": "N"}
     pairs = [units for kind, units in ((True, turning), (False, sliding)) if kind in kinds]
     return {key: " or ".join(units[key] for units in pairs) for key in turning}
-
-
-def _test_content(fit: Fit, stored: SelfTestData) -> dict[str, Any]:
-    """Return the further variables of the template of the self-test."""
-    inputs, results = stored.inputs, stored.results
-    names = ("q", "dq", "ddq", "dq_r", "ddq_r", "temperature")
-    numbers = {
-        "link_parameters": fit.link_parameters,
-        "base_parameters": fit.values,
-        "effect_coefficients": fit.effect_coefficients,
-        "shapes": fit.shapes,
-    }
-    parameters = {name: values for name, values in numbers.items() if len(values)}
-    arrays = [(name, inputs[name].ravel()) for name in names]
-    arrays += [("time_", inputs["time"].ravel()), ("v0", stored.v0)]
-    arrays += [(name, values.ravel()) for name, values in results.items()]
-    arrays += list(parameters.items())
-    sizes = {name: values.shape[1] for name, values in results.items()}
-    calls = [name for name in EFFECT_CALLS if name in results]
-    reports = ["begin", *(["states", "held_states"] if "states" in results else [])]
-    reports += [*calls, "products"]
-    return {
-        "samples": len(inputs["q"]),
-        "largest": max(sizes.values()),
-        "arrays": arrays,
-        "parameters": [(name, len(values)) for name, values in parameters.items()],
-        "rigid_calls": [(name, arguments, sizes[name]) for name, arguments in RIGID_CALLS.items()],
-        "effect_calls": [(name, sizes[name]) for name in calls],
-        "signs": [("", "NULL"), ("_smooth", "v0")],
-        "reports": reports,
-        "worsts": ", ".join(f"of_{name} = 0.0" for name in reports),
-    }
 
 
 def _notes(fit: Fit) -> list[str]:

@@ -1,202 +1,45 @@
-"""Functions of a fitted model for export: expressions with the identified numbers as constants."""
+"""The functions that exported C may have, and their bodies."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.dynamics import closed_form, recursion
-from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
-from lieid_casadi.dynamics.motion_symbols import Motion
-from lieid_casadi.dynamics.regressor import regressor, slotine_li_regressor
-from lieid_casadi.effects.signals import EffectSignals
-from lieid_casadi.exporters.c_arm_effects import with_arm_effects
+from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.c_expressions import ExportExpressions, ExportSymbols, folded
 from lieid_casadi.exporters.c_statements import FunctionBody, FunctionInput, body, each, number
-from lieid_casadi.expressions.instant import ArmInstant
+from lieid_casadi.expressions.forward_dynamics import indefinite_share
+from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.identification.fit import Fit
 
-Array = NDArray[np.float64]
-AGREEMENT = 1e-13  # of the torque with fewer parameters, relative; the self-test requires 1e-12
-
-
-@dataclass(frozen=True, eq=False)
-class ExportSymbols:
-    """Symbols on which exported functions depend, (n,) unless stated."""
-
-    motion: Motion
-    dq_r: ca.SX
-    ddq_r: ca.SX
-    sign: ca.SX
-    load: ca.SX
-    temperature: ca.SX
-    time: ca.SX
-    states: ca.SX
-
-    @classmethod
-    def of(cls, fit: Fit, prefix: str = "") -> ExportSymbols:
-        """Return new symbols; those of an earlier sample have a ``prefix``."""
-        n = fit.model.n
-
-        def column(name: str, size: int = n) -> ca.SX:
-            return ca.SX.sym(prefix + name, size)
-
-        return cls(
-            motion=Motion(*(column(name) for name in ("q", "sin", "cos", "dq", "ddq"))),
-            dq_r=column("dq_r"),
-            ddq_r=column("ddq_r"),
-            sign=column("sign"),
-            load=column("load"),
-            temperature=column("temperature"),
-            time=column("time", 1),
-            states=column("states", len(fit.model.states)),
-        )
-
-    @property
-    def signals(self) -> EffectSignals:
-        """The signals of effects."""
-        m = self.motion
-        return EffectSignals(m.q, m.dq, m.ddq, self.sign, self.load, self.temperature, self.time)
-
-
-class ExportExpressions:
-    """Functions of a model for given link parameters, coefficients and shape parameters.
-
-    Parameters
-    ----------
-    fit : Fit
-    symbols : ExportSymbols
-        Symbols of the sample.
-    links : (10 n,) ca.SX
-        Link parameters: numbers, or symbols for the evaluation in the self-test.
-    coefficients : (m,) ca.SX
-        Coefficients of the effects, numbers or symbols.
-    shapes : (s,) ca.SX
-        Shape parameters, numbers or symbols.
-    all_links : (10 n,) ca.SX, optional
-        The identified link parameters, if ``links`` is a reduced set: in another direction of
-        gravity, more parameters have an effect.
-    """
-
-    def __init__(
-        self,
-        fit: Fit,
-        symbols: ExportSymbols,
-        links: ca.SX,
-        coefficients: ca.SX,
-        shapes: ca.SX,
-        all_links: ca.SX | None = None,
-    ) -> None:
-        self._fit, self._model, self._symbols = fit, fit.model, symbols
-        self._links, self._coefficients, self._shapes = links, coefficients, shapes
-        self._all_links = links if all_links is None else all_links
-
-    @cached_property
-    def rigid_torque(self) -> ca.SX:
-        """Rigid torque (n,)."""
-        symbols = self._symbols
-        return recursion.inverse_dynamics(self._model.robot, symbols.motion, self._links)
-
-    @cached_property
-    def gravity(self) -> ca.SX:
-        """G (n,)."""
-        return closed_form.gravity(self._model.robot, self._symbols.motion, self._links)
-
-    @cached_property
-    def mass_matrix(self) -> ca.SX:
-        """M (n, n)."""
-        return closed_form.mass_matrix(self._model.robot, self._symbols.motion, self._links)
-
-    @cached_property
-    def regressor(self) -> ca.SX:
-        """Y (n, 10 n)."""
-        return regressor(self._model.robot, self._symbols.motion)
-
-    @cached_property
-    def slotine_li_regressor(self) -> ca.SX:
-        """Y(q, q̇, q̇_r, q̈_r) (n, 10 n)."""
-        s = self._symbols
-        reference = recursion.ReferenceMotion(s.dq_r, s.ddq_r)
-        return slotine_li_regressor(self._model.robot, s.motion, reference)
-
-    @cached_property
-    def effect_columns(self) -> ca.SX:
-        """Columns of the effects (n, m).
-
-        Raises
-        ------
-        ExportError
-            An effect needs more than one instant.
-        """
-        s = self._symbols
-        columns = self._model.effect_columns(s.signals, self._shapes, s.states)
-        torque = s.load + ca.mtimes(columns, self._coefficients)
-        arm = ArmInstant(self._model.robot, s.motion, self._links, self._all_links, s.load, torque)
-        return with_arm_effects(columns, self._model, arm, self._fit.effect_coefficients)
-
-    @cached_property
-    def base_regressor(self) -> ca.SX:
-        """Y_b (n, p), effects included."""
-        kept = [int(k) for k in self._model.base.kept]
-        return ca.horzcat(self.regressor, self.effect_columns)[:, kept]
-
-    @cached_property
-    def friction(self) -> ca.SX:
-        """Torque of all effects (n,)."""
-        return ca.mtimes(self.effect_columns, self._coefficients)
-
-    @cached_property
-    def torque(self) -> ca.SX:
-        """Rigid torque and effects (n,), the load being that rigid torque."""
-        return self.rigid_torque + self.with_load(self.friction)
-
-    def with_load(self, expression: ca.SX) -> ca.SX:
-        """Replace the load by the rigid torque."""
-        return ca.substitute(expression, self._symbols.load, ca.densify(self.rigid_torque))
-
-    def advance(self, before: ExportSymbols) -> ca.SX:
-        """Return the states (S,) at this sample from those at the sample before."""
-        return self._model.advance(
-            before.signals, self._symbols.signals, self._shapes, before.states
-        )
-
-
-def folded(fit: Fit, symbols: ExportSymbols) -> ExportExpressions:
-    """Return the functions of the model with the identified numbers as constants."""
-    return ExportExpressions(
-        fit,
-        symbols,
-        ca.SX(ca.DM(fewer_parameters(fit))),
-        ca.SX(ca.DM(fit.effect_coefficients)),
-        ca.SX(ca.DM(fit.shapes)),
-        ca.SX(ca.DM(fit.link_parameters)),
-    )
-
-
-def fewer_parameters(fit: Fit) -> Array:
-    """Return link parameters (10 n,) with the same torque and as many zeros as possible.
-
-    Only the parameters that head a rigid base parameter are not zero. If rounding in the geometry
-    of the robot would change the torque, the link parameters of the fit are returned.
-    """
-    robot, links = fit.model.robot, fit.link_parameters
-    base: BaseParameters = base_parameters(robot)
-    fewer = np.zeros_like(links)
-    fewer[base.kept] = base.combination @ links
-    motion = Motion.symbols(robot.n)
-    symbols = [motion.q, motion.sin, motion.cos, motion.dq, motion.ddq]
-    y = ca.Function("y", symbols, [ca.densify(regressor(robot, motion))])
-    random = np.random.default_rng(0)
-    for _ in range(20):
-        q, dq, ddq = random.uniform(-3.0, 3.0, (3, robot.n))
-        matrix = np.array(y(q, np.sin(q), np.cos(q), dq, ddq))
-        size = np.abs(matrix @ links).max()
-        if np.abs(matrix @ (links - fewer)).max() > AGREEMENT * size:
-            return links
-    return fewer
+RIGID_ARGUMENTS = {  # function: its arguments before the result
+    "rigid_torque": ("q", "dq", "ddq"),
+    "gravity": ("q",),
+    "mass_matrix": ("q",),
+    "coriolis": ("q", "dq"),
+    "forward_kinematics": ("q",),
+    "jacobian": ("q",),
+    "regressor": ("q", "dq", "ddq"),
+    "slotine_li_regressor": ("q", "dq", "dq_r", "ddq_r"),
+}
+SAMPLE_ARGUMENTS = {  # function: its argument between the sample and the state
+    "friction": "load",
+    "torque": "",
+    "forward_dynamics": "torque",
+    "effect_columns": "load",
+    "base_regressor": "load",
+}
+NAMES = (*RIGID_ARGUMENTS, *SAMPLE_ARGUMENTS)
+_RESULTS = {  # name of the result, where it is no matrix
+    "rigid_torque": "torque",
+    "gravity": "torque",
+    "forward_kinematics": "pose",
+    "friction": "torque",
+    "torque": "torque",
+    "forward_dynamics": "acceleration",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,45 +52,99 @@ class ExportedFunctions:
     advance_reads_load: bool
 
 
-def functions(fit: Fit) -> ExportedFunctions:
-    """Return the C of every function.
+def select(fit: Fit, requested: Sequence[str] | None) -> tuple[list[str], list[str]]:
+    """Return the names of the functions to export, in the order of `NAMES`, and notes.
+
+    Parameters
+    ----------
+    fit : Fit
+    requested : sequence of str or None
+        Names of `NAMES`; None stands for all that the fit has.
+
+    Raises
+    ------
+    ExportError
+        A name is not one of `NAMES`, or the fit does not have that function.
+    """
+    wanted = list(NAMES) if requested is None else list(requested)
+    unknown = [name for name in wanted if name not in NAMES]
+    if unknown or not wanted:
+        raise ExportError(
+            f"functions: got {', '.join(map(repr, unknown)) or 'none'}; "
+            f"expected some of {', '.join(NAMES)}"
+        )
+    missing = {} if fit.model.columns else {"effect_columns": "the fit has no effects"}
+    if "forward_dynamics" in wanted:
+        share = _indefinite_share(fit)
+        if share > 0.0:
+            missing["forward_dynamics"] = (
+                f"the mass matrix is not positive definite in {100.0 * share:.1f} % of the poses "
+                "within the joint limits; lieid identify --method feasible gives a fit whose "
+                "mass matrix is"
+            )
+    refused = [name for name in wanted if name in missing]
+    if requested is not None and refused:
+        raise ExportError(f"function {refused[0]}: {missing[refused[0]]}")
+    notes = [f"{name} is left out: {missing[name]}" for name in refused if fit.model.columns]
+    return [name for name in NAMES if name in wanted and name not in missing], notes
+
+
+def _indefinite_share(fit: Fit) -> float:
+    values = Values.numbers(fit.link_parameters, fit.effect_coefficients, fit.shapes)
+    return indefinite_share(
+        TorqueExpressions(fit.model, values, None, as_measured=False, payload=False)
+    )
+
+
+def exported_functions(fit: Fit, names: Sequence[str]) -> ExportedFunctions:
+    """Return the C of functions, and of those that they call.
+
+    Parameters
+    ----------
+    fit : Fit
+    names : sequence of str
+        Result of `select`.
 
     Raises
     ------
     ExportError
         An effect uses an operation without a C form, or needs more than one instant.
     """
-    now, before = ExportSymbols.of(fit), ExportSymbols.of(fit, "before_")
+    now = ExportSymbols.of(fit)
     expressions = folded(fit, now)
-    motion = rigid_inputs(now)
-    references = motion | {
+    rigid = rigid_inputs(now) | {
         "dq_r": each(now.dq_r, "dq_r[{j}]"),
         "ddq_r": each(now.ddq_r, "ddq_r[{j}]"),
     }
     sample = sample_inputs(fit, now, of="sample->")
-    loaded = sample | {"load": each(now.load, "load[{j}]")}
-    bodies = {
-        "rigid_torque": body(expressions.rigid_torque, motion, to="torque"),
-        "gravity": body(expressions.gravity, motion, to="torque"),
-        "mass_matrix": body(expressions.mass_matrix, motion, to="matrix"),
-        "regressor": body(expressions.regressor, motion, to="matrix"),
-        "slotine_li_regressor": body(expressions.slotine_li_regressor, references, to="matrix"),
-        "base_regressor": body(expressions.base_regressor, loaded, to="matrix"),
-        "friction": body(expressions.friction, loaded, to="torque"),
-        "torque": body(expressions.torque, sample, to="torque"),
+    further = {
+        "": {},
+        "load": {"load": each(now.load, "load[{j}]")},
+        "torque": {"torque": each(now.torque, "torque[{j}]")},
     }
-    if fit.model.columns:
-        bodies["effect_columns"] = body(expressions.effect_columns, loaded, to="matrix")
-    if not fit.model.states:
-        return ExportedFunctions(bodies, None, False, False)
+    used = any(name in SAMPLE_ARGUMENTS for name in names)
+    advance = _advance(fit, expressions, now) if fit.model.states and used else None
+    remembers = advance is not None and "before_load" in advance.used
+    reads = remembers or (advance is not None and "load" in advance.used)
+    bodies = {}
+    for name in NAMES:
+        if name in names or (name == "rigid_torque" and reads):
+            inputs = rigid if name in RIGID_ARGUMENTS else sample | further[SAMPLE_ARGUMENTS[name]]
+            result = _RESULTS.get(name, "matrix")
+            bodies[name] = body(getattr(expressions, name), inputs, to=result)
+    return ExportedFunctions(bodies, advance, remembers, reads)
+
+
+def _advance(fit: Fit, expressions: ExportExpressions, now: ExportSymbols) -> FunctionBody:
+    """Return the body that computes the states at a sample from those at the sample before."""
+    before = ExportSymbols.of(fit, "before_")
     after = expressions.advance(before)
     past = sample_inputs(fit, before, of="state->before.")
     past["load"] = each(before.load, "state->before_load[{j}]")
-    inputs = loaded | {f"before_{name}": given for name, given in past.items()}
+    inputs = sample_inputs(fit, now, of="sample->") | {"load": each(now.load, "load[{j}]")}
+    inputs |= {f"before_{name}": given for name, given in past.items()}
     inputs["states"] = inputs.pop("before_states")
-    advance = body(ca.densify(after), inputs, to="after")
-    remembers = "before_load" in advance.used
-    return ExportedFunctions(bodies, advance, remembers, remembers or "load" in advance.used)
+    return body(ca.densify(after), inputs, to="after")
 
 
 def rigid_inputs(symbols: ExportSymbols, *, of: str = "") -> dict[str, FunctionInput]:

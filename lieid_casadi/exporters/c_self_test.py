@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.exporters.c_functions import ExportExpressions, ExportSymbols
+from lieid_casadi.exporters.c_expressions import ExportExpressions, ExportSymbols
+from lieid_casadi.exporters.c_functions import RIGID_ARGUMENTS, SAMPLE_ARGUMENTS
 from lieid_casadi.identification.fit import Fit
 
 Array = NDArray[np.float64]
 PACE = 2.0  # rad/s of the motion q = … cos(PACE·t): it reverses at t = 0, 1.57 and 3.14 s
 TIMES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.3, 0.8, 1.56, 1.58, 1.6, 2.2, 3.05, 3.15)  # s
+_ALSO = {  # results that the test of a function needs besides its own
+    "regressor": ("rigid_torque",),
+    "friction": ("rigid_torque",),
+    "torque": ("rigid_torque",),
+    "effect_columns": ("rigid_torque", "friction"),
+    "base_regressor": ("rigid_torque", "torque"),
+    "forward_dynamics": ("rigid_torque", "torque"),
+}
 SMOOTHING = 0.05  # v0, rad/s, of the smooth sign
 
 
@@ -22,27 +33,93 @@ class SelfTestData:
     """Samples of one motion (K, ·) and the results of each function (K, size).
 
     Results named ``…_smooth`` belong to the sign tanh(q̇/v0), v0 (n,); the others to the sharp one.
+    ``acceleration_scale`` (n,) is what errors of forward dynamics are relative to.
     """
 
     inputs: dict[str, Array]
     v0: Array
     results: dict[str, Array]
+    acceleration_scale: Array | None
 
 
-def self_test_data(fit: Fit) -> SelfTestData:
+def self_test_content(fit: Fit, names: Collection[str]) -> dict[str, Any]:
+    """Return the variables of the template of the self-test.
+
+    Parameters
+    ----------
+    fit : Fit
+    names : collection of str
+        The exported functions.
+    """
+    stored = self_test_data(fit, names)
+    inputs, results = stored.inputs, stored.results
+    rigid = [name for name in RIGID_ARGUMENTS if name in names]
+    calls = [name for name in SAMPLE_ARGUMENTS if name in names]
+    read = {name for function in rigid for name in RIGID_ARGUMENTS[function]}
+    if calls:
+        read |= {"q", "dq", "ddq", "temperature", "time"}
+    # "time" is a function of C
+    arrays = [(f"{x}_" if x == "time" else x, inputs[x].ravel()) for x in inputs if x in read]
+    arrays += [("v0", stored.v0)] if calls else []
+    loaded = any(SAMPLE_ARGUMENTS[name] == "load" for name in calls)
+    if not (loaded or {"rigid_torque", "regressor"} & set(names)):
+        results.pop("rigid_torque", None)  # only the load of other results
+    arrays += [(name, values.ravel()) for name, values in results.items()]
+    numbers = {
+        "link_parameters": fit.link_parameters,
+        "base_parameters": fit.values,
+        "effect_coefficients": fit.effect_coefficients,
+        "shapes": fit.shapes,
+    }
+    parameters = {name: values for name, values in numbers.items() if len(values)}
+    arrays += list(parameters.items())
+    if stored.acceleration_scale is not None:
+        arrays.append(("acceleration_scale", stored.acceleration_scale))
+    sizes = {name: values.shape[1] for name, values in results.items()}
+    reports = ["begin", *(["states", "held_states"] if "states" in results else [])]
+    products = {"effect_columns", "base_regressor"} & set(names)
+    reports += [*calls, *(["products"] if products else [])]
+    return {
+        "samples": len(inputs["q"]),
+        "largest": max(fit.model.n, *sizes.values()),
+        "arrays": arrays,
+        "parameters": [(name, len(values)) for name, values in parameters.items()],
+        "rigid_calls": [(name, RIGID_ARGUMENTS[name], sizes[name]) for name in rigid],
+        "effect_calls": [(name, SAMPLE_ARGUMENTS[name], sizes[name]) for name in calls],
+        "multiplies": bool(products) or "regressor" in names,
+        "signs": [("", "NULL"), ("_smooth", "v0")] if calls else [],
+        "reports": reports,
+        "worsts": ", ".join(f"of_{name} = 0.0" for name in reports),
+    }
+
+
+def self_test_data(fit: Fit, names: Collection[str]) -> SelfTestData:
     """Evaluate the model, with numbers as inputs, along a motion through the joints' ranges.
 
-    Joints start at rest, so that sgn(0) = 0 occurs.
+    Joints start at rest, so that sgn(0) = 0 occurs. The torque of forward dynamics is that of the
+    motion.
+
+    Parameters
+    ----------
+    fit : Fit
+    names : collection of str
+        Functions whose results are compared.
     """
     inputs = _motion(fit)
     v0 = np.full(fit.model.n, SMOOTHING)
+    wanted = {*names, *(further for name in names for further in _ALSO.get(name, ()))}
     machine = _Evaluator(fit)
-    results = machine.rigid(inputs)
-    inputs["load"] = results["rigid_torque"]
-    for ending, sign in (("", np.sign(inputs["dq"])), ("_smooth", np.tanh(inputs["dq"] / v0))):
-        for name, values in machine.effects(inputs | {"sign": sign}).items():
-            results[name + ending] = values
-    return SelfTestData(inputs, v0, results)
+    results = machine.rigid(inputs, [name for name in RIGID_ARGUMENTS if name in wanted])
+    effects = [name for name in SAMPLE_ARGUMENTS if name in wanted]
+    if effects:
+        inputs["load"] = results["rigid_torque"]
+        for ending, sign in (("", np.sign(inputs["dq"])), ("_smooth", np.tanh(inputs["dq"] / v0))):
+            for name, values in machine.effects(inputs | {"sign": sign}, effects).items():
+                results[name + ending] = values
+    scale = None
+    if "forward_dynamics" in effects:
+        scale = machine.acceleration_scale(inputs, results["torque"])
+    return SelfTestData(inputs, v0, results, scale)
 
 
 def _motion(fit: Fit) -> dict[str, Array]:
@@ -81,18 +158,14 @@ class _Evaluator:
         self._arguments = [*_all(self._now), *_all(self._before), *numbers]
         self._numbers = [fit.link_parameters, fit.effect_coefficients, fit.shapes]
 
-    def rigid(self, inputs: dict[str, Array]) -> dict[str, Array]:
-        e = self._expressions
-        return {
-            name: self._along(getattr(e, name), inputs)
-            for name in (
-                "rigid_torque", "gravity", "mass_matrix", "regressor", "slotine_li_regressor",
-            )
-        }  # fmt: skip
+    def rigid(self, inputs: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
+        """Return results (K, size) of functions of the motion."""
+        return {name: self._along(getattr(self._expressions, name), inputs) for name in names}
 
-    def effects(self, inputs: dict[str, Array]) -> dict[str, Array]:
+    def effects(self, inputs: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
+        """Return results (K, size) of functions of a sample, and the states."""
         e, model, count = self._expressions, self._fit.model, len(inputs["q"])
-        results = {}
+        results: dict[str, Array] = {}
         if model.states:
             states = np.tile(model.initial_states, (count, 1))
             after = self._function(e.advance(self._before))
@@ -100,8 +173,19 @@ class _Evaluator:
                 states[k] = self._at(after, inputs | {"states": states}, k, k - 1)
             results["states"] = states
             inputs = inputs | {"states": states}
-        names = ["base_regressor", "friction", "torque"] + ["effect_columns"] * bool(model.columns)
-        return results | {name: self._along(getattr(e, name), inputs) for name in names}
+        for name in names:  # the torque before forward dynamics, in the order of the functions
+            results[name] = self._along(getattr(e, name), inputs | results)
+        return results
+
+    def acceleration_scale(self, inputs: dict[str, Array], torque: Array) -> Array:
+        """Return Σ_j |M⁻¹|_ij·max|τ_j| (n,), the largest of the samples.
+
+        A rounding error of the torques, relative to each one's size, changes the acceleration by
+        this times the relative error.
+        """
+        n = self._fit.model.n
+        mass = self._along(self._expressions.loaded_mass_matrix, inputs).reshape(-1, n, n)
+        return np.asarray((np.abs(np.linalg.inv(mass)) @ np.abs(torque).max(axis=0)).max(axis=0))
 
     def _along(self, matrix: ca.SX, inputs: dict[str, Array]) -> Array:
         function = self._function(matrix)
@@ -122,7 +206,8 @@ class _Evaluator:
         zero, q = np.zeros(n), row["q"]
         return [
             q, np.sin(q), np.cos(q), row["dq"], row["ddq"], row["dq_r"], row["ddq_r"],
-            row.get("sign", zero), row.get("load", zero), row["temperature"] - mean,
+            row.get("sign", zero), row.get("load", zero), row.get("torque", zero),
+            row["temperature"] - mean,
             row["time"], row.get("states", np.zeros(len(model.states))),
         ]  # fmt: skip
 
@@ -130,6 +215,6 @@ class _Evaluator:
 def _all(symbols: ExportSymbols) -> list[ca.SX]:
     m, s = symbols.motion, symbols
     return [
-        m.q, m.sin, m.cos, m.dq, m.ddq, s.dq_r, s.ddq_r, s.sign, s.load, s.temperature, s.time,
-        s.states,
+        m.q, m.sin, m.cos, m.dq, m.ddq, s.dq_r, s.ddq_r, s.sign, s.load, s.torque,
+        s.temperature, s.time, s.states,
     ]  # fmt: skip

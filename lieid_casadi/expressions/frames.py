@@ -35,7 +35,7 @@ class Frame:
         """``q -> T`` (4, 4): homogeneous pose of the frame in the base frame."""
         q = ca.SX.sym("q", self.joints)
         pose = recursion.tool_in_base(self.robot, Motion.of(q[: self.robot.n]))
-        return ca.Function("forward_kinematics", [q], [_homogeneous(pose)], ["q"], ["T"])
+        return ca.Function("forward_kinematics", [q], [homogeneous(pose)], ["q"], ["T"])
 
     @cached_property
     def jacobian(self) -> ca.Function:
@@ -74,6 +74,7 @@ def frame_of(robot: Robot, name: str) -> Frame:
     )
 
 
-def _homogeneous(pose: Pose) -> ca.SX:
+def homogeneous(pose: Pose) -> ca.SX:
+    """Return a pose as a matrix (4, 4)."""
     top = ca.horzcat(pose.rotation, pose.translation)
     return ca.densify(ca.vertcat(top, ca.SX(ca.DM([[0.0, 0.0, 0.0, 1.0]]))))

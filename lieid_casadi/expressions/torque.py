@@ -78,6 +78,8 @@ class TorqueExpressions:
         Whether effects of the measurement are part of the torque.
     payload : bool
         Whether ten link parameters of a body at the tool are a further symbol.
+    sign : (n,) ca.SX, optional
+        Symbol in place of the sign of the velocity.
     """
 
     def __init__(
@@ -88,6 +90,7 @@ class TorqueExpressions:
         *,
         as_measured: bool,
         payload: bool,
+        sign: ca.SX | None = None,
     ) -> None:
         self.model, self.values = model, values
         self.n = n = model.n
@@ -99,7 +102,10 @@ class TorqueExpressions:
         self.temperature = ca.SX.sym("temperature", n)
         self.time = ca.SX.sym("time")
         self.payload = ca.SX.sym("payload", 10) if payload else None
-        self._smooth_velocity = smooth_velocity
+        if sign is None:
+            width = smooth_velocity
+            sign = ca.sign(dq) if width is None else ramp(dq, ca.SX(ca.DM(width)))
+        self._sign = sign
         self._as_measured = as_measured
         _ = self.measurement_columns  # refuses effects that depend on more than one instant
 
@@ -151,11 +157,10 @@ class TorqueExpressions:
 
     @cached_property
     def _signals(self) -> EffectSignals:
-        m, width = self.motion, self._smooth_velocity
-        sign = ca.sign(m.dq) if width is None else ramp(m.dq, ca.SX(ca.DM(width)))
+        m = self.motion
         mean = self.values.temperature_mean
         temperature = self.temperature if mean is None else self.temperature - ca.SX(ca.DM(mean))
-        return EffectSignals(m.q, m.dq, m.ddq, sign, self.load, temperature, self.time)
+        return EffectSignals(m.q, m.dq, m.ddq, self._sign, self.load, temperature, self.time)
 
     @cached_property
     def joint_columns(self) -> ca.SX:

@@ -85,9 +85,8 @@ def run(command, folder):
     return done.stdout
 
 
-def library(folder, *, prefix="arm"):
+def library(folder, *, files=("arm.c", "arm_parameters.c")):
     """The exported functions as a shared library."""
-    files = [f"{prefix}.c", f"{prefix}_parameters.c"]
     run(["gcc", "-std=c99", "-O1", "-shared", "-fPIC", *files, "-lm", "-o", "arm.so"], folder)
     return ctypes.CDLL(str(folder / "arm.so"))
 

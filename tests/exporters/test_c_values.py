@@ -91,6 +91,41 @@ def test_rigid_body_is_pinocchios(arm, motion):
         close(mass[k], upper + np.triu(upper, 1).T, 1e-11)
 
 
+def test_coriolis_matrix_and_kinematics_are_pinocchios(arm, motion):
+    model = with_parameters(arm.fit)
+    data, (q, dq) = model.createData(), (motion[k] for k in ("q", "dq"))
+    coriolis = arm.rigid("coriolis", arm.n, q, dq)
+    pose = arm.rigid("forward_kinematics", 16, q)[:, 0].reshape(-1, 4, 4)  # one row of 16 numbers
+    twists = arm.rigid("jacobian", 6, q).reshape(-1, 6, arm.n)
+    tool = pin.SE3(arm.fit.model.robot.tool)
+    for k in range(ROWS):
+        close(
+            coriolis[k] @ dq[k],
+            pin.nle(model, data, q[k], dq[k]) - pin.computeGeneralizedGravity(model, data, q[k]),
+            1e-11,
+        )
+        close(coriolis[k], pin.computeCoriolisMatrix(model, data, q[k], dq[k]), 1e-11)
+        pin.computeJointJacobians(model, data, q[k])
+        frame = data.oMi[arm.n] * tool
+        close(pose[k], frame.homogeneous)
+        linear, angular = np.split(
+            data.oMi[arm.n].action @ pin.getJointJacobian(model, data, arm.n, pin.LOCAL), 2
+        )
+        at_tool = linear + np.cross(angular, frame.translation, axis=0)
+        close(twists[k], np.vstack([angular, at_tool]))
+
+
+def test_forward_dynamics_invert_the_torque(arm, motion):
+    """Along a motion, with the states of effects with memory."""
+    if arm.fit.model.robot.n == 4:
+        pytest.skip("the random coefficients of load friction there give no unique acceleration")
+    load = arm.rigid("rigid_torque", 1, *(motion[k] for k in ("q", "dq", "ddq")))[:, :, 0]
+    torque = arm.along(motion, {"torque": 1})["torque"][:, :, 0]
+    found = arm.along(motion, {"forward_dynamics": 1}, load=torque)["forward_dynamics"]
+    assert load.shape == torque.shape
+    np.testing.assert_allclose(found[:, :, 0], motion["ddq"], rtol=0.0, atol=1e-8)
+
+
 def test_regressors_times_parameters_are_torques(arm, motion):
     model, links = with_parameters(arm.fit), constants(arm.c, "arm_link_parameters", 10 * arm.n)
     data, (q, dq, ddq) = model.createData(), (motion[k] for k in ("q", "dq", "ddq"))

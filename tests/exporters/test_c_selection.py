@@ -1,0 +1,111 @@
+"""Exports with some of the functions: which exist, what they need, and refused names."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from exporters.c_arms import ARMS, WARNINGS, made_fit, run
+
+import lieid_casadi as lieid
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.c_functions import NAMES
+
+SOURCES = ["arm.c", "arm_parameters.c", "arm_test.c"]
+
+
+def exported_names(folder):
+    header = (folder / "arm.h").read_text(encoding="utf-8")
+    return {name for name in NAMES if f"void arm_{name}(" in header}
+
+
+@pytest.mark.parametrize(
+    "requested",
+    [[name] for name in ("gravity", "coriolis", "forward_kinematics", "forward_dynamics")]
+    + [["torque", "mass_matrix"], ["effect_columns", "regressor"]],
+    ids=",".join,
+)
+def test_a_selection_builds_and_passes_its_self_test(tmp_path, requested):
+    folder = tmp_path / "arm"
+    export_c(ARMS["presliding"](), folder, functions=requested)
+    run(["gcc", "-std=c99", *WARNINGS, *SOURCES, "-lm", "-o", "t"], folder)
+    shown = run([str(folder / "t")], folder)
+    assert shown.endswith("0 of the above differ by more than 1e-12\n")
+    assert exported_names(folder) == set(requested)
+    effects = {"forward_dynamics", "torque", "effect_columns"} & set(requested)
+    assert ("void arm_advance(" in (folder / "arm.h").read_text()) == bool(effects)
+
+
+def test_by_default_all_functions_are_exported(tmp_path):
+    export_c(ARMS["presliding"](), tmp_path / "arm")
+    assert exported_names(tmp_path / "arm") == set(NAMES)
+    readme = (tmp_path / "arm" / "README.md").read_text()
+    assert all(f"`arm_{name}`" in readme for name in NAMES)
+    export_c(ARMS["rigid"](), tmp_path / "rigid")
+    assert exported_names(tmp_path / "rigid") == set(NAMES) - {"effect_columns"}
+
+
+def test_the_command_selects_functions(tmp_path, capsys):
+    ARMS["rigid"]().save(tmp_path / "fit.json")
+    words = ["export", str(tmp_path / "fit.json"), "-o", str(tmp_path / "arm")]
+    assert main([*words, "--to", "c", "--functions", "jacobian,mass_matrix"]) == 0
+    assert exported_names(tmp_path / "arm") == {"jacobian", "mass_matrix"}
+    capsys.readouterr()
+    for to, given, message in (
+        ("c", "torque,inertia", "'inertia'; expected some of rigid_torque, gravity, mass_matrix"),
+        ("c", "", "expected some of rigid_torque"),
+        ("c", "effect_columns", "effect_columns: the fit has no effects"),
+        ("urdf", "torque", "expected --to c"),
+    ):
+        assert main([*words, "--force", "--to", to, "--functions", given]) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+    assert exported_names(tmp_path / "arm") == {"jacobian", "mass_matrix"}
+
+
+def indefinite_fit():
+    fit = made_fit(lieid.robots.two_link(), "viscous")
+    links = fit.parameters.copy()
+    links[10:20] *= -1.0
+    return dataclasses.replace(fit, parameters=links)
+
+
+def test_an_indefinite_mass_matrix_has_no_forward_dynamics(tmp_path):
+    made = export_c(indefinite_fit(), tmp_path / "arm")
+    (note,) = [note for note in made.notes if note.startswith("forward_dynamics is left out")]
+    assert "--method feasible" in note
+    assert exported_names(tmp_path / "arm") == set(NAMES) - {"forward_dynamics"}
+    for name in ("arm.h", "README.md"):
+        text = " ".join((tmp_path / "arm" / name).read_text().replace("*", " ").split())
+        assert "is left out: the mass matrix is not positive definite" in text.replace("\\", "")
+    with pytest.raises(ExportError, match="forward_dynamics: the mass matrix is not positive"):
+        export_c(indefinite_fit(), tmp_path / "other", functions=["forward_dynamics"])
+    assert not (tmp_path / "other").exists()
+
+
+def test_forward_dynamics_are_those_of_symbolic(tmp_path):
+    """With a payload, armature and effects on the measurement, which are not the drives' torque."""
+    import ctypes
+
+    from exporters.c_arms import library, pointer, sample_type
+
+    effects = "coulomb,viscous,armature,load_friction:2,payload,base_tilt,torque_gain:1"
+    fit = made_fit(lieid.robots.two_link(), effects)
+    payload = [c.label.startswith("payload") for c in fit.model.columns]
+    parameters = fit.parameters.copy()
+    parameters[20:][payload] = [0.4, 0.002, 0.001, 0.003]
+    fit = dataclasses.replace(fit, parameters=parameters)
+    export_c(fit, tmp_path / "arm", functions=["forward_dynamics"])
+    loaded, expected = library(tmp_path / "arm"), lieid.symbolic(fit).forward_dynamics
+    random, sample = np.random.default_rng(1), sample_type(2)()
+    for _ in itertools.repeat(None, 5):
+        q, dq = random.uniform(-1.0, 1.0, (2, 2))
+        torque, found = random.uniform(-20.0, 20.0, 2), np.empty(2)
+        sample.q[:], sample.dq[:] = q.tolist(), dq.tolist()
+        loaded.arm_forward_dynamics(
+            ctypes.byref(sample), pointer(torque), None, None, pointer(found)
+        )
+        np.testing.assert_allclose(found, expected(q, dq, torque).full()[:, 0], rtol=1e-9)
