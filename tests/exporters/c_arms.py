@@ -1,6 +1,7 @@
 """Fits with realistic numbers, made without data, and C compilers."""
 
 import ctypes
+import dataclasses
 import shutil
 import subprocess
 
@@ -64,10 +65,24 @@ def made_fit(robot, effects, *, seed=0):
     )
 
 
+def with_square_friction(fit, size):
+    """The fit with coefficients that load friction of a drive can have, N·m per (N·m)²."""
+    square = [c.name.startswith("load_friction") for c in fit.model.columns]
+    parameters = fit.parameters.copy()
+    parameters[10 * fit.model.n :][square] = size
+    return dataclasses.replace(
+        fit, parameters=parameters, values=fit.model.base.combination @ parameters
+    )
+
+
 ARMS = {
     "panda": lambda: made_fit(lieid.robots.panda(), PANDA),
-    "sliding": lambda: made_fit(
-        random_arm(np.random.default_rng(4), 4), "coulomb,viscous,armature:2,load_friction/square"
+    "sliding": lambda: with_square_friction(
+        made_fit(
+            random_arm(np.random.default_rng(4), 4),
+            "coulomb,viscous,armature:2,load_friction/square",
+        ),
+        1e-4,
     ),
     "presliding": lambda: made_fit(
         lieid.robots.two_link(), "viscous,presliding:1,presliding/load:2,presliding/lugre:2"

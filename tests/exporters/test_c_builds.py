@@ -58,6 +58,15 @@ def test_strict_build_agrees_with_python(exported, build):
     assert shown.count("ok\n") == len(shown.splitlines()) - 1 >= 15
 
 
+@pytest.mark.parametrize("exported", ["sliding", "presliding"], indirect=True)
+def test_self_test_passes_on_aarch64(exported):
+    """Many robot controllers have ARM processors, where compilers fuse products and sums."""
+    build = ["aarch64-linux-gnu-gcc", "-std=gnu99", "-O2", "-static", *WARNINGS]
+    run([*build, *files(exported), "-lm", "-o", "selftest_arm"], exported)
+    shown = run(["qemu-aarch64", str(exported / "selftest_arm")], exported)
+    assert shown.endswith("0 of the above differ by more than 1e-12\n")
+
+
 def test_symbols_are_functions_and_constants_and_few_of_libm(exported):
     for name in ("arm", "arm_parameters"):
         command = ["gcc", "-std=c99", "-O0", "-fno-builtin", "-c", f"{name}.c", "-o", f"{name}.o"]
