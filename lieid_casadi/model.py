@@ -20,6 +20,23 @@ from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.inertia import LINK_PARAMETER_UNITS
 
 
+def as_model(source: Model | Robot) -> Model:
+    """Return a model; of a robot, that without effects.
+
+    Raises
+    ------
+    ModelError
+        It is neither.
+    """
+    if isinstance(source, Robot):
+        return Model(source)
+    if not isinstance(source, Model):
+        raise ModelError(
+            f"got {source!r:.60}; expected a Model or a Robot, such as Model(Robot.load(path))"
+        )
+    return source
+
+
 @dataclass(frozen=True)
 class Parameter:
     """A parameter of a model: of a link, or a coefficient or shape parameter of an effect.

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lieid_casadi.cli import output, shared_options
 from lieid_casadi.cli.option_types import InputPath
 from lieid_casadi.errors import UsageError
-
-if TYPE_CHECKING:
-    from lieid_casadi.identification import Fit
 
 FORMATS = ("c", "urdf")
 
@@ -33,6 +30,7 @@ def add_parser(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Write the files and print notes on their use."""
+    from lieid_casadi.exporters.export import export
     from lieid_casadi.identification import Fit
 
     if args.prefix is not None and args.to != "c":
@@ -41,25 +39,14 @@ def run(args: argparse.Namespace) -> None:
         raise UsageError("--functions: a choice of functions applies to C code; expected --to c")
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
-    files, notes = _export(fit, args)
-    output.say(f"{', '.join(files)} written to {args.output}")
-    for note in notes:
+    made = export(
+        fit,
+        args.output,
+        to=args.to,
+        prefix=args.prefix,
+        functions=None if args.functions is None else args.functions.split(","),
+        force=args.force,
+    )
+    output.say(f"{', '.join(path.name for path in made.files)} written to {args.output}")
+    for note in made.notes:
         output.say(f"  ! {note}")
-
-
-def _export(fit: Fit, args: argparse.Namespace) -> tuple[list[str], tuple[str, ...]]:
-    """Return the names of the files that were written, and notes on them."""
-    from lieid_casadi.exporters.c_export import export_c
-    from lieid_casadi.exporters.urdf_export import export_urdf
-
-    if args.to == "c":
-        made = export_c(
-            fit,
-            args.output,
-            prefix="arm" if args.prefix is None else args.prefix,
-            functions=None if args.functions is None else args.functions.split(","),
-            force=args.force,
-        )
-        return [path.name for path in made.files], made.notes
-    written = export_urdf(fit, args.output, force=args.force)
-    return [written.urdf.name, written.mjcf.name], written.notes

@@ -19,6 +19,7 @@ from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.recording_checks import check_recordings, check_with_model
 from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.recording import Recording, process
+from lieid_casadi.recording.given_recordings import listed
 
 Array = NDArray[np.float64]
 
@@ -45,7 +46,7 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
         A recording without torque, with another number of joints, or without a signal that
         an effect needs.
     """
-    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    given = listed(recordings)
     check_recordings(fit.model, given)
     found = [w for recording in given for w in check_with_model(fit.compiled, recording)]
     # Averaging over periods would reduce the error of the test.

@@ -10,12 +10,15 @@ from lieid_casadi.compiled.base_regressor_blocks import BaseBlocks
 from lieid_casadi.compiled.rigid_functions import RigidFunctions
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ModelError
-from lieid_casadi.model import Model
+from lieid_casadi.model import Model, as_model
+from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
 
 
-def compile(model: Model, *, threads: int | None = None, lanes: int | None = None) -> Compiled:
+def compile(
+    model: Model | Robot, *, threads: int | None = None, lanes: int | None = None
+) -> Compiled:
     """Return the model's functions for batches of samples.
 
     Each function becomes C, compiled by the system's compiler when it is first called and kept in
@@ -25,7 +28,8 @@ def compile(model: Model, *, threads: int | None = None, lanes: int | None = Non
 
     Parameters
     ----------
-    model : Model
+    model : Model or Robot
+        A robot stands for its model without effects.
     threads : int, optional
         Threads that share a large batch; two if left out.
     lanes : int, optional
@@ -39,7 +43,7 @@ def compile(model: Model, *, threads: int | None = None, lanes: int | None = Non
     >>> arm.regressor([[0.1, 0.2]], [[0.0, 0.0]], [[0.0, 0.0]]).shape
     (1, 2, 20)
     """
-    return Compiled(model, threads=threads, lanes=lanes)
+    return Compiled(as_model(model), threads=threads, lanes=lanes)
 
 
 class Compiled(RigidFunctions):

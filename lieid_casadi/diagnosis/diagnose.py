@@ -12,17 +12,20 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.search.search_results import Proposal
 from lieid_casadi.errors import IdentificationError
 from lieid_casadi.identification import Fit
-from lieid_casadi.model import Model
+from lieid_casadi.identification.identify import Method
+from lieid_casadi.model import Model, as_model
 from lieid_casadi.recording import Processing, Recording
+from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.robot import Robot
 
 
 @blas_on_one_thread
 def diagnose(
-    model: Model | Fit,
+    model: Model | Robot | Fit,
     train: Recording | Sequence[Recording],
     test: Recording | Sequence[Recording] | None = None,
     *,
-    method: str = "wls",
+    method: Method = "wls",
     processing: Processing | None = None,
     options: DiagnosisOptions | None = None,
     seed: int = 0,
@@ -36,8 +39,9 @@ def diagnose(
 
     Parameters
     ----------
-    model : Model or Fit
-        A fit is kept as it is, and ``train`` was measured after it.
+    model : Model, Robot or Fit
+        A robot stands for its model without effects. A fit is kept as it is, and ``train`` was
+        measured after it.
     train : Recording or sequence of Recording
     test : Recording or sequence of Recording, optional
         Recordings of other motion. Without them errors are cross-validated. Not allowed with a
@@ -66,7 +70,7 @@ def diagnose(
     """
     report = progress or (lambda stage, fraction: None)
     thresholds = options or DiagnosisOptions()
-    recordings, tests = _listed(train), _listed(test)
+    recordings, tests = listed(train), [] if test is None else listed(test)
     if isinstance(model, Fit):
         if test is not None:
             raise IdentificationError(
@@ -75,7 +79,7 @@ def diagnose(
             )
         return diagnose_changed(model, recordings, options=thresholds, seed=seed, report=report)
     return diagnose_missing(
-        model,
+        as_model(model),
         recordings,
         tests,
         method=method,
@@ -85,9 +89,3 @@ def diagnose(
         ask=ask,
         report=report,
     )
-
-
-def _listed(recordings: Recording | Sequence[Recording] | None) -> list[Recording]:
-    if recordings is None:
-        return []
-    return [recordings] if isinstance(recordings, Recording) else list(recordings)

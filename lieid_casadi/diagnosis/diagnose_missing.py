@@ -23,6 +23,7 @@ from lieid_casadi.diagnosis.search.pruning import PARTIAL, partial_effects
 from lieid_casadi.diagnosis.search.search_results import Proposal
 from lieid_casadi.errors import LieidWarning, SameRecordingWarning, unique_warnings
 from lieid_casadi.identification import Fit, identify
+from lieid_casadi.identification.identify import Method
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.identification.temperature import center_temperature
@@ -37,7 +38,7 @@ def diagnose_missing(
     train: Sequence[Recording],
     tests: Sequence[Recording],
     *,
-    method: str,
+    method: Method,
     processing: Processing | None,
     options: DiagnosisOptions,
     seed: int,
@@ -50,7 +51,7 @@ def diagnose_missing(
     ----------
     model : Model
     train, tests : sequence of Recording
-    method : str
+    method : {"wls", "ols", "robust", "feasible"}
         Of the fits.
     processing : Processing or None
     options : DiagnosisOptions

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,10 @@ from lieid_casadi.comparison import compare
 from lieid_casadi.effects import Placement, parse_effects
 from lieid_casadi.errors import EffectError
 from lieid_casadi.identification import Fit, identify
+from lieid_casadi.identification.identify import Method
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
+from lieid_casadi.recording.given_recordings import listed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -120,9 +122,10 @@ def extend(
     larger = Model.of_placements(model.robot, (*model.placements, *wanted))
     report = progress or (lambda stage, fraction: None)
     report("before", 0.0)
-    before = identify(model, train, method=fit.method, processing=fit.processing)
+    method = cast(Method, fit.method)  # `identify` refuses those of other functions
+    before = identify(model, train, method=method, processing=fit.processing)
     report("after", 0.3)
-    after = identify(larger, train, method=fit.method, processing=fit.processing)
+    after = identify(larger, train, method=method, processing=fit.processing)
     rms_test = None
     if test is not None:
         report("test", 0.8)
@@ -133,7 +136,7 @@ def extend(
 
 
 def _check_motion(wanted: Sequence[Placement], train: Recording | Sequence[Recording]) -> None:
-    recordings = [train] if isinstance(train, Recording) else list(train)
+    recordings = listed(train)
     for placement in wanted:
         for joint in (placement.joint, placement.source):
             if joint is None or joint >= recordings[0].n:

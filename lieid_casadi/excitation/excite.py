@@ -14,6 +14,7 @@ from lieid_casadi.errors import ExcitationError, NoSolution
 from lieid_casadi.excitation.approach_motion import RestToRest, approach_motion
 from lieid_casadi.excitation.basis import families
 from lieid_casadi.excitation.basis.trajectory import period_grid
+from lieid_casadi.excitation.criteria.criterion import CriterionName
 from lieid_casadi.excitation.criteria.design_model import design_model
 from lieid_casadi.excitation.criteria.quality import quality
 from lieid_casadi.excitation.design_problem import FINE, ExcitationProblem
@@ -35,7 +36,7 @@ Array = NDArray[np.float64]
 def excite(
     model: Model,
     *,
-    criterion: str = "combined",
+    criterion: CriterionName = "combined",
     inertial_only: bool = False,
     constraints: Sequence[Limit] | None = None,
     start_pose: ArrayLike | None = None,

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.basis import families
 from lieid_casadi.excitation.criteria.column_scaling import column_scale
-from lieid_casadi.excitation.criteria.criterion import NAMES
+from lieid_casadi.excitation.criteria.criterion import NAMES, CriterionName
 from lieid_casadi.excitation.criteria.design_model import design_model
 from lieid_casadi.excitation.design_problem import ExcitationDesign
 from lieid_casadi.excitation.limits.default_limits import MARGIN, default_limits
@@ -28,7 +28,7 @@ def make_design(
     model: Model,
     *,
     basis: families.Basis,
-    criterion: str = "combined",
+    criterion: CriterionName = "combined",
     inertial_only: bool = False,
     constraints: Sequence[Limit] | None = None,
     start_pose: ArrayLike | None = None,

@@ -5,6 +5,7 @@ from lieid_casadi.friction_curves.combined_fit import combine_stages
 from lieid_casadi.friction_curves.curve import FrictionCurve
 from lieid_casadi.friction_curves.extraction import friction_curve
 from lieid_casadi.friction_curves.fit_curve import fit_friction
+from lieid_casadi.friction_curves.friction import friction
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
 from lieid_casadi.friction_curves.ranking import RankedFrictionModel, rank_friction_models
 from lieid_casadi.friction_curves.stages import StagedFit, identify_in_stages
@@ -18,6 +19,7 @@ __all__ = [
     "combine_stages",
     "compare_friction",
     "fit_friction",
+    "friction",
     "friction_curve",
     "identify_in_stages",
     "rank_friction_models",

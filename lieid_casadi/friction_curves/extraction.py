@@ -27,6 +27,7 @@ from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
+from lieid_casadi.recording.given_recordings import listed
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -79,7 +80,7 @@ def friction_curve(
     RobotError
         ``load="model"`` is given for a robot without inertias.
     """
-    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    given = listed(recordings)
     robot = arm.model.robot if isinstance(arm, Fit) else arm
     _check(robot, given, joint)
     links = _link_parameters(arm)

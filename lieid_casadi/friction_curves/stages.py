@@ -24,9 +24,10 @@ from lieid_casadi.friction_curves.extraction import LoadSource, friction_curve
 from lieid_casadi.friction_curves.fit_curve import fit_friction
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.identify import identify
+from lieid_casadi.identification.identify import Method, identify
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording
+from lieid_casadi.recording.given_recordings import listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ def identify_in_stages(
     friction_effects: str | Iterable[str | Effect] = "paper",
     *,
     refit: bool = True,
-    method: str = "wls",
+    method: Method = "wls",
     load: LoadSource | None = None,
     processing: Processing | None = None,
     friction_processing: Processing | None = None,
@@ -123,7 +124,7 @@ def identify_in_stages(
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         friction = dict(zip(friction_runs, pool.map(fitted, friction_runs), strict=True))
-    given = [excitation] if isinstance(excitation, Recording) else list(excitation)
+    given = listed(excitation)
     return StagedFit(
         first_stage, friction, combine_stages(first_stage, friction, given, refit=refit)
     )

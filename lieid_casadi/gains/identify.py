@@ -27,6 +27,7 @@ from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.model import Model
 from lieid_casadi.payload.identify import require_one_load
 from lieid_casadi.recording import Processing, Recording, check, process
+from lieid_casadi.recording.given_recordings import listed
 from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
@@ -84,7 +85,7 @@ def drive_gains(
     ModelError, RecordingError, EffectError
         Currents are missing, the number of joints differs, or an effect has shape parameters.
     """
-    empty, full = _listed(unloaded), _listed(loaded)
+    empty, full = listed(unloaded), listed(loaded)
     known = known_payload(mass, com)
     model = Model(robot, effects)
     report = progress or (lambda stage, fraction: None)
@@ -115,10 +116,6 @@ def drive_gains(
     result = _result(model, solution, mass, known, options, (empty, full))
     report("done", 1.0)
     return replace(result, warnings=unique_warnings(found))
-
-
-def _listed(recordings: Recording | Sequence[Recording]) -> list[Recording]:
-    return [recordings] if isinstance(recordings, Recording) else list(recordings)
 
 
 def _split(recordings: Sequence[Recording], count: int) -> tuple[list[Recording], list[Recording]]:

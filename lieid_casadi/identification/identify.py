@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,23 +39,25 @@ from lieid_casadi.identification.regression.fixed_point import (
 from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
 from lieid_casadi.identification.regression.rows import JointRows, Rows
 from lieid_casadi.identification.regression.shape_fit import shape_columns
-from lieid_casadi.identification.regression.weights import ESTIMATORS
 from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 from lieid_casadi.identification.uncertainty.noise_model import residual_noise
-from lieid_casadi.model import Model
+from lieid_casadi.model import Model, as_model
 from lieid_casadi.recording import Processed, Processing, Recording, RecordingStream, process
+from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
-METHODS = (*ESTIMATORS, "feasible")
+Method = Literal["wls", "ols", "robust", "feasible"]
+METHODS: tuple[Method, ...] = get_args(Method)
 
 
 @blas_on_one_thread
 def identify(
-    model: Model,
+    model: Model | Robot,
     recordings: Recording | RecordingStream | Sequence[Recording | RecordingStream],
     *,
-    method: str = "wls",
+    method: Method = "wls",
     processing: Processing | None = None,
     feasible: FeasibleOptions | None = None,
     start: ShapeStart | None = None,
@@ -64,7 +67,8 @@ def identify(
 
     Parameters
     ----------
-    model : Model
+    model : Model or Robot
+        A robot stands for its model without effects.
     recordings : Recording, RecordingStream, or sequence of them
         With torques. Segments are never joined across a gap. Of a stream, which is read in
         parts, one part is checked.
@@ -105,9 +109,7 @@ def identify(
     >>> fit.effect_coefficients.round(2)
     array([0.5, 0.5])
     """
-    if isinstance(recordings, Recording | RecordingStream):
-        recordings = [recordings]
-    given = list(recordings)
+    model, given = as_model(model), listed(recordings)
     report = progress or (lambda stage, fraction: None)
     _check_method(method, feasible)
     compiled, segments, mean, found = _prepared(model, given, processing, report)

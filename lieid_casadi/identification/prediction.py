@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from lieid_casadi.identification.regression.segment_columns import effect_signal
 from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.recording.processing.process import Processed, Processing, process
 from lieid_casadi.recording.recording import Recording
+
+if TYPE_CHECKING:
+    from lieid_casadi.identification.fit import Fit
 
 Array = NDArray[np.float64]
 HIGHEST_CUTOFF = 0.4  # of the recording's rate
@@ -116,6 +120,11 @@ def _effect_torque(
         dead_zone=signals["dead_zone"],
         joint_effects_only=True,
     )
+
+
+def predict(fit: Fit, recording: Recording) -> Array:
+    """Return the torque (N, n) of a fit at the recording's own times, N·m: `Fit.predict`."""
+    return fit.predict(recording)
 
 
 def predict_recording(

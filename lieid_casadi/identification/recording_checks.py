@@ -16,6 +16,7 @@ from lieid_casadi.errors import (
 from lieid_casadi.identification.prediction import predict_recording
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check
+from lieid_casadi.recording.given_recordings import listed
 
 NOMINAL_CUTOFF = 5.0  # Hz, of the nominal torque that measured torque is checked against
 
@@ -46,6 +47,7 @@ def check_recordings(model: Model, recordings: Sequence[Recording]) -> None:
 
 def check_joints(model: Model, recording: Recording) -> None:
     """Raise `ModelError` or `EffectError` if a recording lacks joints or temperatures."""
+    listed(recording)  # refuses the path of a file
     name = recording.name or "recording"
     if recording.n != model.n:
         raise ModelError(f"{name}: {recording.n} joints; robot {model.robot.name!r} has {model.n}")

@@ -28,6 +28,7 @@ from lieid_casadi.payload.estimate import FrictionChange, PayloadEstimate
 from lieid_casadi.payload.feasible_body import SCALE, nearest_feasible_body
 from lieid_casadi.payload.regression import LoadedRun, LoadedRunEstimate
 from lieid_casadi.recording import Processed, Recording, check, process
+from lieid_casadi.recording.given_recordings import listed
 
 Array = NDArray[np.float64]
 ROUNDING = 1e-10  # least variance relative to the sum of its terms before cancellation
@@ -83,7 +84,7 @@ def identify_payload(
     manipulators", ICRA 2007. The mass scales with the torque constants where torques come from
     motor currents.
     """
-    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    given = listed(recordings)
     report = progress or (lambda stage, fraction: None)
     check_recordings(fit.model, given)
     report("check", 0.0)

@@ -9,7 +9,7 @@ from friction_curves.friction_plant import CUTOFF, ROBOT, SPEEDS, arm, friction,
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.errors import LoadMismatchWarning, ModelError, RecordingError, RobotError
-from lieid_casadi.friction_curves import friction_curve
+from lieid_casadi.friction_curves import fit_friction, friction_curve
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +29,13 @@ def test_constant_speeds_give_the_friction_of_the_plant(curve):
     assert np.median(np.abs(error)) < 1e-3
     assert np.abs(error / curve.std).max() < 4.0
     assert np.mean(np.abs(error) < 2 * curve.std) > 0.9
+
+
+def test_the_public_function_fits_a_model_to_the_curve(sweep, curve):
+    found = lieid.friction(ROBOT, sweep, 0, effects="coulomb,viscous", processing=CUTOFF)
+    np.testing.assert_array_equal(found.curve.friction, curve.friction)
+    expected = fit_friction(curve, "coulomb,viscous")
+    np.testing.assert_array_equal(found.coefficients, expected.coefficients)
 
 
 def test_every_speed_and_several_loads_are_covered(curve):

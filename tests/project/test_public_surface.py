@@ -6,11 +6,13 @@ import sys
 import lieid_casadi as lieid
 
 PUBLIC = {
-    "Coefficient", "Comparison", "Compiled", "Diagnosis", "DriveGains", "Effect", "Excitation",
-    "Fit", "Joint", "LieidError", "LieidWarning", "Limits", "Model", "PayloadEstimate",
-    "Processing", "Recording", "Robot", "Shape", "Signals", "StagedFit", "SymbolicDynamics",
-    "__version__", "compare", "compile", "diagnose", "drive_gains", "effect", "excite", "extend",
-    "identify", "identify_in_stages", "identify_payload", "register", "robots", "symbolic",
+    "Bootstrap", "Coefficient", "Comparison", "Compiled", "Diagnosis", "Discrimination",
+    "DriveGains", "Effect", "Excitation", "Export", "Fit", "FrictionFit", "Joint", "LieidError",
+    "LieidWarning", "Limits", "Model", "PayloadEstimate", "Processing", "Recording", "Robot",
+    "Shape", "Signals", "StagedFit", "SymbolicDynamics", "__version__", "bootstrap", "compare",
+    "compile", "diagnose", "discriminate", "drive_gains", "effect", "excite", "export", "extend",
+    "friction", "identify", "identify_in_stages", "identify_payload", "predict", "register",
+    "robots", "symbolic",
 }  # fmt: skip
 
 

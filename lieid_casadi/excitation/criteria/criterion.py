@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,7 +168,8 @@ class CriterionStage:
     tolerance: float = 1e-4
 
 
-NAMES = ("combined", "condition", "hadamard", "logdet", "a_optimal", "e_optimal")
+CriterionName = Literal["combined", "condition", "hadamard", "logdet", "a_optimal", "e_optimal"]
+NAMES: tuple[CriterionName, ...] = get_args(CriterionName)
 POWERS = (1.0, 2.0, 4.0, 8.0, 16.0, 64.0)
 ITERATIONS = (30, 30, 40, 60, 60, 100)  # of each power
 TOLERANCES = (1e-4, 1e-4, 1e-4, 1e-4, 3e-5, 3e-5)

@@ -32,6 +32,7 @@ from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.identification.uncertainty.covariance import residual_correlation_length
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Recording, process
+from lieid_casadi.recording.given_recordings import listed
 
 if TYPE_CHECKING:
     from lieid_casadi.identification.fit import Fit
@@ -122,7 +123,7 @@ def bootstrap(
         raise IdentificationError(f"{resamples} resamples, expected at least 2")
     segments = [
         relative_temperature(segment, fit.temperature_mean)
-        for segment in process(recordings, fit.processing)
+        for segment in process(listed(recordings), fit.processing)
     ]
     design = Design(fit.compiled, segments)
     rows = design.rows(fit.shapes, fit.parameters)

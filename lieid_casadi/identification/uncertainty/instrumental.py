@@ -35,6 +35,7 @@ from lieid_casadi.identification.regression.rows import JointRows, Rows
 from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 from lieid_casadi.recording import Processed, Recording, process
+from lieid_casadi.recording.given_recordings import listed
 from lieid_casadi.recording.processing.filtering import central_difference, lowpass, smooth_at
 from lieid_casadi.recording.processing.spectrum import motion_band
 
@@ -125,7 +126,7 @@ def instrumental(
         raise IdentificationError(
             "instruments need a fit by least squares; expected method wls, ols or robust"
         )
-    given, commanded = _as_list(recordings), None if reference is None else _as_list(reference)
+    given, commanded = listed(recordings), None if reference is None else listed(reference)
     if commanded is not None and len(commanded) != len(given):
         raise ModelError(
             f"{len(commanded)} reference motions for {len(given)} recordings; expected one each"
@@ -155,10 +156,6 @@ def instrumental(
         covariance=covariance,
     )
     return Instrumental(changed, fit.values - solution.values, regression.test())
-
-
-def _as_list(recordings: Recording | Sequence[Recording]) -> list[Recording]:
-    return [recordings] if isinstance(recordings, Recording) else list(recordings)
 
 
 def _band_limited(segment: Processed) -> Processed:

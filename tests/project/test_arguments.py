@@ -1,0 +1,73 @@
+"""Functions accept a robot in place of a model, and say how a file becomes a recording."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exporters.c_arms import ARMS, made_fit
+
+import lieid_casadi as lieid
+from lieid_casadi.errors import ExportError, ModelError, RecordingError
+
+ROBOT = lieid.robots.two_link()
+
+
+@pytest.fixture(scope="module")
+def recording():
+    t = np.arange(0.0, 4.0, 0.01)[:, None]
+    q, dq, ddq = np.sin([1, 2] * t), [1, 2] * np.cos([1, 2] * t), [-1, -4] * np.sin([1, 2] * t)
+    tau = lieid.compile(ROBOT).inverse_dynamics(q, dq, ddq, ROBOT.link_parameters)
+    noise = 0.01 * np.random.default_rng(1).normal(size=tau.shape)
+    return lieid.Recording.from_arrays(t[:, 0], q, dq, tau + noise, ddq=ddq)
+
+
+def test_a_robot_stands_for_its_model_without_effects(recording):
+    fit = lieid.identify(ROBOT, recording)
+    assert fit.model.robot is ROBOT
+    assert not fit.model.effects
+    np.testing.assert_array_equal(fit.values, lieid.identify(lieid.Model(ROBOT), recording).values)
+    np.testing.assert_array_equal(lieid.predict(fit, recording), fit.predict(recording))
+
+
+def test_what_is_no_model_is_refused(recording):
+    for function in (lieid.compile, lambda model: lieid.identify(model, recording)):
+        with pytest.raises(ModelError, match=r"'arm\.urdf'; expected .*Robot\.load\(path\)"):
+            function("arm.urdf")
+
+
+@pytest.mark.parametrize("path", ["x.csv", Path("x.csv"), ["x.csv"]], ids=repr)
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda path: lieid.identify(lieid.Model(ROBOT), path),
+        lambda path: lieid.compare(ARMS["rigid"](), path),
+        lambda path: lieid.diagnose(ARMS["rigid"](), path),
+        lambda path: lieid.bootstrap(ARMS["rigid"](), path),
+        lambda path: lieid.friction(ROBOT, path, 0),
+        lambda path: lieid.identify_payload(ARMS["rigid"](), path),
+    ],
+    ids=["identify", "compare", "diagnose", "bootstrap", "friction", "identify_payload"],
+)
+def test_a_path_in_place_of_a_recording_is_refused(function, path):
+    with pytest.raises(RecordingError, match=r"got the path 'x\.csv'; expected Recording\.load"):
+        function(path)
+
+
+def test_predict_refuses_a_path():
+    with pytest.raises(RecordingError, match=r"expected Recording\.load"):
+        lieid.predict(ARMS["rigid"](), "x.csv")
+
+
+def test_export_writes_each_format(tmp_path):
+    from exporters.test_urdf_export import fitted
+
+    fit = made_fit(ROBOT, "")
+    made = lieid.export(fit, tmp_path / "c", to="c", prefix="scara", functions=["gravity"])
+    assert {path.name for path in made.files} >= {"scara.h", "scara.c"}
+    made = lieid.export(fitted(ROBOT), tmp_path / "urdf", to="urdf")
+    assert [path.name for path in made.files] == ["two_link.urdf", "two_link_joints.xml"]
+    with pytest.raises(ExportError, match="format 'matlab'; expected 'c' or 'urdf'"):
+        lieid.export(fit, tmp_path / "other", to="matlab")
+    with pytest.raises(ExportError, match="prefix and functions apply to C code"):
+        lieid.export(fit, tmp_path / "other", to="urdf", prefix="scara")
+    assert not (tmp_path / "other").exists()
