@@ -32,7 +32,7 @@ class BaseTilt(ArmEffect):
     revealed_by = "gravity torque in poses spread over the workspace, above all on the first joint"
     confused_with: ClassVar = {
         "encoder_offset": "both turn gravity; a tilt acts on all joints",
-        "offset": "on a vertical first joint over a small range; turn it through its whole range",
+        "offset": "similar on a vertical first joint over a small range; use the whole range",
     }
     typical = "0.1 to 2°"
 

@@ -28,7 +28,7 @@ class BiasDrift(ArmEffect):
     revealed_by = "the same motion repeated over several minutes"
     confused_with: ClassVar = {
         "warm_up": "only warm-up changes sign with the velocity; drive both directions",
-        "offset": "in short recordings; record longer",
+        "offset": "similar in short recordings; record longer",
     }
     typical = "0.1 to 1 % of a torque sensor's range per hour"
     export_note = "omitted: it belongs to the recordings of the fit and does not carry over"

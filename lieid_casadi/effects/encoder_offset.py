@@ -28,7 +28,7 @@ class EncoderOffset(ArmEffect):
     revealed_by = "gravity torque in poses spread over the range of this joint and its neighbours"
     confused_with: ClassVar = {
         "base_tilt": "both turn gravity; a tilt acts on all joints",
-        "position_spring": "over a small range of positions; use the whole range",
+        "position_spring": "similar over a small range of positions; use the whole range",
         "payload": "both change gravity torques; use the whole range of poses",
     }
     typical = "0.1 to 2° after the replacement of a drive"

@@ -30,7 +30,7 @@ class ExternalWrench(ArmEffect):
     revealed_by = "motion through the workspace while the wrench is constant"
     confused_with: ClassVar = {
         "payload": "a vertical force resembles a weight at the tool's origin; accelerate the tool",
-        "offset": "over a small range of poses; use the whole range",
+        "offset": "similar over a small range of poses; use the whole range",
     }
     typical = "hoses and cables 1 to 20 N"
 

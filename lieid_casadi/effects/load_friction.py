@@ -27,12 +27,12 @@ class LoadFriction(Effect):
     options: ClassVar = {
         "paper": "both terms of Eq. 8, with |q̇| written as √(q̇² + ε²)",
         "motoring": (
-            "one coefficient where the load is driven and one where it drives (Hamon, Gautier, "
+            "one coefficient when motoring and one when generating (Hamon, Gautier, "
             "Garrec, IROS 2010)"
         ),
-        "square": "in proportion to τ_load² (AURT, Madsen et al. 2020)",
+        "square": "proportional to τ_load² (AURT, Madsen et al. 2020)",
         "stribeck": (
-            "a further part fades with velocity (Bittencourt et al., IROS 2010, with exponent 2)"
+            "an additional term that falls with speed (Bittencourt et al., IROS 2010, exponent 2)"
         ),
     }
     signals: tuple[str, ...] = ("sign", "load")

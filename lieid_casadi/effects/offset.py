@@ -27,9 +27,9 @@ class Offset(Effect):
     energy = "offset"
     revealed_by = "motion through a wide range of positions, in both directions"
     confused_with: ClassVar = {
-        "position_spring": "over a small range of positions; use the whole range",
-        "bias_drift": "over a short recording; record longer",
-        "base_tilt": "on joints whose gravity torque changes little; use the whole range",
+        "position_spring": "similar over a small range of positions; use the whole range",
+        "bias_drift": "similar over a short recording; record longer",
+        "base_tilt": "similar on joints whose gravity torque changes little; use the whole range",
     }
     typical = "up to a few per cent of the torque limit"
     references = ("Luo et al., Robotica 2024, Eq. 10",)

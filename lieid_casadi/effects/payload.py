@@ -29,8 +29,8 @@ class Payload(ArmEffect):
     whole_arm = True
     revealed_by = "gravity torque in at least three orientations of the tool"
     confused_with: ClassVar = {
-        "external_wrench": "over a small range of orientations; a force keeps its direction",
-        "torque_gain": "on one joint only; a payload acts on all joints before it",
+        "external_wrench": "similar over few orientations; a force keeps its direction",
+        "torque_gain": "similar on a single joint; a payload acts on all joints before it",
     }
     typical = "up to the arm's rated payload"
     references = ("Swevers, Verdonck, De Schutter, IEEE Control Systems Magazine 27(5), 2007",)

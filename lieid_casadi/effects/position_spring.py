@@ -27,9 +27,9 @@ class PositionSpring(Effect):
     accompanied_by = ("offset",)
     revealed_by = "slow motion through the joint's whole range, also where gravity has no effect"
     confused_with: ClassVar = {
-        "offset": "over a small range of positions; use the whole range",
-        "encoder_offset": "where gravity is nearly linear in the angle; use the whole range",
-        "torque_ripple": "over less than a period of the ripple; use the whole range",
+        "offset": "similar over a small range of positions; use the whole range",
+        "encoder_offset": "similar where gravity is linear in the angle; use the whole range",
+        "torque_ripple": "similar over less than a period of the ripple; use the whole range",
     }
     typical = "cables and hoses 0.1 to 5 N·m/rad; spring balancers up to the gravity torque"
 

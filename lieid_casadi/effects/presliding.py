@@ -29,8 +29,8 @@ class Presliding(Effect):
 
     name = "presliding"
     options: ClassVar = {
-        "load": "a further part in proportion to |τ_load|",
-        "square": "a further part in proportion to τ_load²",
+        "load": "an additional term proportional to |τ_load|",
+        "square": "an additional term proportional to τ_load²",
         "lugre": (
             "Canudas de Wit et al. 1995: the width follows the Stribeck curve, "
             "w·(1 + r·e^{−(q̇/v_s)²}) at the mean velocity of a step, and σ1·ż damps the bristle; "

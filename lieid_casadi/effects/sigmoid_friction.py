@@ -34,8 +34,8 @@ class SigmoidFriction(Effect):
     candidate = False
     revealed_by = "motion at low and high speed in both directions"
     confused_with: ClassVar = {
-        "coulomb": "where φ2 is large the two are the same",
-        "viscous": "where φ2 is small the two are the same",
+        "coulomb": "the two are the same where φ2 is large",
+        "viscous": "the two are the same where φ2 is small",
     }
     typical = "φ1 of 0.3 to 1.3 N·m, φ2 of 5 to 17 s/rad (Panda)"
     references = ("Gaz, Cognetti, Oliva, Robuffo Giordano, De Luca, IEEE RA-L 4(4), 2019",)

@@ -34,9 +34,9 @@ class Stribeck(Effect):
     signals: tuple[str, ...] = ("dq", "sign")
     revealed_by = "reversals and constant speeds between the dead zone and a few times v_s"
     confused_with: ClassVar = {
-        "coulomb": "where no speed is below v_s; move more slowly",
+        "coulomb": "similar where no speed is below v_s; move more slowly",
         "presliding": "both act near reversals; only presliding depends on the distance moved",
-        "viscous_polynomial": "both bend the friction curve; use speeds below v_s",
+        "viscous_polynomial": "both change friction over speed; use speeds below v_s",
     }
     typical = "f_s − f_c of 10 to 50 % of f_c; v_s of 0.01 to 0.3 rad/s"
     references = (

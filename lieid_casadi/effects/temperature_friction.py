@@ -31,7 +31,7 @@ class TemperatureFriction(Effect):
     signals: tuple[str, ...] = ("dq", "sign", "temperature")
     revealed_by = "the same motion with a cold and a warm joint, 10 °C apart or more"
     confused_with: ClassVar = {
-        "warm_up": "while the temperature rises steadily; record several starts",
+        "warm_up": "similar while the temperature rises steadily; record several starts",
         "viscous": "at one temperature the two are the same",
     }
     typical = "viscous friction falls by 1 to 5 % per °C"

@@ -31,7 +31,7 @@ class TorqueRipple(Effect):
     revealed_by = "slow motion through at least one period, sampled 5 times per period or more"
     confused_with: ClassVar = {
         "position_friction": "friction changes sign with the direction; drive both",
-        "position_spring": "over less than a period; use the whole range",
+        "position_spring": "similar over less than a period; use the whole range",
     }
     typical = "1 to 5 % of the torque limit; harmonic drives have orders of 100 to 320"
     references = ("Tuttle, Seering, IEEE Trans. Robot. Autom. 12(3), 1996",)

@@ -31,8 +31,8 @@ class TransmissionCoupling(Effect):
     couples = True
     revealed_by = "motion in which the two joints move one at a time"
     confused_with: ClassVar = {
-        "viscous": "where both joints move together; move them one at a time",
-        "coulomb": "where both joints move together; move them one at a time",
+        "viscous": "similar where both joints move together; move them one at a time",
+        "coulomb": "similar where both joints move together; move them one at a time",
     }
     typical = "up to the size of the joint's own friction in coupled wrists; zero elsewhere"
     references = ("Gautier, Janot, Vandanjon, IEEE Trans. Control Syst. Technol. 21(2), 2013",)

@@ -26,7 +26,7 @@ class Viscous(Effect):
     revealed_by = "motion at speeds from about 10 % to 100 % of the joint's limit, both directions"
     confused_with: ClassVar = {
         "coulomb": "at one speed the two are the same; use speeds that differ by a factor of 5",
-        "viscous_polynomial": "over a narrow range of speeds; use the whole range",
+        "viscous_polynomial": "similar over a narrow range of speeds; use the whole range",
         "temperature_friction": "at one temperature the two are the same",
         "torque_delay": "a delay of an accelerating torque resembles damping; vary the frequency",
     }

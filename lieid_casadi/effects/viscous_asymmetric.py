@@ -30,7 +30,7 @@ class ViscousAsymmetric(Effect):
     revealed_by = "fast and slow motion in both directions through the same positions"
     confused_with: ClassVar = {
         "offset": "at one speed the two are the same; use several speeds",
-        "viscous_polynomial": "where one direction is always faster; use equal speeds",
+        "viscous_polynomial": "similar where one direction is always faster; use equal speeds",
     }
     typical = "up to 20 % of the viscous coefficient"
     references = ("Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",)

@@ -29,7 +29,7 @@ class ViscousPolynomial(Effect):
     signals = ("dq", "sign")
     revealed_by = "motion from low speed to the joint's top speed"
     confused_with: ClassVar = {
-        "stribeck": "both bend the friction curve; only Stribeck friction falls at low speed",
+        "stribeck": "both change friction over speed; only Stribeck friction falls at low speed",
         "temperature_friction": "fast motion warms the joint; repeat it at another temperature",
     }
     typical = "10 to 30 % of the friction at top speed; grease shear-thins, so f_v3 is often < 0"

@@ -33,7 +33,7 @@ class WarmUp(Effect):
     signals = ("dq", "sign", "time")
     revealed_by = "a cold start and a recording of at least one time constant at working speed"
     confused_with: ClassVar = {
-        "temperature_friction": "while the temperature rises steadily; use a temp column",
+        "temperature_friction": "similar while the temperature rises steadily; use a temp column",
         "bias_drift": "both grow with time; only warm-up changes sign with the velocity",
     }
     typical = "friction falls by 10 to 40 % over 5 to 60 min"
