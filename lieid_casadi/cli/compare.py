@@ -15,8 +15,10 @@ if TYPE_CHECKING:
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("compare", help="errors of a fit on recordings, per joint")
-    parser.add_argument("fit", type=InputPath, metavar="FIT")
-    parser.add_argument("recordings", nargs="+", type=InputPath, metavar="REC")
+    parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit to compare")
+    parser.add_argument(
+        "recordings", nargs="+", type=InputPath, metavar="REC", help="recordings to compare it with"
+    )
     parser.add_argument(
         "--plot",
         type=PictureFile,

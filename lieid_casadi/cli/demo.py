@@ -19,9 +19,13 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser("demo", help="the whole workflow on a simulated arm")
     shared_options.add_output_folder(parser, default="lieid-demo")
     parser.add_argument(
-        "--robot", type=InputPath, default="panda", metavar="ROBOT", help="default: panda"
+        "--robot",
+        type=InputPath,
+        default="panda",
+        metavar="ROBOT",
+        help="robot to simulate; default: panda",
     )
-    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="default: 0")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="random seed; default: 0")
     shared_options.add_outputs(parser)
     parser.set_defaults(run=run)
 
@@ -109,7 +113,7 @@ def show(demo: Demo, folder: Path) -> None:
                 "+".join(demo.fit.model.effects),
                 "diagnosed",
                 "noise floor",
-                "torque itself",
+                "measured torque",
             ],
             rows,
         )

@@ -29,7 +29,7 @@ def add_parser(commands: Any) -> None:
         nargs="*",
         type=InputPath,
         metavar="REC",
-        help="recordings measured since the fit, with a FIT in place of ROBOT",
+        help="with a FIT in place of ROBOT: recordings measured since the fit",
     )
     parser.add_argument(
         "--train", nargs="+", type=InputPath, default=[], metavar="A", help="recordings to fit"
@@ -40,17 +40,23 @@ def add_parser(commands: Any) -> None:
         type=InputPath,
         default=[],
         metavar="B",
-        help="recordings that confirm the result and are not fitted",
+        help="recordings to test on, which are not fitted",
     )
     parser.add_argument(
         "--method", choices=("wls", "ols", "robust"), default="wls", help="estimator; default: wls"
     )
     parser.add_argument(
-        "--seed", type=seed, default=0, metavar="N", help="of the bootstrap; default: 0"
+        "--seed", type=seed, default=0, metavar="N", help="seed of the bootstrap; default: 0"
     )
-    parser.add_argument("--interactive", action="store_true", help="ask before each step")
     parser.add_argument(
-        "-o", "--output", type=OutputFile, metavar="fit.json", help="write the last model"
+        "--interactive", action="store_true", help="ask before each effect is added"
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=OutputFile,
+        metavar="fit.json",
+        help="write the fit with the effects that were found",
     )
     parser.add_argument(
         "--plot", type=PictureFile, metavar="FILE", help="draw the error after each step"

@@ -21,9 +21,12 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "discriminate", help="design the trajectory that separates rival effects"
     )
-    parser.add_argument("fit", type=InputPath, metavar="FIT")
+    parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit of the arm")
     parser.add_argument(
-        "effects", nargs="+", metavar="EFFECT", help="such as stribeck:4; at least two"
+        "effects",
+        nargs="+",
+        metavar="EFFECT",
+        help="rival effects, such as stribeck:4; at least two",
     )
     shared_options.add_output_folder(parser)
     parser.add_argument(
@@ -32,13 +35,17 @@ def add_parser(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--recordings", nargs="+", type=InputPath, default=[], metavar="REC",
-        help="recordings that the spectrum of the noise is estimated from",
+        help="recordings from which the spectrum of the noise is estimated",
     )  # fmt: skip
     parser.add_argument(
         "--level", type=number, default=0.95, metavar="P", help="confidence level; default: 0.95"
     )
     parser.add_argument(
-        "--duration", type=number, default=10.0, metavar="S", help="of one period, s; default: 10"
+        "--duration",
+        type=number,
+        default=10.0,
+        metavar="S",
+        help="duration of one period, s; default: 10",
     )
     parser.add_argument(
         "--harmonics", type=int, default=5, metavar="N", help="harmonics of each joint; default: 5"
@@ -51,7 +58,11 @@ def add_parser(commands: Any) -> None:
         help="pose at the start and the end, rad",
     )
     parser.add_argument(
-        "--acceleration", type=number, nargs="+", metavar="A", help="acceleration limits, rad/s²"
+        "--acceleration",
+        type=number,
+        nargs="+",
+        metavar="A",
+        help="acceleration limits, rad/s²; one for all joints or one per joint",
     )
     parser.add_argument(
         "--rate",
@@ -65,10 +76,10 @@ def add_parser(commands: Any) -> None:
         type=int,
         default=1500,
         metavar="N",
-        help="of the criterion in the search; default: 1500",
+        help="evaluations of the criterion in the search; default: 1500",
     )
     parser.add_argument(
-        "--seed", type=seed, default=0, metavar="N", help="of the search; default: 0"
+        "--seed", type=seed, default=0, metavar="N", help="seed of the search; default: 0"
     )
     shared_options.add_effects_file(parser)
     shared_options.add_recording_options(parser)

@@ -45,7 +45,7 @@ def add_parser(commands: Any) -> None:
     _add_search(parser)
     parser.add_argument(
         "--friction-sweep", nargs="+", type=int, metavar="JOINT",
-        help="write constant-speed runs of these joints instead",
+        help="write runs of these joints at constant speeds instead",
     )  # fmt: skip
     shared_options.add_outputs(parser)
     shared_options.add_threads(parser)
@@ -55,10 +55,13 @@ def add_parser(commands: Any) -> None:
 def _add_motion(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("motion")
     group.add_argument(
-        "--family", choices=FAMILIES, default="fourier", help="of trajectories; default: fourier"
+        "--family",
+        choices=FAMILIES,
+        default="fourier",
+        help="family of trajectories; default: fourier",
     )
     for name, kind, default, unit, text in (
-        ("--duration", number, 20.0, "S", "of one period, s"),
+        ("--duration", number, 20.0, "S", "duration of one period, s"),
         ("--harmonics", int, 5, "N", "harmonics of each joint"),
         ("--periods", int, 1, "N", "number of periods"),
         ("--samples", int, 100, "N", "samples of one period in the criterion"),
@@ -69,11 +72,11 @@ def _add_motion(parser: argparse.ArgumentParser) -> None:
         )
     group.add_argument(
         "--start-pose", nargs="+", type=number, metavar="Q",
-        help="pose at the start and the end, rad; default: found within all limits",
+        help="pose at the start and the end, rad; default: a pose found within all limits",
     )  # fmt: skip
     group.add_argument(
         "--free-start", action="store_true",
-        help="choose the first pose; an approach motion from the start pose is added",
+        help="optimize the first pose, too; an approach motion from the start pose is added",
     )  # fmt: skip
 
 
@@ -84,17 +87,17 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=number,
         metavar="A",
-        help="rad/s², one or one per joint; default: the robot's, or 3",
+        help="acceleration limits, rad/s², one or one per joint; default: the robot's, or 3",
     )
     group.add_argument(
         "--margin", type=number, default=MARGIN, metavar="F",
-        help="part of the velocity and torque limits that is used; default: 0.8",
+        help="fraction of the velocity and torque limits that is used; default: 0.8",
     )  # fmt: skip
     group.add_argument("--torque-fraction", type=_replaced_by_margin, help=argparse.SUPPRESS)
     group.add_argument("--no-torque", action="store_true", help="do not check torque limits")
     group.add_argument(
         "--cartesian-speed", type=number, default=TOOL_SPEED, metavar="M/S",
-        help="of tool and joint centres; default: 1.5",
+        help="highest speed of the tool and of the joint centres, m/s; default: 1.5",
     )  # fmt: skip
     group.add_argument(
         "--floor", nargs="?", type=_height, default=FLOOR, const=FLOOR, metavar="Z",
@@ -107,11 +110,11 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--wall", nargs=4, type=number, action="append", default=[],
         metavar=("NX", "NY", "NZ", "D"),
-        help="stay where n·x ≤ d, base frame, m",
+        help="keep the arm where n·x ≤ d, base frame, m",
     )  # fmt: skip
     for name, text in (
-        ("--workspace-box", "stay inside this box, base frame, m"),
-        ("--obstacle", "stay outside of this box, base frame, m"),
+        ("--workspace-box", "keep the arm inside this box, base frame, m"),
+        ("--obstacle", "keep the arm outside this box, base frame, m"),
     ):  # fmt: skip
         group.add_argument(
             name, nargs=6, type=number, action="append", default=[],
@@ -141,15 +144,20 @@ def _replaced_by_margin(text: str) -> float:
 
 def _add_search(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("search")
-    group.add_argument("--solver", choices=SOLVERS, default="ipopt", help="default: ipopt")
+    group.add_argument(
+        "--solver", choices=SOLVERS, default="ipopt", help="optimization method; default: ipopt"
+    )
     group.add_argument(
         "--starts", type=int, default=4, metavar="N", help="number of random starts; default: 4"
     )
     group.add_argument(
-        "--seed", type=seed, default=0, metavar="N", help="of the random starts; default: 0"
+        "--seed", type=seed, default=0, metavar="N", help="seed of the random starts; default: 0"
     )
     group.add_argument(
-        "--max-iterations", type=int, metavar="N", help="of one start; default: no limit"
+        "--max-iterations",
+        type=int,
+        metavar="N",
+        help="largest number of iterations of one start; default: no limit",
     )
 
 

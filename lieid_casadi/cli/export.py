@@ -15,7 +15,7 @@ FORMATS = ("c", "urdf")
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("export", help="write a fit as C code or as a URDF")
-    parser.add_argument("fit", type=InputPath, metavar="FIT")
+    parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit to export")
     parser.add_argument("--to", choices=FORMATS, required=True, help="C99 code, or URDF and MJCF")
     shared_options.add_output_folder(parser)
     parser.add_argument("--prefix", metavar="NAME", help="prefix of all C names; default: arm")

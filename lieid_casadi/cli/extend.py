@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("extend", help="add an effect, fit again, compare the errors")
-    parser.add_argument("fit", type=InputPath, metavar="FIT")
+    parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit to extend")
     parser.add_argument("--add", required=True, metavar="A,B:2+3,…", help="effects to add")
     parser.add_argument(
         "--train", nargs="+", type=InputPath, required=True, metavar="A", help="recordings to fit"
@@ -27,7 +27,7 @@ def add_parser(commands: Any) -> None:
         type=InputPath,
         default=[],
         metavar="B",
-        help="recordings that are not fitted",
+        help="recordings to test on, which are not fitted",
     )
     parser.add_argument(
         "-o", "--output", type=OutputFile, metavar="fit2.json", help="write the new fit"

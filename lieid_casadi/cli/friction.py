@@ -52,7 +52,7 @@ def add_parser(commands: Any) -> None:
         "--plot", type=PictureFile, metavar="FILE", help="draw the curve and the fit"
     )
     parser.add_argument(
-        "--seed", type=seed, default=0, metavar="N", help="of the search; default: 0"
+        "--seed", type=seed, default=0, metavar="N", help="seed of the search; default: 0"
     )
     shared_options.add_effects_file(parser)
     shared_options.add_recording_options(parser)

@@ -37,7 +37,9 @@ def add_parser(commands: Any) -> None:
         metavar="REC",
         help="recordings of currents with the payload",
     )
-    parser.add_argument("--mass", type=number, required=True, metavar="KG", help="of the payload")
+    parser.add_argument(
+        "--mass", type=number, required=True, metavar="KG", help="mass of the payload"
+    )
     parser.add_argument(
         "--com",
         nargs=3,

@@ -36,7 +36,7 @@ def add_parser(commands: Any) -> None:
         type=InputPath,
         default=[],
         metavar="T",
-        help="recordings that are not fitted",
+        help="recordings to test on, which are not fitted",
     )
     parser.add_argument("--method", choices=METHODS, default="wls", help="estimator; default: wls")
     parser.add_argument("-o", "--output", type=OutputFile, metavar="fit.json", help="write the fit")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("payload", help="mass, centre of mass and inertia of the payload")
-    parser.add_argument("fit", type=InputPath, metavar="FIT", help="made without the payload")
+    parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit made without the payload")
     parser.add_argument(
         "recordings",
         nargs="+",

@@ -12,15 +12,17 @@ from lieid_casadi.cli.option_types import InputPath, OutputFile
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser("predict", help="torque of a fit along a recording")
-    parser.add_argument("fit", type=InputPath, metavar="FIT")
-    parser.add_argument("recording", type=InputPath, metavar="REC")
+    parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit to evaluate")
+    parser.add_argument(
+        "recording", type=InputPath, metavar="REC", help="recording that states the motion"
+    )
     parser.add_argument(
         "-o",
         "--output",
         type=OutputFile,
         required=True,
         metavar="pred.csv",
-        help="CSV file with t and the torques",
+        help="CSV file with the columns t,tau1…taun",
     )
     shared_options.add_recording_options(parser)
     shared_options.add_effects_file(parser)

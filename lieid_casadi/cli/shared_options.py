@@ -29,7 +29,9 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
     """Add what turns recordings into torques and signals."""
     parser.add_argument(
-        "--torque-constants", metavar="K1,…,Kn", help="N·m/A, for recordings with currents i1…in"
+        "--torque-constants",
+        metavar="K1,…,Kn",
+        help="torque constants, N·m/A, for recordings with currents i1…in",
     )
     add_reading_options(parser)
 
@@ -65,7 +67,7 @@ def add_processing(parser: argparse.ArgumentParser) -> None:
         "--smoothing",
         choices=["butterworth", "rloess"],
         default="butterworth",
-        help="rloess smooths accelerations and torques by robust local regression first",
+        help="filter; rloess smooths acceleration and torque by robust local regression before it",
     )
 
 
@@ -75,7 +77,7 @@ def add_effects(parser: argparse.ArgumentParser, *, default: str = DEFAULT_EFFEC
         "--effects",
         default=default,
         metavar="A,B:2+3,…",
-        help=f"effects of the model, on joints 2 and 3 as B:2+3; default: {default or 'none'}",
+        help=f"effects of the model; B:2+3 is B on joints 2 and 3; default: {default or 'none'}",
     )
     add_effects_file(parser)
 

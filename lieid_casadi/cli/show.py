@@ -45,7 +45,8 @@ def run(args: argparse.Namespace) -> None:
     ]
     output.show(
         make_table(
-            f"{base.count} base parameters (of {len(base.names)}, {len(base.invisible)} invisible)",
+            f"{base.count} base parameters (of {len(base.names)} parameters, "
+            f"{len(base.invisible)} of them without effect on the torque)",
             ["base parameter", "unit"],
             [[p["expression"], p["unit"]] for p in parameters],
         )
