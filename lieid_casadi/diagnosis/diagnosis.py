@@ -125,14 +125,15 @@ class Diagnosis:
         The errors (n,) of each model, from the first to the last, are those of the test in
         motion if all joints move, otherwise those of the whole test or of the training.
         """
+        test = "test" if self.mode == "missing" else "new recordings"
         moving = [self.baseline_moving, *(step.moving for step in self.steps)]
         available = [values for values in moving if values is not None]
         if len(available) == len(moving) and np.isfinite(available).all():
-            return "test, joints in motion", available
+            return f"{test}, joints in motion", available
         tested = self.baseline_test is not None
         errors = [self.baseline_test if tested else self.baseline_train]
         errors += [step.rms_test if tested else step.rms_train for step in self.steps]
-        return "test" if tested else "training", [values for values in errors if values is not None]
+        return test if tested else "training", [values for values in errors if values is not None]
 
     @property
     def groups(self) -> tuple[int, ...]:

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep
     from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 
+SMALLEST_LOG10_P = -15  # of a p-value that is shown; smaller ones depend on the tail's model alone
+
 
 def location(joints: tuple[int, ...]) -> str:
     """Return ``joint 3``, ``joint 5 from joint 6`` or ``the whole arm`` (joints from 0)."""
@@ -29,7 +31,7 @@ def sentence(d: Diagnosis) -> str:
     parts = []
     if d.steps:
         subject = "The model lacks " if d.mode == "missing" else "Changed since the fit: "
-        parts.append(subject + "; ".join(_findings(d.steps)) + ".")
+        parts.append(subject + "; ".join(_findings(d.steps, error_name(d))) + ".")
     elif d.verdict == "sufficient" and d.mode == "missing":
         parts.append("No effect of the library improves the model significantly.")
     elif d.verdict == "sufficient":
@@ -43,16 +45,21 @@ def sentence(d: Diagnosis) -> str:
     return " ".join(parts)
 
 
-def _findings(steps: Sequence[DiagnosisStep]) -> list[str]:
+def error_name(d: Diagnosis) -> str:
+    """Return what the errors before and after a step are: a kept model is not fitted."""
+    return "held-out error" if d.mode == "missing" else "error"
+
+
+def _findings(steps: Sequence[DiagnosisStep], error: str) -> list[str]:
     """Return one finding for each effect; steps with one effect on several joints are joined."""
     groups: dict[tuple[str, ...], list[DiagnosisStep]] = {}
     for step in steps:
         together = len(step.joints) == 1 and not step.indistinguishable
         groups.setdefault((step.effect,) if together else (step.label, ""), []).append(step)
-    return [_finding(sorted(group, key=lambda step: step.joints)) for group in groups.values()]
+    return [_finding(sorted(group, key=lambda s: s.joints), error) for group in groups.values()]
 
 
-def _finding(steps: Sequence[DiagnosisStep]) -> str:
+def _finding(steps: Sequence[DiagnosisStep], error: str) -> str:
     """Return effect, joints, parameters, fall of the error, and rivals."""
     first = steps[0]
     rivals = [f"{c.name} on {location(c.joints)}" for c, _ in first.indistinguishable]
@@ -69,7 +76,7 @@ def _finding(steps: Sequence[DiagnosisStep]) -> str:
             for step in steps
         ]
     )
-    return f"{named} ({', '.join(values)}; error {falls} N·m){alternatives}"
+    return f"{named} ({', '.join(values)}; {error} {falls} N·m){alternatives}"
 
 
 def _joined_locations(steps: Sequence[DiagnosisStep]) -> str:
@@ -114,12 +121,13 @@ def error_table(d: Diagnosis) -> Table:
         rows.append(["expected", *map(float, d.expected), None])
     rows.append(["noise floor", *map(float, d.noise_floor), None])
     expected = "" if d.expected is None else " Expected: held-out error of the fit."
+    training = " Steps are selected on the training recordings." if d.mode == "missing" else ""
     return make_table(
         f"RMS error on the {measured}, N·m (low-pass {d.fit.processing.cutoff:.3g} Hz)",
         ["model", *heading, "p"],
         rows,
         note="Each row adds one effect to the row above and fits all parameters again. p: "
-        "family-wise p-value over all candidates. Steps are selected on the training recordings. "
+        f"family-wise p-value over all candidates.{training} "
         f"Noise floor: {SOURCES[d.noise_source]}.{expected}",
     )
 
@@ -141,7 +149,7 @@ def evidence_table(d: Diagnosis) -> Table:
         for step in d.steps
     ]
     headings = (
-        "effect", "on", "parameters", "size, N·m", "held-out error, N·m", "test confirms",
+        "effect", "on", "parameters", "size, N·m", f"{error_name(d)}, N·m", "test confirms",
         "fits as well",
     )  # fmt: skip
     note = "exact: no data can separate the two; data: these data cannot."
@@ -178,7 +186,7 @@ def rejected_table(d: Diagnosis) -> Table:
 
 def _p_value(step: DiagnosisStep) -> str:
     exponent = step.evidence.log10_p
-    return f"{10.0**exponent:.2g}" if exponent > -15 else f"1e{max(exponent, -1e6):.0f}"
+    return f"{10.0**exponent:.2g}" if exponent > SMALLEST_LOG10_P else f"< 1e{SMALLEST_LOG10_P}"
 
 
 def html(d: Diagnosis) -> str:

@@ -1,4 +1,4 @@
-"""Effects on the whole arm or on the measurement in exported C, which sees one instant."""
+"""Effects on the whole arm or on the measurement in exported C, which is evaluated at one instant."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def with_arm_effects(columns: ca.SX, model: Model, arm: ArmInstant, values: Arra
             now = p.effect.instant_columns(arm, p.joint, ca.SX(ca.DM(values[first:last])))
             if now is None:
                 raise ExportError(
-                    f"{p.label} needs the motion over time, and exported C sees one instant; "
+                    f"{p.label} needs the motion over time, and exported C has one instant; "
                     "expected a fit without this effect"
                 )
             columns[:, first:last] = now

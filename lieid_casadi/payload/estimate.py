@@ -152,7 +152,7 @@ class PayloadEstimate:
             return self._payload_sentence
         return (
             "A payload does not explain this run: check that it is of this arm, and run lieid "
-            "diagnose FIT REC to find what else has changed. Taken as a payload: "
+            "diagnose FIT REC to find what else has changed. Best fit of a payload: "
             f"{self._payload_sentence}"
         )
 

@@ -81,7 +81,7 @@ def test_the_sentence_states_effect_joint_size_and_fall():
     before, after = step.evidence.held_out_before, step.evidence.held_out_after
     assert diagnosis.sentence == (
         f"The model lacks load_friction on joint 1 (f_tau = {step.parameters['f_tau']:.3g}; "
-        f"error from {before:.3g} to {after:.3g} N·m)."
+        f"held-out error from {before:.3g} to {after:.3g} N·m)."
     )
 
 
@@ -246,4 +246,4 @@ def test_table_and_figure_show_the_same_errors_of_joints_in_motion():
     heights = [bar.get_height() for bar in axes.patches]
     np.testing.assert_allclose(heights, np.concatenate([e / errors[0] for e in errors]))
     since = lieid.diagnose(lieid.identify(MODEL, train), test)
-    assert since.shown[0] == "test, joints in motion"
+    assert since.shown[0] == "new recordings, joints in motion"

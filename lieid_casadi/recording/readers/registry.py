@@ -131,7 +131,7 @@ def read_measurement(file: Path, options: ReadOptions) -> Measurement:
     except OSError as error:
         raise RecordingError(f"{file}: cannot be read ({error.strerror or error})") from error
     except MemoryError as error:
-        raise RecordingError(f"{file}: needs more memory than there is") from error
+        raise RecordingError(f"{file}: needs more memory than is available") from error
 
 
 def write_measurement(measurement: Measurement, file: Path) -> None:
