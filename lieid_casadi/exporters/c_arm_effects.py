@@ -1,4 +1,4 @@
-"""Effects on the whole arm or on the measurement in exported C, which is evaluated at one instant."""
+"""Effects on the whole arm or on the measurement in exported C, which evaluates one instant."""
 
 from __future__ import annotations
 
