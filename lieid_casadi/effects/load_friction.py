@@ -80,12 +80,12 @@ class LoadFriction(Effect):
         elif option == "stribeck":
             self.formula = "(f_τ + f_τs·e^{−(q̇/v_τ)²})·|τ_load|·sgn(q̇)"
             self.coefficients += (
-                Coefficient("f_tau_s", "1", meaning="part that fades with velocity"),
+                Coefficient("f_tau_s", "1", meaning="part that decreases with speed"),
             )
             self.shapes = (
                 Shape(
                     "v_tau", "rad/s", 0.1, 1e-3, 2.0,
-                    meaning="velocity over which it fades", resolved_by="speed",
+                    meaning="speed over which it decreases", resolved_by="speed",
                 ),
             )  # fmt: skip
             self.signals = ("dq", "sign", "load")

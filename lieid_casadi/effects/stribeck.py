@@ -16,7 +16,7 @@ REGULARIZATION = 1e-6  # added to (q̇/v_s)²: a power below 2 has no derivative
 
 @register
 class Stribeck(Effect):
-    """Excess of static over Coulomb friction, which fades with velocity; beside `coulomb`.
+    """Excess of static over Coulomb friction, which decreases with speed; beside `coulomb`.
 
     τ = (f_s − f_c)·sgn(q̇)·e^{−(q̇/v_s)²}, with f_s − f_c in N·m and v_s in rad/s. Revealed by
     slow motion at several speeds below v_s. Confused with Coulomb friction where all speeds are
