@@ -10,7 +10,7 @@ import casadi as ca
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.c_expressions import ExportExpressions, ExportSymbols, folded
 from lieid_casadi.exporters.c_statements import FunctionBody, FunctionInput, body, each, number
-from lieid_casadi.expressions.forward_dynamics import indefinite_share
+from lieid_casadi.expressions.forward_dynamics import indefinite_share, unsolved_share
 from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.identification.fit import Fit
 
@@ -73,27 +73,36 @@ def select(fit: Fit, requested: Sequence[str] | None) -> tuple[list[str], list[s
             f"functions: got {', '.join(map(repr, unknown)) or 'none'}; "
             f"expected some of {', '.join(NAMES)}"
         )
-    missing = {} if fit.model.columns else {"effect_columns": "the fit has no effects"}
+    missing: dict[str, str] = {}
     if "forward_dynamics" in wanted:
-        share = _indefinite_share(fit)
-        if share > 0.0:
-            missing["forward_dynamics"] = (
-                f"the mass matrix is not positive definite in {100.0 * share:.1f} % of the poses "
-                "within the joint limits; lieid identify --method feasible gives a fit whose "
-                "mass matrix is"
-            )
+        missing = _no_forward_dynamics(fit)
+    notes = [f"{name} is left out: {reason}" for name, reason in missing.items()]
+    if not fit.model.columns:
+        missing["effect_columns"] = "the fit has no effects"
     refused = [name for name in wanted if name in missing]
     if requested is not None and refused:
         raise ExportError(f"function {refused[0]}: {missing[refused[0]]}")
-    notes = [f"{name} is left out: {missing[name]}" for name in refused if fit.model.columns]
     return [name for name in NAMES if name in wanted and name not in missing], notes
 
 
-def _indefinite_share(fit: Fit) -> float:
+def _no_forward_dynamics(fit: Fit) -> dict[str, str]:
+    """Return why the fit has no forward dynamics, by the name of the function; empty if it has."""
     values = Values.numbers(fit.link_parameters, fit.effect_coefficients, fit.shapes)
-    return indefinite_share(
-        TorqueExpressions(fit.model, values, None, as_measured=False, payload=False)
-    )
+    torque = TorqueExpressions(fit.model, values, None, as_measured=False, payload=False)
+    reason, share = "", indefinite_share(torque)
+    if share > 0.0:
+        reason = (
+            f"the mass matrix is not positive definite in {100.0 * share:.1f} % of the poses "
+            "within the joint limits; lieid identify --method feasible gives a fit whose "
+            "mass matrix is"
+        )
+    elif (share := unsolved_share(torque)) > 0.0:
+        reason = (
+            "friction that depends on the load changes by more than the load, so that the "
+            f"acceleration is not determined in {100.0 * share:.1f} % of motions within the "
+            "limits; expected smaller coefficients of load friction"
+        )
+    return {"forward_dynamics": reason} if reason else {}
 
 
 def exported_functions(fit: Fit, names: Sequence[str]) -> ExportedFunctions:

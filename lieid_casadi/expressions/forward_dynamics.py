@@ -6,10 +6,13 @@ from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from lieid_casadi.expressions.torque import TorqueExpressions
+from lieid_casadi.robot.robot import Robot
 
 NEWTON_STEPS = 4  # of the unrolled solution; tests/expressions bounds its residual by 1e-9
+RESIDUAL = 1e-9  # of the torque, at a solution
 POSES = 1000  # at which the mass matrix is tried
 
 
@@ -87,18 +90,51 @@ def indefinite_share(torque: TorqueExpressions) -> float:
     Tried are poses that are spread evenly over the joints' ranges (Sobol points); ±π rad and ±1 m
     where a robot states no range. A symbolic payload counts as none.
     """
-    from scipy.stats import qmc
-
     robot = torque.model.robot
-    revolute = np.array([joint.revolute for joint in robot.joints])
-    limits = np.stack([robot.limit("position_lower"), robot.limit("position_upper")], axis=1)
-    reach = np.where(revolute, np.pi, 1.0)[:, None] * np.array([-1.0, 1.0])
-    limits = np.where(np.isfinite(limits), limits, reach)
-    points = qmc.Sobol(robot.n, seed=0).random(POSES + (-POSES) % 1024)
-    q = limits[:, 0] + points * (limits[:, 1] - limits[:, 0])
+    q = _poses(robot)
     expression = torque.mass_matrix
     if torque.payload is not None:
         expression = ca.substitute(expression, torque.payload, ca.SX.zeros(10))
     mass = ca.Function("mass_matrix", [torque.motion.q], [ca.densify(expression)])
     matrices = mass(q.T).full().reshape(robot.n, len(q), robot.n).transpose(1, 0, 2)
     return float(np.mean(np.linalg.eigvalsh(matrices)[:, 0] <= 0.0))
+
+
+def unsolved_share(torque: TorqueExpressions) -> float:
+    """Return the share of motions whose acceleration leaves a residual above 1e-9 of the torque.
+
+    It is above zero if friction changes by more than the load does, as no drive's does that moves.
+    Tried are motions with poses, velocities and accelerations (±10 rad/s²) within the limits.
+    """
+    if not _depends_on_load(torque):
+        return 0.0
+    robot, m = torque.model.robot, torque.motion
+    fast = robot.limit("velocity")
+    fast = np.where(np.isfinite(fast), fast, 1.0)
+    q = _poses(robot)[::8]
+    dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (2, *q.shape)) * [
+        [fast],
+        [10.0 + 0 * fast],
+    ]
+    signals = [torque.states, torque.temperature, torque.time]
+    states, warm = ca.DM(torque.model.initial_states), ca.DM(1e3)  # s
+    now = [states, ca.DM.zeros(robot.n), warm]
+    tau = ca.Function("tau", [m.q, m.dq, m.ddq, *signals], [torque.inverse_dynamics])
+    ddq_of = ca.Function("ddq", [m.q, m.dq, torque.tau, *signals], [acceleration(torque)])
+    motion = [ca.DM(q.T), ca.DM(dq.T)]
+    wanted = tau(*motion, ca.DM(ddq.T), *now)
+    solved = tau(*motion, ddq_of(*motion, wanted, *now), *now)
+    left = np.abs((solved - wanted).full()).max(axis=0) / np.abs(wanted.full()).max(axis=0)
+    return float(np.mean(~(left <= RESIDUAL)))
+
+
+def _poses(robot: Robot) -> NDArray[np.float64]:
+    """Return poses (K, n) that are spread evenly over the joints' ranges (Sobol points)."""
+    from scipy.stats import qmc
+
+    revolute = np.array([joint.revolute for joint in robot.joints])
+    limits = np.stack([robot.limit("position_lower"), robot.limit("position_upper")], axis=1)
+    reach = np.where(revolute, np.pi, 1.0)[:, None] * np.array([-1.0, 1.0])
+    limits = np.where(np.isfinite(limits), limits, reach)
+    points = qmc.Sobol(robot.n, seed=0).random(POSES + (-POSES) % 1024)
+    return np.asarray(limits[:, 0] + points * (limits[:, 1] - limits[:, 0]))

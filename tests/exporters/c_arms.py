@@ -65,7 +65,7 @@ def made_fit(robot, effects, *, seed=0):
     )
 
 
-def with_square_friction(fit, size):
+def with_load_friction(fit, size):
     """The fit with coefficients that load friction of a drive can have, N·m per (N·m)²."""
     square = [c.name.startswith("load_friction") for c in fit.model.columns]
     parameters = fit.parameters.copy()
@@ -77,7 +77,7 @@ def with_square_friction(fit, size):
 
 ARMS = {
     "panda": lambda: made_fit(lieid.robots.panda(), PANDA),
-    "sliding": lambda: with_square_friction(
+    "sliding": lambda: with_load_friction(
         made_fit(
             random_arm(np.random.default_rng(4), 4),
             "coulomb,viscous,armature:2,load_friction/square",

@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
-from exporters.c_arms import ARMS, WARNINGS, made_fit, run
+from exporters.c_arms import ARMS, WARNINGS, made_fit, run, with_load_friction
 
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
@@ -66,24 +66,34 @@ def test_the_command_selects_functions(tmp_path, capsys):
     assert exported_names(tmp_path / "arm") == {"jacobian", "mass_matrix"}
 
 
-def indefinite_fit():
-    fit = made_fit(lieid.robots.two_link(), "viscous")
+def indefinite_fit(effects):
+    fit = made_fit(lieid.robots.two_link(), effects)
     links = fit.parameters.copy()
     links[10:20] *= -1.0
     return dataclasses.replace(fit, parameters=links)
 
 
-def test_an_indefinite_mass_matrix_has_no_forward_dynamics(tmp_path):
-    made = export_c(indefinite_fit(), tmp_path / "arm")
+@pytest.mark.parametrize("effects", ["viscous", ""])
+def test_an_indefinite_mass_matrix_has_no_forward_dynamics(tmp_path, effects):
+    made = export_c(indefinite_fit(effects), tmp_path / "arm")
     (note,) = [note for note in made.notes if note.startswith("forward_dynamics is left out")]
     assert "--method feasible" in note
-    assert exported_names(tmp_path / "arm") == set(NAMES) - {"forward_dynamics"}
+    assert "forward_dynamics" not in exported_names(tmp_path / "arm")
     for name in ("arm.h", "README.md"):
         text = " ".join((tmp_path / "arm" / name).read_text().replace("*", " ").split())
         assert "is left out: the mass matrix is not positive definite" in text.replace("\\", "")
     with pytest.raises(ExportError, match="forward_dynamics: the mass matrix is not positive"):
-        export_c(indefinite_fit(), tmp_path / "other", functions=["forward_dynamics"])
+        export_c(indefinite_fit(effects), tmp_path / "other", functions=["forward_dynamics"])
     assert not (tmp_path / "other").exists()
+
+
+def test_unphysical_load_friction_has_no_forward_dynamics(tmp_path):
+    """A friction of more than the load itself leaves the acceleration undetermined."""
+    for size, has in ((0.005, True), (2.0, False)):
+        fit = with_load_friction(made_fit(lieid.robots.two_link(), "load_friction/square"), size)
+        made = export_c(fit, tmp_path / f"{size}")
+        assert ("forward_dynamics" in exported_names(tmp_path / f"{size}")) is has
+        assert any("changes by more than the load" in note for note in made.notes) is not has
 
 
 def test_forward_dynamics_are_those_of_symbolic(tmp_path):
