@@ -63,6 +63,8 @@ def check_file(path: str | Path) -> None:
     ------
     OutputError
     """
+    if not str(path):
+        raise OutputError("the path of an output is empty; expected the name of a file")
     with reported(path):
         status = _status(path)
         if status is not None and stat.S_ISDIR(status.st_mode):

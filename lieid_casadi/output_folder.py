@@ -158,8 +158,11 @@ def _protected(target: Path) -> str:
         if any(target.samefile(above) for above in current.parents):
             return "above the current directory"
     with contextlib.suppress(OSError, RuntimeError):  # a user without a home
-        if target.samefile(Path.home()):
+        home = Path.home()
+        if target.samefile(home):
             return "the home directory"
+        if any(target.samefile(above) for above in home.parents):
+            return "above the home directory"
     return ""
 
 

@@ -8,6 +8,7 @@ import importlib
 import logging
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -50,6 +51,8 @@ def main(words: Sequence[str] | None = None) -> int:
     """Run ``lieid`` and return its exit status (DESIGN: 0, 1, 2, 3 or 130)."""
     args = build_parser().parse_args(words)
     _log_to_stderr()
+    if words is None and not sys.warnoptions and not args.debug:
+        warnings.simplefilter("ignore")  # of libraries; those of results are printed with them
     try:
         shared_options.use_threads(args)
         check_paths(args)

@@ -58,15 +58,23 @@ def _rest(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
     resting = np.flatnonzero(has_dry_friction(fit.model) & comparison.rest_dominates)
     if not resting.size:
         return []
-    details = ", ".join(
-        f"joint {j + 1} (RMS {comparison.rms_at_rest[j]:.3g} at rest, "
-        f"{comparison.rms_moving[j]:.3g} {comparison.units[j]} in motion; "
-        f"{comparison.at_rest[j]:.0%} of the time at rest)"
-        for j in resting
-    )
+    details = ", ".join(_rest_of(comparison, int(j)) for j in resting)
+    moved = bool(np.isfinite(comparison.rms_moving[resting]).any())
+    remedy = "use the RMS in motion for these joints" if moved else "compare a recording in motion"
     return [
         FrictionAtRestWarning(
-            f"friction is undetermined at rest and dominates the error of {details}: "
-            "use the RMS in motion for these joints"
+            f"friction is undetermined at rest and dominates the error of {details}: {remedy}"
         )
     ]
+
+
+def _rest_of(comparison: Comparison, joint: int) -> str:
+    """Return a joint's errors at rest and in motion as text."""
+    unit, moving = comparison.units[joint], comparison.rms_moving[joint]
+    at_rest = f"joint {joint + 1} (RMS {comparison.rms_at_rest[joint]:.3g} {unit} at rest, "
+    if not np.isfinite(moving):
+        return f"{at_rest}never in motion)"
+    return (
+        f"{at_rest}{moving:.3g} {unit} in motion; {comparison.at_rest[joint]:.0%} of the time "
+        "at rest)"
+    )

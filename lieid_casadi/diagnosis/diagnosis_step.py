@@ -141,7 +141,7 @@ class DiagnosisStep:
             indistinguishable=accepted.rivals,
             fit=accepted.fit,
             moving=moving,
-            share=effect_size / accepted.torque_rms,
+            share=effect_size / accepted.torque_rms if accepted.torque_rms else float("nan"),
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from lieid_casadi.errors import (
 )
 from lieid_casadi.identification.prediction import predict_recording
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processing, Recording, check
+from lieid_casadi.recording import Processing, Recording, check, require_plausible_units
 from lieid_casadi.recording.given_recordings import listed
 
 NOMINAL_CUTOFF = 5.0  # Hz, of the nominal torque that measured torque is checked against
@@ -61,6 +61,7 @@ def check_joints(model: Model, recording: Recording) -> None:
 def check_with_model(compiled: Compiled, recording: Recording) -> tuple[LieidWarning, ...]:
     """Return a recording's warnings; with inertias, torque is checked against the nominal one."""
     robot = compiled.model.robot
+    require_plausible_units(recording, robot)  # before torques are computed from them
     nominal = None
     if robot.has_inertia and recording.tau is not None:
         parameters = np.concatenate([robot.link_parameters, np.zeros(len(compiled.model.columns))])

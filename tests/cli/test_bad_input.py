@@ -220,11 +220,29 @@ def test_fit_files(run, tmp_path, good, fit_text, damage, words):
     assert not (tmp_path / "p.csv").exists()
 
 
+def test_stamps_of_almost_zero_length_are_refused_before_they_are_used(run, tmp_path):
+    table = columns()
+    table["t"] = table["t"] * 1e-300
+    data = write(tmp_path / "run.csv", table)
+    refused(run("identify", "two_link", data, "-o", tmp_path / "fit.json"), "column t", "mean rate")
+
+
+def test_warnings_of_libraries_are_not_printed(tmp_path):
+    table = columns()
+    table["dq1"] = table["dq1"] * 1e-300  # overflows in SciPy's interpolation
+    data = write(tmp_path / "run.csv", table)
+    command = [sys.executable, "-m", "lieid_casadi.cli.main", "identify", "two_link", data]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "VelocityMismatch" in done.stdout
+
+
 def test_output_that_cannot_be_written(run, tmp_path, good):
     (tmp_path / "file").write_text("")
     place = tmp_path / "file" / "fit.json"
     refused(run("identify", "two_link", good, "-o", place), "file", "not a folder")
     refused(run("identify", "two_link", good, "-o", tmp_path), "folder")
+    refused(run("identify", "two_link", good, "-o", ""), "path of an output is empty")
 
 
 def test_bad_input_writes_nothing(run, tmp_path):

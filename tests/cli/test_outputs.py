@@ -268,23 +268,25 @@ def export(run, folder, *more):  # noqa: F811
     return run("export", "fit.json", "--to", "c", "-o", folder, *more)
 
 
-@pytest.mark.parametrize("place", ["current", "absolute", "linked", "parent", "home", "root"])
+@pytest.mark.parametrize(
+    "place", ["current", "absolute", "linked", "parent", "home", "above home", "root"]
+)
 def test_folders_that_are_never_replaced(work, run, monkeypatch, place):  # noqa: F811
     """Not even where they hold a manifest."""
     inner, home = work / "inner", work / "home"
-    for folder in (inner, home):
+    for folder in (inner, home, home / "user"):
         folder.mkdir()
         (folder / "notes.txt").write_text("notes")
     (work / "link").symlink_to(inner)
     for folder in (work, inner, home):
         content = {"program": "lieid-casadi", "files": ["notes.txt", "fit.json", "arm.c"]}
         (folder / MANIFEST).write_text(json.dumps(content))
-    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("HOME", str(home / "user" if place == "above home" else home))
     monkeypatch.chdir(inner)
     before = tree(work)
     named = {
         "current": ".", "absolute": inner, "linked": work / "link", "parent": "..", "home": home,
-        "root": "/",
+        "above home": home, "root": "/",
     }[place]  # fmt: skip
     for words in (
         ["export", work / "fit.json", "--to", "c"],

@@ -144,6 +144,13 @@ def test_error_at_rest_is_reported_for_the_joint_that_rests(fit):
     assert comparison.rms_moving[1] < 0.3
 
 
+def test_a_recording_at_rest_is_not_said_to_have_an_error_in_motion(fit):
+    test = arm.recording(10.0, seed=2, still_after=0.0, extra=np.tile([0.0, 1.4], (2000, 1)))
+    (warning,) = lieid.compare(fit, test).warnings[-1:]
+    assert isinstance(warning, FrictionAtRestWarning)
+    assert str(warning).endswith("never in motion): compare a recording in motion")
+
+
 def test_a_joint_that_never_rests_has_no_error_at_rest(fit):
     comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.1))
     assert comparison.to_dict()["rms_at_rest"] == [None, None]

@@ -188,6 +188,13 @@ def test_a_change_is_named(name, joint, label):
     assert diagnosis.steps[0].rms_train is None
 
 
+def test_a_joint_without_any_torque_has_no_share_of_it():
+    recording = run(arm_with(), 3)
+    recording = replace(recording, tau=recording.tau * [1.0, 0.0])
+    steps = lieid.diagnose(unchanged_fit(), recording).to_dict()["steps"]
+    assert {step["share"] for step in steps if step["joints"] == [2]} == {None}
+
+
 def test_an_unchanged_arm_is_sufficient():
     arm, fit = arm_with(), unchanged_fit()
     diagnosis = lieid.diagnose(fit, run(arm, 3))
