@@ -1,6 +1,8 @@
 """Functions accept a robot in place of a model, and say how a file becomes a recording."""
 
+from inspect import signature
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -71,3 +73,19 @@ def test_export_writes_each_format(tmp_path):
     with pytest.raises(ExportError, match="prefix and functions apply to C code"):
         lieid.export(fit, tmp_path / "other", to="urdf", prefix="scara")
     assert not (tmp_path / "other").exists()
+
+
+def test_methods_and_criteria_have_literal_types():
+    """A type checker refuses other names, and the command line has the same ones."""
+    from lieid_casadi.cli.identify import METHODS
+    from lieid_casadi.excitation.criteria import criterion
+    from lieid_casadi.identification.identify import Method
+
+    assert set(get_args(Method)) == set(METHODS)
+    assert get_args(criterion.CriterionName) == criterion.NAMES
+    for function, name, annotation in (
+        (lieid.identify, "method", "Method"),
+        (lieid.diagnose, "method", "Method"),
+        (lieid.excite, "criterion", "CriterionName"),
+    ):
+        assert signature(function).parameters[name].annotation == annotation
