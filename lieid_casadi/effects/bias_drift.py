@@ -25,6 +25,7 @@ class BiasDrift(ArmEffect):
     formula = "r·(t − t̄)"
     coefficients = (Coefficient("r", "N·m/s", meaning="drift rate"),)
     reach = "joint"
+    per_recording = True
     revealed_by = "the same motion repeated over several minutes"
     confused_with: ClassVar = {
         "warm_up": "only warm-up changes sign with the velocity; drive both directions",

@@ -112,6 +112,8 @@ class Effect(ABC):
         Whether the motion of another joint acts on this one.
     whole_arm : bool
         Whether the effect acts on no joint in particular.
+    per_recording : bool
+        Whether the coefficients hold for one recording only, as those of a drift.
     energy : str or None
         ``"armature"`` or ``"offset"`` if link parameters can produce the same torque.
     option : str
@@ -144,6 +146,7 @@ class Effect(ABC):
     dry: bool = False
     couples: ClassVar[bool] = False
     whole_arm: ClassVar[bool] = False
+    per_recording: ClassVar[bool] = False
     energy: ClassVar[str | None] = None
     option: str = ""
     options: ClassVar[Mapping[str, str]] = {}

@@ -79,7 +79,9 @@ FRICTION_MODELS: dict[str, FrictionModel] = {
             "gao2017_constant_temperature",
             ("coulomb", "stribeck", "load_friction", "viscous"),
             "Gao et al., IROS 2017 (the paper's ref. 7), at one temperature",
-            "gao2017 as interpreted above, at constant temperature; for recordings without one",
+            "published as one formula of velocity, temperature and load; its terms were not "
+            "available. Interpreted here as a Stribeck curve, viscous friction and dry friction in "
+            "proportion to |load|, at constant temperature",
         ),
         FrictionModel(
             "he2021",

@@ -189,7 +189,7 @@ def _result(
         rms_before=payload_warnings.rms(estimate.before),
         rms_after=payload_warnings.rms(estimate.after),
         rms_fit=np.where(np.isfinite(fit.rms_cv), fit.rms_cv, fit.noise),
-        friction=() if refitted is None else _friction(fit, refitted, estimate),
+        friction=() if refitted is None else _friction(run, refitted, estimate),
         cutoff=run.design.segments[0].cutoff,
         recordings=(),
         warnings=(),
@@ -204,10 +204,9 @@ def _propagated(jacobian: Array, covariance: Array) -> Array:
 
 
 def _friction(
-    fit: Fit, refitted: NDArray[np.bool_], estimate: LoadedRunEstimate
+    run: LoadedRun, refitted: NDArray[np.bool_], estimate: LoadedRunEstimate
 ) -> tuple[FrictionChange, ...]:
-    drifting = np.array([p.name.startswith("bias_drift") for p in fit.model.base_columns])
-    free = np.flatnonzero(refitted | drifting)
+    fit, free = run.fit, np.flatnonzero(refitted | run.drifting)
     found = []
     for k, change, std in zip(free, estimate.free, estimate.free_std, strict=True):
         p = fit.model.base_columns[k]
