@@ -41,12 +41,12 @@ def section(lab: Lab) -> Section:
     ]
     body = (
         f"Each joint alone at {len(lab.speeds)} speeds from 0.1 to 30 °/s, forward and back, with "
-        f"{HEAVIEST:g} kg, in the pose that loads it most and around {lab.centres} middles with "
-        "little to much load; half the difference of both directions (Eq. 15) is the friction. "
-        "The axis of joint 1 is vertical, so that gravity does not load it; it also swings, so "
-        "that inertia does. Slow motion under load is impossible for this joint, and there its "
-        "load terms cannot be separated from Coulomb friction. The printed RMS and σ are those of "
-        "a real arm, whose friction is not exactly Eq. 8; the plant has Eq. 8 and noise. “Surface” "
+        f"{HEAVIEST:g} kg, in the pose with the largest load and around {lab.centres} positions "
+        "with small to large loads; friction is half the difference of both directions (Eq. 15). "
+        "The axis of joint 1 is vertical, so that gravity does not load it; it is loaded by "
+        "inertia in additional oscillating motions. It cannot move slowly under load, so that at low "
+        "speed its load terms cannot be separated from Coulomb friction. The printed RMS and σ are "
+        "those of a real arm, whose friction is not exactly Eq. 8; the plant has Eq. 8 and noise. “Surface” "
         "compares Eq. 8 with the fitted coefficients with the plant's own friction, at the speeds "
         "(0.1–30 °/s) and loads of the runs of 6.5.2.\n\n"
         + table(["", *joints(N)], rows)

@@ -49,8 +49,8 @@ def section(lab: Lab) -> Section:
         for k, mass in enumerate(PAYLOADS)
         for model, title in MODELS.items()
     ]
-    notes = "; ".join(
-        f"{MODELS[m]}: {FRICTION_MODELS[m].note}"
+    notes = "\n".join(
+        f"- {MODELS[m]}: {FRICTION_MODELS[m].note}."
         for m in list(MODELS)[1:]
         if FRICTION_MODELS[m].note
     )
@@ -58,7 +58,7 @@ def section(lab: Lab) -> Section:
         f"Models fitted to the friction with {HEAVIEST:g} kg (Fig. 5), compared with friction "
         "measured with the other payloads: RMS error, N·m. The paper shows its numbers only in a "
         "figure. The models of refs. 7, 14 and 25 are reconstructions from published abstracts "
-        f"and code ({notes}).\n\n"
+        f"and code:\n\n{notes}\n\n"
         + table(["payload", "model", *joints(N)], rows)
         + "\n![RMS error of four friction models](figures/figure_7.png)\n"
     )

@@ -112,10 +112,10 @@ def closing(claims: Sequence[Claim]) -> str:
         f"{len(fails)} do not hold and {len(open_)} are not decided.\n\n"
         f"**Not holding:**\n\n{listed_claims(fails)}\n\n"
         f"**Not decided:**\n\n{listed_claims(open_)}\n\n"
-        "The friction of the plant is that of the paper by construction. That Eq. 8 wins Fig. 7 on "
-        "it shows only that the procedure finds a friction of this form; whether real friction "
-        "has this form must be measured on a real arm. The temperature is constant throughout. "
-        "The models of refs. 6, 7, 14 and 25 are reconstructions from abstracts and from the "
+        "The friction of the plant is that of the paper by construction. That Eq. 8 has the "
+        "smallest errors in Fig. 7 shows only that the procedure finds a friction of this form; "
+        "whether real friction has this form must be measured on a real arm. The temperature is "
+        "constant throughout. The models of refs. 6, 7, 14 and 25 are reconstructions from abstracts and from the "
         "paper's description.\n"
     )
 
