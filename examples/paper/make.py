@@ -115,8 +115,8 @@ def closing(claims: Sequence[Claim]) -> str:
         "The friction of the plant is that of the paper by construction. That Eq. 8 has the "
         "smallest errors in Fig. 7 shows only that the procedure finds a friction of this form; "
         "whether real friction has this form must be measured on a real arm. The temperature is "
-        "constant throughout. The models of refs. 6, 7, 14 and 25 are reconstructions from abstracts and from the "
-        "paper's description.\n"
+        "constant throughout. The models of refs. 6, 7, 14 and 25 are reconstructions from "
+        "abstracts and from the paper's description.\n"
     )
 
 
