@@ -47,8 +47,8 @@ def section(lab: Lab) -> Section:
         "inertia in additional oscillating motions. It cannot move slowly under load, so that at "
         "low speed its load terms cannot be separated from Coulomb friction. The printed RMS and σ "
         "are those of a real arm, whose friction is not exactly Eq. 8; the plant has Eq. 8 and "
-        "noise. “Surface” compares Eq. 8 with the fitted coefficients with the plant's own friction, at the speeds "
-        "(0.1–30 °/s) and loads of the runs of 6.5.2.\n\n"
+        "noise. “Surface” compares Eq. 8 with the fitted coefficients with the plant's own "
+        "friction, at the speeds (0.1–30 °/s) and loads of the runs of 6.5.2.\n\n"
         + table(["", *joints(N)], rows)
         + "\n![Friction over speed, coloured by load](figures/figure_5.png)\n\n"
         "<details><summary>The ten coefficients, true and fitted. Several are strongly "
