@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("compare", help="errors of a fit on recordings, per joint")
+    parser = commands.add_parser(
+        "compare",
+        help="errors of a fit on recordings, per joint",
+        description="Compare the torque of a fit with recordings, joint by joint.",
+    )
     parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit to compare")
     parser.add_argument(
         "recordings", nargs="+", type=InputPath, metavar="REC", help="recordings to compare it with"

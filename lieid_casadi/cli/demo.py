@@ -16,7 +16,12 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("demo", help="the whole workflow on a simulated arm")
+    parser = commands.add_parser(
+        "demo",
+        help="the whole workflow on a simulated arm",
+        description="Run the whole workflow on a simulated arm: excitation, identification, "
+        "comparison, diagnosis, C code.",
+    )
     shared_options.add_output_folder(parser, default="lieid-demo")
     parser.add_argument(
         "--robot",

@@ -22,6 +22,8 @@ def add_parser(commands: Any) -> None:
         "diagnose",
         help="which effects are missing, or what has changed since a fit",
         usage="lieid diagnose ROBOT --train A… [--test B…] [-o fit.json] | FIT REC…",
+        description="Find the effects that a model lacks or, with a fit in place of a robot, what "
+        "has changed since.",
     )
     shared_options.add_robot(parser)
     parser.add_argument(

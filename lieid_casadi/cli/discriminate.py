@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
-        "discriminate", help="design the trajectory that separates rival effects"
+        "discriminate",
+        help="design the trajectory that separates rival effects",
+        description="Design the trajectory that separates rival effects, and state how long it "
+        "must be.",
     )
     parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit of the arm")
     parser.add_argument(
@@ -149,6 +152,4 @@ def show(result: Discrimination, folder: Path) -> None:
     )
     sizes = [f"{label}: {', '.join(f'{x:.4g}' for x in v)}" for label, v in result.sizes.items()]
     output.say(f"Sizes: {'; '.join(sizes)}. Designed in {result.solve_seconds:.2g} s.")
-    output.say(
-        f"Files in {folder}; trajectory.csv is one period, to be repeated {result.periods} times."
-    )
+    output.say(f"Files in {folder}; trajectory.csv is one period of the motion.")

@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("effects", help="the library of effects, or one effect of it")
+    parser = commands.add_parser(
+        "effects",
+        help="the library of effects, or one effect of it",
+        description="List the library of effects, or describe one effect.",
+    )
     parser.add_argument(
         "name", nargs="?", metavar="NAME", help="effect to describe; default: list all effects"
     )

@@ -25,7 +25,12 @@ INTERRUPTED = 130
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("excite", help="design an optimal excitation trajectory")
+    parser = commands.add_parser(
+        "excite",
+        help="design an optimal excitation trajectory",
+        description="Design a trajectory from which the parameters can be identified, within the "
+        "limits of the robot.",
+    )
     shared_options.add_robot(parser)
     shared_options.add_output_folder(parser)
     shared_options.add_effects(parser)

@@ -14,7 +14,11 @@ FORMATS = ("c", "urdf")
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("export", help="write a fit as C code or as a URDF")
+    parser = commands.add_parser(
+        "export",
+        help="write a fit as C code or as a URDF",
+        description="Write a fit as C code for a controller, or as URDF and MJCF for a simulator.",
+    )
     parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit to export")
     parser.add_argument("--to", choices=FORMATS, required=True, help="C99 code, or URDF and MJCF")
     shared_options.add_output_folder(parser)

@@ -15,7 +15,11 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("extend", help="add an effect, fit again, compare the errors")
+    parser = commands.add_parser(
+        "extend",
+        help="add an effect, fit again, compare the errors",
+        description="Add effects to a fit, fit again, and compare the errors before and after.",
+    )
     parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit to extend")
     parser.add_argument("--add", required=True, metavar="A,B:2+3,…", help="effects to add")
     parser.add_argument(

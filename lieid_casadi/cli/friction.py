@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
-        "friction", help="friction of one joint from its motion in both directions"
+        "friction",
+        help="friction of one joint from its motion in both directions",
+        description="Determine the friction of one joint from its motion in both directions, and "
+        "fit friction models.",
     )
     shared_options.add_robot(parser)
     parser.add_argument(

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
-        "gains", help="drive gains in N·m/A, from currents and a payload of known mass"
+        "gains",
+        help="drive gains in N·m/A, from currents and a payload of known mass",
+        description="Determine the drive gains in N·m/A from motor currents with and without a "
+        "payload of known mass.",
     )
     shared_options.add_robot(parser)
     parser.add_argument(

@@ -21,7 +21,11 @@ METHODS = ("ols", "wls", "robust", "feasible")
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("identify", help="fit a model to recordings")
+    parser = commands.add_parser(
+        "identify",
+        help="fit a model to recordings",
+        description="Identify the base parameters and the effects of a model from recordings.",
+    )
     shared_options.add_robot(parser)
     parser.add_argument(
         "train",

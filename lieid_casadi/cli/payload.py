@@ -14,7 +14,12 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("payload", help="mass, centre of mass and inertia of the payload")
+    parser = commands.add_parser(
+        "payload",
+        help="mass, centre of mass and inertia of the payload",
+        description="Identify the mass, centre of mass and inertia of a payload with a fit that "
+        "was made without it.",
+    )
     parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit made without the payload")
     parser.add_argument(
         "recordings",

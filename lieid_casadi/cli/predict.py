@@ -11,7 +11,11 @@ from lieid_casadi.cli.option_types import InputPath, OutputFile
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("predict", help="torque of a fit along a recording")
+    parser = commands.add_parser(
+        "predict",
+        help="torque of a fit along a recording",
+        description="Compute the torque of a fit at the times of a recording.",
+    )
     parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit to evaluate")
     parser.add_argument(
         "recording", type=InputPath, metavar="REC", help="recording that states the motion"

@@ -11,7 +11,11 @@ from lieid_casadi.tables import make_table
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser("show", help="joints, screws, limits, base parameters")
+    parser = commands.add_parser(
+        "show",
+        help="joints, screws, limits, base parameters",
+        description="Show the joints, screws and limits of a robot, and its base parameters.",
+    )
     shared_options.add_robot(parser)
     shared_options.add_effects(parser, default="")
     shared_options.add_outputs(parser)

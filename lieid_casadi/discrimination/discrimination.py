@@ -163,7 +163,7 @@ class Discrimination:
             f"{100.0 * self.level:.4g} % confidence"
         )
         if np.isfinite(self.random_seconds):
-            text += f"; a random motion needs about {self.random_seconds:.2g} s"
+            text += f"; a random motion needs about {self.random_seconds:.0f} s"
         contained = [f"{p.true} from {p.rival}" for p in self.pairs if not p.separable]
         if contained:
             text += (
