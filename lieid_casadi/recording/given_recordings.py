@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from os import PathLike
 from typing import TypeVar
 
@@ -13,7 +13,7 @@ from lieid_casadi.recording.recording_stream import RecordingStream
 R = TypeVar("R", bound=Recording | RecordingStream)
 
 
-def listed(recordings: R | Sequence[R]) -> list[R]:
+def listed(recordings: R | Iterable[R]) -> list[R]:
     """Return one recording or several as a list.
 
     Raises
@@ -21,14 +21,14 @@ def listed(recordings: R | Sequence[R]) -> list[R]:
     RecordingError
         One of them is something else, such as the path of a file.
     """
-    if isinstance(recordings, Recording | RecordingStream | str | PathLike):
-        recordings = [recordings]
-    if not isinstance(recordings, Sequence):
-        raise RecordingError(f"got a {type(recordings).__name__}; expected a Recording, or several")
-    for given in recordings:
+    if isinstance(recordings, Iterable) and not isinstance(recordings, str):
+        result = list(recordings)
+    else:
+        result = [recordings]
+    for given in result:
         if isinstance(given, str | PathLike):
             path = str(given)
             raise RecordingError(f"got the path {path!r}; expected Recording.load({path!r})")
         if not isinstance(given, Recording | RecordingStream):
             raise RecordingError(f"got a {type(given).__name__}; expected a Recording")
-    return list(recordings)
+    return result

@@ -10,6 +10,7 @@ from exporters.c_arms import ARMS, made_fit
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import ExportError, ModelError, RecordingError
+from lieid_casadi.recording.given_recordings import listed
 
 ROBOT = lieid.robots.two_link()
 
@@ -53,6 +54,12 @@ def test_what_is_no_model_is_refused(recording):
 def test_a_path_in_place_of_a_recording_is_refused(function, path):
     with pytest.raises(RecordingError, match=r"got the path 'x\.csv'; expected Recording\.load"):
         function(path)
+
+
+def test_recordings_may_be_any_iterable(recording):
+    assert listed(iter([recording])) == listed(recording) == [recording]
+    with pytest.raises(RecordingError, match="got a float; expected a Recording"):
+        listed(1.0)
 
 
 def test_predict_refuses_a_path():
