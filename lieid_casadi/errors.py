@@ -134,7 +134,7 @@ class LowRateWarning(LieidWarning):
 
 
 class UnitsWarning(LieidWarning):
-    """Values that look like degrees, without proof."""
+    """Values that may be in degrees; radians cannot be excluded."""
 
 
 class NotDissipativeWarning(LieidWarning):

@@ -183,8 +183,8 @@ def _same_recording(fit: Fit, tests: Sequence[Recording]) -> list[LieidWarning]:
     seen = {source.sha256 for source in fit.provenance.recordings}
     return [
         SameRecordingWarning(
-            f"the test {r.name or 'recording'} is also a training recording and confirms nothing; "
-            "use a recording of other motion"
+            f"the test {r.name or 'recording'} is also a training recording, so that it cannot "
+            "confirm the result; use a recording of other motion"
         )
         for r in tests
         if r.source_hash in seen

@@ -45,7 +45,7 @@ def rms(errors: Sequence[Array]) -> Array:
 
 
 def too_uncertain(values: Array, std: Array) -> NDArray[np.bool_]:
-    """Mark quantities (10,) whose uncertainty exceeds their size, or that no mass belongs to."""
+    """Mark quantities (10,) whose uncertainty exceeds their size; without mass, all others too."""
     unknown = ~(std <= _sizes(values))
     unknown[1:] |= _no_mass(values, std)
     return unknown
@@ -124,7 +124,8 @@ def fit_warnings(fit: Fit, recordings: Sequence[Recording]) -> list[LieidWarning
     ]
     found += [
         UnidentifiableWarning(
-            f"training of the fit: {w}; if the loaded run excites it, the payload absorbs it"
+            f"training of the fit: {w}; if the loaded run excites it, the estimate of the payload "
+            "includes its error"
         )
         for w in fit.warnings
         if isinstance(w, UnidentifiableWarning)

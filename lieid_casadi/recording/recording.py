@@ -1,4 +1,4 @@
-"""Recording: a sound measurement on an arm, with its segments, parts and files."""
+"""Recording: a valid measurement on an arm, with its segments, parts and files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from lieid_casadi.recording.units import convert_units
 
 @dataclass(frozen=True, eq=False)
 class Recording(Measurement):
-    """A sound measurement on an arm: loaded from a file or made from arrays, SI units.
+    """A valid measurement on an arm: loaded from a file or made from arrays, SI units.
 
     The fields are those of `Measurement`: ``t`` (N,), ``q`` (N, n), and optionally ``dq``,
     ``tau``, ``ddq``, ``temperature``, ``current`` (N, n) and ``payload_label``.

@@ -84,7 +84,7 @@ def _inertia_warnings(links: Sequence[UrdfLink], origin: str) -> list[NominalIne
             warnings.append(
                 NominalInertiaWarning(
                     f"{origin}: link {link.name!r}: its inertia has the negative principal moment "
-                    f"{moment:.3g} kg·m²; no body has one"
+                    f"{moment:.3g} kg·m², which is physically impossible"
                 )
             )
     return warnings

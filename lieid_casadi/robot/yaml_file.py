@@ -98,7 +98,7 @@ def read_yaml(text: str, *, origin: str = "YAML") -> RobotDescription:
             warnings.append(
                 NominalInertiaWarning(
                     f"{origin}: joint {index + 1} ({name}): the inertia of its link has the "
-                    f"negative principal moment {moment:.3g} kg·m²; no body has one"
+                    f"negative principal moment {moment:.3g} kg·m², which is physically impossible"
                 )
             )
     return RobotDescription(
