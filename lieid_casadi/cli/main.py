@@ -49,7 +49,11 @@ def build_parser() -> Parser:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run ``lieid`` and return its exit status (DESIGN: 0, 1, 2, 3 or 130)."""
-    args = build_parser().parse_args(words)
+    try:
+        args = build_parser().parse_args(words)  # imports modules, which takes a moment
+    except KeyboardInterrupt:
+        _say("lieid: interrupted")
+        return INTERRUPTED
     _log_to_stderr()
     if words is None and not sys.warnoptions and not args.debug:
         warnings.simplefilter("ignore")  # of libraries; those of results are printed with them

@@ -218,7 +218,9 @@ def load_effects_file(path: str | None) -> None:
         raise UsageError(f"{path}: no such file; --effects-file expects your own Python file")
     try:
         runpy.run_path(path)
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit too, and what others derive from it
         raise UsageError(exception_in_file(path, error) or f"{path}: {error}") from error
 
 

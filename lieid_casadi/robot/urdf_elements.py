@@ -28,7 +28,7 @@ LEAST_AXIS, LONGEST_AXIS = 1e-6, 1e6  # length of an axis before it is normalize
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-_UNLIMITED = ("inf", "+inf", "-inf", "infinity", "+infinity", "-infinity", "nan")
+_UNLIMITED = ("inf", "+inf", "-inf", "infinity", "+infinity", "-infinity")
 
 
 @dataclass(frozen=True, eq=False)

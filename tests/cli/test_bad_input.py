@@ -294,6 +294,7 @@ def own(s, shape):
         ("import nothing_like_this\n", 1, "ModuleNotFoundError"),
         ("import sys\n\nsys.exit(0)\n", 3, "SystemExit"),
         ("1 / 0\n", 1, "ZeroDivisionError"),
+        ("raise GeneratorExit\n", 1, "GeneratorExit"),
         (OWN.format(column="s.nothing", last=""), 5, "AttributeError"),
         (OWN.format(column="s.q", last="own(1, 2)"), 6, "TypeError"),
     ],
@@ -308,6 +309,14 @@ def test_an_exception_in_the_effects_file_names_the_line(run, tmp_path, good, co
     from lieid_casadi.effects.registry import REGISTER
 
     REGISTER.pop("own_broken", None)
+
+
+def test_an_interrupt_before_the_options_are_read_has_its_status(run, monkeypatch):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lieid_casadi.cli.main.build_parser", interrupted)
+    assert run("show", "two_link") == (130, "", "lieid: interrupted\n")
 
 
 def test_names_cannot_control_the_terminal(run, tmp_path, good):

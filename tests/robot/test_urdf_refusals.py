@@ -49,6 +49,7 @@ BAD = {
     "origin far away": (of_joint('origin xyz="0 0 1"', 'origin xyz="0 0 1e200"'), "'turn': xyz"),
     "limits exchanged": (of_joint('lower="-1"', 'lower="4"'), "'turn': limits lower=4, upper=1"),
     "limit no number": (of_joint('lower="-1"', 'lower="x"'), "joint 'turn': limit lower='x'"),
+    "limit not a number": (of_joint('effort="3"', 'effort="nan"'), "'turn': limit effort='nan'"),
     "limit negative": (of_joint('effort="3"', 'effort="-3"'), "joint 'turn': limit effort=-3"),
     "mimic": (
         of_joint("</joint>", '<mimic joint="other" multiplier="2"/></joint>'),
