@@ -157,7 +157,7 @@ def test_folders_made_for_a_failed_write_are_removed(tmp_path, monkeypatch):
     assert not os.listdir(tmp_path)
 
 
-def test_temporary_files_of_dead_runs_are_removed_and_those_of_others_kept(tmp_path):
+def test_temporary_files_of_ended_runs_are_removed_and_those_of_others_kept(tmp_path):
     (tmp_path / f"{PREFIX}dead{SUFFIX}").write_bytes(b"half")
     (tmp_path / f"{PREFIX}folder{SUFFIX}").mkdir()
     (tmp_path / f"{PREFIX}folder{SUFFIX}" / "half").write_bytes(b"half")
@@ -358,7 +358,7 @@ def test_a_manifest_cannot_name_files_elsewhere(tmp_path, name):
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"program": "other", "files": []}', "1"])
-def test_a_manifest_of_another_program_counts_for_nothing(tmp_path, text):
+def test_a_manifest_of_another_program_is_ignored(tmp_path, text):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / MANIFEST).write_text(text)
     with pytest.raises(OutputError, match="not written by lieid"):

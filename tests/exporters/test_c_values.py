@@ -186,7 +186,7 @@ def test_smooth_coulomb_friction_by_hand(tmp_path):
     close(got, exported.fit.effect_coefficients * np.tanh(dq[0] / v0))
 
 
-def test_result_may_lie_on_an_argument(arm, motion):
+def test_a_result_array_may_be_an_argument(arm, motion):
     apart = arm.rigid("rigid_torque", 1, motion["q"], motion["dq"], motion["ddq"])[0, :, 0]
     q, dq, ddq = (motion[k][0].copy() for k in ("q", "dq", "ddq"))
     arm.c.arm_rigid_torque(pointer(q), pointer(dq), pointer(ddq), pointer(q))

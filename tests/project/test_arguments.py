@@ -24,7 +24,7 @@ def recording():
     return lieid.Recording.from_arrays(t[:, 0], q, dq, tau + noise, ddq=ddq)
 
 
-def test_a_robot_stands_for_its_model_without_effects(recording):
+def test_a_robot_is_accepted_as_its_model_without_effects(recording):
     fit = lieid.identify(ROBOT, recording)
     assert fit.model.robot is ROBOT
     assert not fit.model.effects

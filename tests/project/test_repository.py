@@ -14,7 +14,7 @@ from lieid_casadi.robot import Robot, yaml_file
 ROOT = Path(__file__).parents[2]
 
 
-def test_version_stands_in_one_place_and_is_semantic():
+def test_version_is_in_one_place_and_is_semantic():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert "version" in project["dynamic"]
     assert re.fullmatch(r"\d+\.\d+\.\d+", lieid_casadi.__version__)
@@ -28,7 +28,7 @@ def test_codegen_folder_of_a_checkout_is_found():
     assert (codegen_folder() / "README.md").is_file()
 
 
-def test_codegen_folder_says_what_is_missing(monkeypatch, tmp_path):
+def test_codegen_folder_reports_what_is_missing(monkeypatch, tmp_path):
     monkeypatch.setattr("lieid_casadi.codegen_files._PACKAGE", tmp_path / "lieid_casadi")
     with pytest.raises(FileNotFoundError, match="install the package again"):
         codegen_folder()
