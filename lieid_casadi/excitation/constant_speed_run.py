@@ -66,7 +66,18 @@ class MotionPath:
         self.distances = [np.zeros((3, 1))]
 
     def add(self, duration: float, distance: Callable[[Array], Array], sign: float = 1.0) -> None:
-        """Append a part that moves by ``sign * distance(t)`` from the end of the path."""
+        """Append a part that moves by ``sign * distance(t)`` from the end of the path.
+
+        Parameters
+        ----------
+        duration : float
+            s.
+        distance : callable
+            Times (K,) since the start of the part, s → distance and its first two time
+            derivatives, rad, rad/s and rad/s².
+        sign : float
+            Direction, 1 or −1.
+        """
         count = max(2, round(duration * self.rate))
         local = duration * np.arange(1, count + 1) / count
         part = sign * distance(local)

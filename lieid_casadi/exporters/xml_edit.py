@@ -60,7 +60,15 @@ class XmlText:
         self._edits.append((parent.start, parent.end, body))
 
     def replace_child(self, parent: Element, tag: str, text: str) -> None:
-        """Replace the first child of a tag by a text, or add it."""
+        """Replace the first child of a tag by a text, or add it.
+
+        Parameters
+        ----------
+        parent : Element
+        tag : str
+        text : str
+            XML of the new element.
+        """
         child = parent.find(tag)
         if child is None:
             self.add_child(parent, text)

@@ -44,7 +44,19 @@ class Values:
         shapes: Array,
         temperature_mean: Array | None = None,
     ) -> Values:
-        """Return constants."""
+        """Return constants.
+
+        Parameters
+        ----------
+        parameters : (10 n,)
+            Link parameters, SI.
+        effects : (m,)
+            Effect coefficients.
+        shapes : (s,)
+            Shape parameters.
+        temperature_mean : (n,), optional
+            Mean temperature of the training recordings, °C.
+        """
         links, coefficients, shape = (ca.SX(ca.DM(x)) for x in (parameters, effects, shapes))
         return cls(links, coefficients, shape, True, temperature_mean)
 

@@ -222,8 +222,8 @@ def payload_warnings(
         significant = result.mass < -INSIGNIFICANT * result.mass_std
         found.append(
             NegativeMassWarning(
-                f"mass {with_std(result.mass, result.mass_std)} kg is "
-                f"{'' if significant else 'not significantly '}negative; the nearest physically "
+                f"mass {with_std(result.mass, result.mass_std)} kg is negative"
+                f"{'' if significant else ', but not significantly'}; the nearest physically "
                 f"consistent body has {result.feasible.mass:.3g} kg"
             )
         )

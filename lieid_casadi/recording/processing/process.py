@@ -147,7 +147,16 @@ class Processed:
         return tuple(windows(self.t.size, self.kept, margin))
 
     def filter_window(self, x: Array, window: Window, axis: int = 0) -> Array:
-        """The rows of one window of :meth:`filter`, from the window's instants of a signal."""
+        """Return the rows of one window of :meth:`filter`.
+
+        Parameters
+        ----------
+        x : (…, W, …)
+            A signal at the W instants of the window along ``axis``.
+        window : Window
+            One of `windows`.
+        axis : int
+        """
         values = np.moveaxis(np.asarray(x, dtype=np.float64), axis, 0)
         low = lowpass(values, self.rate, self.cutoff, self.options.order)
         return np.moveaxis(low[window.inside], 0, axis)

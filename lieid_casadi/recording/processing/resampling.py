@@ -55,7 +55,17 @@ class UniformGrid:
 
     @classmethod
     def of(cls, t: Array, rate: float, cutoff: float) -> UniformGrid:
-        """Return the grid of a segment with stamps t (N,) at about a rate, Hz."""
+        """Return the grid of a segment.
+
+        Parameters
+        ----------
+        t : (N,)
+            Stamps, s.
+        rate : float
+            Approximate rate of the grid, Hz.
+        cutoff : float
+            Cut-off of the columns, Hz, which determines how many instants are kept.
+        """
         count = uniform_count(t, rate)
         rate = (count - 1) / (t[-1] - t[0])
         step = max(1, int(rate / max(GRID_OVER_CUTOFF * cutoff, LEAST_GRID)))
