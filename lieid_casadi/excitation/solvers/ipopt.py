@@ -80,7 +80,7 @@ class Ipopt:
     def minimize(
         self, objective: Objective, z: Array, *, iterations: int, tolerance: float
     ) -> Array:
-        """Return the last iterate of one stage."""
+        """See `solver_interface.Solver.minimize`."""
         c = self.constraints
         state = evaluate_iterate(c, objective, z)
         rows, multipliers = c.peaks(state.excess, ROW_THRESHOLD), np.zeros(0)

@@ -66,7 +66,7 @@ class Sqp:
     def minimize(
         self, objective: Objective, z: Array, *, iterations: int, tolerance: float
     ) -> Array:
-        """Return the last iterate of one stage."""
+        """See `solver_interface.Solver.minimize`."""
         state = self._state(objective, z)
         stall = 0
         for k in range(iterations):
