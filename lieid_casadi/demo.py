@@ -78,6 +78,11 @@ def run_demo(robot: Robot, *, seed: int = 0, progress: Progress | None = None) -
     Returns
     -------
     Demo
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Also where it occurred during the excitation.
     """
     report = progress or (lambda stage, fraction: None)
     model = Model(robot, EFFECTS)
@@ -85,6 +90,8 @@ def run_demo(robot: Robot, *, seed: int = 0, progress: Progress | None = None) -
     excitation = excite(
         model, duration=DURATION, starts=STARTS, seed=seed, margin=1.0, constraints=(Torque(),)
     )  # the simulated arm has no floor
+    if excitation.interrupted:
+        raise KeyboardInterrupt  # `excite` returns its best motion; the steps after it need time
     other = FourierTrajectory(robot, base_frequency=1.0 / DURATION, seed=seed + 1000)
     train = _measured(robot, _Commanded(excitation), "train", seed, report, 0.15)
     test = _measured(robot, other, "test", seed + 1, report, 0.35)

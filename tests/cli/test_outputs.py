@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from cli.test_bad_input import columns, refused, run, write  # noqa: F401 - a fixture
@@ -306,6 +307,13 @@ def test_a_folder_without_a_manifest_is_never_replaced(work, run, force):  # noq
     refused(export(run, "out", *force), "out", "not empty", MANIFEST)
     refused(run("demo", "-o", "out", *force), "out", "not empty", MANIFEST)
     assert tree(work / "out") == {"notes.txt": b"notes"}
+
+
+def test_an_interrupted_demo_ends_at_once_and_writes_nothing(work, run, monkeypatch):  # noqa: F811
+    best = SimpleNamespace(interrupted=True, duration=1.0)
+    monkeypatch.setattr("lieid_casadi.demo.excite", lambda *arguments, **options: best)
+    assert run("demo", "--robot", "two_link") == (130, "", "lieid demo: interrupted\n")
+    assert not Path("lieid-demo").exists()
 
 
 def test_demo_checks_its_folder_before_the_work(work, run, monkeypatch):  # noqa: F811

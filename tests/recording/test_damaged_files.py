@@ -38,7 +38,7 @@ def test_the_limit_of_inflation_is_stated_and_can_be_raised(tmp_path, run, suffi
     file = tmp_path / f"run.{suffix}"
     run.save(file)
     message = refused(file, inflate_limit=1 << 12)
-    assert "inflates to more than the limit of 0.00390625 MiB" in message
+    assert "inflates to more than the limit of 0.00391 MiB" in message
     assert "--inflate-limit" in message
     assert len(Recording.load(file, inflate_limit=1 << 20)) == len(run)
 

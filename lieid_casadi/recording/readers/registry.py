@@ -190,7 +190,9 @@ def hash_of_file(file: Path) -> str:
 
 def beyond_limit(file: Path, limit: int) -> RecordingError:
     """Return the error of a compressed file that inflates beyond the limit, bytes."""
+    size = limit / 2**20
+    stated = f"{size:.0f}" if size >= 100.0 else f"{size:.3g}"
     return RecordingError(
-        f"{file}: inflates to more than the limit of {limit / 2**20:.6g} MiB; if the file is "
+        f"{file}: inflates to more than the limit of {stated} MiB; if the file is "
         "what you expect, raise the limit (--inflate-limit MIB, inflate_limit= in Python)"
     )
