@@ -31,6 +31,8 @@ from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
 
+MOST_ROWS = 10_000_000  # of a trajectory file
+
 
 @blas_on_one_thread
 def excite(
@@ -159,6 +161,11 @@ def excite(
         raise ExcitationError(f"seed: {seed}; expected 0 or a positive integer")
     if not rate > 0.0:
         raise ExcitationError(f"rate: {rate:g} Hz; expected a positive number")
+    if rate * duration * periods > MOST_ROWS:
+        raise ExcitationError(
+            f"rate: {rate:g} Hz gives {rate * duration * periods:.3g} rows in {periods} periods of "
+            f"{duration:g} s; expected at most {MOST_ROWS}: lower the rate or the number of periods"
+        )
     progress("compiling", 0.0)
     problem = ExcitationProblem(design)
     built = time.monotonic()

@@ -23,6 +23,8 @@ from lieid_casadi.excitation.limits.symbolic_limits import Limit
 from lieid_casadi.excitation.solvers.staged_solve import SOLVERS
 from lieid_casadi.model import Model
 
+MOST_SAMPLES = 100_000  # of one period in the criterion
+
 
 def make_design(
     model: Model,
@@ -63,10 +65,10 @@ def make_design(
         raise ExcitationError(f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}")
     if solver not in SOLVERS:
         raise ExcitationError(f"solver: {solver!r}; expected one of {', '.join(SOLVERS)}")
-    if samples < 4 * basis.size:
+    if not 4 * basis.size <= samples <= MOST_SAMPLES:
         raise ExcitationError(
             f"samples: {samples}; expected {4 * basis.size} at least for {basis.size} "
-            "coefficients per joint"
+            f"coefficients per joint, and at most {MOST_SAMPLES}"
         )
     check_thresholds(criterion, condition_threshold, neg_log_det_threshold)
     reduced = Model(model.robot) if inertial_only else design_model(model)[0]

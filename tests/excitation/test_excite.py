@@ -307,6 +307,9 @@ def robot_with(**changes):
         ({}, {"max_iterations": 0}, "max_iterations: 0; expected 1"),
         ({}, {"seed": -1}, "seed: -1; expected 0"),
         ({}, {"rate": 0.0}, "rate: 0 Hz"),
+        ({}, {"rate": 1e12}, "rate: 1e\\+12 Hz gives 2e\\+13 rows .* at most 10000000"),
+        ({}, {"periods": 10**8}, "in 100000000 periods of 20 s; expected at most"),
+        ({}, {"samples": 10**9}, "samples: 1000000000; .* at most 100000"),
         ({}, {"constraints": [CartesianSpeed(0.0)]}, "Cartesian speed: 0"),
     ],
 )
