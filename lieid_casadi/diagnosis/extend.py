@@ -108,10 +108,12 @@ def extend(
     Raises
     ------
     EffectError
-        An unknown effect, one that the model has already, or a joint that does not move.
+        No effect or an unknown one, one that the model has already, or a joint that does not move.
     """
     model = fit.model
     wanted = parse_effects(effects, model.n)
+    if not wanted:
+        raise EffectError("no effects to add; expected some such as stribeck:4")
     have = {placement.label for placement in model.placements}
     present = [p.label for p in wanted if p.label in have]
     if present:

@@ -213,6 +213,8 @@ def test_extend_shows_the_fall():
     assert [row["name"] for row in extension.parameters] == ["load_friction.f_tau"]
     with pytest.raises(EffectError, match="already"):
         lieid.extend(fit, "coulomb:1", train)
+    with pytest.raises(EffectError, match="no effects to add"):
+        lieid.extend(fit, "", train)
 
 
 def test_commands(tmp_path):
