@@ -2,12 +2,15 @@ import numpy as np
 import pytest
 from recording.planar_arm import PERIOD, measured, motion
 
+from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording import (
+    Processing,
     Recording,
     choose_cutoff,
     detect_period,
     noise_dead_zone,
     period_noise,
+    process,
 )
 from lieid_casadi.recording.processing.spectrum import motion_band
 
@@ -91,3 +94,11 @@ def test_dead_zone_is_never_zero_and_covers_the_quantum():
     dq = np.round(motion(np.arange(0, 8, 0.01))[1] / quantum) * quantum
     assert np.all(noise_dead_zone(dq) >= 1.5 * quantum * (1 - 1e-9))
     assert np.all(noise_dead_zone(np.ones((3, 1))) > 0)
+
+
+def test_a_few_milliseconds_at_a_high_rate_are_too_short():
+    """Decimation leaves fewer rows than a derivative takes; found by the fuzzer."""
+    t = 5e-5 * np.arange(80)
+    q = np.column_stack([np.sin(500.0 * t), np.cos(500.0 * t)])
+    with pytest.raises(RecordingError, match="too short"):
+        process(Recording.from_arrays(t, q, tau=q), Processing())

@@ -71,13 +71,13 @@ def _explained_band(recording: Recording) -> float | None:
     grid = uniform_time(recording.t, rate)
     step = max(1, int(rate / TORQUE_RATE))
     q = decimate(smooth_at(recording.t, recording.q, grid), rate, step)
+    if len(q) < LEAST_ROWS:
+        return None
     tau = decimate(straight_at(recording.t, torque, grid), rate, step)
     if recording.dq is None:
         dq = central_difference(q, rate / step)
     else:
         dq = decimate(smooth_at(recording.t, recording.dq, grid), rate, step)
-    if len(q) < LEAST_ROWS:
-        return None
     bands = _noise_frequencies(q, dq, tau, rate / step, moving)
     return float(np.median(bands)) if bands else None
 
