@@ -46,7 +46,7 @@ def diagnose(
     test : Recording or sequence of Recording, optional
         Recordings of other motion. Without them errors are cross-validated. Not allowed with a
         fit.
-    method : {"wls", "ols", "robust"}
+    method : {"ols", "wls", "robust"}
         Of the fits.
     processing : Processing, optional
         Filter options; the cut-off frequency is chosen from the data if not stated.

@@ -51,7 +51,7 @@ def diagnose_missing(
     ----------
     model : Model
     train, tests : sequence of Recording
-    method : {"wls", "ols", "robust", "feasible"}
+    method : {"ols", "wls", "robust", "feasible"}
         Of the fits.
     processing : Processing or None
     options : DiagnosisOptions

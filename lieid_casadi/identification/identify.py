@@ -48,7 +48,7 @@ from lieid_casadi.recording.given_recordings import listed
 from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
-Method = Literal["wls", "ols", "robust", "feasible"]
+Method = Literal["ols", "wls", "robust", "feasible"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
 
@@ -72,7 +72,7 @@ def identify(
     recordings : Recording, RecordingStream, or sequence of them
         With torques. Segments are never joined across a gap. Of a stream, which is read in
         parts, one part is checked.
-    method : {"wls", "ols", "robust", "feasible"}
+    method : {"ols", "wls", "robust", "feasible"}
         Rows weighted by the inverse of each joint's noise, not weighted, or weighted against
         outliers (Huber); or weighted by noise with physically consistent inertias, dissipative
         friction, and coefficients within their bounds.
