@@ -15,7 +15,8 @@ from recording.planar_arm import measured
 
 from lieid_casadi.errors import RecordingError, UnknownColumnWarning
 from lieid_casadi.recording import Recording, stream
-from lieid_casadi.recording.readers import registry
+from lieid_casadi.recording.readers import parquet_parts, registry
+from lieid_casadi.recording.readers.tables import measurement_of_columns
 
 
 @pytest.fixture(scope="module")
@@ -199,3 +200,20 @@ def test_every_format_states_its_suffixes_once():
 def test_an_unknown_suffix_lists_those_that_are_read(tmp_path):
     (tmp_path / "run.xls").write_text("")
     assert ".csv, .csv.gz, .npz, .parquet" in refused(tmp_path / "run.xls")
+
+
+def test_columns_of_unequal_length_are_refused():
+    """A damaged Parquet file can hold them; found by the fuzzer."""
+    columns = {"t": np.arange(5.0), "q1": np.zeros(4), "tau1": np.zeros(5)}
+    with pytest.raises(RecordingError, match=r"column q1: found 4 values and 5 times"):
+        measurement_of_columns(columns, "run.parquet", 1)
+
+
+def test_damaged_names_of_a_parquet_file(tmp_path, monkeypatch):
+    """pyarrow raises UnicodeDecodeError for them; found by the fuzzer."""
+
+    def undecodable(_file):
+        raise UnicodeDecodeError("utf-8", b"\x80", 0, 1, "invalid start byte")
+
+    monkeypatch.setattr(pyarrow.parquet, "read_metadata", undecodable)
+    assert parquet_parts.decoded_bytes(tmp_path / "run.parquet") == 0

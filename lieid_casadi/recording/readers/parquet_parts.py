@@ -133,7 +133,7 @@ def decoded_bytes(file: Path) -> int:
     pyarrow, parquet = import_pyarrow(file)
     try:
         meta = parquet.read_metadata(file)
-    except (pyarrow.ArrowException, OSError):
+    except (pyarrow.ArrowException, OSError, ValueError):  # UnicodeDecodeError: damaged names
         return 0
     return 8 * int(meta.num_rows) * int(meta.num_columns)
 

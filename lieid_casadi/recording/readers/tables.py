@@ -30,10 +30,15 @@ def measurement_of_columns(
     Raises
     ------
     RecordingError
-        A missing column, or one that does not hold numbers.
+        A missing column, one that does not hold numbers, or columns of unequal length.
     """
     names = list(columns)
     layout = read_layout(names, title, n)
+    rows = len(columns[names[layout.time]])
+    for name in layout.used(names):
+        if len(columns[name]) != rows:
+            found = f"found {len(columns[name])} values and {rows} times"
+            raise RecordingError(f"{title}: column {name}: {found}, expected as many")
 
     def number(index: int) -> Array:
         return _numbers(columns[names[index]], f"{title}: column {names[index]}")
