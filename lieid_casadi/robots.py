@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from lieid_casadi.robot import Robot
 
-__all__ = ["panda", "panda_luo2024", "two_link"]
+__all__ = ["panda", "panda_luo2024", "so101", "two_link"]
 
 
 def panda() -> Robot:
@@ -40,6 +40,20 @@ def panda_luo2024() -> Robot:
     array([1.    , 0.    , 0.    , 0.    , 0.7315, 0.    ])
     """
     return Robot.load("panda_luo2024")
+
+
+def so101() -> Robot:
+    """Return the SO-101 follower arm, the gripper's jaw being the sixth joint.
+
+    From TheRobotStudio's URDF (Apache License 2.0), with the inertias of its CAD model. Its drives
+    are not stated: give a servo, such as ``robot.with_drives(lieid.servo_drive("sts3215"))``.
+
+    Examples
+    --------
+    >>> [joint.name for joint in so101().joints]
+    ['shoulder_pan', 'shoulder_lift', 'elbow_flex', 'wrist_flex', 'wrist_roll', 'gripper']
+    """
+    return Robot.load("so101")
 
 
 def two_link() -> Robot:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 
-NAMES = ("panda", "panda_luo2024", "two_link")
+NAMES = ("panda", "panda_luo2024", "so101", "two_link")
 
 
 def text(name: str) -> str:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import LieidWarning
+from lieid_casadi.robot.drive import Drive
+from lieid_casadi.robot.geometry import Geometry, expressions, geometry
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s²
 NOT_STATED = float("nan")
@@ -32,30 +34,39 @@ class Joint:
     Attributes
     ----------
     screw : (6,)
-        Unit twist [ω; v] in the base frame at the zero pose.
+        Unit twist [ω; v] in the base frame at the zero pose. Screw and home may have SX entries.
     home : (4, 4)
         Pose of the link frame in the base frame at the zero pose.
     link : (10,) or None
         Link parameters about the origin of the link frame; None if not stated.
     torque_constant : float
         N·m/A at the joint, NaN if not stated.
+    drive : Drive or None
+        Control law of a position-controlled drive.
     """
 
     name: str
-    screw: NDArray[np.float64]
-    home: NDArray[np.float64]
+    screw: Geometry
+    home: Geometry
     limits: Limits = Limits()
     link: NDArray[np.float64] | None = None
     link_name: str = ""
     torque_constant: float = NOT_STATED
+    drive: Drive | None = None
+
+    def __post_init__(self) -> None:
+        for name, shape in (("screw", (6,)), ("home", (4, 4))):
+            value = geometry(getattr(self, name), shape, f"joint {self.name!r}: {name}")
+            object.__setattr__(self, name, value)
 
     @property
     def revolute(self) -> bool:
         """Whether the joint rotates; otherwise it is prismatic."""
-        return bool(np.linalg.norm(self.screw[:3]) > 0.5)
+        omega = self.screw[:3]
+        return bool(expressions(omega)) or bool(np.linalg.norm(omega.astype(float)) > 0.5)
 
     @cached_property
-    def axis(self) -> NDArray[np.float64]:
+    def axis(self) -> Geometry:
         """Unit twist (6,) in the link frame: ξ = Ad(home⁻¹)·screw."""
         rotation, origin = self.home[:3, :3], self.home[:3, 3]
         omega, v = self.screw[:3], self.screw[3:]
@@ -81,7 +92,13 @@ class RobotDescription:
 
     name: str
     joints: tuple[Joint, ...]
-    gravity: NDArray[np.float64] = field(default_factory=lambda: np.array(STANDARD_GRAVITY))
-    tool: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    gravity: Geometry = field(default_factory=lambda: np.array(STANDARD_GRAVITY))
+    tool: Geometry = field(default_factory=lambda: np.eye(4))
     source: RobotSource | None = None
     warnings: tuple[LieidWarning, ...] = ()
+    tool_name: str = "tool"
+
+    def __post_init__(self) -> None:
+        for name, shape in (("gravity", (3,)), ("tool", (4, 4))):
+            value = geometry(getattr(self, name), shape, f"robot {self.name!r}: {name}")
+            object.__setattr__(self, name, value)

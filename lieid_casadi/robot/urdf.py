@@ -9,7 +9,12 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import NominalInertiaWarning, RobotError
+from lieid_casadi.errors import (
+    LieidWarning,
+    MimicJointWarning,
+    NominalInertiaWarning,
+    RobotError,
+)
 from lieid_casadi.robot.inertia import negative_moment
 from lieid_casadi.robot.joint import Joint, RobotDescription, RobotSource
 from lieid_casadi.robot.native_output import captured
@@ -50,14 +55,16 @@ def read_urdf(
     links, joints = read_elements(root, origin)
     parents = check_tree(joints, [link.name for link in links], origin)
     chain = serial_chain(joints, parents, tip=tip, lock=lock, origin=origin)
-    model, tool = _reduced_model(links, joints, chain, tip_link(joints, chain, tip), origin)
+    last = tip_link(joints, chain, tip)
+    model, tool = _reduced_model(links, joints, chain, last, origin)
     return RobotDescription(
         name=root.get("name") or "robot",
         joints=_joints(model, chain),
         gravity=np.array(model.gravity.linear),
         tool=tool,
         source=RobotSource("urdf", text, tip, tuple(lock)),
-        warnings=tuple(_inertia_warnings(links, origin)),
+        warnings=(*_inertia_warnings(links, origin), *_mimic_warnings(joints, origin)),
+        tool_name=last,
     )
 
 
@@ -74,8 +81,20 @@ def _xml(text: str, origin: str) -> ElementTree.Element:
     return root
 
 
-def _inertia_warnings(links: Sequence[UrdfLink], origin: str) -> list[NominalInertiaWarning]:
-    warnings = []
+def _mimic_warnings(joints: Sequence[UrdfJoint], origin: str) -> list[LieidWarning]:
+    """Return warnings of joints that follow others; in the chain they are refused before."""
+    return [
+        MimicJointWarning(
+            f"{origin}: joint {joint.name!r} mimics {joint.mimics!r}, which is not modelled: it is "
+            "kept at zero"
+        )
+        for joint in joints
+        if joint.mimics and joint.movable
+    ]
+
+
+def _inertia_warnings(links: Sequence[UrdfLink], origin: str) -> list[LieidWarning]:
+    warnings: list[LieidWarning] = []
     for link in links:
         xx, xy, xz, yy, yz, zz = link.inertia
         central = [0.0, 0.0, 0.0, 0.0, xx, xy, yy, xz, yz, zz]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ class Field:
         where = f"{self.path} (joint {int(joint[1]) + 1}): " if joint else f"{self.path}: "
         return RobotError(f"{self.origin}: {where if self.path else ''}{text}")
 
-    def mapping(self, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Field]:
+    def mapping(self, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Self]:
         """Return the values of a mapping, which has all required keys and no unknown ones."""
         if not isinstance(self.value, dict):
             raise self.error("a mapping")
@@ -51,15 +51,15 @@ class Field:
                 raise self.error(keys, found=f"no key {key!r}")
         dot = "." if self.path else ""
         return {
-            key: Field(value, f"{self.path}{dot}{key}", self.origin)
+            key: replace(self, value=value, path=f"{self.path}{dot}{key}")
             for key, value in self.value.items()
         }
 
-    def items(self) -> list[Field]:
+    def items(self) -> list[Self]:
         """Return the values of a list."""
         if not isinstance(self.value, list):
             raise self.error("a list")
-        return [Field(x, f"{self.path}[{k}]", self.origin) for k, x in enumerate(self.value)]
+        return [replace(self, value=x, path=f"{self.path}[{k}]") for k, x in enumerate(self.value)]
 
     def text(self) -> str:
         """Return a text."""

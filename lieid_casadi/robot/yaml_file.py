@@ -10,6 +10,7 @@
         home: {xyz: [0, 0, 0.3], rpy: [0, 0, 0]}
         limits: {position: [-3.1, 3.1], velocity: 2.0, acceleration: 8.0, torque: 80.0}
         torque_constant: 11.0         # N·m/A at the joint, for currents in place of torques
+        drive: {stiffness: 20, damping: 0.5}  # N·m/rad, N·m·s/rad; or {servo: sts3215}
         link:
           mass: 3.0
           com: [0.1, 0, 0]            # in the link frame
@@ -32,7 +33,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import NominalInertiaWarning
+from lieid_casadi.errors import NominalInertiaWarning, RobotError
+from lieid_casadi.robot.drive import Drive, servo_drive
 from lieid_casadi.robot.inertia import link_parameters, negative_moment, symmetric
 from lieid_casadi.robot.joint import (
     NOT_STATED,
@@ -48,6 +50,7 @@ from lieid_casadi.robot.yaml_fields import FARTHEST, Field
 # Accepts seven printed digits of a unit vector, but no wrong axis.
 SCREW_TOLERANCE = 1e-6
 MOST_JOINTS = 100
+OPTIONAL_KEYS = ("home", "limits", "torque_constant", "drive", "link")  # of a joint
 
 Array = NDArray[np.float64]
 
@@ -85,7 +88,9 @@ def read_yaml(text: str, *, origin: str = "YAML") -> RobotDescription:
     joints: list[Joint] = []
     warnings: list[NominalInertiaWarning] = []
     for index, item in enumerate(items):
-        keys = item.mapping(("name", "screw"), ("home", "limits", "torque_constant", "link"))
+        keys = item.mapping(
+            ("name", "screw"), ("home", "limits", "torque_constant", "drive", "link")
+        )
         name = keys["name"].text()
         if name in names:
             raise keys["name"].error(
@@ -124,7 +129,25 @@ def _joint(name: str, keys: dict[str, Field]) -> Joint:
         limits=_limits(keys["limits"]) if "limits" in keys else Limits(),
         link=_link(keys["link"]) if "link" in keys else None,
         torque_constant=constant,
+        drive=_drive(keys["drive"]) if "drive" in keys else None,
     )
+
+
+def _drive(field: Field) -> Drive:
+    keys = field.mapping((), ("stiffness", "damping", "servo"))
+    if "servo" in keys:
+        if len(keys) > 1:
+            raise field.error("servo, or stiffness and damping, not both")
+        try:
+            return servo_drive(keys["servo"].text())
+        except RobotError as error:
+            raise keys["servo"].error(str(error).rpartition("expected ")[2]) from None
+    if "stiffness" not in keys:
+        raise field.error("the keys stiffness and damping, or servo")
+    damping = keys["damping"].number() if "damping" in keys else 0.0
+    if damping < 0.0:
+        raise keys["damping"].error("N·m·s/rad, not negative")
+    return Drive(stiffness=keys["stiffness"].positive(), damping=damping)
 
 
 def _pose(field: Field | None) -> Array:

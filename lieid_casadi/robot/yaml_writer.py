@@ -57,6 +57,9 @@ def _joint_as_dict(joint: Joint) -> dict[str, Any]:
         data["limits"] = stated
     if math.isfinite(joint.torque_constant):
         data["torque_constant"] = joint.torque_constant
+    if joint.drive is not None and not joint.drive.relative:
+        law = {"stiffness": joint.drive.stiffness, "damping": joint.drive.damping}
+        data["drive"] = {"servo": joint.drive.servo} if joint.drive.servo else law
     if joint.link is not None:
         body = body_inertia(joint.link)
         keys = (("ixx", 0, 0), ("ixy", 0, 1), ("iyy", 1, 1), ("ixz", 0, 2), ("iyz", 1, 2))

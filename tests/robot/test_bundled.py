@@ -42,7 +42,7 @@ def test_bundled_robots_load_by_name(name):
         assert np.isfinite(robot.limit(limit)).all()
 
 
-@pytest.mark.parametrize("name", ["panda", "panda_luo2024", "two_link"])
+@pytest.mark.parametrize("name", ["panda", "panda_luo2024", "so101", "two_link"])
 def test_every_link_is_physically_possible(name):
     for joint in Robot.load(name).joints:
         assert np.linalg.eigvalsh(pseudo_inertia(joint.link)).min() > 0

@@ -6,7 +6,7 @@ import os
 import numpy as np
 import pytest
 
-from lieid_casadi.errors import NominalInertiaWarning, RobotError
+from lieid_casadi.errors import MimicJointWarning, NominalInertiaWarning, RobotError
 from lieid_casadi.robot import Robot
 
 LINK = (
@@ -99,7 +99,23 @@ def test_a_mimic_joint_off_the_chain_is_locked():
     finger = finger.replace('child link="fore"', 'child link="pad"')
     finger = finger.replace("</joint>", '<mimic joint="turn"/></joint>')
     text = urdf(more=finger + '<link name="pad"/>')
-    assert [j.name for j in Robot.parse_urdf(text, lock=["finger"]).joints] == ["turn"]
+    robot = Robot.parse_urdf(text, lock=["finger"], origin="arm.urdf")
+    assert [j.name for j in robot.joints] == ["turn"]
+    (warning,) = robot.warnings
+    assert isinstance(warning, MimicJointWarning)
+    assert str(warning).startswith("arm.urdf: joint 'finger' mimics 'turn', which is not modelled")
+
+
+def test_show_names_the_tip_and_joints_without_limits(tmp_path, capsys):
+    from lieid_casadi.cli.main import main
+
+    path = tmp_path / "arm.urdf"
+    path.write_text(of_joint('type="revolute"', 'type="continuous"'))
+    assert main(["show", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert "1 joints, tip fore," in shown
+    assert "unlimited" in shown
+    assert "nan" not in shown
 
 
 def test_an_axis_is_normalized():

@@ -1,0 +1,133 @@
+"""Position-controlled drives: the torque that their control law states, and presets of servos."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import RobotError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """Control law of one joint: τ = clip(clip(K·(q_cmd − q), ±L_p) − D·q̇, ±L).
+
+    A servo with duty = clip(P·(q_cmd − q), ±d) and torque k_t/R·(V·duty − k_e·q̇) has
+    K = k_t·V·P/R, D = k_t·k_e/R and L_p = k_t·V·d/R.
+
+    Attributes
+    ----------
+    stiffness : float
+        K, N·m/rad (sliding joints: N/m). 1 if it is unknown: torques are then in units of K.
+    damping : float
+        D, N·m·s/rad; with unknown stiffness D/K, s.
+    proportional_limit : float
+        L_p, N·m: limit of the part that is proportional to the position error.
+    torque_limit : float
+        L, N·m: limit of the torque.
+    relative : bool
+        Whether the stiffness is unknown.
+    servo : str
+        Name of the preset that the numbers are from; empty otherwise.
+    """
+
+    stiffness: float
+    damping: float = 0.0
+    proportional_limit: float = math.inf
+    torque_limit: float = math.inf
+    relative: bool = False
+    servo: str = ""
+
+    def torque(
+        self, error: Any, velocity: Any, *, clip: Callable[[Any, float, float], Any] = np.clip
+    ) -> Any:
+        """Return the torque of the law.
+
+        Parameters
+        ----------
+        error : (N,)
+            q_cmd − q, rad; numbers or symbols.
+        velocity : (N,)
+            q̇, rad/s.
+        clip : callable
+            Of value, lower and upper bound; for symbols one of their library.
+
+        Returns
+        -------
+        (N,)
+            N·m; rad if the stiffness is unknown.
+        """
+        part = self.stiffness * error
+        if math.isfinite(self.proportional_limit):
+            part = clip(part, -self.proportional_limit, self.proportional_limit)
+        torque = part - self.damping * velocity
+        if math.isfinite(self.torque_limit):
+            torque = clip(torque, -self.torque_limit, self.torque_limit)
+        return torque
+
+    def limited(self, torque_limit: float) -> Drive:
+        """Return the law with a joint's torque limit, N·m (NaN: not stated).
+
+        A servo has its own limit, beyond which its back-EMF brakes.
+        """
+        if math.isnan(torque_limit) or self.relative or math.isfinite(self.proportional_limit):
+            return self
+        return replace(self, torque_limit=min(torque_limit, self.torque_limit))
+
+    def scaled(self, stiffness: float) -> Drive:
+        """Return a law of unknown stiffness with a stiffness, N·m/rad, that became known."""
+        return Drive(stiffness=stiffness, damping=stiffness * self.damping)
+
+
+def commanded_torque(drives: Sequence[Drive], error: Array, velocity: Array) -> Array:
+    """Return the torque (N, n) of the control laws of all joints, N·m.
+
+    Parameters
+    ----------
+    drives : sequence of Drive, length n
+    error : (N, n)
+        Commanded minus measured position, rad.
+    velocity : (N, n)
+        rad/s.
+    """
+    columns = [d.torque(error[:, j], velocity[:, j]) for j, d in enumerate(drives)]
+    return np.stack(columns, axis=1)
+
+
+def servo_drive(name: str) -> Drive:
+    """Return the control law of a servo preset.
+
+    Raises
+    ------
+    RobotError
+        No preset of that name.
+    """
+    presets = servo_presets()
+    if name not in presets:
+        raise RobotError(f"servo {name!r}: expected one of {', '.join(presets)}")
+    servo = presets[name]
+    stall, duty = servo["stall_torque"], servo["largest_duty"]
+    return Drive(
+        stiffness=stall * servo["gain"],
+        damping=stall / servo["no_load_speed"],
+        proportional_limit=stall * duty,
+        servo=name,
+    )
+
+
+@cache
+def servo_presets() -> dict[str, dict[str, Any]]:
+    """Return the numbers of the presets by name; the file names their sources."""
+    file = resources.files("lieid_casadi.robot").joinpath("data", "servos.yaml")
+    presets: dict[str, dict[str, Any]] = yaml.safe_load(file.read_text("utf-8"))
+    return presets

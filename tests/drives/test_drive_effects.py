@@ -1,0 +1,261 @@
+"""Effects of position-controlled drives, on a plant whose torque is hidden from the program."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from drives.commanded import LAWS, TWO_LINK, commanded, measured
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.effects.backlash import place_in_play
+from lieid_casadi.effects.registry import make
+from lieid_casadi.errors import EffectError
+from lieid_casadi.identification.default_effects import default_effects
+
+ROBOT = TWO_LINK.with_drives(LAWS)
+BASE = "coulomb,viscous,offset"
+CUTOFF = lieid.Processing(cutoff=8.0)
+DELAY, BAND = 0.03, 0.01  # s, rad
+NAMES = ("backlash", "back_emf", "command_delay", "deadband", "torque_saturation")
+
+
+def delayed(recording, joint=1):
+    """Return the recording with the commands of a joint sent earlier than they act."""
+    command = recording.command.copy()
+    command[:, joint] = np.interp(recording.t + DELAY, recording.t, command[:, joint])
+    return replace(recording, command=command)
+
+
+def with_deadband(recording, joint=1):
+    """Return the recording of a controller that needs larger errors for the same torque."""
+    command = recording.command.copy()
+    error = command[:, joint] - recording.q[:, joint]
+    command[:, joint] += BAND * np.sign(error)
+    return replace(recording, command=command)
+
+
+def with_torque(recording):
+    return recording.with_drives(ROBOT.drives)
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return [commanded(measured(TWO_LINK, seed=k, motion=k + 1), LAWS) for k in range(2)]
+
+
+def fitted(recording, effect):
+    """Return the fit with an effect, and its values by name."""
+    fit = lieid.identify(lieid.Model(ROBOT, f"{BASE},{effect}"), recording, processing=CUTOFF)
+    return fit, {row["name"]: row["value"] for row in fit.parameter_table()}
+
+
+def test_delay_of_commands(runs):
+    fit, found = fitted(with_torque(delayed(runs[0])), "command_delay:2")
+    assert found["command_delay.delta"] == pytest.approx(DELAY, rel=0.03)
+    without = lieid.identify(lieid.Model(ROBOT, BASE), with_torque(runs[0]), processing=CUTOFF)
+    np.testing.assert_allclose(fit.rms_cv, without.rms_cv, rtol=0.1)
+
+
+def test_deadband(runs):
+    _, found = fitted(with_torque(with_deadband(runs[0])), "deadband:2")
+    assert found["deadband.d"] == pytest.approx(BAND, rel=0.1)
+
+
+def test_prediction_contains_the_effects_of_the_drive(runs):
+    recording = with_torque(with_deadband(runs[0]))
+    fit, _ = fitted(recording, "deadband:2")
+    other = with_torque(with_deadband(runs[1]))
+    assert lieid.compare(fit, other).rms_moving[1] < 2.0 * fit.rms_cv[1]
+
+
+def test_back_emf_is_viscous(runs):
+    recording = with_torque(runs[0])
+    fits = [
+        lieid.identify(lieid.Model(ROBOT, f"coulomb,offset,{name}"), recording, processing=CUTOFF)
+        for name in ("viscous", "back_emf")
+    ]
+    np.testing.assert_allclose(fits[0].values, fits[1].values, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_saturation_in_a_simulated_arm():
+    arm = plant.demo_arm(TWO_LINK, seed=1, hidden=None)
+    limit = 2.75
+    drives = [
+        plant.PositionDrive(law.stiffness, law.damping / 4, limit=bound)
+        for law, bound in zip(LAWS, (np.inf, limit), strict=True)
+    ]
+    path = plant.FourierTrajectory(TWO_LINK, base_frequency=0.1, harmonics=5, seed=0)
+    run = plant.simulate_commands(
+        arm, path, drives, duration=8.0, command_rate=1000.0, sensors=plant.demo_sensors(TWO_LINK)
+    )
+    laws = [replace(law, damping=law.damping / 4) for law in LAWS]
+    robot = TWO_LINK.with_drives(laws)
+    recording = run.with_drives(laws)
+    assert (LAWS[1].stiffness * abs(run.command - run.q)[:, 1]).max() > 1.1 * limit
+    plain = lieid.identify(lieid.Model(robot, BASE), recording, processing=CUTOFF)
+    model = lieid.Model(robot, f"{BASE},torque_saturation:2")
+    fit = lieid.identify(model, recording, processing=CUTOFF)
+    values = {row["name"]: row["value"] for row in fit.parameter_table()}
+    assert fit.rms_cv[1] < 0.7 * plain.rms_cv[1]
+    assert LAWS[1].stiffness * values["torque_saturation.e_s"] == pytest.approx(limit, rel=0.1)
+    both = lieid.identify(lieid.Model(robot, f"{BASE},torque_saturation"), recording)
+    assert both.rms_cv[0] > 0.5 * plain.rms_cv[0]  # the column is not the recorded torque
+    assert np.ptp(both.shapes) > 0.0
+
+
+PLAY = 0.03  # rad
+ROTORS = (0.06, 0.02)  # kg·m²
+
+
+def arm_with_play(seconds=10.0):
+    """Return a recording of MuJoCo's two-link arm, the second motor with play, under PD laws."""
+    upper, lower = (j.home for j in TWO_LINK.joints)
+    place = np.linalg.inv(upper) @ lower
+    assert np.allclose(place[:3, :3], np.eye(3))
+    links = []
+    for mass, *moment, xx, xy, yy, xz, yz, zz in TWO_LINK.link_parameters.reshape(2, 10):
+        com = np.array(moment) / mass
+        inertia = [xx, yy, zz] - mass * (com @ com - com**2)
+        assert np.allclose([xy, xz, yz] + mass * com * np.roll(com, 1), 0.0)
+        numbers = [" ".join(map(str, x)) for x in (com, inertia)]
+        links.append(f'<inertial pos="{numbers[0]}" mass="{mass}" diaginertia="{numbers[1]}"/>')
+    motors = [
+        f'<joint axis="0 0 1" armature="{rotor}" damping="0.4" frictionloss="0.8"/>'
+        for rotor in ROTORS
+    ]
+    dust = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-6 1e-6 1e-6"/>'
+    text = f"""
+    <mujoco>
+      <compiler angle="radian"/>
+      <option timestep="0.0005" integrator="implicitfast"/>
+      <worldbody><body quat="0.70710678 0.70710678 0 0">{links[0]}{motors[0]}
+        <body pos="{" ".join(map(str, place[:3, 3]))}">{dust}{motors[1]}
+          <body>{links[1]}
+            <joint axis="0 0 1" range="{-0.5 * PLAY} {0.5 * PLAY}" solreflimit="0.005 1"/>
+          </body>
+        </body>
+      </body></worldbody>
+    </mujoco>"""
+    model = mujoco.MjModel.from_xml_string(text)
+    data, rows = mujoco.MjData(model), []
+    data.qpos[0] = -1.0
+    for k in range(round(seconds / model.opt.timestep)):
+        t = k * model.opt.timestep
+        if k % 4 == 0:
+            sines = np.sin(np.outer([1.7, 2.3], [t, 2.9 * t]) + np.array([[0.0], [1.0]]))
+            command = [-1.0, -0.6] + sines @ [0.7, 0.25]
+            rows.append([t, *data.qpos[:2], *command])
+        for j, law in enumerate(LAWS):
+            error = command[j] - data.qpos[j]
+            data.qfrc_applied[j] = law.torque(error, data.qvel[j])
+        mujoco.mj_step(model, data)
+    t, *signals = np.array(rows)[round(0.5 / (4 * model.opt.timestep)) :].T
+    q, command = np.column_stack(signals[:2]), np.column_stack(signals[2:])
+    return lieid.Recording.from_arrays(t, q, command=command, name="play.csv")
+
+
+def test_a_motor_with_play_needs_an_inertia():
+    arm = plant.demo_arm(TWO_LINK, seed=1, hidden=None)
+    drives = [plant.PositionDrive(law.stiffness, law.damping, backlash=0.01) for law in LAWS]
+    path = plant.FourierTrajectory(TWO_LINK, base_frequency=0.1, harmonics=5, seed=0)
+    with pytest.raises(EffectError, match="joint 1: expected an armature"):
+        plant.simulate_commands(arm, path, drives, duration=1.0)
+
+
+@pytest.mark.slow
+def test_backlash_is_named():
+    """Two masses and a contact in the plant; what the link's impacts cause is no collision."""
+    arm = plant.demo_arm(TWO_LINK, seed=4, hidden=None)
+    arm = arm.with_effects(*(plant.Armature(j, rotor) for j, rotor in enumerate(ROTORS)))
+    drives = [plant.PositionDrive(law.stiffness, law.damping) for law in LAWS]
+    drives[1] = replace(drives[1], backlash=PLAY)
+    path = plant.FourierTrajectory(TWO_LINK, base_frequency=0.1, harmonics=6, seed=2)
+    run = plant.simulate_commands(
+        arm, path, drives, duration=10.0, command_rate=1000.0, sensors=plant.demo_sensors(TWO_LINK)
+    )
+    found = lieid.diagnose(lieid.Model(ROBOT, f"{BASE},armature"), with_torque(run))
+    assert [(step.effect, step.joints) for step in found.steps[:1]] == [("backlash", (1,))]
+    values = {row["name"]: row["value"] for row in found.fit.parameter_table()}
+    assert values["backlash.b"] == pytest.approx(PLAY, rel=0.15)
+
+
+@pytest.mark.slow
+def test_backlash_is_the_play_of_an_arm_in_mujoco():
+    """The time and the torque of the link's free flight both show the play."""
+    recording = with_torque(arm_with_play())
+    effects = "coulomb,viscous,armature"
+    plain = lieid.identify(lieid.Model(ROBOT, effects), recording)
+    fit = lieid.identify(lieid.Model(ROBOT, f"{effects},backlash:2"), recording)
+    values = {row["name"]: row["value"] for row in fit.parameter_table()}
+    assert values["backlash.b"] == pytest.approx(PLAY, rel=0.1)
+    assert values["backlash.w"] == pytest.approx(PLAY, rel=0.1)
+    assert fit.rms_cv[1] < 0.7 * plain.rms_cv[1]
+
+
+@pytest.mark.parametrize("play", [1e-3, 0.02, 0.2])
+@pytest.mark.parametrize("seed", range(4))
+def test_place_in_play(seed, play):
+    """The motor stays within the play, and at its side while it pushes the link."""
+    random = np.random.default_rng(seed)
+    t = np.arange(0.0, 10.0, 0.005)
+    acceleration = sum(
+        random.normal() * np.sin(2.0 * np.pi * random.uniform(0.1, 2.0) * t + random.uniform(0, 6))
+        for _ in range(3)
+    )
+    place = place_in_play(acceleration, t, play)
+    side = place / (0.5 * play)
+    assert np.abs(side).max() <= 1.0 + 1e-9
+    pushing = (np.abs(side[:-1]) == 1.0) & (acceleration[1:] * side[:-1] > 0.0)
+    held = pushing & (acceleration[:-1] * side[:-1] > 0.0)
+    np.testing.assert_array_equal(side[1:][held], side[:-1][held])
+    np.testing.assert_allclose(place_in_play(-acceleration, t, play), -place, atol=1e-12)
+
+
+def test_place_in_play_crosses_in_the_time_of_a_free_flight():
+    """Under an acceleration a = −c·(t − t0) the play is crossed in the time (6 b/c)^(1/3)."""
+    t, slope, play = np.arange(0.0, 4.0, 1e-3), 2.0, 0.05
+    place = place_in_play(-slope * (t - 1.0), t, play)
+    crossed = t[np.flatnonzero(place <= -0.5 * play)[0]] - 1.0
+    assert crossed == pytest.approx((6.0 * play / slope) ** (1.0 / 3.0), abs=2e-3)
+    assert (place[t < 1.0] == 0.5 * play).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_they_need_commands(runs, name):
+    recording = replace(with_torque(runs[0]), command=None)
+    with pytest.raises(EffectError, match="needs commanded positions"):
+        lieid.identify(lieid.Model(ROBOT, f"{BASE},{name}:2"), recording)
+    assert make(name).commanded
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "effect"), [(delayed, "command_delay"), (with_deadband, "deadband")]
+)
+def test_the_diagnosis_names_them(runs, change, effect):
+    train, test = (with_torque(change(run)) for run in runs)
+    found = lieid.diagnose(lieid.Model(ROBOT, BASE), train, test)
+    assert [(step.effect, step.joints) for step in found.steps[:1]] == [(effect, (1,))]
+
+
+@pytest.mark.slow
+def test_load_friction_is_named_as_on_arms_with_torque():
+    runs = [
+        with_torque(
+            commanded(measured(TWO_LINK, hidden="load_friction", seed=k, motion=k + 1), LAWS)
+        )
+        for k in range(2)
+    ]
+    found = lieid.diagnose(lieid.Model(ROBOT, BASE), *runs)
+    assert [(step.effect, step.joints) for step in found.steps] == [("load_friction", (1,))]
+
+
+def test_rotor_inertia_is_a_default_effect_where_torque_is_that_of_a_law(runs):
+    plain = runs[0]
+    assert default_effects(ROBOT, [with_torque(plain)]).names[-1] == "armature"
+    measured_torque = replace(with_torque(plain), tau=np.ones_like(plain.q))
+    assert "armature" not in default_effects(ROBOT, [measured_torque]).names
+    assert "armature" not in default_effects(TWO_LINK, [with_torque(plain)]).names

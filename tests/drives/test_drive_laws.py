@@ -1,0 +1,196 @@
+"""Torque of position-controlled drives from their control law."""
+
+import json
+
+import numpy as np
+import pytest
+from drives.commanded import LAWS, TWO_LINK, commanded, measured
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import IdentificationError, RecordingError, RobotError
+from lieid_casadi.identification.known_mass import identify_with_known_masses
+from lieid_casadi.robot.drive import Drive, servo_presets
+from lieid_casadi.robot.yaml_writer import write_yaml
+
+EFFECTS = "coulomb,viscous,offset"
+CUTOFF = lieid.Processing(cutoff=8.0)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return measured(TWO_LINK)
+
+
+@pytest.fixture(scope="module")
+def commands(run):
+    return commanded(run, LAWS)
+
+
+@pytest.fixture(scope="module")
+def folder(commands, run, tmp_path_factory):
+    made = tmp_path_factory.mktemp("commands")
+    commands.save(made / "run.csv")
+    run.save(made / "torque.csv")
+    return made
+
+
+def test_law_of_a_pd_controller(commands, run):
+    found = commands.with_drives(LAWS)
+    np.testing.assert_allclose(found.tau, run.tau, rtol=0, atol=1e-11)
+
+
+def test_servo_law_is_that_of_a_dc_motor():
+    """duty = clip(P e, ±d), torque = k_t/R (V duty − k_e dq)."""
+    for name, servo in servo_presets().items():
+        law = lieid.servo_drive(name)
+        error, dq = np.linspace(-2.0, 2.0, 101), np.linspace(-3.0, 5.0, 101)
+        duty = np.clip(servo["gain"] * error, -servo["largest_duty"], servo["largest_duty"])
+        per_volt = servo["stall_torque"] / servo["voltage"]
+        back_emf = servo["voltage"] / servo["no_load_speed"]
+        expected = per_volt * (servo["voltage"] * duty - back_emf * dq)
+        np.testing.assert_allclose(law.torque(error, dq), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_torque_limit_of_the_robot():
+    robot = TWO_LINK.with_drives(Drive(stiffness=1000.0))
+    law = robot.drives[1]
+    assert law.torque(np.array([1.0]), 0.0) == pytest.approx(robot.limit("torque")[1])
+
+
+def test_missing_velocities_are_differences_within_segments():
+    t = np.concatenate([np.arange(50) * 0.01, 10.0 + np.arange(50) * 0.01])
+    q = np.where(t < 5, 0.3 * t, 2.0 - 0.5 * (t - 10.0))[:, None]
+    recording = lieid.Recording.from_arrays(t, q, command=q)
+    tau = recording.with_drives([Drive(stiffness=5.0, damping=2.0)]).tau
+    np.testing.assert_allclose(tau[:, 0], np.where(t < 5, -0.6, 1.0), atol=1e-9)
+
+
+def test_commands_identify_the_same_parameters_as_torque(folder, tmp_path):
+    options = ["--cutoff", "8", "--effects", "coulomb,viscous,offset"]
+    law = ["--stiffness", "120,50", "--damping", "2,0.5"]
+    for name, more in (("run", law), ("torque", [])):
+        words = ["identify", "two_link", str(folder / f"{name}.csv"), *options, *more]
+        assert main([*words, "-o", str(tmp_path / f"{name}.json")]) == 0
+    one, other = (lieid.Fit.load(tmp_path / f"{name}.json") for name in ("run", "torque"))
+    np.testing.assert_allclose(one.values, other.values, rtol=1e-6, atol=1e-9)
+    assert one.model.robot.drives == tuple(
+        law.limited(limit) for law, limit in zip(LAWS, TWO_LINK.limit("torque"), strict=True)
+    )
+    assert other.model.robot.drives is None
+
+
+def test_a_fit_applies_its_own_drive_law(folder, tmp_path):
+    fit = str(tmp_path / "fit.json")
+    law = ["--stiffness", "120,50", "--damping", "2,0.5"]
+    assert main(["identify", "two_link", str(folder / "run.csv"), *law, "-o", fit]) == 0
+    out = tmp_path / "compare.json"
+    assert main(["compare", fit, str(folder / "run.csv"), "--json", str(out)]) == 0
+    assert max(json.loads(out.read_text())["rms"]) < 0.5
+
+
+def test_a_robot_file_states_the_drive_law(folder, tmp_path):
+    robot = tmp_path / "arm.yaml"
+    robot.write_text(write_yaml(TWO_LINK.with_drives(LAWS)))
+    assert lieid.Robot.load(robot).drives[0].damping == 2.0
+    assert main(["identify", str(robot), str(folder / "run.csv")]) == 0
+    text = write_yaml(TWO_LINK.with_drives(lieid.servo_drive("xl430")))
+    assert (
+        lieid.Robot.parse_yaml(text).drives
+        == TWO_LINK.with_drives(lieid.servo_drive("xl430")).drives
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "expected --stiffness K1"),
+        (["--stiffness", "1,2,3"], "3 numbers; expected 1 or 2"),
+        (["--stiffness", "-1"], "above 0, or unknown"),
+        (["--damping", "1"], "needs --stiffness"),
+        (["--servo", "sts9999"], "expected one of sts3215"),
+        (["--servo", "sts3215", "--stiffness", "3"], "expected one of them"),
+        (["--known-mass", "elbow=1.0", "--stiffness", "3"], "drives without stiffness"),
+        (["--known-mass", "elbow"], "expected LINK=KG"),
+    ],
+)
+def test_bad_laws_are_one_line(folder, capsys, words, message):
+    try:
+        status = main(["identify", "two_link", str(folder / "run.csv"), *words])
+    except SystemExit as stop:
+        status = stop.code
+    assert status == 2
+    text = capsys.readouterr().err
+    assert message in text
+    assert text.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("drive", "message"),
+    [
+        ("{servo: nonsense}", "sts3215"),
+        ("{damping: 1}", "stiffness"),
+        ("{servo: sts3215, stiffness: 1}", "not both"),
+        ("{stiffness: 1, damping: -1}", "not negative"),
+    ],
+)
+def test_bad_drives_in_yaml(drive, message):
+    text = f"{{name: a, joints: [{{name: j, screw: [0,0,1,0,0,0], drive: {drive}}}]}}"
+    with pytest.raises(RobotError, match=message):
+        lieid.Robot.parse_yaml(text)
+
+
+def test_no_commands_no_torque(run):
+    with pytest.raises(RecordingError, match="no commanded positions"):
+        run.with_drives(LAWS)
+
+
+@pytest.fixture(scope="module")
+def one_stiffness(run):
+    """Commands of one unknown stiffness on both joints."""
+    return commanded(run, [Drive(stiffness=80.0, damping=1.6)] * 2)
+
+
+UNKNOWN = Drive(stiffness=1.0, damping=0.02, relative=True)
+
+
+def test_unknown_stiffness_gives_parameters_relative_to_it(one_stiffness, run):
+    robot = TWO_LINK.with_drives(UNKNOWN)
+    model = lieid.Model(robot, EFFECTS)
+    relative = lieid.identify(model, one_stiffness.with_drives(robot.drives), processing=CUTOFF)
+    absolute = lieid.identify(model, run, processing=CUTOFF)
+    np.testing.assert_allclose(80.0 * relative.values, absolute.values, rtol=1e-6, atol=1e-9)
+    assert "RelativeTorqueWarning" in {type(w).__name__ for w in relative.warnings}
+
+
+def test_known_mass_determines_the_stiffness(one_stiffness):
+    model = lieid.Model(TWO_LINK.with_drives(UNKNOWN), EFFECTS)
+    recording = one_stiffness.with_drives(model.robot.drives)
+    first_moment = plant.demo_arm(TWO_LINK, seed=1, hidden=None).parameters[11]
+    mass = first_moment / 0.2  # at the nominal centre of mass, which is assumed to be known
+    fit = identify_with_known_masses(model, [recording], {"elbow": mass}, processing=CUTOFF)
+    assert fit.model.robot.drives[0].stiffness == pytest.approx(80.0, rel=0.02)
+    assert fit.model.robot.drives[0].damping == pytest.approx(1.6, rel=0.02)
+
+
+def test_known_mass_of_no_link(one_stiffness):
+    model = lieid.Model(TWO_LINK.with_drives(UNKNOWN), EFFECTS)
+    recording = one_stiffness.with_drives(model.robot.drives)
+    with pytest.raises(IdentificationError, match="no such link"):
+        identify_with_known_masses(model, [recording], {"wrist": 1.0})
+
+
+def test_gains_of_commands_are_stiffnesses():
+    payload = plant.Payload(mass=1.0, com=(0.0, 0.05, 0.0), radius=0.05)
+    empty, full = (
+        commanded(measured(TWO_LINK, seed=k, motion=k + 3, payload=p), LAWS)
+        for k, p in enumerate((None, payload))
+    )
+    gains = lieid.drive_gains(TWO_LINK, empty, full, mass=1.0, processing=CUTOFF)
+    assert gains.per == "rad"
+    # the damping of the controller appears as viscous friction
+    np.testing.assert_allclose(gains.gains, [120.0, 50.0], rtol=0.03)
+    assert gains.option is not None
+    assert gains.option.startswith("--stiffness ")
+    assert gains.robot_with_gains().drives is not None
