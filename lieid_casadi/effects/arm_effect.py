@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.effects.effect import Effect
 from lieid_casadi.effects.signals import Signals
+from lieid_casadi.robot import Drive
 
 Array = NDArray[np.float64]
 
@@ -59,6 +60,14 @@ class SegmentModel(Protocol):
         """Return the gravity torques (K, n, 3) of 1 m/s² along each axis of the base."""
 
     @property
+    def command(self) -> Array | None:
+        """Commanded position (K, n), rad, None without commands."""
+
+    @property
+    def drives(self) -> Sequence[Drive] | None:
+        """Control laws of the joints (n), None without."""
+
+    @property
     def gravity(self) -> Array:
         """Gravity (3,) in the base frame, m/s²."""
 
@@ -67,6 +76,9 @@ class SegmentModel(Protocol):
 
     def tool_regressor(self) -> Array:
         """Return the rigid torque (K, n, 10) per link parameter of a body in the tool's frame."""
+
+    def joint_torque_at(self, load: Array) -> Array:
+        """Return the torque (K, n) of effects on single joints at another load (K, n), N·m."""
 
 
 class InstantModel(Protocol):
@@ -84,7 +96,7 @@ class InstantModel(Protocol):
         """Return the rigid torque (n,) at q + offset (n,)."""
 
     @property
-    def gravity(self) -> Array:
+    def gravity(self) -> ca.SX:
         """Gravity (3,) in the base frame, m/s²."""
 
     def gravity_torque(self, gravity: ca.SX) -> ca.SX:
@@ -104,6 +116,8 @@ class ArmEffect(Effect):
     ----------
     reach : str
         ``"joint"`` if the columns are zero on all joints but the effect's own, else ``"arm"``.
+    on_measurement : bool
+        Whether the effect changes what the sensors read, not the torque of the drives.
     trial_values : tuple
         Coefficients other than zero at which a diagnosis tries the columns, because the column
         at a likely value differs from the derivative at zero.
@@ -114,7 +128,8 @@ class ArmEffect(Effect):
         What generated code does instead if it does not reproduce the effect.
     """
 
-    reach: ClassVar[Literal["arm", "joint"]] = "arm"
+    reach: Literal["arm", "joint"] = "arm"
+    on_measurement: ClassVar[bool] = True
     trial_values: ClassVar[tuple[tuple[float, ...], ...]] = ()
     needs_past: ClassVar[bool] = False
     export_note: ClassVar[str] = ""
@@ -134,8 +149,8 @@ class ArmEffect(Effect):
             The model along the segment of K samples.
         joint : int
             The joint (from 0) on which the effect is placed.
-        values : (c,)
-            Current coefficients, about which the columns are taken.
+        values : (c + s,)
+            Current coefficients, about which the columns are taken, then shape parameters.
         """
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX | None:

@@ -21,9 +21,16 @@ class Armature(Effect):
     """
 
     name = "armature"
+    finding: ClassVar = ("Rotor inertia acts on {joints}",)
+    change: ClassVar = (
+        "Rotor inertia on {joints} has increased",
+        "Rotor inertia on {joints} has decreased",
+    )
     formula = "I_a·q̈"
     coefficients = (
-        Coefficient("I_a", "kg·m²", lower=0.0, meaning="rotor inertia times gear ratio squared"),
+        Coefficient(
+            "I_a", "kg·m²", lower=0.0, limit=100.0, meaning="rotor inertia times gear ratio squared"
+        ),
     )
     signals = ("ddq",)
     energy = "armature"

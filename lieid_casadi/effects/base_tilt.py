@@ -23,12 +23,15 @@ class BaseTilt(ArmEffect):
     """
 
     name = "base_tilt"
+    finding: ClassVar = ("The base is tilted",)
+    change: ClassVar = ("The base has tilted",)
     formula = "gravity = R_y(β)·R_x(α)·g"
     coefficients = (
-        Coefficient("alpha", "rad", meaning="tilt about the base's x axis"),
-        Coefficient("beta", "rad", meaning="tilt about the base's y axis"),
+        Coefficient("alpha", "rad", limit=0.8, meaning="tilt about the base's x axis"),
+        Coefficient("beta", "rad", limit=0.8, meaning="tilt about the base's y axis"),
     )
     whole_arm = True
+    on_measurement = False
     revealed_by = "gravity torque in poses spread over the workspace, above all on the first joint"
     confused_with: ClassVar = {
         "encoder_offset": "both turn gravity; a tilt acts on all joints",
@@ -38,7 +41,7 @@ class BaseTilt(ArmEffect):
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns of the formula."""
-        changes = ca.evalf(_changes(arm.gravity, ca.SX(ca.DM(values))))
+        changes = ca.evalf(_changes(ca.SX(ca.DM(arm.gravity)), ca.SX(ca.DM(values))))
         return np.asarray(arm.gravity_by_axis() @ changes.full())
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
@@ -47,10 +50,10 @@ class BaseTilt(ArmEffect):
         return ca.horzcat(*(arm.gravity_torque(change) for change in changes))
 
 
-def _changes(gravity: Array, values: ca.SX) -> ca.SX:
+def _changes(gravity: ca.SX, values: ca.SX) -> ca.SX:
     """Return the change of gravity per angle (3, 2), as a difference quotient."""
     alpha, beta = (ca.if_else(ca.fabs(v) > LEAST, v, LEAST) for v in ca.vertsplit(values))
-    about_x = _rotated_about_x(ca.SX(ca.DM(gravity)), alpha)
+    about_x = _rotated_about_x(gravity, alpha)
     before = ca.if_else(ca.fabs(values[0]) > LEAST, about_x, gravity)
     about_y = _rotated_about_y(before, beta)
     return ca.horzcat((about_x - gravity) / alpha, (about_y - before) / beta)

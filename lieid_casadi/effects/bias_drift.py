@@ -22,10 +22,16 @@ class BiasDrift(ArmEffect):
     """
 
     name = "bias_drift"
+    finding: ClassVar = (
+        "The torque of {joints} drifts upwards",
+        "The torque of {joints} drifts downwards",
+    )
+    change: ClassVar = finding
     formula = "r·(t − t̄)"
     coefficients = (Coefficient("r", "N·m/s", meaning="drift rate"),)
     reach = "joint"
     per_recording = True
+    on_torque_signal = True
     revealed_by = "the same motion repeated over several minutes"
     confused_with: ClassVar = {
         "warm_up": "only warm-up changes sign with the velocity; drive both directions",

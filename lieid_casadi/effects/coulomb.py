@@ -21,8 +21,15 @@ class Coulomb(Effect):
     """
 
     name = "coulomb"
+    finding: ClassVar = ("Dry friction acts on {joints}",)
+    change: ClassVar = (
+        "Dry friction on {joints} has increased",
+        "Dry friction on {joints} has decreased",
+    )
     formula = "f_c·sgn(q̇)"
-    coefficients = (Coefficient("f_c", "N·m", meaning="dry friction in sliding"),)
+    coefficients = (
+        Coefficient("f_c", "N·m", meaning="dry friction in sliding", opposes_motion=True),
+    )
     signals = ("sign",)
     revealed_by = "motion in both directions through the same positions, at low and medium speed"
     confused_with: ClassVar = {

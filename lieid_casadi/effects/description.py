@@ -18,6 +18,8 @@ def describe(effect: Effect) -> list[tuple[str, str]]:
     ]
     facts += [("state", f"{s.name} [{s.unit}], {s.initial:g} at the start") for s in effect.states]
     facts.append(("signals", ", ".join(effect.signals)))
+    if effect.commanded:
+        facts.append(("needs", "commanded positions and the drives' control law"))
     options = {} if effect.option else effect.options
     facts += [(f"option {effect.name}/{name}", text) for name, text in options.items()]
     facts.append(("revealed by", effect.revealed_by))

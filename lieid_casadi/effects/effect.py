@@ -33,8 +33,14 @@ class Coefficient:
     meaning : str
         One phrase for documentation.
     resolved_by : str
-        ``"sample_time"`` if values smaller than one sampling interval cannot be distinguished
-        from an error of differentiation; empty otherwise.
+        ``"sample_time"`` if values smaller than one sampling interval cannot be resolved,
+        ``"lead"`` if only negative ones cannot: a velocity that the drive computes by differences
+        is late by up to one interval, so that the torque seems to lead. Empty otherwise.
+    opposes_motion : bool
+        Whether it is friction, so that a negative value is doubtful; a change of a fit may be
+        negative.
+    limit : float
+        Size that no real arm exceeds, also of a change. A diagnosis names no larger value.
     """
 
     name: str
@@ -42,7 +48,9 @@ class Coefficient:
     lower: float = -np.inf
     upper: float = np.inf
     meaning: str = ""
-    resolved_by: Literal["", "sample_time"] = ""
+    resolved_by: Literal["", "sample_time", "lead"] = ""
+    opposes_motion: bool = False
+    limit: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -64,7 +72,8 @@ class Shape:
     resolved_by : str
         What narrows the range that a recording can resolve: ``"duration"`` (a time constant, by
         the length of the segments), ``"speed"`` (a velocity, by the joint's dead zone and top
-        speed), or empty (the bounds alone).
+        speed), ``"command_error"`` (an error of position control, to the upper part of the
+        joint's errors), or empty (the bounds alone).
     """
 
     name: str
@@ -74,7 +83,7 @@ class Shape:
     upper: float
     scan: float | None = None
     meaning: str = ""
-    resolved_by: Literal["", "duration", "speed"] = ""
+    resolved_by: Literal["", "duration", "speed", "command_error"] = ""
 
 
 @dataclass(frozen=True)
@@ -114,6 +123,12 @@ class Effect(ABC):
         Whether the effect acts on no joint in particular.
     per_recording : bool
         Whether the coefficients hold for one recording only, as those of a drift.
+    commanded : bool
+        Whether it acts on drives under position control only: it needs commanded positions and
+        their control law.
+    on_torque_signal : bool
+        Whether it acts on the signal of a torque sensor or current, which arms under position
+        control do not have.
     energy : str or None
         ``"armature"`` or ``"offset"`` if link parameters can produce the same torque.
     option : str
@@ -128,6 +143,19 @@ class Effect(ABC):
         Effects that stand for this one in the regressor of a trajectory design.
     candidate : bool
         Whether a diagnosis tries it as a missing effect.
+    unless_measured : str
+        Signal that, where it is recorded and varies, describes the cause better: a diagnosis then
+        does not try this effect.
+    finding, change : tuple of str
+        Sentence of a diagnosis for a missing effect, and for a change of the effect; two of them
+        if it depends on the sign of the first coefficient, positive first. ``{joints}`` and
+        ``{source}`` are replaced by the joints.
+    family : str
+        What effects describe that differ in the form of a curve alone, such as ``friction over
+        speed``: measurements seldom decide the form.
+    size_unit : str
+        Unit in which these sentences state the first coefficient, if it is not the
+        coefficient's own; ``%`` multiplies by 100.
     revealed_by : str
         The motion that reveals the effect.
     confused_with : mapping
@@ -145,8 +173,10 @@ class Effect(ABC):
     signals: tuple[str, ...] = ("dq",)
     dry: bool = False
     couples: ClassVar[bool] = False
-    whole_arm: ClassVar[bool] = False
+    whole_arm: bool = False
     per_recording: ClassVar[bool] = False
+    commanded: ClassVar[bool] = False
+    on_torque_signal: ClassVar[bool] = False
     energy: ClassVar[str | None] = None
     option: str = ""
     options: ClassVar[Mapping[str, str]] = {}
@@ -154,6 +184,11 @@ class Effect(ABC):
     accompanied_by: tuple[str, ...] = ()
     counted_as: tuple[str, ...] = ()
     candidate: ClassVar[bool] = True
+    unless_measured: ClassVar[str] = ""
+    finding: ClassVar[tuple[str, ...]] = ()
+    change: ClassVar[tuple[str, ...]] = ()
+    family: ClassVar[str] = ""
+    size_unit: ClassVar[str] = ""
     revealed_by: ClassVar[str] = ""
     confused_with: ClassVar[Mapping[str, str]] = {}
     typical: ClassVar[str] = ""
@@ -219,6 +254,16 @@ class Effect(ABC):
             Shape parameters by name.
         """
         raise NotImplementedError(f"effect {self.name} has states but no state_rates")
+
+    def size_text(self, parameters: Mapping[str, float]) -> str:
+        """Return the parameters in the terms of an engineer, empty to state them as they are.
+
+        Parameters
+        ----------
+        parameters : mapping
+            Coefficients and shape parameters by name.
+        """
+        return ""
 
     @property
     def label(self) -> str:

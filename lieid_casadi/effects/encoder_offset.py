@@ -23,8 +23,10 @@ class EncoderOffset(ArmEffect):
     """
 
     name = "encoder_offset"
+    finding: ClassVar = ("The zero of the position of {joints} is wrong",)
+    change: ClassVar = ("The zero of the position of {joints} has moved",)
     formula = "q_true = q + δ"
-    coefficients = (Coefficient("delta", "rad", meaning="zero offset"),)
+    coefficients = (Coefficient("delta", "rad", limit=0.5, meaning="zero offset"),)
     revealed_by = "gravity torque in poses spread over the range of this joint and its neighbours"
     confused_with: ClassVar = {
         "base_tilt": "both turn gravity; a tilt acts on all joints",

@@ -21,12 +21,15 @@ class ExternalWrench(ArmEffect):
     """
 
     name = "external_wrench"
+    finding: ClassVar = ("A constant force acts on the tool",)
+    change: ClassVar = finding
     formula = "+Jᵀ·[m; f]"
     coefficients = (
-        *(Coefficient(f"m{x}", "N·m", meaning=f"moment about {x}") for x in "xyz"),
-        *(Coefficient(f"f{x}", "N", meaning=f"force along {x}") for x in "xyz"),
+        *(Coefficient(f"m{x}", "N·m", limit=1e4, meaning=f"moment about {x}") for x in "xyz"),
+        *(Coefficient(f"f{x}", "N", limit=1e4, meaning=f"force along {x}") for x in "xyz"),
     )
     whole_arm = True
+    on_measurement = False
     revealed_by = "motion through the workspace while the wrench is constant"
     confused_with: ClassVar = {
         "payload": "a vertical force resembles a weight at the tool's origin; accelerate the tool",

@@ -21,12 +21,25 @@ class FrictionModel:
     note : str
         Differences from the publication. If its formula is not available in full, what is known of
         it and how it is interpreted here; empty if it is the printed formula.
+    reconstructed : bool
+        Whether the formula of the publication was not available.
     """
 
     name: str
     effects: tuple[str, ...]
     source: str
     note: str = ""
+    reconstructed: bool = False
+
+    @property
+    def form(self) -> str:
+        """The model's effects, without the offset, which a friction curve does not contain."""
+        return " + ".join(effect for effect in self.effects if effect != "offset")
+
+    @property
+    def credit(self) -> str:
+        """The publication, and whether the model is reconstructed after it."""
+        return f"after {self.source}, reconstructed" if self.reconstructed else self.source
 
 
 _PAPER = "Luo et al., Robotica 2024"
@@ -74,6 +87,7 @@ FRICTION_MODELS: dict[str, FrictionModel] = {
             "available. Interpreted here as a Stribeck curve, viscous friction that falls "
             "exponentially with temperature, and dry friction in proportion to |load|. Needs a "
             "measured temperature",
+            reconstructed=True,
         ),
         FrictionModel(
             "gao2017_constant_temperature",
@@ -82,6 +96,7 @@ FRICTION_MODELS: dict[str, FrictionModel] = {
             "published as one formula of velocity, temperature and load; its terms were not "
             "available. Interpreted here as a Stribeck curve, viscous friction and dry friction in "
             "proportion to |load|, at constant temperature",
+            reconstructed=True,
         ),
         FrictionModel(
             "he2021",
@@ -90,6 +105,7 @@ FRICTION_MODELS: dict[str, FrictionModel] = {
             "published as a Stribeck curve at low speed whose depth depends on the load; its terms "
             "were not available. Interpreted here as the load-dependent part of Bittencourt et "
             "al., IROS 2010, with exponent 2",
+            reconstructed=True,
         ),
         FrictionModel(
             "madsen2020",

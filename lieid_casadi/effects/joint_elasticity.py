@@ -23,8 +23,13 @@ class JointElasticity(ArmEffect):
     """
 
     name = "joint_elasticity"
+    finding: ClassVar = ("The transmission of {joints} is elastic",)
+    change: ClassVar = (
+        "The transmission of {joints} has become softer",
+        "The transmission of {joints} has become stiffer",
+    )
     formula = "q_link = q − c·τ_load, c = 1/K"
-    coefficients = (Coefficient("c", "rad/(N·m)", lower=0.0, meaning="compliance 1/K"),)
+    coefficients = (Coefficient("c", "rad/(N·m)", lower=0.0, limit=0.2, meaning="compliance 1/K"),)
     needs_past = True
     trial_values = ((1e-4,), (3e-4,), (1e-3,), (3e-3,))
     revealed_by = "high accelerations with a large inertia behind the joint, and large loads"

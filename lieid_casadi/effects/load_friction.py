@@ -24,6 +24,14 @@ class LoadFriction(Effect):
     """
 
     name = "load_friction"
+    finding: ClassVar = (
+        "Friction on {joints} grows with the load",
+        "Friction on {joints} falls with the load",
+    )
+    change: ClassVar = (
+        "Friction on {joints} grows more with the load than before",
+        "Friction on {joints} grows less with the load than before",
+    )
     options: ClassVar = {
         "paper": "both terms of Eq. 8, with |q̇| written as √(q̇² + ε²)",
         "motoring": (
@@ -35,6 +43,7 @@ class LoadFriction(Effect):
             "an additional term that falls with speed (Bittencourt et al., IROS 2010, exponent 2)"
         ),
     }
+    size_unit = "N·m per N·m"
     signals: tuple[str, ...] = ("sign", "load")
     revealed_by = "both directions through poses of small and large gravity torque, or a payload"
     confused_with: ClassVar = {
@@ -53,7 +62,9 @@ class LoadFriction(Effect):
     def __init__(self, *, option: str = "") -> None:
         super().__init__(option=option)
         self.formula = "f_τ·|τ_load|·sgn(q̇)"
-        self.coefficients = (Coefficient("f_tau", "1", meaning="friction per load"),)
+        self.coefficients = (
+            Coefficient("f_tau", "1", limit=1.0, meaning="friction per load", opposes_motion=True),
+        )
         if option == "paper":
             self.formula = (
                 "(f_τ·|τ_load| + f_τ1·e^{−f_τ2·|τ_load|/√(q̇²+ε²)})·sgn(q̇), "
@@ -69,8 +80,12 @@ class LoadFriction(Effect):
         elif option == "motoring":
             self.formula = "(f_m or f_g, by the sign of τ_load·q̇)·|τ_load|·sgn(q̇)"
             self.coefficients = (
-                Coefficient("f_motor", "1", meaning="friction per load while driving it"),
-                Coefficient("f_generator", "1", meaning="friction per load while driven by it"),
+                Coefficient(
+                    "f_motor", "1", limit=1.0, meaning="friction per load while driving it"
+                ),
+                Coefficient(
+                    "f_generator", "1", limit=1.0, meaning="friction per load while driven by it"
+                ),
             )
         elif option == "square":
             self.formula = "f_τ²·τ_load²·sgn(q̇)"

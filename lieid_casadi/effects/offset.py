@@ -21,6 +21,11 @@ class Offset(Effect):
     """
 
     name = "offset"
+    finding: ClassVar = ("A constant torque acts on {joints}",)
+    change: ClassVar = (
+        "The constant torque on {joints} has increased",
+        "The constant torque on {joints} has decreased",
+    )
     formula = "f_b"
     coefficients = (Coefficient("f_b", "N·m", meaning="constant torque"),)
     signals = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import casadi as ca
@@ -21,12 +22,18 @@ class Payload(ArmEffect):
     """
 
     name = "payload"
+    finding: ClassVar = ("A body is attached to the tool",)
+    change: ClassVar = (
+        "The body at the tool has become heavier",
+        "The body at the tool has become lighter",
+    )
     formula = "Y_tool·[m, m·c]"
     coefficients = (
-        Coefficient("m", "kg", meaning="mass"),
+        Coefficient("m", "kg", limit=500.0, meaning="mass"),
         *(Coefficient(f"mc{x}", "kg·m", meaning=f"first moment along {x}") for x in "xyz"),
     )
     whole_arm = True
+    on_measurement = False
     revealed_by = "gravity torque in at least three orientations of the tool"
     confused_with: ClassVar = {
         "external_wrench": "similar over few orientations; a force keeps its direction",
@@ -34,6 +41,20 @@ class Payload(ArmEffect):
     }
     typical = "up to the arm's rated payload"
     references = ("Swevers, Verdonck, De Schutter, IEEE Control Systems Magazine 27(5), 2007",)
+
+    def size_text(self, parameters: Mapping[str, float]) -> str:
+        """Return mass and centre of mass; a lost body has a negative mass.
+
+        Parameters
+        ----------
+        parameters : mapping
+            m, mcx, mcy and mcz, kg and kg·m.
+        """
+        mass = parameters["m"]
+        if not mass:
+            return ""
+        com = ", ".join(f"{1000.0 * parameters[f'mc{x}'] / mass:z.0f}" for x in "xyz")
+        return f"{abs(mass):.3g} kg, centre of mass at ({com}) mm in the tool frame"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns of the formula."""

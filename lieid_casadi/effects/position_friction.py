@@ -22,6 +22,8 @@ class PositionFriction(Effect):
     """
 
     name = "position_friction"
+    finding: ClassVar = ("Dry friction on {joints} varies with the joint angle",)
+    change: ClassVar = ("The variation of dry friction on {joints} with the angle has changed",)
     formula = "(f_sin·sin kq + f_cos·cos kq)·sgn(q̇)"
     coefficients = (
         Coefficient("f_sin", "N·m", meaning="sine part of the dry friction"),

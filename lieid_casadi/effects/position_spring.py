@@ -21,8 +21,13 @@ class PositionSpring(Effect):
     """
 
     name = "position_spring"
+    finding: ClassVar = (
+        "A torque on {joints} grows with the joint angle",
+        "A torque on {joints} falls with the joint angle, as of a spring",
+    )
+    change: ClassVar = finding
     formula = "K·q"
-    coefficients = (Coefficient("K", "N·m/rad", meaning="stiffness"),)
+    coefficients = (Coefficient("K", "N·m/rad", limit=2e4, meaning="stiffness"),)
     signals = ("q",)
     accompanied_by = ("offset",)
     revealed_by = "slow motion through the joint's whole range, also where gravity has no effect"

@@ -28,6 +28,8 @@ class Presliding(Effect):
     """
 
     name = "presliding"
+    finding: ClassVar = ("Friction on {joints} builds up over a small angle after each reversal",)
+    change: ClassVar = ("Friction on {joints} builds up differently after reversals than before",)
     options: ClassVar = {
         "load": "an additional term proportional to |τ_load|",
         "square": "an additional term proportional to τ_load²",

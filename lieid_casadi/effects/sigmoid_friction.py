@@ -22,6 +22,8 @@ class SigmoidFriction(Effect):
     """
 
     name = "sigmoid_friction"
+    finding: ClassVar = ("Friction on {joints} changes smoothly with the direction",)
+    change: ClassVar = finding
     formula = "φ1/(1 + e^{−φ2·(q̇+φ3)}) − φ1/(1 + e^{−φ2·φ3})"
     coefficients = (Coefficient("phi1", "N·m", meaning="friction from one direction to the other"),)
     shapes = (

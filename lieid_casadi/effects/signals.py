@@ -28,6 +28,8 @@ class Signals:
         Signals of the joint that acts on this one, for couplings.
     state
         The effect's own states at this sample, by name.
+    command_error
+        Commanded minus measured position, rad; zero where there are no commands.
     """
 
     q: ca.SX
@@ -39,11 +41,15 @@ class Signals:
     time: ca.SX
     other: Signals | None = None
     state: Mapping[str, ca.SX] = field(default_factory=dict)
+    command_error: ca.SX = field(default_factory=lambda: ca.SX(0))
 
 
 @dataclass(frozen=True)
 class EffectSignals:
-    """The signals of all joints (n,), of which `of` selects those of one."""
+    """The signals of all joints (n,), of which `of` selects those of one.
+
+    ``command_error`` is None where there are no commands.
+    """
 
     q: ca.SX
     dq: ca.SX
@@ -52,6 +58,7 @@ class EffectSignals:
     load: ca.SX
     temperature: ca.SX
     time: ca.SX
+    command_error: ca.SX | None = None
 
     def of(
         self, joint: int, source: int | None = None, state: Mapping[str, ca.SX] | None = None
@@ -77,4 +84,5 @@ class EffectSignals:
             time=self.time,
             other=None if source is None else self.of(source),
             state=state or {},
+            command_error=ca.SX(0) if self.command_error is None else self.command_error[joint],
         )

@@ -24,6 +24,15 @@ class Stribeck(Effect):
     """
 
     name = "stribeck"
+    family = "friction over speed"
+    finding: ClassVar = (
+        "Friction on {joints} falls with speed from standstill",
+        "Friction on {joints} rises with speed from standstill",
+    )
+    change: ClassVar = (
+        "Friction on {joints} near standstill has increased",
+        "Friction on {joints} near standstill has decreased",
+    )
     options: ClassVar = {
         "exponent": "Eq. 6 with its exponent δ_s free; it is 2 otherwise",
         "two_width": (
@@ -51,7 +60,9 @@ class Stribeck(Effect):
             "v_s", "rad/s", 0.1, 1e-3, 2.0, meaning="Stribeck velocity", resolved_by="speed"
         )
         self.coefficients = (
-            Coefficient("f_s-f_c", "N·m", meaning="static minus Coulomb friction"),
+            Coefficient(
+                "f_s-f_c", "N·m", meaning="static minus Coulomb friction", opposes_motion=True
+            ),
         )
         self.shapes = (width,)
         self.formula = "(f_s − f_c)·sgn(q̇)·e^{−(q̇/v_s)²}"

@@ -22,6 +22,11 @@ class TemperatureFriction(Effect):
     """
 
     name = "temperature_friction"
+    finding: ClassVar = (
+        "Friction on {joints} grows with temperature",
+        "Friction on {joints} falls with temperature",
+    )
+    change: ClassVar = finding
     options: ClassVar = {
         "exponential": (
             "viscous friction that falls exponentially with temperature, as lubricants do "

@@ -18,36 +18,58 @@ LEAST = 1e-3  # s; below it the column is the derivative, not the difference quo
 class TorqueDelay(ArmEffect):
     """The torque is recorded late: τ_measured(t) = τ(t − δ), δ in s.
 
-    Revealed by fast changes of torque. Confused with viscous friction and armature; a delay below
-    one sampling interval cannot be distinguished from an error of differentiation. Exported code
-    computes the torque at the instant, without the delay.
+    Revealed by fast changes of torque. Confused with viscous friction and armature; a lead below
+    one sampling interval cannot be distinguished from a velocity that the drive computes by
+    differences. Exported code computes the torque at the instant, without the delay.
     """
 
     name = "torque_delay"
+    finding: ClassVar = (
+        "The measured torque of {joints} lags behind the position",
+        "The measured torque of {joints} leads the position",
+    )
+    change: ClassVar = finding
     formula = "τ_measured(t) = τ(t − δ)"
-    coefficients = (Coefficient("delta", "s", meaning="delay", resolved_by="sample_time"),)
+    coefficients = (Coefficient("delta", "s", limit=0.1, meaning="delay", resolved_by="lead"),)
     reach = "joint"
     needs_past = True
+    on_torque_signal = True
     export_note = "omitted: the torque is that of the instant, without the delay of its measurement"
     trial_values = ((-0.02,), (-0.005,), (0.005,), (0.01,), (0.02,), (0.04,), (0.08,))
     revealed_by = "fast changes of torque: high accelerations, reversals, rates above 100 Hz"
     confused_with: ClassVar = {
         "viscous": "a delayed inertia torque resembles damping; vary the frequency",
         "armature": "a delayed damping torque resembles inertia; vary the frequency",
+        "torque_lowpass": "only a filter attenuates; record accelerations up to its cut-off",
     }
     typical = "1 to 20 ms: filters in the drive, buses, time stamps of different clocks"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns of the formula."""
-        delay = float(values[0])
-        torque = arm.torque[:, joint]
-        if abs(delay) < LEAST:
-            late, early = (np.interp(arm.t + s * LEAST, arm.t, torque) for s in (-1.0, 1.0))
-            change = (late - early) / (2.0 * LEAST)
-        else:
-            change = (np.interp(arm.t - delay, arm.t, torque) - torque) / delay
-        return on_joint(change, joint, arm.torque.shape[1])
+        change = delayed_change(arm.t, arm.torque[:, [joint]], float(values[0]))
+        return on_joint(change[:, 0], joint, arm.torque.shape[1])
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
         """Return zeros: a controller needs the torque at the instant."""
         return ca.SX(arm.load.shape[0], 1)
+
+
+def delayed_change(t: Array, torque: Array, delay: float) -> Array:
+    """Return (τ(t − δ) − τ(t))/δ of torques (K, n), and its limit for small δ.
+
+    Parameters
+    ----------
+    t : (K,)
+        s.
+    torque : (K, n)
+        N·m.
+    delay : float
+        s.
+    """
+
+    def at(times: Array) -> Array:
+        return np.column_stack([np.interp(times, t, column) for column in torque.T])
+
+    if abs(delay) < LEAST:
+        return (at(t - LEAST) - at(t + LEAST)) / (2.0 * LEAST)
+    return (at(t - delay) - torque) / delay

@@ -21,8 +21,17 @@ class TorqueGain(ArmEffect):
     """
 
     name = "torque_gain"
+    finding: ClassVar = (
+        "The measured torque of {joints} is too large",
+        "The measured torque of {joints} is too small",
+    )
+    change: ClassVar = (
+        "The measured torque of {joints} has become larger",
+        "The measured torque of {joints} has become smaller",
+    )
     formula = "τ_measured = (1 + g)·τ"
-    coefficients = (Coefficient("g", "1", meaning="relative error of the gain"),)
+    size_unit = "%"
+    coefficients = (Coefficient("g", "1", limit=1.0, meaning="relative error of the gain"),)
     reach = "joint"
     revealed_by = "large gravity torque on several joints, or a payload of known mass"
     confused_with: ClassVar = {

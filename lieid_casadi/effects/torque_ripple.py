@@ -21,6 +21,8 @@ class TorqueRipple(Effect):
     """
 
     name = "torque_ripple"
+    finding: ClassVar = ("The torque of {joints} ripples over the joint angle",)
+    change: ClassVar = ("The ripple of the torque of {joints} over the joint angle has changed",)
     formula = "a·sin(kq) + b·cos(kq)"
     coefficients = (
         Coefficient("a", "N·m", meaning="sine part"),

@@ -21,6 +21,8 @@ class TransmissionCoupling(Effect):
     """
 
     name = "transmission_coupling"
+    finding: ClassVar = ("The motion of joint {source} causes friction on {joints}",)
+    change: ClassVar = ("Friction on {joints} from the motion of joint {source} has changed",)
     options: ClassVar = {
         "rotor": (
             "joint i also accelerates the rotor of joint j's drive, as where the gears of a wrist "

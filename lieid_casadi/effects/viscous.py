@@ -20,8 +20,18 @@ class Viscous(Effect):
     """
 
     name = "viscous"
+    finding: ClassVar = (
+        "Friction on {joints} grows with speed",
+        "Friction on {joints} falls with speed",
+    )
+    change: ClassVar = (
+        "Viscous friction on {joints} has increased",
+        "Viscous friction on {joints} has decreased",
+    )
     formula = "f_v·q̇"
-    coefficients = (Coefficient("f_v", "N·m·s/rad", meaning="friction per velocity"),)
+    coefficients = (
+        Coefficient("f_v", "N·m·s/rad", meaning="friction per velocity", opposes_motion=True),
+    )
     signals = ("dq",)
     revealed_by = "motion at speeds from about 10 % to 100 % of the joint's limit, both directions"
     confused_with: ClassVar = {

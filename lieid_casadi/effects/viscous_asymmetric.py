@@ -22,6 +22,8 @@ class ViscousAsymmetric(Effect):
     """
 
     name = "viscous_asymmetric"
+    finding: ClassVar = ("Viscous friction on {joints} differs between the directions",)
+    change: ClassVar = ("The difference of friction on {joints} between directions has changed",)
     formula = "f·|q̇|"
     coefficients = (
         Coefficient("f", "N·m·s/rad", meaning="half the difference between the directions"),

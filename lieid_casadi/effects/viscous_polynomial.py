@@ -21,6 +21,9 @@ class ViscousPolynomial(Effect):
     """
 
     name = "viscous_polynomial"
+    family = "friction over speed"
+    finding: ClassVar = ("Friction on {joints} is not a straight line over speed",)
+    change: ClassVar = ("The curve of friction over speed on {joints} has changed",)
     formula = "f_v2·sgn(q̇)·q̇² + f_v3·q̇³"
     coefficients = (
         Coefficient("f_v2", "N·m·s²/rad²", meaning="friction per square of velocity"),

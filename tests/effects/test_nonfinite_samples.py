@@ -10,7 +10,7 @@ import lieid_casadi as lieid
 from lieid_casadi.compiled.kernel_functions import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.compiled.memory_states import states_along as compiled_states
-from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.c.export import export_c
 from lieid_casadi.expressions.memory import states_along
 
 MODEL = lieid.Model(lieid.robots.two_link(), "presliding:1,presliding/lugre:2")
@@ -75,11 +75,12 @@ def test_exported_c_holds_the_state(tmp_path):
 
 def test_held_states_in_a_diagnosis():
     """The NumPy evaluation of candidates uses the same rule."""
-    from lieid_casadi.diagnosis.screening.effect_columns import OWN, EffectFunction
+    from lieid_casadi.diagnosis.screening.effect_memory import OWN, states_along
     from lieid_casadi.effects import make
 
     motion = signals("q", np.nan)
     rows = {k: motion[k][:, :1] for k in ("q", "dq")} | {"time": motion["time"]}
     own = [rows.get(name, np.zeros((200, 1)))[:, :, None] for name in OWN]
-    (states,) = EffectFunction(make("presliding"))._states_along(own, np.array([[0.01]]))
-    np.testing.assert_allclose(states[:, 0, 0], by_casadi(motion)[:, 0], rtol=1e-13)
+    (states,) = states_along(make("presliding"), own, np.array([[0.01]]))
+    # the steps are composed in another order; states are about 0.01
+    np.testing.assert_allclose(states[:, 0, 0], by_casadi(motion)[:, 0], rtol=1e-12, atol=1e-16)

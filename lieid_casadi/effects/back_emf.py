@@ -1,0 +1,43 @@
+"""Back-EMF of a drive whose control law does not contain it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import casadi as ca
+
+from lieid_casadi.effects.effect import Coefficient, Effect
+from lieid_casadi.effects.registry import register
+from lieid_casadi.effects.signals import Signals
+
+
+@register
+class BackEmf(Effect):
+    """A motor's voltage loses k_e·q̇: the law's torque exceeds the delivered one by k·q̇.
+
+    k = k_t·k_e/R in N·m·s/rad, at the joint. Of position-controlled drives. Equal to `viscous`
+    with any data: a model has one of them; presets of servos contain it.
+    """
+
+    name = "back_emf"
+    finding: ClassVar = ("The back-EMF of {joints} is not part of the drive law",)
+    change: ClassVar = (
+        "The back-EMF of {joints} has increased",
+        "The back-EMF of {joints} has decreased",
+    )
+    formula = "k·q̇, k = k_t·k_e/R"
+    coefficients = (
+        Coefficient("k", "N·m·s/rad", lower=0.0, meaning="torque per speed lost to back-EMF"),
+    )
+    signals = ("dq",)
+    commanded = True
+    revealed_by = "motion at several speeds; only a run without power separates it from friction"
+    confused_with: ClassVar = {
+        "viscous": "the two are the same with any recording under power",
+    }
+    typical = "stall torque over no-load speed of a servo: 0.05 to 1 N·m·s/rad"
+
+    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+        """Return the columns of the formula."""
+        return [s.dq]

@@ -1,0 +1,107 @@
+"""A torque signal that passed a low-pass filter before it was recorded."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+from scipy.signal import lfilter
+
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
+from lieid_casadi.effects.effect import Coefficient
+from lieid_casadi.effects.registry import register
+
+LEAST = 1e-3  # s; below it the column is the derivative, not the difference quotient
+
+
+@register
+class TorqueLowpass(ArmEffect):
+    """The torque is recorded through a low-pass filter: τ_measured = F_T(τ), T in s.
+
+    F_T is of first order, T·ẏ + y = τ with cut-off 1/(2πT) in Hz, and in balance at the start of
+    every segment. Revealed by torque that changes quickly. Confused with `torque_delay`: to first
+    order in T·d/dt both delay by T; only the filter also attenuates. Exported code computes the
+    torque at the instant, without the filter.
+    """
+
+    name = "torque_lowpass"
+    finding: ClassVar = ("The measured torque of {joints} is low-pass filtered",)
+    change: ClassVar = finding
+    formula = "T·d(τ_measured)/dt + τ_measured = τ"
+    coefficients = (
+        Coefficient(
+            "T",
+            "s",
+            lower=0.0,
+            limit=0.2,
+            meaning="time constant, 1/(2π·cut-off)",
+        ),
+    )
+    options: ClassVar = {
+        "second_order": "a critically damped filter of second order, delay 2·T",
+        "common": "one time constant for all joints: the controller's filter",
+        "common_second_order": "of second order, one time constant for all joints",
+    }
+    needs_past = True
+    on_torque_signal = True
+    export_note = "omitted: the torque is that of the instant, without the filter of its signal"
+    trial_values = ((0.003,), (0.01,), (0.02,), (0.04,), (0.08,))
+    revealed_by = "torque that changes quickly: high accelerations, reversals, rates above 100 Hz"
+    confused_with: ClassVar = {
+        "torque_delay": "only a filter attenuates; record accelerations up to its cut-off",
+        "viscous": "a filtered inertia torque resembles damping; vary the frequency",
+        "armature": "a filtered damping torque resembles inertia; vary the frequency",
+    }
+    typical = "cut-offs of 5 to 100 Hz, the same for all joints of a controller"
+
+    def __init__(self, *, option: str = "") -> None:
+        super().__init__(option=option)
+        self.whole_arm = option.startswith("common")
+        self.reach = "arm" if self.whole_arm else "joint"
+        self._order = 2 if option.endswith("second_order") else 1
+        if self._order == 2:
+            self.formula = "(1 + T·d/dt)²·τ_measured = τ"
+
+    def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
+        """Return the columns of the formula."""
+        if not self.whole_arm:
+            change = self._change(arm.t, arm.torque[:, [joint]], float(values[0]))
+            return on_joint(change[:, 0], joint, arm.torque.shape[1])
+        return self._change(arm.t, arm.torque, float(values[0]))[:, :, None]
+
+    def _change(self, t: Array, torque: Array, time_constant: float) -> Array:
+        """Return (F_T(τ) − τ)/T, and its limit for small T."""
+        if time_constant < LEAST:
+            return np.asarray(-self._order * np.gradient(torque, t, axis=0))
+        filtered = torque
+        for _ in range(self._order):
+            filtered = first_order_lag(t, filtered, time_constant)
+        return (filtered - torque) / time_constant
+
+    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
+        """Return zeros: a controller needs the torque at the instant."""
+        return ca.SX(arm.load.shape[0], 1)
+
+
+def first_order_lag(t: Array, x: Array, time_constant: float) -> Array:
+    """Return y with T·ẏ + y = x, exact for an x that is linear between equidistant samples.
+
+    Parameters
+    ----------
+    t : (K,)
+        s; a signal with other steps is interpolated onto K equidistant instants and back.
+    x : (K, n)
+    time_constant : float
+        s; y starts at the first x.
+    """
+    even = np.linspace(t[0], t[-1], len(t))
+    step = (t[-1] - t[0]) / (len(t) - 1) / time_constant
+    keep, mean = float(np.exp(-step)), float(-np.expm1(-step) / step)
+    y = np.empty(x.shape)
+    for j, column in enumerate(x.T):
+        given = np.interp(even, t, column)
+        state = np.array([mean * given[0]])
+        lagged, _ = lfilter([1.0 - mean, mean - keep], [1.0, -keep], given, zi=state)
+        y[:, j] = np.interp(t, even, lagged)
+    return y

@@ -1,0 +1,51 @@
+"""A drive that delivers less than its control law asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import casadi as ca
+
+from lieid_casadi.effects.effect import Coefficient, Effect, Shape
+from lieid_casadi.effects.registry import register
+from lieid_casadi.effects.signals import Signals
+
+
+@register
+class TorqueSaturation(Effect):
+    """Torque stops growing at the error e_s: the law exceeds it by K·(|e| − e_s)·sgn(e), |e| > e_s.
+
+    e = q_cmd − q in rad, K in N·m/rad (the drive's stiffness); the limit of the torque is K·e_s in
+    N·m. Of position-controlled drives. Revealed by errors beyond e_s, which is searched among the
+    largest fifth: with a smaller e_s the column is the recorded torque itself. Confused with
+    `torque_gain`.
+    """
+
+    name = "torque_saturation"
+    finding: ClassVar = ("The drive of {joints} delivers less than its law states at large errors",)
+    change: ClassVar = (
+        "The drive of {joints} delivers less at large errors than before",
+        "The drive of {joints} delivers more at large errors than before",
+    )
+    formula = "K·max(|q_cmd − q| − e_s, 0)·sgn(q_cmd − q)"
+    coefficients = (Coefficient("K", "N·m/rad", lower=0.0, meaning="stiffness of the drive"),)
+    shapes = (
+        Shape(
+            "e_s", "rad", 0.1, 0.003, 3.0,
+            meaning="error at which torque saturates", resolved_by="command_error",
+        ),
+    )  # fmt: skip
+    signals = ("command_error",)
+    commanded = True
+    revealed_by = "position errors well beyond the limit: fast commands, heavy loads"
+    confused_with: ClassVar = {
+        "torque_gain": "a gain acts on small errors, too; cover both",
+        "command_delay": "both grow with fast commands; load the arm at rest",
+    }
+    typical = "a supply voltage or a current limit below the one that the law assumes"
+
+    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+        """Return the columns of the formula."""
+        beyond = ca.fmax(ca.fabs(s.command_error) - shape["e_s"], 0.0)
+        return [beyond * ca.sign(s.command_error)]
