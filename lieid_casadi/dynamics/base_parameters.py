@@ -7,23 +7,27 @@ and kept if they are independent of those kept.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.dynamics import elimination
+from lieid_casadi.dynamics.laurent import Laurent, polynomials
 from lieid_casadi.dynamics.null_space import (
     RANK_TOLERANCE,
     EnergyColumn,
     null_space,
     rounded,
 )
+from lieid_casadi.errors import ModelError
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
 
-Matrix = NDArray[np.float64]
+Matrix = NDArray[Any]
 SHOWN = 1e-9
 
 
@@ -38,7 +42,8 @@ class BaseParameters:
     kept : (p,) int
         Columns that span the others; scanned first to last, kept if independent.
     combination : (p, P)
-        β = combination @ π: coefficient 1 on the kept column, the rest on dropped ones.
+        β = combination @ π: coefficient 1 on the kept column, the rest on dropped ones. Floats,
+        or floats and `Laurent` polynomials for a robot with symbols.
     """
 
     names: tuple[str, ...]
@@ -72,12 +77,11 @@ class BaseParameters:
         groups: dict[str, list[str]] = {}
         for index in np.flatnonzero(np.abs(row) > SHOWN):
             if index != first:
-                sign = "-" if row[index] < 0 else "+"
-                size = f"{abs(row[index]):.{digits}g}"
+                sign, size = _factor(row[index], digits)
                 groups.setdefault(f"{sign} {size}", []).append(self.names[index])
         terms = [self.names[first]]
         for factor, members in groups.items():
-            sign, size = factor.split()
+            sign, size = factor.split(maxsplit=1)
             if size == "1":
                 terms += [f"{sign} {name}" for name in members]
             elif len(members) == 1:
@@ -86,12 +90,41 @@ class BaseParameters:
                 terms.append(f"{factor} ({' + '.join(members)})")
         return " ".join(terms)
 
+    @cached_property
+    def symbols(self) -> frozenset[str]:
+        """Names of the lengths that the combination has."""
+        entries = [x for x in self.combination.flat if isinstance(x, Laurent)]
+        return frozenset(name for x in entries for powers in x.terms for name, _ in powers)
+
+    def at(self, values: Mapping[str, Any]) -> Any:
+        """Return the combination (p, P) for given lengths by name: numbers, or SX as object."""
+        made = np.empty(self.combination.shape, dtype=object)
+        for index, entry in np.ndenumerate(self.combination):
+            made[index] = entry.at(values) if isinstance(entry, Laurent) else float(entry)
+        floats = all(isinstance(entry, float) for entry in made.flat)
+        return made.astype(float) if floats else made
+
     def lift(self, base: Matrix, prior: Matrix | None = None) -> Matrix:
-        """Return parameters (P,) of base values (p,), the nearest to a prior (P,) or to zero."""
+        """Return parameters (P,) of base values (p,), the nearest to a prior (P,) or to zero.
+
+        Raises
+        ------
+        ModelError
+            The combination has symbols.
+        """
+        if self.combination.dtype == object:
+            raise ModelError("base parameters with symbols; expected numbers, robot.with_values")
         start = np.zeros(len(self.names)) if prior is None else np.asarray(prior, dtype=float)
         miss = np.asarray(base) - self.combination @ start
         solution, *_ = np.linalg.lstsq(self.combination, miss, rcond=None)
         return np.asarray(start + solution)
+
+
+def _factor(value: Any, digits: int) -> tuple[str, str]:
+    """Return sign and size of a coefficient as text."""
+    if isinstance(value, Laurent):
+        return value.text(digits=digits)
+    return "-" if value < 0 else "+", f"{abs(value):.{digits}g}"
 
 
 def link_parameter_names(n: int) -> tuple[str, ...]:
@@ -115,17 +148,60 @@ def base_parameters(
     extra_names : sequence of str
         Their names.
     """
-    null = null_space(robot, extra)
     names = (*link_parameter_names(robot.n), *extra_names)
-    return reduce(null, names)
+    if not robot.has_symbols:
+        return reduce(null_space(robot, extra), names)
+    base = reduce(null_space(_of_polynomials(robot), extra), names)
+    _check(base, robot, extra)
+    return base
+
+
+def _of_polynomials(robot: Robot) -> Robot:
+    """Return the robot with polynomials in its symbols in place of SX expressions."""
+
+    def of(array: Matrix) -> Matrix:
+        return polynomials(array, snap=RANK_TOLERANCE)
+
+    joints = tuple(replace(j, screw=of(j.screw), home=of(j.home)) for j in robot.joints)
+    return replace(robot, joints=joints, gravity=of(robot.gravity), source=None)
+
+
+def _check(base: BaseParameters, robot: Robot, extra: Sequence[EnergyColumn | None]) -> None:
+    """Compare with the base parameters of numbers, at random values of the symbols.
+
+    Raises
+    ------
+    ModelError
+        They differ: a polynomial was not recognized as zero.
+    """
+    names = [str(symbol) for symbol in robot.symbols]
+    random = np.random.default_rng(0).uniform(0.2, 0.9, len(names))
+    values = dict(zip(names, map(float, random), strict=True))
+    numeric = reduce(null_space(robot.with_values(values), extra), base.names)
+    if np.array_equal(base.kept, numeric.kept):
+        difference = np.abs(base.at(values) - numeric.combination).max(initial=0.0)
+        if difference <= 1e-7 * np.abs(numeric.combination).max(initial=1.0):
+            return
+    raise ModelError(
+        f"base parameters of robot {robot.name!r} with the symbols {', '.join(names)}: the "
+        "derivation with symbols differs from that with numbers; expected numbers, "
+        "robot.with_values"
+    )
 
 
 def reduce(null: Matrix, names: tuple[str, ...]) -> BaseParameters:
     """Return the base parameters given a basis (d, P) of the invisible parameter changes."""
-    dropped = _last_touched(null)
-    kept = np.setdiff1d(np.arange(len(names)), dropped)
-    rows = np.linalg.solve(null[:, dropped], null[:, kept])
-    combination = np.zeros((len(kept), len(names)))
+    columns = len(names)
+    if null.dtype == object:
+        reduced, last = elimination.eliminated(null, list(range(columns))[::-1])
+        dropped = np.array(last, dtype=np.intp)
+        kept = np.setdiff1d(np.arange(columns), dropped)
+        rows = reduced[:, kept]
+    else:
+        dropped = _last_touched(null)
+        kept = np.setdiff1d(np.arange(columns), dropped)
+        rows = np.linalg.solve(null[:, dropped], null[:, kept])
+    combination = np.zeros((len(kept), columns), dtype=rows.dtype)
     combination[np.arange(len(kept)), kept] = 1.0
     # null row: y_dropped + Σ row_k y_k = 0, so π_dropped adds −row_k to the kept k
     combination[:, dropped] = -rows.T

@@ -74,12 +74,12 @@ def mass_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
             matrix[i, j] = matrix[j, i] = ca.mtimes(xi[i].T, wrench)
             wrench = inverse_adjoint_transpose_times(poses[i], wrench)
         if j:
-            body = links[j - 1] + _seen_from_parent(poses[j], body)
+            body = links[j - 1] + seen_from_parent(poses[j], body)
     return matrix
 
 
-def _seen_from_parent(g: Pose, link: ca.SX) -> ca.SX:
-    """Return link parameters (10,) about the parent's frame."""
+def seen_from_parent(g: Pose, link: ca.SX) -> ca.SX:
+    """Return link parameters (10,) about the parent's frame, given the link's pose in it."""
     mass, moment = link[0], ca.mtimes(g.rotation, link[1:4])
     p, turned = hat(g.translation), hat(moment)
     inertia = ca.mtimes(g.rotation, ca.mtimes(_inertia(link), g.rotation.T))
@@ -133,7 +133,7 @@ def coriolis_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
             turning = ca.mtimes(g.rotation, ca.mtimes(turning, g.rotation.T))
             turning = moments[j - 1][1] + turning - ca.mtimes(hat(g.translation), hat(momentum))
             momentum = moments[j - 1][0] + momentum
-            body = links[j - 1] + _seen_from_parent(g, body)
+            body = links[j - 1] + seen_from_parent(g, body)
     return matrix
 
 

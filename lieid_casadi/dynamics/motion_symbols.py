@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.dynamics.lie import Pose, constant, exp, pose
+from lieid_casadi.robot.geometry import relative
 from lieid_casadi.robot.robot import Robot
 
 
@@ -50,7 +51,7 @@ def relative_poses(robot: Robot, motion: Motion) -> list[Pose]:
     """Return g_{i-1,i}(q): each link frame in the frame of the link before (base first)."""
     poses, before = [], np.eye(4)
     for i, joint in enumerate(robot.joints):
-        home = pose(np.linalg.solve(before, joint.home))
+        home = pose(relative(before, joint.home))
         poses.append(home @ exp(joint.axis, motion.q[i], motion.sin[i], motion.cos[i]))
         before = joint.home
     return poses
