@@ -53,6 +53,10 @@ class OutputError(LieidError):
     """A file or folder that cannot be written, or may not be replaced."""
 
 
+class FleetError(LieidError):
+    """A fleet file, a history or a cluster that cannot be used."""
+
+
 class UsageError(LieidError):
     """A command line that asks for something impossible."""
 
@@ -63,6 +67,10 @@ class MissingDependency(LieidError):
 
 class NoSolution(LieidError):
     """The problem was well posed but no solution was found (exit status 3)."""
+
+
+class ClusterLost(NoSolution):
+    """The connection to a cluster was lost; what was finished is recorded."""
 
 
 class LieidWarning(UserWarning):
@@ -87,6 +95,10 @@ class FrictionAtRestWarning(LieidWarning):
 
 class NominalInertiaWarning(LieidWarning):
     """A stated inertia that is physically impossible."""
+
+
+class MimicJointWarning(LieidWarning):
+    """A joint that follows another in the robot's description, and is kept at zero here."""
 
 
 class ConvergenceWarning(LieidWarning):
@@ -157,12 +169,24 @@ class RepeatedRowsWarning(LieidWarning):
     """Rows that repeat the previous one while the arm moves: the source is slower."""
 
 
+class AssumedCalibrationWarning(LieidWarning):
+    """Units or zero positions of a recording that were assumed, because it does not state them."""
+
+
+class RelativeTorqueWarning(LieidWarning):
+    """Torques and parameters in units of a drive stiffness that is not known."""
+
+
 class ShortSegmentWarning(LieidWarning):
     """A segment that is too short to be filtered was left out."""
 
 
 class SameRecordingWarning(LieidWarning):
     """A test on a recording that the fit was made from."""
+
+
+class TorqueConstantsWarning(LieidWarning):
+    """Currents were converted by other torque constants than those of the fit."""
 
 
 class NegativeMassWarning(LieidWarning):
@@ -175,6 +199,10 @@ class ImpossiblePayloadWarning(LieidWarning):
 
 class PayloadMisfitWarning(LieidWarning):
     """A run whose error a payload does not explain."""
+
+
+class NotSimulatedWarning(LieidWarning):
+    """An effect of a fit changes the motion of its links, and a simulation leaves it out."""
 
 
 class NotCountedWarning(LieidWarning):

@@ -16,7 +16,7 @@ from lieid_casadi.effects import Effect, Placement, parse_effects, place
 from lieid_casadi.effects.placement import labels
 from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.errors import ModelError
-from lieid_casadi.robot import Joint, Robot
+from lieid_casadi.robot import Robot
 from lieid_casadi.robot.inertia import LINK_PARAMETER_UNITS
 
 
@@ -122,7 +122,7 @@ class Model:
             Parameter(
                 f"{p.effect.label}.{c.name}",
                 p.joint,
-                _unit(c.unit, self.robot.joints[p.joint]),
+                _unit(c.unit, p, self.robot),
                 c.lower,
                 c.upper,
             )
@@ -137,7 +137,7 @@ class Model:
             Parameter(
                 f"{p.effect.label}.{s.name}",
                 p.joint,
-                _unit(s.unit, self.robot.joints[p.joint]),
+                _unit(s.unit, p, self.robot),
                 s.lower,
                 s.upper,
                 s.initial,
@@ -158,7 +158,7 @@ class Model:
             Parameter(
                 f"{p.effect.label}.{s.name}",
                 p.joint,
-                _unit(s.unit, self.robot.joints[p.joint]),
+                _unit(s.unit, p, self.robot),
                 initial=s.initial,
             )
             for p in self.placements
@@ -286,8 +286,8 @@ class Model:
         return f"Model({self.robot.name}, effects={self.effects})"
 
 
-def _unit(unit: str, joint: Joint) -> str:
-    """Return a unit as it reads for this joint: a sliding joint has N and m."""
-    if joint.revolute:
+def _unit(unit: str, placement: Placement, robot: Robot) -> str:
+    """Return a unit as it reads for the effect's joint: a sliding joint has N and m."""
+    if placement.whole_arm or robot.joints[placement.joint].revolute:
         return unit
     return unit.replace("kg·m²", "kg").replace("N·m", "N").replace("rad", "m")

@@ -63,6 +63,7 @@ class BatchFunctions:
         load: ArrayLike | None,
         temperature: ArrayLike | None,
         time: ArrayLike | None,
+        command_error: ArrayLike | None,
         shapes: ArrayLike | None,
         dead_zone: ArrayLike | None,
     ) -> dict[str, Array]:
@@ -80,6 +81,9 @@ class BatchFunctions:
             values["load"] = array_checks.samples("load", load, self.n, count)
         if temperature is not None:
             values["temperature"] = array_checks.samples("temperature", temperature, self.n, count)
+        if command_error is not None:
+            errors = array_checks.samples("command_error", command_error, self.n, count)
+            values["command_error"] = errors
         if time is not None:
             values["time"] = array_checks.times(time, count)
         if self.model.states:

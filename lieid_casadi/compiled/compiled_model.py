@@ -43,7 +43,9 @@ def compile(
     >>> arm.regressor([[0.1, 0.2]], [[0.0, 0.0]], [[0.0, 0.0]]).shape
     (1, 2, 20)
     """
-    return Compiled(as_model(model), threads=threads, lanes=lanes)
+    made = as_model(model)
+    made.robot.require_numbers("compile")
+    return Compiled(made, threads=threads, lanes=lanes)
 
 
 class Compiled(RigidFunctions):
@@ -72,6 +74,7 @@ class Compiled(RigidFunctions):
         load: ArrayLike | None = None,
         temperature: ArrayLike | None = None,
         time: ArrayLike | None = None,
+        command_error: ArrayLike | None = None,
         shapes: ArrayLike | None = None,
         dead_zone: ArrayLike | None = None,
         out: Array | None = None,
@@ -89,6 +92,8 @@ class Compiled(RigidFunctions):
             °C relative to the training mean; zero if left out.
         time : (N,), optional
             s; zero if left out.
+        command_error : (N, n), optional
+            Commanded minus measured position, rad; zero if left out.
         shapes : (s,), optional
             Shape parameters; the effects' start values if left out.
         dead_zone : (n,), optional
@@ -105,7 +110,7 @@ class Compiled(RigidFunctions):
         """
         self._require_joint_effects()
         motion = self._motion(q, dq, ddq)
-        values = self._signals(motion, load, temperature, time, shapes, dead_zone)
+        values = self._signals(motion, load, temperature, time, command_error, shapes, dead_zone)
         return self._matrix("base_regressor", values, out, threads)
 
     def rigid_base_regressor(
@@ -139,6 +144,7 @@ class Compiled(RigidFunctions):
         load: ArrayLike | None = None,
         temperature: ArrayLike | None = None,
         time: ArrayLike | None = None,
+        command_error: ArrayLike | None = None,
         shapes: ArrayLike | None = None,
         dead_zone: ArrayLike | None = None,
         size: int | None = None,
@@ -149,13 +155,13 @@ class Compiled(RigidFunctions):
         ----------
         q, dq, ddq : (N, n)
             rad, rad/s, rad/s².
-        load, temperature, time, shapes, dead_zone : optional
+        load, temperature, time, command_error, shapes, dead_zone : optional
             As for `base_regressor`.
         size : int, optional
             Samples per block; as many as half a second-level cache holds if left out.
         """
         motion = self._motion(q, dq, ddq)
-        values = self._signals(motion, load, temperature, time, shapes, dead_zone)
+        values = self._signals(motion, load, temperature, time, command_error, shapes, dead_zone)
         return BaseBlocks(self._evaluation("base_regressor"), values, len(values["q"]), size)
 
     def effect_columns(
@@ -167,6 +173,7 @@ class Compiled(RigidFunctions):
         load: ArrayLike | None = None,
         temperature: ArrayLike | None = None,
         time: ArrayLike | None = None,
+        command_error: ArrayLike | None = None,
         shapes: ArrayLike | None = None,
         dead_zone: ArrayLike | None = None,
         out: Array | None = None,
@@ -181,7 +188,7 @@ class Compiled(RigidFunctions):
         ----------
         q, dq, ddq : (N, n)
             rad, rad/s, rad/s².
-        load, temperature, time, shapes, dead_zone : optional
+        load, temperature, time, command_error, shapes, dead_zone : optional
             As for `base_regressor`.
         out : (N, n, m), optional
             Array to write to.
@@ -199,7 +206,7 @@ class Compiled(RigidFunctions):
         if not joint_effects_only:
             self._require_joint_effects()
         motion = self._motion(q, dq, ddq)
-        values = self._signals(motion, load, temperature, time, shapes, dead_zone)
+        values = self._signals(motion, load, temperature, time, command_error, shapes, dead_zone)
         return self._matrix("effect_columns", values, out, threads)
 
     def friction(
@@ -212,6 +219,7 @@ class Compiled(RigidFunctions):
         load: ArrayLike | None = None,
         temperature: ArrayLike | None = None,
         time: ArrayLike | None = None,
+        command_error: ArrayLike | None = None,
         shapes: ArrayLike | None = None,
         dead_zone: ArrayLike | None = None,
         out: Array | None = None,
@@ -226,7 +234,7 @@ class Compiled(RigidFunctions):
             rad, rad/s, rad/s².
         coefficients : (m,)
             Linear coefficients.
-        load, temperature, time, shapes, dead_zone : optional
+        load, temperature, time, command_error, shapes, dead_zone : optional
             As for `base_regressor`.
         out : (N, n), optional
             Array to write to.
@@ -244,7 +252,7 @@ class Compiled(RigidFunctions):
         if not joint_effects_only:
             self._require_joint_effects()
         motion = self._motion(q, dq, ddq)
-        values = self._signals(motion, load, temperature, time, shapes, dead_zone)
+        values = self._signals(motion, load, temperature, time, command_error, shapes, dead_zone)
         width = len(self.model.columns)
         values["coefficients"] = array_checks.constants("coefficients", coefficients, width)
         return self._vector("friction", values, out, threads)

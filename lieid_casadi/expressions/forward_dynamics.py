@@ -84,6 +84,34 @@ def _solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
     return ca.ldl_solve(right, diagonal, lower, order)
 
 
+def obstacle(torque: TorqueExpressions, *, remedy: str) -> str:
+    """Return why numbers have no forward dynamics within the joint limits; empty if they have.
+
+    Parameters
+    ----------
+    torque : TorqueExpressions
+        With numbers as values; symbols are not tried.
+    remedy : str
+        What to do about a mass matrix that is not positive definite.
+    """
+    if not torque.values.numeric or torque.model.robot.symbols:
+        return ""
+    share = indefinite_share(torque)
+    if share > 0.0:
+        return (
+            f"the mass matrix is not positive definite in {100.0 * share:.1f} % of the poses "
+            f"within the joint limits, so that forward dynamics are not defined there; {remedy}"
+        )
+    share = unsolved_share(torque)
+    if share > 0.0:
+        return (
+            "friction that depends on the load changes by more than the load, so that the "
+            f"acceleration is not determined in {100.0 * share:.1f} % of motions within the "
+            "limits; expected smaller coefficients of load friction"
+        )
+    return ""
+
+
 def indefinite_share(torque: TorqueExpressions) -> float:
     """Return the share of poses within the limits whose mass matrix is not positive definite.
 

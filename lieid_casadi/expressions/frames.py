@@ -12,6 +12,7 @@ from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Pose
 from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.errors import ModelError
+from lieid_casadi.expressions.torque import geometry_inputs
 from lieid_casadi.robot.robot import Robot
 
 
@@ -25,17 +26,20 @@ class Frame:
         The arm up to the link that carries the frame; its tool is the frame.
     joints : int
         Number of joints n of the whole arm.
+    symbols : dict of ca.SX
+        Symbols of the geometry of the whole arm by name: further inputs.
     """
 
     robot: Robot
     joints: int
+    symbols: dict[str, ca.SX]
 
     @cached_property
     def forward_kinematics(self) -> ca.Function:
         """``q -> T`` (4, 4): homogeneous pose of the frame in the base frame."""
         q = ca.SX.sym("q", self.joints)
         pose = recursion.tool_in_base(self.robot, Motion.of(q[: self.robot.n]))
-        return ca.Function("forward_kinematics", [q], [homogeneous(pose)], ["q"], ["T"])
+        return self._function("forward_kinematics", q, {"T": homogeneous(pose)})
 
     @cached_property
     def jacobian(self) -> ca.Function:
@@ -43,8 +47,18 @@ class Frame:
         q = ca.SX.sym("q", self.joints)
         moving = closed_form.jacobian(self.robot, Motion.of(q[: self.robot.n]))
         still = ca.SX(6, self.joints - self.robot.n)
-        matrix = ca.densify(ca.horzcat(moving, still))
-        return ca.Function("jacobian", [q], [matrix], ["q"], ["J"], {"cse": True})
+        return self._function("jacobian", q, {"J": ca.densify(ca.horzcat(moving, still))})
+
+    def _function(self, name: str, q: ca.SX, outputs: dict[str, ca.SX]) -> ca.Function:
+        inputs = {"q": q} | self.symbols
+        return ca.Function(
+            name,
+            list(inputs.values()),
+            list(outputs.values()),
+            list(inputs),
+            list(outputs),
+            {"cse": True, "allow_duplicate_io_names": True},
+        )
 
 
 def frame_of(robot: Robot, name: str) -> Frame:
@@ -61,12 +75,13 @@ def frame_of(robot: Robot, name: str) -> Frame:
     ModelError
         If no frame has that name.
     """
+    symbols = geometry_inputs(robot)
     if name == "tool":
-        return Frame(robot, robot.n)
+        return Frame(robot, robot.n, symbols)
     for i, joint in enumerate(robot.joints):
         if name in (f"link{i + 1}", joint.name, joint.link_name):
             part = replace(robot, joints=robot.joints[: i + 1], tool=np.eye(4), source=None)
-            return Frame(part, robot.n)
+            return Frame(part, robot.n, symbols)
     names = [joint.link_name or joint.name for joint in robot.joints]
     raise ModelError(
         f"robot {robot.name!r} has no frame {name!r}; expected tool, link1 … link{robot.n}, "

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.dynamics import closed_form, recursion
-from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.lie import constant
+from lieid_casadi.dynamics.motion_symbols import Motion, tool_pose
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ModelError
 from lieid_casadi.model import Model
-from lieid_casadi.robot.inertia import parameter_transport
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -43,9 +43,9 @@ class ArmInstant:
     torque: ca.SX
 
     @property
-    def gravity(self) -> Array:
+    def gravity(self) -> ca.SX:
         """Gravity (3,) in the base frame, m/s²."""
-        return np.asarray(self.robot.gravity)
+        return ca.densify(constant(self.robot.gravity))
 
     def rigid_beside(self, offset: ca.SX) -> ca.SX:
         """Return the rigid torque (n,) at q + offset (n,), by the addition theorem."""
@@ -65,8 +65,10 @@ class ArmInstant:
 
     def tool_regressor(self) -> ca.SX:
         """Return the rigid torque (n, 10) per link parameter of a body in the tool frame."""
+        body = ca.SX.sym("body", 10)
+        at_link = closed_form.seen_from_parent(tool_pose(self.robot), body)
         last = regressor(self.robot, self.motion)[:, -10:]
-        return ca.mtimes(last, ca.sparsify(ca.DM(parameter_transport(self.robot.tool))))
+        return ca.mtimes(last, ca.jacobian(at_link, body))
 
 
 def arm_effect_columns(
@@ -92,7 +94,7 @@ def arm_effect_columns(
     first = 0
     for p in model.placements:
         last = first + len(p.effect.coefficients)
-        if isinstance(p.effect, ArmEffect) and p.effect.whole_arm != measurement:
+        if isinstance(p.effect, ArmEffect) and p.effect.on_measurement == measurement:
             if p.effect.needs_past:
                 raise ModelError(
                     f"{p.label}: the measured torque depends on the motion before the instant; "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -14,8 +14,9 @@ from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.model import Model
+from lieid_casadi.robot.robot import Robot
 
-SIGNAL_NAMES = ("q", "dq", "ddq", "load", "temperature", "time")
+SIGNAL_NAMES = ("q", "dq", "ddq", "load", "temperature", "time", "command_error")
 STEPS = 256  # samples per call of the unrolled step of states
 
 
@@ -67,6 +68,23 @@ def ramp(dq: ca.SX, width: ca.SX) -> ca.SX:
     return ca.if_else(ca.fabs(dq) < width, step, ca.sign(dq))
 
 
+class _RigidRegressor:
+    """The regressor of a robot (n, 10 n) in symbols that all its models share.
+
+    It takes longer to build than the columns of all effects.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot, self.motion = robot, Motion.symbols(robot.n)
+
+    @cached_property
+    def matrix(self) -> ca.SX:
+        return regressor(self._robot, self.motion)
+
+
+_rigid_regressor = lru_cache(maxsize=16)(_RigidRegressor)
+
+
 class ModelFunctions:
     """Lazily built functions of one model; inputs are (n,) columns unless stated.
 
@@ -77,13 +95,15 @@ class ModelFunctions:
     def __init__(self, model: Model) -> None:
         self.model = model
         n = model.n
-        self.motion = Motion.symbols(n)
+        self._rigid = _rigid_regressor(model.robot)
+        self.motion = self._rigid.motion
         self.parameters = ca.SX.sym("parameters", 10 * n)
         self.shapes = ca.SX.sym("shapes", len(model.shapes))
         self.dead_zone = ca.SX.sym("dead_zone", n)
         self.load = ca.SX.sym("load", n)
         self.temperature = ca.SX.sym("temperature", n)
         self.time = ca.SX.sym("time")
+        self.command_error = ca.SX.sym("command_error", n)
         self.states = ca.SX.sym("states", len(model.states))
 
     @property
@@ -101,18 +121,15 @@ class ModelFunctions:
         """Symbols of the effects; the sign of q̇ has a ramp over the dead zone."""
         m = self.motion
         sign = ramp(m.dq, self.dead_zone)
-        return EffectSignals(m.q, m.dq, m.ddq, sign, self.load, self.temperature, self.time)
-
-    @cached_property
-    def rigid_matrix(self) -> ca.SX:
-        """The full regressor Y (n, 10 n) in the symbols of this object."""
-        return regressor(self.model.robot, self.motion)
+        return EffectSignals(
+            m.q, m.dq, m.ddq, sign, self.load, self.temperature, self.time, self.command_error
+        )
 
     @cached_property
     def regressor(self) -> SparseFunction:
         """Y (n, 10 n)."""
         inputs, names = self._state
-        return sparse_function("regressor", inputs, names, self.rigid_matrix)
+        return sparse_function("regressor", inputs, names, self._rigid.matrix)
 
     @cached_property
     def base_regressor(self) -> SparseFunction:
@@ -121,7 +138,7 @@ class ModelFunctions:
         rigid = [int(k) for k in kept[kept < 10 * self.model.n]]
         inputs, names = self._state
         matrix = ca.horzcat(
-            self.rigid_matrix[:, rigid], ca.SX(self.model.n, len(kept) - len(rigid))
+            self._rigid.matrix[:, rigid], ca.SX(self.model.n, len(kept) - len(rigid))
         )
         return sparse_function("base_regressor", inputs, names, matrix)
 
@@ -132,7 +149,8 @@ class ModelFunctions:
         With effects that have memory, ``states`` (S,) is a further input.
         """
         s = self.signals
-        inputs = [s.q, s.dq, s.ddq, s.load, s.temperature, s.time, self.shapes, self.dead_zone]
+        inputs = [s.q, s.dq, s.ddq, s.load, s.temperature, s.time, self.command_error]
+        inputs += [self.shapes, self.dead_zone]
         names = [*SIGNAL_NAMES, "shapes", "dead_zone"]
         if self.model.states:
             inputs, names = [*inputs, self.states], [*names, "states"]
@@ -143,13 +161,13 @@ class ModelFunctions:
     def advance(self) -> ca.Function:
         """States (S,) at a sample, from its signals and the states and signals before it."""
         now = self.signals
-        symbols = [now.q, now.dq, now.ddq, now.load, now.temperature, now.time]
+        symbols = [now.q, now.dq, now.ddq, now.load, now.temperature, now.time, self.command_error]
         past = [
             ca.SX.sym(f"before_{name}", symbol.size1())
             for name, symbol in zip(SIGNAL_NAMES, symbols, strict=True)
         ]
-        q, dq, ddq, load, temperature, time = past
-        before = EffectSignals(q, dq, ddq, ramp(dq, self.dead_zone), load, temperature, time)
+        q, dq, ddq, *others = past
+        before = EffectSignals(q, dq, ddq, ramp(dq, self.dead_zone), *others)
         after = self.model.advance(before, now, self.shapes, self.states)
         inputs = [self.states, *past, *symbols, self.shapes, self.dead_zone]
         names = ["states", *(f"before_{name}" for name in SIGNAL_NAMES), *SIGNAL_NAMES]

@@ -9,12 +9,13 @@ from typing import Any
 
 import casadi as ca
 
+from lieid_casadi.dynamics.lie import constant
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions import forward_dynamics, state_equations
 from lieid_casadi.expressions.frames import Frame, frame_of
 from lieid_casadi.expressions.function_files import write_functions
-from lieid_casadi.expressions.torque import TorqueExpressions
+from lieid_casadi.expressions.torque import TorqueExpressions, geometry_inputs
 from lieid_casadi.model import Model
 
 
@@ -35,6 +36,8 @@ class SymbolicDynamics:
         Ten link parameters of a body at the tool, in the tool frame.
     ``parameters``, ``effects``, ``shapes``
         Link parameters (10 n,), coefficients (m,) and shape parameters (s,) of a model.
+    symbols of the geometry
+        By their names, if the robot has some (`Robot.from_screws`).
 
     The parts add up: ``tau = M·ddq + C·dq + gravity + friction``. Armature belongs to M; effects on
     the whole arm (payload, tilt, wrench) belong to M, C and gravity; friction holds all effects of
@@ -64,15 +67,21 @@ class SymbolicDynamics:
         """Return a function of the named leading inputs and of those that the model adds."""
         symbols = self._torque.leading_symbols
         inputs = {key: symbols[key] for key in leading}
-        if not constant:
+        if constant:
+            inputs |= geometry_inputs(self.model.robot)
+        else:
             inputs |= self._torque.further_inputs(static="dq" not in leading)
+        return self._named(name, inputs, outputs)
+
+    @staticmethod
+    def _named(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
         return ca.Function(
             name,
             list(inputs.values()),
             [ca.densify(expression) for expression in outputs.values()],
             list(inputs),
             list(outputs),
-            {"cse": True},
+            {"cse": True, "allow_duplicate_io_names": True},  # a symbol g, the result g
         )
 
     @cached_property
@@ -128,6 +137,17 @@ class SymbolicDynamics:
         return self._function("base_regressor", leading, {"Yb": matrix})
 
     @cached_property
+    def base_matrix(self) -> ca.Function:
+        """``-> B`` (p, 10 n + m): base parameters are B·[link parameters; effect coefficients].
+
+        It depends on the symbols of the geometry alone; ``model.base.expression(k)`` is row k as
+        text, such as ``mcx3 + d4 (m4 + m5)``.
+        """
+        base, inputs = self.model.base, geometry_inputs(self.model.robot)
+        matrix = constant(base.at(inputs))
+        return self._named("base_matrix", inputs, {"B": matrix})
+
+    @cached_property
     def forward_kinematics(self) -> ca.Function:
         """``q -> T`` (4, 4): pose of the tool in the base frame."""
         return self._tool.forward_kinematics
@@ -167,9 +187,10 @@ class SymbolicDynamics:
         Raises
         ------
         ModelError
-            If the mass matrix of a fit is not positive definite in a pose within the limits.
+            If the mass matrix is not positive definite in a pose within the limits, or friction
+            changes by more than the load that it depends on, so that no acceleration is determined.
         """
-        self._require_positive_mass_matrix()
+        self._require_solution()
         return self._acceleration(jacobian=self._jacobian_function)
 
     def _acceleration(self, *, jacobian: ca.Function | None = None) -> ca.Function:
@@ -195,18 +216,10 @@ class SymbolicDynamics:
         operations than the derivative of the solution. ``ddq`` is ``forward_dynamics(q, dq, tau)``.
         """
         symbols = self._torque.leading_symbols
-        inputs = {key: symbols[key] for key in ("q", "dq", "tau", "ddq")}
-        inputs |= self._torque.further_inputs()
         blocks = forward_dynamics.derivatives(self._torque, [symbols["q"], symbols["dq"]])
         outputs = dict(zip(("ddq_q", "ddq_dq", "ddq_tau"), blocks, strict=True))
-        return ca.Function(
-            "forward_dynamics_derivatives",
-            list(inputs.values()),
-            [ca.densify(block) for block in outputs.values()],
-            list(inputs),
-            list(outputs),
-            {"cse": True},
-        )
+        leading = ["q", "dq", "tau", "ddq"]
+        return self._function("forward_dynamics_derivatives", leading, outputs)
 
     @cached_property
     def _jacobian_function(self) -> ca.Function:
@@ -237,7 +250,7 @@ class SymbolicDynamics:
 
         States of effects with memory follow their continuous-time equation.
         """
-        self._require_positive_mass_matrix()
+        self._require_solution()
         return state_equations.explicit(self._torque)
 
     @cached_property
@@ -273,17 +286,13 @@ class SymbolicDynamics:
             "forward_kinematics", "jacobian", "f_explicit", "f_implicit",
         )  # fmt: skip
 
-    def _require_positive_mass_matrix(self) -> None:
-        """Refuse a mass matrix of numbers that is not positive definite within the limits."""
-        if self._allow_indefinite or not self._torque.values.numeric:
+    def _require_solution(self) -> None:
+        """Refuse numbers whose acceleration is not determined within the limits."""
+        if self._allow_indefinite:
             return
-        share = forward_dynamics.indefinite_share(self._torque)
-        if share > 0.0:
-            raise ModelError(
-                f"the mass matrix is not positive definite in {100.0 * share:.1f} % of the poses "
-                f"within the joint limits, so that forward dynamics are not defined there; "
-                f"{self._remedy}, or pass allow_indefinite=True"
-            )
+        reason = forward_dynamics.obstacle(self._torque, remedy=self._remedy)
+        if reason:
+            raise ModelError(f"{reason}, or pass allow_indefinite=True")
 
     def __repr__(self) -> str:
         return f"SymbolicDynamics({self.model!r})"

@@ -11,16 +11,21 @@ from numpy.typing import NDArray
 
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import constant
-from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.motion_symbols import Motion, tool_pose
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.signals import EffectSignals
+from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.instant import ArmInstant, arm_effect_columns
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.model import Model
-from lieid_casadi.robot.inertia import parameter_transport
+from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
+INPUT_NAMES = (
+    "q", "dq", "ddq", "tau", "load", "states", "temperature", "time", "payload", "parameters",
+    "effects", "shapes", "x", "xdot", "u",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +97,11 @@ class TorqueExpressions:
         Whether ten link parameters of a body at the tool are a further symbol.
     sign : (n,) ca.SX, optional
         Symbol in place of the sign of the velocity.
+    command_error : (n,) ca.SX, optional
+        Commanded minus measured position, rad, for effects of position-controlled drives; zero if
+        left out: the torque is then that which the drives deliver.
+    motion : Motion, optional
+        Symbols of the motion; its own if left out.
     """
 
     def __init__(
@@ -103,11 +113,13 @@ class TorqueExpressions:
         as_measured: bool,
         payload: bool,
         sign: ca.SX | None = None,
+        command_error: ca.SX | None = None,
+        motion: Motion | None = None,
     ) -> None:
         self.model, self.values = model, values
         self.n = n = model.n
-        q, dq, ddq = (ca.SX.sym(name, n) for name in ("q", "dq", "ddq"))
-        self.motion = Motion.of(q, dq, ddq)
+        self.motion = motion or Motion.of(*(ca.SX.sym(name, n) for name in ("q", "dq", "ddq")))
+        dq = self.motion.dq
         self.tau = ca.SX.sym("tau", n)
         self.load = ca.SX.sym("load", n)
         self.states = ca.SX.sym("states", len(model.states))
@@ -117,7 +129,7 @@ class TorqueExpressions:
         if sign is None:
             width = smooth_velocity
             sign = ca.sign(dq) if width is None else ramp(dq, ca.SX(ca.DM(width)))
-        self._sign = sign
+        self._sign, self._command_error = sign, command_error
         self._as_measured = as_measured
         _ = self.measurement_columns  # refuses effects that depend on more than one instant
 
@@ -132,7 +144,7 @@ class TorqueExpressions:
         inputs = {} if static else dict(self._signal_inputs)
         if self.payload is not None:
             inputs["payload"] = self.payload
-        return inputs | self.values.inputs
+        return inputs | self.values.inputs | geometry_inputs(self.model.robot)
 
     @cached_property
     def _signal_inputs(self) -> dict[str, ca.SX]:
@@ -147,7 +159,7 @@ class TorqueExpressions:
         """Link parameters (10 n,), with the body of the input ``payload``."""
         if self.payload is None:
             return self.values.parameters
-        return _with_body(self.values.parameters, self.payload, self.model)
+        return with_body(self.values.parameters, self.payload, self.model)
 
     @cached_property
     def all_links(self) -> ca.SX:
@@ -158,7 +170,7 @@ class TorqueExpressions:
             if isinstance(p.effect, ArmEffect):
                 body = p.effect.tool_body(self.values.effects[first:last])
                 if body is not None:
-                    links = _with_body(links, body, self.model)
+                    links = with_body(links, body, self.model)
             first = last
         return links
 
@@ -172,7 +184,9 @@ class TorqueExpressions:
         m = self.motion
         mean = self.values.temperature_mean
         temperature = self.temperature if mean is None else self.temperature - ca.SX(ca.DM(mean))
-        return EffectSignals(m.q, m.dq, m.ddq, self._sign, self.load, temperature, self.time)
+        return EffectSignals(
+            m.q, m.dq, m.ddq, self._sign, self.load, temperature, self.time, self._command_error
+        )
 
     @cached_property
     def joint_columns(self) -> ca.SX:
@@ -289,7 +303,33 @@ class TorqueExpressions:
         return kinetic, potential
 
 
-def _with_body(links: ca.SX, body: ca.SX, model: Model) -> ca.SX:
-    """Return link parameters with those (10,) of a body in the tool frame added to the last."""
-    transport = ca.sparsify(ca.DM(parameter_transport(model.robot.tool)))
-    return ca.vertcat(links[:-10], links[-10:] + ca.mtimes(transport, body))
+def geometry_inputs(robot: Robot) -> dict[str, ca.SX]:
+    """Return the symbols of a robot's geometry by name.
+
+    Raises
+    ------
+    ModelError
+        A symbol has the name of an input of the functions.
+    """
+    clash = [str(symbol) for symbol in robot.symbols if str(symbol) in INPUT_NAMES]
+    if clash:
+        raise ModelError(
+            f"robot {robot.name!r}: the symbol {clash[0]!r} has the name of an input of the "
+            "functions; expected another name"
+        )
+    return {str(symbol): symbol for symbol in robot.symbols}
+
+
+def with_body(links: ca.SX, body: ca.SX, model: Model) -> ca.SX:
+    """Return link parameters with those of a body at the tool added to the last link's.
+
+    Parameters
+    ----------
+    links : (10 n,)
+    body : (10,)
+        Link parameters in the tool frame.
+    model : Model
+        Its robot has the tool.
+    """
+    at_link = closed_form.seen_from_parent(tool_pose(model.robot), body)
+    return ca.vertcat(links[:-10], links[-10:] + at_link)
