@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -34,11 +35,15 @@ def join(recordings: Sequence[Recording]) -> Recording:
             raise RecordingError(
                 f"join: {other.title} has {other.n} joints, expected {first.n} as {first.title}"
             )
-    signals = {
+    signals: dict[str, Any] = {
         field: np.concatenate([getattr(r, field) for r in recordings])
         for field in ("q", *OPTIONAL_SIGNALS)
         if all(getattr(r, field) is not None for r in recordings)
     }
+
+    def same(field: str) -> bool:
+        return len({getattr(r, field) for r in recordings}) == 1
+
     labels: list[str] | None = None
     if any(r.payload_label is not None for r in recordings):
         labels = [label for r in recordings for label in r.payload_label or [""] * len(r)]
@@ -48,6 +53,8 @@ def join(recordings: Sequence[Recording]) -> Recording:
         name="+".join(r.name for r in recordings if r.name),
         source_hash=hash_of_arrays([tuple(r.source_hash for r in recordings)]),
         warnings=tuple(w for r in recordings for w in r.warnings),
+        torque_constants=first.torque_constants if same("torque_constants") else None,
+        units=first.units if same("units") else (),
         **signals,
     )
 

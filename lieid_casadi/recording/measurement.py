@@ -16,9 +16,10 @@ FIELDS = {
     "ddq": "ddq",
     "temp": "temperature",
     "i": "current",
+    "qcmd": "command",
 }
 #: Optional signals with one column per joint.
-OPTIONAL_SIGNALS = ("dq", "tau", "ddq", "temperature", "current")
+OPTIONAL_SIGNALS = ("dq", "tau", "ddq", "temperature", "current", "command")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +39,17 @@ class Measurement:
         (N, n) °C.
     current
         (N, n) motor current, A.
+    command
+        (N, n) commanded position, rad or m.
     payload_label
         Label of the payload for each row (column ``load``).
+    torque_constants
+        (n) N·m/A with which ``tau`` was computed from ``current``; None if ``tau`` was recorded.
+    units
+        Units of the source that were converted: ``deg``, and ``ms``, ``us`` or ``ns``.
+    pauses
+        Stamps, s, after which the recorder paused by intention: the ends of episodes. No samples
+        were lost there.
     name
         Name of the file or other source, for messages and tables.
     source_hash
@@ -55,7 +65,11 @@ class Measurement:
     ddq: Array | None = None
     temperature: Array | None = None
     current: Array | None = None
+    command: Array | None = None
     payload_label: tuple[str, ...] | None = None
+    torque_constants: tuple[float, ...] | None = None
+    units: tuple[str, ...] = ()
+    pauses: tuple[float, ...] = ()
     name: str = ""
     source_hash: str = ""
     warnings: tuple[LieidWarning, ...] = ()

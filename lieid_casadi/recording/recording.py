@@ -19,12 +19,15 @@ from lieid_casadi.recording.readers.file_part import split_part
 from lieid_casadi.recording.readers.registry import (
     INFLATE_LIMIT,
     ReadOptions,
+    limit_pairs,
     read_measurement,
     write_measurement,
 )
 from lieid_casadi.recording.readers.tables import measurement_of_columns
 from lieid_casadi.recording.sample_timing import gap_limit, sample_rate
-from lieid_casadi.recording.units import convert_units
+from lieid_casadi.recording.torque_source import torque_of_commands, torque_of_currents
+from lieid_casadi.recording.units import convert_units, unit_factors
+from lieid_casadi.robot.drive import Drive
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +35,7 @@ class Recording(Measurement):
     """A valid measurement on an arm: loaded from a file or made from arrays, SI units.
 
     The fields are those of `Measurement`: ``t`` (N,), ``q`` (N, n), and optionally ``dq``,
-    ``tau``, ``ddq``, ``temperature``, ``current`` (N, n) and ``payload_label``.
+    ``tau``, ``ddq``, ``temperature``, ``current``, ``command`` (N, n) and ``payload_label``.
     """
 
     @property
@@ -56,9 +59,11 @@ class Recording(Measurement):
         ddq: ArrayLike | None = None,
         temperature: ArrayLike | None = None,
         current: ArrayLike | None = None,
+        command: ArrayLike | None = None,
         load: Sequence[str] | None = None,
         name: str = "",
         torque_constants: ArrayLike | None = None,
+        drives: Sequence[Drive] | None = None,
     ) -> Self:
         """Return a recording from arrays.
 
@@ -72,12 +77,17 @@ class Recording(Measurement):
             (N, n) torque, N·m or N.
         temperature, current
             (N, n) °C, A.
+        command
+            (N, n) commanded position, rad or m.
         load
             (N,) label of the payload.
         name
             For messages.
         torque_constants
             (n,) N·m/A: currents become torques where there is no ``tau``.
+        drives
+            (n) control laws, such as ``robot.drives``: commands become torques where there is
+            no ``tau``.
 
         Raises
         ------
@@ -87,7 +97,7 @@ class Recording(Measurement):
         """
         signals = {
             "q": q, "dq": dq, "tau": tau, "ddq": ddq,
-            "temperature": temperature, "current": current,
+            "temperature": temperature, "current": current, "command": command,
         }  # fmt: skip
         arrays = {key: None if x is None else read_only(x) for key, x in signals.items()}
         labels = None if load is None else tuple(str(label) for label in load)
@@ -100,7 +110,7 @@ class Recording(Measurement):
             **arrays,  # type: ignore[arg-type]
         )
         require_sound(made)
-        return made._with_constants_where_needed(torque_constants)
+        return made.with_torque(torque_constants, drives)
 
     @classmethod
     def from_dataframe(
@@ -109,6 +119,7 @@ class Recording(Measurement):
         *,
         name: str = "",
         torque_constants: ArrayLike | None = None,
+        drives: Sequence[Drive] | None = None,
         units: str | Sequence[str] = (),
     ) -> Self:
         """Return a recording from a pandas or polars data frame with the columns of a CSV.
@@ -117,12 +128,10 @@ class Recording(Measurement):
         ----------
         frame
             Columns ``t``, ``q1``…``qn`` and optionally ``dq*``, ``tau*``, ``ddq*``, ``temp*``,
-            ``i*``, ``load``; N rows.
+            ``i*``, ``qcmd*``, ``load``; N rows.
         name
             For messages.
-        torque_constants
-            (n,) N·m/A: columns ``i*`` become torques where there are no ``tau*``.
-        units
+        torque_constants, drives, units
             As for :meth:`load`.
 
         Raises
@@ -135,7 +144,7 @@ class Recording(Measurement):
         made = convert_units(made, units)
         arrays = [made.t, made.q, *(getattr(made, f) for f in OPTIONAL_SIGNALS)]
         made = replace(made, name=name, source_hash=hash_of_arrays([*arrays, made.payload_label]))
-        return cls.of_measurement(made)._with_constants_where_needed(torque_constants)
+        return cls.of_measurement(made).with_torque(torque_constants, drives)
 
     @classmethod
     def load(
@@ -143,14 +152,18 @@ class Recording(Measurement):
         path: str | Path,
         *,
         torque_constants: ArrayLike | None = None,
+        drives: Sequence[Drive] | None = None,
         n: int | None = None,
         joint_names: Sequence[str] | None = None,
         topic: str | None = None,
+        episodes: tuple[int, int | None] = (0, None),
+        calibration: str | None = None,
+        position_limits: ArrayLike | None = None,
         units: str | Sequence[str] = (),
         revolute: Mask | None = None,
         inflate_limit: int = INFLATE_LIMIT,
     ) -> Self:
-        """Read ``.csv``, ``.csv.gz``, ``.npz``, ``.parquet``, ``.mcap``, ``.bag`` or a ROS 2 bag.
+        """Read CSV, NPZ, Parquet, MCAP, a ROS bag or a LeRobot dataset.
 
         Parameters
         ----------
@@ -159,10 +172,19 @@ class Recording(Measurement):
             recording's own clock, either end may be left out.
         torque_constants
             (n,) N·m/A: columns ``i*`` become torques where there are no ``tau*``.
+        drives
+            (n) control laws, such as ``robot.drives``: columns ``qcmd*`` become torques where
+            there are no ``tau*``.
         n
             Number of joints that is expected.
         joint_names, topic
-            For bags: the joints in the robot's order, and the topic to read.
+            For bags: the joints in the robot's order, and the topic to read. Datasets have
+            names, too.
+        episodes
+            For LeRobot datasets: first episode and end (excluded; None: all).
+        calibration, position_limits
+            For LeRobot datasets in normalised units: LeRobot's calibration file, or ``"limits"``
+            to map the normalised range onto the limits (n, 2), rad.
         units
             Units of the file that are not SI: ``"deg"`` (q, dq, ddq), and ``"ms"``, ``"us"``
             or ``"ns"`` (t); several separated by commas or as a sequence.
@@ -183,10 +205,14 @@ class Recording(Measurement):
             n=n,
             joint_names=None if joint_names is None else tuple(joint_names),
             topic=topic,
+            episodes=episodes,
+            calibration=calibration,
+            position_limits=limit_pairs(position_limits),
+            degrees=unit_factors(units)[1] != 1.0,
             inflate_limit=inflate_limit,
         )
         made = convert_units(read_measurement(file, options), units, revolute)
-        recording = cls.of_measurement(made)._with_constants_where_needed(torque_constants)
+        recording = cls.of_measurement(made).with_torque(torque_constants, drives)
         return recording if start is None and end is None else recording.cut(start, end)
 
     @classmethod
@@ -243,21 +269,19 @@ class Recording(Measurement):
         RecordingError
             No currents, or not one finite constant per joint.
         """
-        k = np.atleast_1d(np.asarray(constants, dtype=np.float64))
-        title = self.title
-        if self.current is None:
-            raise RecordingError(f"{title}: no motor currents (columns i1…i{self.n})")
-        if k.shape != (self.n,):
-            raise RecordingError(
-                f"{title}: {k.size} torque constants, expected {self.n}, one per joint"
-            )
-        if not np.all(np.isfinite(k)) or np.any(k == 0.0):
-            joint = int(np.nonzero(~np.isfinite(k) | (k == 0.0))[0][0])
-            raise RecordingError(
-                f"{title}: torque constant of joint {joint + 1} is {k[joint]:g}, "
-                "expected N·m/A other than 0"
-            )
-        return replace(self, tau=self.current * k)
+        tau = torque_of_currents(self, constants)
+        used = tuple(float(k) for k in np.atleast_1d(np.asarray(constants)))
+        return replace(self, tau=tau, torque_constants=used)
+
+    def with_drives(self, drives: Sequence[Drive]) -> Self:
+        """Return the recording with the torque that the control laws (n) of its drives state.
+
+        Raises
+        ------
+        RecordingError
+            No commanded positions, or not one law per joint.
+        """
+        return replace(self, tau=torque_of_commands(self, drives))
 
     def save(self, path: str | Path) -> None:
         """Write ``.csv``, ``.csv.gz``, ``.npz`` or ``.parquet``, atomically, values exact.
@@ -271,7 +295,10 @@ class Recording(Measurement):
         """
         write_measurement(self, Path(path))
 
-    def _with_constants_where_needed(self, constants: ArrayLike | None) -> Self:
-        if constants is None or self.tau is not None:
+    def with_torque(self, constants: ArrayLike | None, drives: Sequence[Drive] | None) -> Self:
+        """Return the recording with torque from commands or currents where it has none."""
+        if self.tau is not None:
             return self
-        return self.with_torque_constants(constants)
+        if self.command is not None and drives is not None:
+            return self.with_drives(drives)
+        return self if constants is None else self.with_torque_constants(constants)

@@ -25,11 +25,14 @@ from lieid_casadi.recording.readers.registry import (
 )
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.sample_timing import gap_limit, sample_rate
+from lieid_casadi.robot.drive import Drive
 
 #: Number of rows in each sample of a long recording, and number of samples.
 SAMPLE_ROWS, SAMPLE_PLACES = 1 << 17, 5
 #: Arrays beyond this size lie in a temporary file, bytes.
 SCRATCH_BYTES = 16 << 20
+#: Arguments of `stream`.
+STREAMED = ("torque_constants", "drives", "n", "units", "revolute", "inflate_limit")
 
 
 class RecordingStream:
@@ -45,6 +48,8 @@ class RecordingStream:
         Source of the rows.
     torque_constants
         (n,) N·m/A: currents become torques where there are none.
+    drives
+        (n) control laws: commanded positions become torques where there are none.
     bounds
         First row and last row (excluded); None: all rows.
     stamps
@@ -56,10 +61,11 @@ class RecordingStream:
         reader: PartReader,
         torque_constants: ArrayLike | None = None,
         *,
+        drives: Sequence[Drive] | None = None,
         bounds: tuple[int, int] | None = None,
         stamps: tuple[Array, Sequence[int]] | None = None,
     ) -> None:
-        self._reader, self._constants = reader, torque_constants
+        self._reader, self._constants, self._drives = reader, torque_constants, drives
         self._stamps = reader.times() if stamps is None else stamps
         self._first, self._last = bounds or (0, len(self._stamps[0]))
         self.name = reader.name
@@ -99,6 +105,16 @@ class RecordingStream:
         """Label of the first row: a segment has one only."""
         return self._start.payload_label
 
+    @property
+    def torque_constants(self) -> tuple[float, ...] | None:
+        """Constants (n) with which torque was computed from currents, N·m/A."""
+        return self._start.torque_constants
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the file that are converted."""
+        return self._start.units
+
     def __len__(self) -> int:
         return self._last - self._first
 
@@ -111,9 +127,7 @@ class RecordingStream:
             NaN or Inf, time that does not increase, a file that cannot be read.
         """
         made = Recording.of_measurement(self._reader.rows(self._first + first, self._first + last))
-        if self._constants is not None and made.tau is None:
-            made = made.with_torque_constants(self._constants)
-        return made
+        return made.with_torque(self._constants, self._drives)
 
     def segments(self) -> list[RecordingStream]:
         """Return the stretches without a gap and with one payload label."""
@@ -144,7 +158,11 @@ class RecordingStream:
 
     def _between(self, first: int, last: int) -> RecordingStream:
         return RecordingStream(
-            self._reader, self._constants, bounds=(first, last), stamps=self._stamps
+            self._reader,
+            self._constants,
+            drives=self._drives,
+            bounds=(first, last),
+            stamps=self._stamps,
         )
 
     @cached_property
@@ -156,6 +174,7 @@ def stream(
     path: str | Path,
     *,
     torque_constants: ArrayLike | None = None,
+    drives: Sequence[Drive] | None = None,
     n: int | None = None,
     units: str | Sequence[str] = (),
     revolute: Mask | None = None,
@@ -171,7 +190,7 @@ def stream(
         (n,) N·m/A: columns ``i*`` become torques where there are no ``tau*``.
     n
         Number of joints that is expected.
-    units, revolute, inflate_limit
+    drives, units, revolute, inflate_limit
         As for :meth:`Recording.load`.
 
     Raises
@@ -185,42 +204,29 @@ def stream(
     options = ReadOptions(n=n, inflate_limit=inflate_limit)
     read_parts = format_of(file).read_parts or WholeFile
     made = RecordingStream(ConvertedParts(read_parts(file, options), units, revolute),
-                           torque_constants)  # fmt: skip
+                           torque_constants, drives=drives)  # fmt: skip
     if len(made) < 2 or not np.all(np.diff(made.t) > 0.0):
         made.rows(0, len(made))  # raises the error with its place
     return made if start is None and end is None else made.cut(start, end)
 
 
-def load_or_stream(
-    path: str | Path,
-    *,
-    torque_constants: ArrayLike | None = None,
-    n: int | None = None,
-    joint_names: Sequence[str] | None = None,
-    units: str | Sequence[str] = (),
-    revolute: Mask | None = None,
-    inflate_limit: int = INFLATE_LIMIT,
-) -> Recording | RecordingStream:
+def load_or_stream(path: str | Path, **options: Any) -> Recording | RecordingStream:
     """Load a recording, or open a stream where its columns exceed an eighth of the memory.
 
     Parameters
     ----------
-    path, torque_constants, n, joint_names, units, revolute, inflate_limit
-        As for :meth:`Recording.load`. Streamed formats number their joints and have no names.
+    path
+        As for :meth:`Recording.load`.
+    options
+        Arguments of :meth:`Recording.load`; streamed formats number their joints, so that those
+        that concern names, topics and episodes have no effect on them.
     """
     file, _, _ = split_part(path)
     decoded_bytes = format_of(file).decoded_bytes
     large = decoded_bytes is not None and file.exists() and decoded_bytes(file) > memory_bytes() / 8
-    options: dict[str, Any] = {
-        "torque_constants": torque_constants,
-        "n": n,
-        "units": units,
-        "revolute": revolute,
-        "inflate_limit": inflate_limit,
-    }
     if large:
-        return stream(path, **options)
-    return Recording.load(path, joint_names=joint_names, **options)
+        return stream(path, **{name: options[name] for name in STREAMED if name in options})
+    return Recording.load(path, **options)
 
 
 def memory_bytes() -> int:

@@ -47,6 +47,12 @@ def unit_factors(units: str | Sequence[str]) -> tuple[float, float]:
     return TIME_UNITS[times[0]] if times else 1.0, ANGLE_UNITS[angles[0]] if angles else 1.0
 
 
+def unit_names(units: str | Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the units other than rad and s."""
+    names = units.split(",") if isinstance(units, str) else list(units)
+    return tuple(n for name in names if (n := name.strip()) not in ("", "rad", "s"))
+
+
 def convert_units(
     measurement: Measured, units: str | Sequence[str], revolute: Mask | None = None
 ) -> Measured:
@@ -57,8 +63,8 @@ def convert_units(
     measurement
         As it was read.
     units
-        See :func:`unit_factors`. Units of angles apply to q, dq (per second) and ddq (per second
-        squared); the time unit applies to t alone.
+        See :func:`unit_factors`. Units of angles apply to q, qcmd, dq (per second) and ddq (per
+        second squared); the time unit applies to t alone.
     revolute
         (n,) True for joints that turn; the others keep their metres. None: all turn.
     """
@@ -78,4 +84,6 @@ def convert_units(
         q=measurement.q * factor,
         dq=scaled(measurement.dq),
         ddq=scaled(measurement.ddq),
+        command=scaled(measurement.command),
+        units=unit_names(units),
     )

@@ -31,6 +31,20 @@ def test_band_and_cutoff_follow_the_motion(frequency, noise):
     assert choose_cutoff(recording) == pytest.approx(6 * frequency, rel=0.3, abs=1.5)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_coarse_encoders_do_not_widen_the_band(seed):
+    """Rounding to 4096 counts has more than 1 % of the velocity's power."""
+    random = np.random.default_rng(seed)
+    t = np.arange(0.0, 20.0, 0.005)
+    phase = random.uniform(0.0, 6.0, (4, 2))
+    q = sum(0.15 * np.sin(2.0 * np.pi * 0.1 * (k + 1) * t[:, None] + phase[k]) for k in range(4))
+    quantum = 2.0 * np.pi / 4096.0
+    fine, coarse = (
+        motion_band(Recording.from_arrays(t, x)) for x in (q, np.round(q / quantum) * quantum)
+    )
+    assert coarse == pytest.approx(fine, abs=0.3)
+
+
 def test_cutoff_keeps_the_motion_and_leaves_out_the_noise():
     quiet, loud = choose_cutoff(measured(noise=0.3)), choose_cutoff(measured(noise=5.0))
     assert 3.0 < loud <= quiet <= 50.0  # harmonics reach 0.6 Hz, friction steps go further

@@ -52,6 +52,7 @@ def check_time(recording: Recording) -> list[LieidWarning]:
 
 def _dropouts(recording: Recording) -> list[LieidWarning]:
     steps = np.diff(recording.t)
+    steps[np.isin(recording.t[:-1], recording.pauses)] = 0.0
     lost = steps > dropout_limit(recording.t)
     if not lost.any():
         return []

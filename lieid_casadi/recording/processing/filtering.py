@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from lieid_casadi.recording.arrays import Array
 from lieid_casadi.recording.sample_timing import uniform_count
@@ -29,15 +29,23 @@ def lowpass(x: Array, rate: float, cutoff: float, order: int = 4) -> Array:
     """
     if cutoff >= HIGHEST_CUTOFF * rate:
         return np.array(x, dtype=np.float64)
-    sections = _sections(order, cutoff, rate)
+    sections, settled = _sections(order, cutoff, rate)
     # the padding of scipy's default is far shorter than the filter's memory at low cut-offs
     padding = min(x.shape[0] - 1, max(27, round(1.5 * rate / cutoff)))
-    return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=padding), dtype=np.float64)
+    # scipy's sosfiltfilt, which computes the settled state again in every call
+    ends = 2.0 * x[:1] - x[padding:0:-1], 2.0 * x[-1:] - x[-2 : -padding - 2 : -1]
+    values = np.concatenate([ends[0], x, ends[1]])
+    settled = settled.reshape(*settled.shape, *[1] * (x.ndim - 1))
+    for _ in range(2):
+        values = sosfilt(sections, values, axis=0, zi=settled * values[:1])[0][::-1]
+    return np.array(values[padding : len(values) - padding], dtype=np.float64)
 
 
 @lru_cache(maxsize=64)
-def _sections(order: int, cutoff: float, rate: float) -> Array:
-    return np.asarray(butter(order, cutoff, fs=rate, output="sos"))
+def _sections(order: int, cutoff: float, rate: float) -> tuple[Array, Array]:
+    """Return the sections of a Butterworth filter and their states in response to a constant 1."""
+    sections = np.asarray(butter(order, cutoff, fs=rate, output="sos"))
+    return sections, np.asarray(sosfilt_zi(sections))
 
 
 def central_difference(x: Array, rate: float) -> Array:

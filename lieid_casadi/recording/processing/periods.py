@@ -9,6 +9,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording.arrays import Array
+from lieid_casadi.recording.measurement import OPTIONAL_SIGNALS
 from lieid_casadi.recording.processing.filtering import (
     lowpass,
     smooth_at,
@@ -96,7 +97,7 @@ def mean_period(recording: Recording, margin: float) -> Recording:
     instants = recording.t[0] + np.arange(periods * count) * step
     instants = np.minimum(instants, recording.t[-1])
     means = {}
-    for field in ("q", "dq", "tau", "ddq", "temperature", "current"):
+    for field in ("q", *OPTIONAL_SIGNALS):
         values = getattr(recording, field)
         if values is None:
             continue

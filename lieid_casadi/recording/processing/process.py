@@ -97,6 +97,8 @@ class Processed:
         The options, with the cut-off that was chosen.
     warnings
         Repeated rows and short segments that were removed.
+    command
+        (K, n) commanded position or None; resampled, not low-passed.
     """
 
     t: Array
@@ -113,11 +115,17 @@ class Processed:
     moving: Mask
     options: Processing
     warnings: tuple[LieidWarning, ...] = ()
+    command: Array | None = None
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return int(self.q.shape[1])
+
+    @property
+    def command_error(self) -> Array | None:
+        """(K, n) commanded minus measured position, None without commands."""
+        return None if self.command is None else self.command - self.q
 
     def __len__(self) -> int:
         return int(self.t.size)
@@ -274,4 +282,5 @@ def _process_segment(
         moving=signals.moving,
         options=options,
         warnings=() if repeated is None else (repeated,),
+        command=signals.command,
     )

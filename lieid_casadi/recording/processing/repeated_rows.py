@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import RepeatedRowsWarning
 from lieid_casadi.recording.arrays import Array, Mask
+from lieid_casadi.recording.measurement import OPTIONAL_SIGNALS
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.recording_stream import RecordingStream
 from lieid_casadi.recording.sample_timing import sample_period
@@ -91,7 +92,7 @@ def _chosen(part: Recording, rows: NDArray[np.intp], t: Array) -> Recording:
     """Return some rows of a recording, with other stamps."""
     signals: dict[str, Any] = {
         field: None if getattr(part, field) is None else getattr(part, field)[rows]
-        for field in ("q", "dq", "tau", "ddq", "temperature", "current")
+        for field in ("q", *OPTIONAL_SIGNALS)
     }
     label = part.payload_label
     labels = None if label is None else tuple(label[row] for row in rows)

@@ -97,6 +97,7 @@ class GridSignals:
     moving: Mask
     dead_zone: Array
     rate: float
+    command: Array | None = None
 
 
 def signals_on_grid(
@@ -152,6 +153,7 @@ def signals_on_grid(
         moving=made["moving"],
         dead_zone=velocity.dead_zone,
         rate=grid.rate / grid.step,
+        command=made.get("command"),
     )
 
 
@@ -205,6 +207,8 @@ def _signals(
         signals["tau"] = tau
     if part.temperature is not None:
         signals["temperature"] = straight_at(part.t, part.temperature, times)
+    if part.command is not None:
+        signals["command"] = straight_at(part.t, part.command, times)
     return signals, velocity
 
 

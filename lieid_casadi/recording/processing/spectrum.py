@@ -115,20 +115,40 @@ def motion_band(recording: Recording) -> float | None:
         return None
     rate = longest.rate
     grid = uniform_time(longest.t, rate)
-    derived = central_difference(smooth_at(longest.t, longest.q[:, moves], grid), rate)
-    bands = [_band(derived, rate)]
+    q = smooth_at(longest.t, longest.q[:, moves], grid)
+    rounding = resolution(longest.q[:, moves]) ** 2 / 12.0
+    bands = [_band(central_difference(q, rate), rate, rounding=rounding)]
     if longest.dq is not None:
         bands.append(_band(smooth_at(longest.t, longest.dq[:, moves], grid), rate))
     return min((band for band in bands if band is not None), default=None)
 
 
-def _band(dq: Array, rate: float) -> float | None:
+def _band(dq: Array, rate: float, *, rounding: Array | None = None) -> float | None:
+    """Return the frequency below which 99 % of the power of velocities lies, median over joints.
+
+    Parameters
+    ----------
+    dq : (N, n)
+        rad/s.
+    rate : float
+        Hz.
+    rounding : (n,), optional
+        Variance of white rounding errors of the positions whose central differences ``dq`` are,
+        rad²; their power is subtracted, which for coarse encoders exceeds 1 %.
+    """
     power = np.mean(dq**2, axis=0)
     moves = power > 1e-3 * power.max()
     if not moves.any():
         return None
     length = min(dq.shape[0], round(8.0 * rate))
     frequency, density = welch(dq[:, moves], rate, nperseg=length, axis=0)
+    if rounding is not None:
+        gain = (rate * np.sin(2.0 * np.pi * frequency / rate)) ** 2
+        noise = gain[:, None] * rounding[moves] * 2.0 / rate
+        # the estimated density scatters about that of the noise: bins within it are noise
+        density = np.where(density > 4.0 * noise, density - noise, 0.0)
+        if not (density.sum(axis=0) > 0.0).all():
+            return None
     below = np.cumsum(density, axis=0) / density.sum(axis=0)
     return float(np.median(frequency[np.argmax(below >= 0.99, axis=0)]))
 

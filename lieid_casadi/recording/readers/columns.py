@@ -12,9 +12,9 @@ from lieid_casadi.recording.measurement import FIELDS
 
 #: Column of the payload's label.
 LABEL = "load"
-EXPECTED = "t,q1…qn and optionally dq*, tau*, ddq*, temp*, i*, load"
+EXPECTED = "t,q1…qn and optionally dq*, tau*, ddq*, temp*, i*, qcmd*, load"
 
-_JOINT_COLUMN = re.compile(r"(q|dq|ddq|tau|temp|i)([0-9]{1,6})")
+_JOINT_COLUMN = re.compile(r"(q|dq|ddq|tau|temp|i|qcmd)([0-9]{1,6})")
 
 
 @dataclass(frozen=True)

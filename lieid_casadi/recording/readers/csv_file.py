@@ -8,6 +8,7 @@ import io
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,16 +49,16 @@ def read_csv(file: Path, options: ReadOptions) -> Measurement:
         found = "one row" if len(matrix) else "no rows"
         raise RecordingError(f"{file}: found {found} below the header, expected at least two")
     column = {index: place for place, index in enumerate(_numeric(layout))}
+    signals: dict[str, Any] = {
+        field: matrix[:, [column[i] for i in indices]] for field, indices in layout.fields.items()
+    }
     measurement = Measurement(
         t=matrix[:, 0],
         payload_label=labels,
         name=file.name,
         source_hash=hash_of_file(file),
         warnings=layout_warnings(layout, file.name),
-        **{
-            field: matrix[:, [column[i] for i in indices]]
-            for field, indices in layout.fields.items()
-        },
+        **signals,
     )
     fault = first_fault(measurement)
     if fault is not None and fault.row is not None:

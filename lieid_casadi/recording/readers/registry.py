@@ -12,6 +12,9 @@ from functools import cache
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from lieid_casadi.errors import LieidError, RecordingError
 from lieid_casadi.recording.arrays import Array
 from lieid_casadi.recording.measurement import Measurement
@@ -30,6 +33,14 @@ class ReadOptions:
         Number of joints that is expected; None takes it from the file.
     joint_names, topic
         For bags: the joints in the robot's order, and the topic.
+    episodes
+        For datasets: first episode and end (excluded), None for all that follow.
+    calibration
+        For datasets: a calibration file, or ``limits``.
+    position_limits
+        For ``limits``: lower and upper limit of each joint, rad.
+    degrees
+        Whether angles are stated to be in degrees; the caller converts them.
     inflate_limit
         Bytes that a compressed file may inflate to.
     """
@@ -37,7 +48,18 @@ class ReadOptions:
     n: int | None = None
     joint_names: tuple[str, ...] | None = None
     topic: str | None = None
+    episodes: tuple[int, int | None] = (0, None)
+    calibration: str | None = None
+    position_limits: tuple[tuple[float, float], ...] | None = None
+    degrees: bool = False
     inflate_limit: int = INFLATE_LIMIT
+
+
+def limit_pairs(limits: ArrayLike | None) -> tuple[tuple[float, float], ...] | None:
+    """Return limits (n, 2) as pairs."""
+    if limits is None:
+        return None
+    return tuple((float(low), float(high)) for low, high in np.asarray(limits, dtype=float))
 
 
 class PartReader(Protocol):
@@ -67,7 +89,7 @@ class RecordingFormat:
     read
         Returns the measurement in a file.
     folder
-        Whether a folder is read as well.
+        Whether a folder is in this format; None if folders never are.
     write
         Writes a measurement; None for formats that are only read.
     read_parts, decoded_bytes
@@ -77,7 +99,7 @@ class RecordingFormat:
 
     suffixes: tuple[str, ...]
     read: Callable[[Path, ReadOptions], Measurement]
-    folder: bool = False
+    folder: Callable[[Path], bool] | None = None
     write: Callable[[Measurement, Path], None] | None = None
     read_parts: Callable[[Path, ReadOptions], PartReader] | None = None
     decoded_bytes: Callable[[Path], int] | None = None
@@ -102,14 +124,15 @@ def format_of(file: Path) -> RecordingFormat:
         No such file, or a suffix that no format has.
     """
     for made in recording_formats():
-        if file.name.lower().endswith(made.suffixes) or (made.folder and file.is_dir()):
+        in_folder = made.folder is not None and file.is_dir() and made.folder(file)
+        if in_folder or (made.suffixes and file.name.lower().endswith(made.suffixes)):
             return made
     if not file.exists():
         raise RecordingError(f"{file}: no such file, expected a recording")
     suffixes = [suffix for made in recording_formats() for suffix in made.suffixes]
     raise RecordingError(
         f"{file}: found suffix {file.suffix!r}, "
-        f"expected {', '.join(suffixes)} or the folder of a ROS 2 bag"
+        f"expected {', '.join(suffixes)} or the folder of a ROS 2 bag or of a LeRobot dataset"
     )
 
 

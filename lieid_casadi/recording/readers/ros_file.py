@@ -54,7 +54,7 @@ def read_bag(file: Path, options: ReadOptions) -> Measurement:
     return rows.measurement(file, options.n)
 
 
-FORMAT = RecordingFormat(suffixes=(".mcap", ".bag", ".db3"), read=read_bag, folder=True)
+FORMAT = RecordingFormat(suffixes=(".mcap", ".bag", ".db3"), read=read_bag, folder=Path.is_dir)
 
 
 class _JointState(NamedTuple):

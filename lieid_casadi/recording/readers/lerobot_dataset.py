@@ -1,0 +1,213 @@
+"""LeRobot datasets, versions 2.1 and 3.0: measured and commanded positions (extra ``[parquet]``).
+
+``observation.state`` is the measured and ``action`` the commanded position. Each episode becomes a
+segment of its own. Joints are matched by their names.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from lieid_casadi.errors import LieidWarning, RecordingError, UnknownColumnWarning
+from lieid_casadi.recording.arrays import Array
+from lieid_casadi.recording.measurement import Measurement
+from lieid_casadi.recording.readers.columns import listed, shorten
+from lieid_casadi.recording.readers.lerobot_units import convert_positions
+from lieid_casadi.recording.readers.parquet_parts import import_pyarrow, require_bounded_size
+from lieid_casadi.recording.readers.registry import (
+    ReadOptions,
+    RecordingFormat,
+    library_errors,
+)
+
+INFO = Path("meta") / "info.json"
+STATE, ACTION = "observation.state", "action"
+VERSIONS = ("v2.0", "v2.1", "v3.0")
+PAUSE = 1.0  # s between episodes on the recording's clock
+LARGEST_INFO = 16 << 20  # bytes
+_EPISODE_FILE = re.compile(r"episode_([0-9]{1,9})\.parquet")
+
+
+class _Feature(msgspec.Struct):
+    """A feature; names are a list, or a list inside a mapping."""
+
+    shape: list[int]
+    names: Any = None
+
+
+class _Info(msgspec.Struct):
+    """What a dataset states about itself, without the features that are not read."""
+
+    codebase_version: str
+    fps: float
+    features: dict[str, Any]
+
+
+def read_dataset(folder: Path, options: ReadOptions) -> Measurement:
+    """Read the episodes of a LeRobot dataset as one measurement with a segment per episode.
+
+    Parameters
+    ----------
+    folder
+        With ``meta/info.json`` and Parquet files under ``data``.
+    options
+        ``joint_names``: the joints in the robot's order. ``episodes``, ``calibration``,
+        ``position_limits`` and ``degrees``: what to read, and the units of the positions.
+
+    Raises
+    ------
+    RecordingError
+        Not a dataset of these versions, a joint missing, no such episode, units not stated.
+    MissingDependency
+        pyarrow is not installed.
+    """
+    _, parquet = import_pyarrow(folder)
+    info = _info(folder)
+    names = _names(info, STATE, folder)
+    joints = options.joint_names or names
+    columns = _matched(names, joints, folder)
+    commands = _names(info, ACTION, folder)
+    command_columns = _matched(commands, joints, folder)
+    frames = _frames(folder, parquet, options)
+    episode = np.asarray(frames["episode_index"], dtype=np.int64)
+    order = np.lexsort((frames["frame_index"], episode))
+    t = _times(episode[order], np.asarray(frames["frame_index"])[order], info.fps)
+    q = frames[STATE][order][:, columns]
+    command = frames[ACTION][order][:, command_columns]
+    motors = [names[k] for k in columns]
+    (q, command), warnings = convert_positions(folder, motors, (q, command), options)
+    return Measurement(
+        t=t,
+        q=q,
+        command=command,
+        pauses=tuple(t[:-1][np.diff(episode[order]) != 0].tolist()),
+        name=_title(folder, options),
+        source_hash=frames["hash"],
+        warnings=warnings + _ignored(folder, names, columns),
+    )
+
+
+def _title(folder: Path, options: ReadOptions) -> str:
+    """Return the name of a recording of the chosen episodes."""
+    first, end = options.episodes
+    if first == 0 and end is None:
+        return folder.name
+    return f"{folder.name} episodes {first}:{'' if end is None else end}"
+
+
+def _info(folder: Path) -> _Info:
+    file = folder / INFO
+    if file.stat().st_size > LARGEST_INFO:
+        raise RecordingError(f"{file}: larger than {LARGEST_INFO >> 20} MiB, expected a dataset")
+    with library_errors(file, "the description of a LeRobot dataset"):
+        info = msgspec.json.decode(file.read_bytes(), type=_Info)
+    if info.codebase_version not in VERSIONS:
+        raise RecordingError(
+            f"{file}: found codebase_version {shorten(info.codebase_version)}, "
+            f"expected {', '.join(VERSIONS)}"
+        )
+    if not 1.0 <= info.fps <= 1e5:
+        raise RecordingError(f"{file}: found {info.fps:g} fps, expected 1 or more")
+    return info
+
+
+def _names(info: _Info, feature: str, folder: Path) -> tuple[str, ...]:
+    """Return the names of the motors of a feature, without LeRobot's prefix and suffix."""
+    where = f"{folder / INFO}: feature {feature}"
+    if feature not in info.features:
+        raise RecordingError(f"{where} is missing, expected it")
+    with library_errors(folder / INFO, f"a dataset with names of {feature}"):
+        stated = msgspec.convert(info.features[feature], _Feature)
+        given = stated.names
+        if isinstance(given, dict):
+            given = next(iter(given.values()), None)
+        names = msgspec.convert(given or [], list[str])
+    if not names or stated.shape != [len(names)]:
+        raise RecordingError(f"{where}: found {len(names)} names, expected one per motor")
+    return tuple(name.removesuffix(".pos").removeprefix("main_") for name in names)
+
+
+def _matched(names: Sequence[str], joints: Sequence[str], folder: Path) -> list[int]:
+    """Return the column of each joint."""
+    missing = [joint for joint in joints if joint not in names]
+    if missing:
+        raise RecordingError(
+            f"{folder}: no motor {shorten(missing[0])} (found {listed(list(names))}), "
+            f"expected the robot's joints {listed(list(joints))}"
+        )
+    return [names.index(joint) for joint in joints]
+
+
+def _frames(folder: Path, parquet: Any, options: ReadOptions) -> dict[str, Any]:
+    """Return the columns of the frames of the chosen episodes, and the hash of their files."""
+    first, end = options.episodes
+    wanted = [STATE, ACTION, "frame_index", "episode_index"]
+    digest = hashlib.sha256((folder / INFO).read_bytes())
+    found: dict[str, list[Any]] = {name: [] for name in wanted}
+    chosen = [("episode_index", ">=", first)]
+    if end is not None:
+        chosen.append(("episode_index", "<", end))
+    for file in _data_files(folder, first, end):
+        require_bounded_size(file, options.inflate_limit)
+        digest.update(file.read_bytes())
+        with library_errors(file, "a data file of a LeRobot dataset"):
+            table = parquet.read_table(file, columns=wanted, filters=chosen)
+            for name in wanted:
+                rows = table.column(name).to_pylist() if name in (STATE, ACTION) else table[name]
+                found[name].append(_numbers(rows, f"{file}: column {name}"))
+    counts = sum(len(part) for part in found["episode_index"])
+    if not counts:
+        stated = f"{first}:{'' if end is None else end}"
+        raise RecordingError(
+            f"{folder}: no frames in episodes {stated}, expected some (--episodes)"
+        )
+    with library_errors(folder, "a dataset with as many motors in every file"):
+        made: dict[str, Any] = {name: np.concatenate(parts) for name, parts in found.items()}
+    return made | {"hash": digest.hexdigest()}
+
+
+def _data_files(folder: Path, first: int, end: int | None) -> Iterable[Path]:
+    """Return the data files in order; of version 2, which has a file per episode, the chosen."""
+    for file in sorted((folder / "data").glob("*/*.parquet")):
+        match = _EPISODE_FILE.fullmatch(file.name)
+        if match is None or (first <= int(match[1]) and (end is None or int(match[1]) < end)):
+            yield file
+
+
+def _numbers(rows: Any, where: str) -> Array:
+    values = np.asarray(rows)
+    if values.dtype.kind not in "iuf" and values.size:
+        raise RecordingError(f"{where}: found {values.dtype}, expected numbers")
+    return values
+
+
+def _times(episode: Any, frame: Any, fps: float) -> Array:
+    """Return times (N,), s: frames at their rate, and a pause between episodes."""
+    starts = np.flatnonzero(np.diff(episode, prepend=episode[0] - 1))
+    t = frame / fps
+    end = -PAUSE
+    for a, b in zip(starts, [*starts[1:], len(t)], strict=True):
+        t[a:b] += end + PAUSE - t[a]
+        end = t[b - 1]
+    return np.asarray(t, dtype=np.float64)
+
+
+def _ignored(
+    folder: Path, names: Sequence[str], columns: Sequence[int]
+) -> tuple[LieidWarning, ...]:
+    unused = [name for k, name in enumerate(names) if k not in columns]
+    if not unused:
+        return ()
+    return (UnknownColumnWarning(f"{folder.name}: motors of no joint ignored: {listed(unused)}"),)
+
+
+FORMAT = RecordingFormat(
+    suffixes=(), read=read_dataset, folder=lambda folder: (folder / INFO).is_file()
+)
