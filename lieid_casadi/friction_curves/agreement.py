@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 STEP = 1e-5  # finite difference relative to the range of a shape
 RANK = 1e-8  # variance relative to the largest below which a direction is rounding
 SIGNIFICANT = 0.01  # p-value below which the difference exceeds the uncertainties
-NEGLIGIBLE = 0.05  # difference relative to the friction that never counts as disagreement
+NEGLIGIBLE = 0.05  # difference relative to the friction that is described as small
 SMALLEST_P = 1e-6  # smaller p-values are printed as below it
 
 
@@ -59,8 +59,8 @@ class FrictionAgreement:
 
     @property
     def agree(self) -> bool:
-        """Whether the difference is within the uncertainties or below 5 % of the friction."""
-        return self.p_value >= SIGNIFICANT or self.relative <= NEGLIGIBLE
+        """Whether the difference is within the uncertainties."""
+        return self.p_value >= SIGNIFICANT
 
     @property
     def worst(self) -> int:
@@ -78,13 +78,13 @@ class FrictionAgreement:
 
     @property
     def verdict(self) -> str:
-        """The result in words: equal within the uncertainties, within 5 %, or different."""
+        """The result in words: equal within the uncertainties, or different, and how much."""
         if self.p_value >= SIGNIFICANT:
             return "the two determinations agree within their uncertainties"
         if self.relative <= NEGLIGIBLE:
             return (
-                f"the two determinations agree within {NEGLIGIBLE:.0%} of the friction, but not "
-                "within their uncertainties, which are too small"
+                "the two determinations differ by more than their uncertainties, but by less than "
+                f"{NEGLIGIBLE:.0%} of the friction"
             )
         return "the two determinations disagree"
 

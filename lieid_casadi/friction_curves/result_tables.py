@@ -40,20 +40,27 @@ def curve_table(curve: FrictionCurve) -> Table:
 def ranking_table(ranked: Sequence[RankedFrictionModel]) -> Table:
     """Return friction models in the order of the Bayesian information criterion (BIC).
 
-    An asterisk marks models with a note, for example reconstructions.
+    Models are named by their form; an asterisk marks those with a note.
     """
     best, unit = ranked[0].fit.bic, ranked[0].fit.curve.unit
     return make_table(
         "Friction models, by the Bayesian information criterion (BIC)",
-        ("model", f"RMS, {unit}", "correlation", "BIC above the best", "parameters", "source"),
+        (
+            "model",
+            f"RMS, {unit}",
+            "correlation",
+            "BIC above the best",
+            "parameters",
+            "source (name)",
+        ),
         [
             (
-                ranked_model.model.name + ("*" if ranked_model.model.note else ""),
+                ranked_model.model.form + ("*" if ranked_model.model.note else ""),
                 ranked_model.fit.rms,
                 f"{ranked_model.fit.correlation:.4f}",
                 f"{ranked_model.fit.bic - best:.1f}",
                 len(ranked_model.fit.parameters),
-                ranked_model.model.source,
+                f"{ranked_model.model.credit} ({ranked_model.model.name})",
             )
             for ranked_model in ranked
         ],

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lieid_casadi.errors import IdentificationError, LieidWarning, warning_list
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
-from lieid_casadi.robot import Robot
+from lieid_casadi.robot import Drive, Robot
 from lieid_casadi.tables import html
 
 if TYPE_CHECKING:
@@ -58,6 +58,8 @@ class DriveGains:
     unloaded, loaded : tuple of Source
         Recordings without and with the payload.
     warnings : tuple of LieidWarning
+    per : {"A", "rad"}
+        Unit of the drives' signal: current, or position error (the gain is then a stiffness).
     """
 
     robot: Robot
@@ -76,6 +78,7 @@ class DriveGains:
     unloaded: tuple[Source, ...]
     loaded: tuple[Source, ...]
     warnings: tuple[LieidWarning, ...]
+    per: str = "A"
 
     @property
     def interval(self) -> tuple[Array, Array]:
@@ -87,7 +90,8 @@ class DriveGains:
         """The gains as the option of other commands; None if a gain cannot be identified."""
         if self.not_identified:
             return None
-        return "--torque-constants " + ",".join(f"{k:.5g}" for k in self.gains)
+        option = "--torque-constants" if self.per == "A" else "--stiffness"
+        return f"{option} " + ",".join(f"{k:.5g}" for k in self.gains)
 
     def robot_with_gains(self) -> Robot:
         """Return the robot with these torque constants.
@@ -103,6 +107,9 @@ class DriveGains:
                 f"the gain of joint {part.joint + 1} cannot be identified ({part.reason}); a robot "
                 "needs the torque constants of all joints"
             )
+        if self.per == "rad":
+            laws = [Drive(stiffness=float(k)) for k in self.gains]
+            return replace(self.robot.with_drives(laws), source=None)
         joints = tuple(
             replace(joint, torque_constant=float(k))
             for joint, k in zip(self.robot.joints, self.gains, strict=True)
@@ -120,7 +127,7 @@ class DriveGains:
                 "gain": number_or_none(self.gains[j]),
                 "std": number_or_none(self.std[j]),
                 "interval": None if np.isnan(self.gains[j]) else [float(low[j]), float(high[j])],
-                "unit": "N·m/A" if joint.revolute else "N/A",
+                "unit": f"{'N·m' if joint.revolute else 'N'}/{self.per}",
                 "identified": j not in weak,
             }
             for j, joint in enumerate(self.robot.joints)
@@ -162,7 +169,7 @@ class DriveGains:
         ax.errorbar(places, self.gains, NORMAL * self.std, fmt="o", capsize=4)
         ax.set_xticks(places)
         ax.set_xlabel("joint")
-        ax.set_ylabel("drive gain, N·m/A")
+        ax.set_ylabel(f"drive gain, N·m/{self.per}")
         ax.set_ylim(bottom=min(0.0, float(np.nanmin(self.gains, initial=0.0))))
         drawn = ax.get_figure(root=True)
         assert drawn is not None

@@ -18,7 +18,7 @@ from lieid_casadi.errors import (
     unique_warnings,
 )
 from lieid_casadi.gains.estimate import DriveGains, GainNotIdentified
-from lieid_casadi.gains.input_checks import check_input, known_payload
+from lieid_casadi.gains.input_checks import check_input, known_payload, with_drive_signal
 from lieid_casadi.gains.regression import GainProblem, GainSolution
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.regression.design_matrix import Design
@@ -49,7 +49,7 @@ def drive_gains(
     processing: Processing | None = None,
     progress: Progress | None = None,
 ) -> DriveGains:
-    """Identify the gain of every drive in N·m/A from a payload of known mass.
+    """Identify the gain of every drive in N·m/A (N·m/rad) from a payload of known mass.
 
     Gains, base parameters of the arm, friction and the unknown parameters of the payload are
     identified together by total least squares; the known mass determines the scale (Gautier,
@@ -61,7 +61,8 @@ def drive_gains(
         Only its geometry is used; inertias are not needed.
     unloaded, loaded : Recording or sequence of Recording
         Recordings with motor currents, without and with the payload; the same exciting motions
-        in both are best.
+        in both are best. Of recordings with commanded positions and no currents, the gains are the
+        stiffnesses of the position controllers, N·m/rad.
     mass : float
         Mass of the payload, kg.
     com : (3,), optional
@@ -85,7 +86,7 @@ def drive_gains(
     ModelError, RecordingError, EffectError
         Currents are missing, the number of joints differs, or an effect has shape parameters.
     """
-    empty, full = listed(unloaded), listed(loaded)
+    empty, full, per = with_drive_signal(listed(unloaded), listed(loaded))
     known = known_payload(mass, com)
     model = Model(robot, effects)
     report = progress or (lambda stage, fraction: None)
@@ -113,7 +114,7 @@ def drive_gains(
                 "recordings"
             )
         )
-    result = _result(model, solution, mass, known, options, (empty, full))
+    result = replace(_result(model, solution, mass, known, options, (empty, full)), per=per)
     report("done", 1.0)
     return replace(result, warnings=unique_warnings(found))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,6 +42,25 @@ def known_payload(mass: float, com: ArrayLike | None) -> Array:
     return known
 
 
+def with_drive_signal(
+    empty: Sequence[Recording], full: Sequence[Recording]
+) -> tuple[list[Recording], list[Recording], str]:
+    """Return the recordings with the signal of the drives as currents, and its unit.
+
+    It is the position error q_cmd − q, in rad, if no recording has currents and all have commands.
+
+    Parameters
+    ----------
+    empty, full : sequence of Recording
+        Recordings without and with the payload.
+    """
+    every = (*empty, *full)
+    if not every or any(r.current is not None or r.command is None for r in every):
+        return list(empty), list(full), "A"
+    moved = [replace(r, current=r.command - r.q) for r in every if r.command is not None]
+    return moved[: len(empty)], moved[len(empty) :], "rad"
+
+
 def check_input(model: Model, empty: Sequence[Recording], full: Sequence[Recording]) -> None:
     """Raise if effects or recordings are not suitable.
 
@@ -74,7 +94,10 @@ def check_input(model: Model, empty: Sequence[Recording], full: Sequence[Recordi
                 f"{name}: {recording.n} joints; robot {model.robot.name!r} has {model.n}"
             )
         if recording.current is None:
-            raise ModelError(f"{name}: no motor currents; expected columns i1…i{model.n}")
+            raise ModelError(
+                f"{name}: no motor currents; expected columns i1…i{model.n}, or in all recordings "
+                f"commanded positions qcmd1…qcmd{model.n}"
+            )
         still = np.flatnonzero(np.ptp(recording.current, axis=0) == 0.0)
         if len(still):
             raise IdentificationError(

@@ -9,6 +9,8 @@ from lieid_casadi.tables import Table, make_table
 if TYPE_CHECKING:
     from lieid_casadi.gains.estimate import DriveGains
 
+COLUMNS = ("joint", "gain", "std", "std %", "95 % from", "to", "unit")
+
 
 def gain_table(gains: DriveGains) -> Table:
     """Return the gain of each joint; ``*`` marks what is not identified."""
@@ -27,6 +29,6 @@ def gain_table(gains: DriveGains) -> Table:
     ]
     return make_table(
         f"Drive gains from a payload of {gains.mass:g} kg (low-pass {gains.cutoff:.3g} Hz)",
-        ("joint", "gain", "std", "std %", "95 % from", "to", "unit", "RMS error, A", "N·m"),
+        (*COLUMNS, f"RMS error, {gains.per}", "N·m"),
         rows,
     )

@@ -6,6 +6,7 @@ A file is data. Effects are looked up by name among those registered; nothing is
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +31,7 @@ from lieid_casadi.identification.fit_schema import (
     CertificateFile,
     ConditioningFile,
     Content,
+    DriveFile,
     NoiseFile,
     ProcessingFile,
     ProvenanceFile,
@@ -44,6 +46,7 @@ from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording.processing.process import Processing
 from lieid_casadi.recording.readers.registry import reason_of
+from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.robot import Robot
 from lieid_casadi.robot.yaml_writer import write_yaml
 
@@ -126,7 +129,10 @@ def read_fields(path: str | Path) -> dict[str, Any]:
         "conditioning": Conditioning(**msgspec.to_builtins(content.conditioning)),
         "warnings": tuple(_warning(w) for w in content.warnings),
         "provenance": Provenance(
-            provenance.version, tuple(Source(r.name, r.sha256) for r in provenance.recordings)
+            provenance.version,
+            tuple(Source(r.name, r.sha256) for r in provenance.recordings),
+            None if provenance.torque_constants is None else tuple(provenance.torque_constants),
+            tuple(provenance.units),
         ),
         "temperature_mean": (
             None if content.temperature_mean is None else np.array(content.temperature_mean)
@@ -165,6 +171,9 @@ def _check_sizes(model: Model, content: Content) -> None:
         for name in ("pseudo_inertia_eigenvalue", "divergence", "rms", "rms_wls"):
             lists[f"certificate.{name}"] = getattr(content.certificate, name)
             sizes[f"certificate.{name}"] = n
+    if content.provenance.torque_constants is not None:
+        lists["torque_constants"] = content.provenance.torque_constants
+        sizes["torque_constants"] = n
     for name, size in sizes.items():
         if len(lists[name]) != size:
             raise FitFileError(f"{name} has {len(lists[name])} entries; expected {size}, fit again")
@@ -178,13 +187,29 @@ def _check_sizes(model: Model, content: Content) -> None:
 
 
 def _robot_text(robot: Robot) -> RobotText:
+    drives = [] if robot.drives is None else [_drive_file(drive) for drive in robot.drives]
     if robot.source is not None:
         s = robot.source
-        return RobotText(s.kind, s.text, s.tip, list(s.lock))
-    return RobotText("yaml", write_yaml(robot), None, [])
+        return RobotText(s.kind, s.text, s.tip, list(s.lock), drives)
+    return RobotText("yaml", write_yaml(robot), None, [], drives)
+
+
+def _drive_file(drive: Drive) -> DriveFile:
+    return msgspec.convert(_finite(asdict(drive), math.inf, None), DriveFile)
+
+
+def _finite(fields: dict[str, Any], old: Any, new: Any) -> dict[str, Any]:
+    """Return fields with a value replaced: JSON has no infinity."""
+    return {name: new if value == old else value for name, value in fields.items()}
 
 
 def _robot(file: RobotText) -> Robot:
+    robot = _described(file)
+    drives = [Drive(**_finite(msgspec.to_builtins(d), None, math.inf)) for d in file.drives]
+    return robot.with_drives(drives) if drives else robot
+
+
+def _described(file: RobotText) -> Robot:
     origin = "robot inside the fit"
     if file.kind == "urdf":
         return Robot.parse_urdf(file.text, tip=file.tip, lock=file.lock, origin=origin)

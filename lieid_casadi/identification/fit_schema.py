@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from lieid_casadi.errors import FitFileError
 from lieid_casadi.recording.readers.registry import reason_of
 
-SCHEMA = 2
+SCHEMA = 3
 KIND = "lieid-fit"
 LARGEST_FILE = 64 << 20  # bytes; a fit of ten joints with all effects has less than 1 MB
 
@@ -27,13 +27,25 @@ Positive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
 
 
-class RobotText(Struct, forbid_unknown_fields=True):
-    """The robot's own file."""
+class DriveFile(Struct, forbid_unknown_fields=True):
+    """Control law of one joint; limits are left out where there are none."""
+
+    stiffness: Positive
+    damping: NotNegative
+    proportional_limit: Positive | None
+    torque_limit: Positive | None
+    relative: bool
+    servo: str
+
+
+class RobotText(Struct, forbid_unknown_fields=True, omit_defaults=True):
+    """The robot's own file, and the control laws of its drives, if it has any."""
 
     kind: str
     text: str
     tip: str | None
     lock: list[str]
+    drives: list[DriveFile] = []
 
 
 class NoiseFile(Struct, forbid_unknown_fields=True):
@@ -78,10 +90,12 @@ class SourceFile(Struct, forbid_unknown_fields=True):
 
 
 class ProvenanceFile(Struct, forbid_unknown_fields=True):
-    """Package version and training recordings."""
+    """Package version and training recordings, and how their torque and units were read."""
 
     version: str
     recordings: list[SourceFile]
+    torque_constants: list[Number] | None
+    units: list[Annotated[str, Meta(max_length=10)]]
 
 
 class CertificateFile(Struct, forbid_unknown_fields=True):
@@ -210,4 +224,15 @@ def _with_residual_noise(raw: dict[str, Any]) -> dict[str, Any]:
     return raw | {"schema": 2, "residual_noise": residual_noise}
 
 
-MIGRATIONS: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {1: _with_residual_noise}
+def _with_reading(raw: dict[str, Any]) -> dict[str, Any]:
+    """Schema 2 stored neither torque constants nor units of the training recordings."""
+    provenance = raw.get("provenance")
+    if isinstance(provenance, dict):
+        provenance = {"torque_constants": None, "units": []} | provenance
+    return raw | {"schema": 3, "provenance": provenance}
+
+
+MIGRATIONS: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    1: _with_residual_noise,
+    2: _with_reading,
+}

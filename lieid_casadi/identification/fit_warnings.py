@@ -13,6 +13,7 @@ from lieid_casadi.errors import (
     ConvergenceWarning,
     FrictionAtRestWarning,
     LieidWarning,
+    RelativeTorqueWarning,
     UnidentifiableWarning,
 )
 from lieid_casadi.identification.regression.design_matrix import has_dry_friction
@@ -25,7 +26,8 @@ from lieid_casadi.identification.regression.least_squares import (
 )
 from lieid_casadi.identification.regression.shape_range import ShapeRange
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processed
+from lieid_casadi.recording import Processed, Recording, RecordingStream
+from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
 WEAK = 0.05  # of a column's norm that the other columns do not span: below it, a warning
@@ -145,5 +147,22 @@ def at_rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
         FrictionAtRestWarning(
             "friction is undetermined at rest; samples at rest were excluded from the fit: "
             + joints
+        )
+    ]
+
+
+def relative_torque(
+    robot: Robot, recordings: Sequence[Recording | RecordingStream]
+) -> list[LieidWarning]:
+    """Return a warning where torques are in units of a drive stiffness that is not known."""
+    drives = robot.drives or ()
+    commanded = any(r.rows(0, min(2, len(r))).command is not None for r in recordings)
+    if not commanded or not any(drive.relative for drive in drives):
+        return []
+    return [
+        RelativeTorqueWarning(
+            "the drive stiffness K is not known: torques, noise and all parameters are in units "
+            "of K (where N·m is written read rad·K), one K for all joints; --known-mass LINK=KG "
+            "or lieid gains determine K in N·m/rad"
         )
     ]

@@ -37,11 +37,10 @@ from lieid_casadi.identification.regression.fixed_point import (
     fixed_point,
 )
 from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
-from lieid_casadi.identification.regression.rows import JointRows, Rows
-from lieid_casadi.identification.regression.shape_fit import shape_columns
+from lieid_casadi.identification.regression.motion_columns import FilteredColumns
 from lieid_casadi.identification.temperature import center_temperature
-from lieid_casadi.identification.uncertainty.covariance import hac_covariance
-from lieid_casadi.identification.uncertainty.noise_model import residual_noise
+from lieid_casadi.identification.uncertainty.fit_covariance import fit_covariance
+from lieid_casadi.identification.uncertainty.noise_model import Noise, residual_noise
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.recording import Processed, Processing, Recording, RecordingStream, process
 from lieid_casadi.recording.given_recordings import listed
@@ -113,8 +112,63 @@ def identify(
     report = progress or (lambda stage, fraction: None)
     _check_method(method, feasible)
     compiled, segments, mean, found = _prepared(model, given, processing, report)
+    fit = identify_segments(
+        compiled,
+        segments,
+        method=method,
+        feasible=feasible,
+        start=start,
+        temperature_mean=mean,
+        provenance=_provenance(given),
+        warnings=found,
+        report=report,
+    )
+    report("done", 1.0)
+    return fit
+
+
+def identify_segments(
+    compiled: Compiled,
+    segments: tuple[Processed, ...],
+    *,
+    method: Method,
+    temperature_mean: Array | None,
+    provenance: Provenance,
+    feasible: FeasibleOptions | None = None,
+    start: ShapeStart | None = None,
+    uncertainty: bool = True,
+    known: Sequence[FilteredColumns] | None = None,
+    warnings: Sequence[LieidWarning] = (),
+    report: Progress = lambda stage, fraction: None,
+) -> Fit:
+    """Fit a compiled model to segments that were checked and processed before.
+
+    Parameters
+    ----------
+    compiled : Compiled
+    segments : tuple of Processed
+        With temperatures relative to their mean.
+    method : {"ols", "wls", "robust", "feasible"}
+    temperature_mean : (n,) or None
+        °C.
+    provenance : Provenance
+        Of the recordings.
+    feasible : FeasibleOptions, optional
+    start : ShapeStart, optional
+        Shape parameters near the solution.
+    uncertainty : bool
+        False leaves the covariance NaN and the residual's noise white: for models of which only
+        values are compared, since the two take longer than the fit.
+    known : sequence of FilteredColumns, optional
+        Of each segment; see `Design`.
+    warnings : sequence of LieidWarning
+        Found so far.
+    report : callable
+        Called with a stage's name and the fraction done.
+    """
+    model, found = compiled.model, list(warnings)
     report("regress", 0.3)
-    design = Design(compiled, segments)
+    design = Design(compiled, segments, known=known)
     state, settled = fixed_point(design, "wls" if method == "feasible" else method, report, start)
     folds = _folds(segments, state)
     unweighted = combine(joint_factors(state.rows), np.ones(model.n))
@@ -130,27 +184,30 @@ def identify(
         found += consistent.warnings
     found += fit_warnings.bounds(model, state)
     report("evaluate", 0.9)
-    fit = Fit(
+    if uncertainty:
+        covariance, noise = fit_covariance(design, state), residual_noise(compiled, segments, state)
+    else:
+        covariance = np.full((len(state.solution.values) + len(state.shapes),) * 2, np.nan)
+        noise = tuple(Noise.white(float(spread)) for spread in state.weighting.noise)
+    return Fit(
         model=model,
         method=method,
         values=state.solution.values,
         shapes=state.shapes,
-        covariance=_covariance(design, state),
+        covariance=covariance,
         parameters=state.parameters,
         noise=state.weighting.noise,
-        residual_noise=residual_noise(compiled, segments, state),
+        residual_noise=noise,
         rms_train=rms,
         rms_train_raw=rms_raw,
         rms_cv=cross_validated_rms(folds, estimate),
         processing=segments[0].options,
         conditioning=conditioning(unweighted, model.base),
         warnings=unique_warnings(found),
-        provenance=_provenance(given),
-        temperature_mean=mean,
+        provenance=provenance,
+        temperature_mean=temperature_mean,
         certificate=certificate,
     )
-    report("done", 1.0)
-    return fit
 
 
 def _prepared(
@@ -167,6 +224,7 @@ def _prepared(
     found = [w for recording in samples for w in check_with_model(compiled, recording)]
     report("process", 0.1)
     segments, mean = center_temperature(process(given, processing))
+    found += fit_warnings.relative_torque(model.robot, given)
     found += [*model.robot.warnings, *(w for segment in segments for w in segment.warnings)]
     return compiled, segments, mean, found
 
@@ -189,34 +247,6 @@ def _check_method(method: str, feasible: FeasibleOptions | None) -> None:
             f"options of method feasible were given with method {method!r}; "
             "expected method='feasible'"
         )
-
-
-def _covariance(design: Design, state: FitState) -> Array:
-    """Return the covariance of values and shapes (p + s, p + s)."""
-    rows, values = state.rows, state.solution.values
-    residuals = rows.residuals(values)
-    unit = state.solution.unit_covariance
-    if len(state.shapes):
-        slopes = shape_columns(design, values, state.shapes, state.parameters)
-        rows = _with_columns(rows, slopes)
-        weighted = combine(joint_factors(rows, state.weighting.rows), np.ones(design.model.n))
-        unit = solve(weighted).unit_covariance
-    return hac_covariance(rows, state.weighting.rows, residuals, unit)
-
-
-def _with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
-    """Return rows with further columns after the p base columns."""
-    count = rows.count + further[0].shape[1]
-    joints = tuple(
-        JointRows(
-            np.concatenate([joint.columns, np.arange(rows.count, count)]),
-            np.column_stack([joint.matrix, extra]),
-            joint.torque,
-            joint.instant,
-        )
-        for joint, extra in zip(rows.joints, further, strict=True)
-    )
-    return Rows(joints, count, rows.segments)
 
 
 def _training_rms(
@@ -243,4 +273,10 @@ def _folds(segments: Sequence[Processed], state: FitState) -> tuple[Fold, ...]:
 def _provenance(recordings: Sequence[Recording | RecordingStream]) -> Provenance:
     from lieid_casadi import __version__
 
-    return Provenance(__version__, tuple(Source(r.name, r.source_hash) for r in recordings))
+    first = recordings[0]
+    return Provenance(
+        __version__,
+        tuple(Source(r.name, r.source_hash) for r in recordings),
+        first.torque_constants if len({r.torque_constants for r in recordings}) == 1 else None,
+        first.units if len({r.units for r in recordings}) == 1 else (),
+    )

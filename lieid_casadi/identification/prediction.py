@@ -108,6 +108,7 @@ def _effect_torque(
     """Return the torque (k, n) of effects on single joints, at the instants ``at``."""
     signals = effect_signals(segment, shapes, None)
     time, temperature = signals["time"][at], signals.get("temperature")
+    error = signals.get("command_error")
     return compiled.friction(
         segment.q[at],
         segment.dq[at],
@@ -116,6 +117,7 @@ def _effect_torque(
         load=rigid,
         temperature=None if temperature is None else temperature[at],
         time=time,
+        command_error=None if error is None else error[at],
         shapes=shapes,
         dead_zone=signals["dead_zone"],
         joint_effects_only=True,
@@ -246,4 +248,5 @@ def _as_measured(segment: Recording, processing: Processing) -> Processed:
         dead_zone=np.zeros(q.shape[1]),
         moving=dq != 0.0,
         options=processing,
+        command=segment.command,
     )

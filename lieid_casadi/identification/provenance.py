@@ -15,7 +15,20 @@ class Source:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Package version and recordings that a fit was computed from."""
+    """What a fit was computed from.
+
+    Attributes
+    ----------
+    version : str
+        Of the package.
+    recordings : tuple of Source
+    torque_constants : tuple of float or None
+        (n) N·m/A, of recordings of motor currents; None if torque was recorded.
+    units : tuple of str
+        Units of the recordings' files other than SI: ``deg``, and ``ms``, ``us`` or ``ns``.
+    """
 
     version: str
     recordings: tuple[Source, ...]
+    torque_constants: tuple[float, ...] | None = None
+    units: tuple[str, ...] = ()

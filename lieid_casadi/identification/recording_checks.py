@@ -12,8 +12,10 @@ from lieid_casadi.errors import (
     IdentificationError,
     LieidWarning,
     ModelError,
+    TorqueConstantsWarning,
 )
 from lieid_casadi.identification.prediction import predict_recording
+from lieid_casadi.identification.provenance import Provenance
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check, require_plausible_units
 from lieid_casadi.recording.given_recordings import listed
@@ -56,6 +58,33 @@ def check_joints(model: Model, recording: Recording) -> None:
         raise EffectError(
             f"{name}: {warm[0]} needs temperature; expected columns temp1…temp{model.n}"
         )
+    commanded = [p.label for p in model.placements if p.effect.commanded]
+    if commanded and (recording.command is None or model.robot.drives is None):
+        raise EffectError(
+            f"{name}: {commanded[0]} needs commanded positions and a drive law; expected columns "
+            f"qcmd1…qcmd{model.n} and --stiffness or --servo"
+        )
+
+
+def check_torque_constants(provenance: Provenance, recording: Recording) -> list[LieidWarning]:
+    """Return a warning if currents became torques by other constants than those of a fit.
+
+    Every error, load and mass then scales with the ratio of the constants.
+    """
+    fitted, used = provenance.torque_constants, recording.torque_constants
+    if fitted is None or used is None or fitted == used:
+        return []
+    differing = ", ".join(
+        f"joint {j + 1} {k:g} (fit: {own:g})"
+        for j, (k, own) in enumerate(zip(used, fitted, strict=True))
+        if k != own
+    )
+    return [
+        TorqueConstantsWarning(
+            f"{recording.name or 'recording'}: torque constants differ from those of the fit: "
+            f"{differing} N·m/A; use those of the fit, or fit again"
+        )
+    ]
 
 
 def check_with_model(compiled: Compiled, recording: Recording) -> tuple[LieidWarning, ...]:

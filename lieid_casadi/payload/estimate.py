@@ -63,6 +63,8 @@ class PayloadEstimate:
     ----------
     robot : str
         Name of the robot.
+    frame : str
+        Where the tool frame lies, to which the values refer.
     joint_names : tuple of str
     values, std : (10,)
         Mass (kg), centre of mass (3, tool frame, m) and inertia about it (xx, xy, yy, xz, yz,
@@ -86,9 +88,15 @@ class PayloadEstimate:
         Cut-off frequency of the low-pass filter, Hz.
     recordings : tuple of Source
     warnings : tuple of LieidWarning
+    from_currents : bool
+        Whether torque comes from motor currents.
+    torque_constant_std : tuple of float
+        Relative standard deviation of the torque constants that ``std`` includes: one for all
+        joints, or one per joint.
     """
 
     robot: str
+    frame: str
     joint_names: tuple[str, ...]
     values: Array
     std: Array
@@ -103,6 +111,8 @@ class PayloadEstimate:
     cutoff: float
     recordings: tuple[Source, ...]
     warnings: tuple[LieidWarning, ...]
+    from_currents: bool = False
+    torque_constant_std: tuple[float, ...] = (0.0,)
 
     @property
     def mass(self) -> float:
@@ -173,7 +183,28 @@ class PayloadEstimate:
             f"{1000 * c:.1f} ± {1000 * s:.1f}" if np.isfinite(c) else "not identified"
             for c, s in zip(self.com, self.com_std, strict=True)
         ]
-        return f"Payload {size}, centre of mass at ({', '.join(com)}) mm in the tool frame."
+        return (
+            f"Payload {size}, centre of mass at ({', '.join(com)}) mm in the {self.frame}."
+            f"{self._on_constants}"
+        )
+
+    @property
+    def _on_constants(self) -> str:
+        """How the mass depends on the torque constants."""
+        sizes = self.torque_constant_std
+        if any(sizes):
+            share = (
+                f"{100 * min(sizes):.3g}"
+                if len(set(sizes)) == 1
+                else (f"{100 * min(sizes):.3g} to {100 * max(sizes):.3g}")
+            )
+            return f" Standard deviations include {share} % of the torque constants."
+        if not self.from_currents:
+            return ""
+        return (
+            " Mass and inertia are in proportion to the torque constants, whose uncertainty is not "
+            "included; state it with --torque-constants-std."
+        )
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per quantity: name, value, std, interval, feasible, unit, identified."""
@@ -199,6 +230,9 @@ class PayloadEstimate:
         return {
             "robot": self.robot,
             "frame": "tool",
+            "frame_place": self.frame,
+            "from_currents": self.from_currents,
+            "torque_constant_std": list(self.torque_constant_std),
             "verdict": self.sentence,
             "explained": self.explained,
             "mass": number_or_none(self.mass),

@@ -6,14 +6,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import IdentificationError, LieidWarning, unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import predict_recording
 from lieid_casadi.identification.provenance import Source
-from lieid_casadi.identification.recording_checks import check_recordings
+from lieid_casadi.identification.recording_checks import (
+    check_recordings,
+    check_torque_constants,
+)
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.identification.temperature import center_temperature
@@ -29,6 +32,7 @@ from lieid_casadi.payload.feasible_body import SCALE, nearest_feasible_body
 from lieid_casadi.payload.regression import LoadedRun, LoadedRunEstimate
 from lieid_casadi.recording import Processed, Recording, check, process
 from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
 ROUNDING = 1e-10  # least variance relative to the sum of its terms before cancellation
@@ -42,6 +46,7 @@ def identify_payload(
     *,
     cutoff: float | None = None,
     refit_friction: bool = False,
+    torque_constant_std: float | ArrayLike = 0.0,
     progress: Progress | None = None,
 ) -> PayloadEstimate:
     """Identify a payload at the tool that a fit does not include.
@@ -61,6 +66,9 @@ def identify_payload(
     refit_friction : bool
         Whether Coulomb friction, viscous friction and offsets are identified again from this
         run, for an arm whose temperature differs from that of the fit.
+    torque_constant_std : float or (n,)
+        Relative standard deviation of the torque constants: of an error that all joints share,
+        or of independent errors of each joint.
     progress : callable, optional
         Called with the name of a stage and the completed fraction (0 to 1).
 
@@ -91,6 +99,7 @@ def identify_payload(
     for recording in given:
         check(recording, fit.model.robot)  # raises here; warnings need the torque with the payload
     found = payload_warnings.fit_warnings(fit, given)
+    found += [w for r in given for w in check_torque_constants(fit.provenance, r)]
     report("process", 0.2)
     options = replace(
         fit.processing,
@@ -111,13 +120,24 @@ def identify_payload(
     kept = run.estimate(np.zeros_like(frictional))
     refitted = run.estimate(frictional) if frictional.any() else kept
     estimate = refitted if refit_friction else kept
+    if len(estimate.hidden) >= len(estimate.parameters):
+        raise IdentificationError(
+            f"{given[0].name or 'the recordings'}: no parameter of a payload can be identified "
+            "from this motion with this fit; expected a motion of several joints, in both"
+        )
     payload_warnings.require_same_arm(fit, estimate, run)
     nominal = run.loaded_parameters(estimate.parameters)
     found += [w for recording in given for w in _checked(fit, recording, nominal)]
     if not refit_friction:
         found += payload_warnings.changed_friction(run, kept, refitted, frictional)
     report("feasible body", 0.8)
+    estimate = _with_uncertain_constants(fit, estimate, torque_constant_std)
     result = _result(fit, run, estimate, frictional if refit_friction else None)
+    result = replace(
+        result,
+        from_currents=_from_currents(fit, given),
+        torque_constant_std=_std_of_constants(fit, torque_constant_std),
+    )
     found += [w for segment in segments for w in segment.warnings]
     found += payload_warnings.payload_warnings(fit, result, estimate)
     report("done", 1.0)
@@ -126,6 +146,45 @@ def identify_payload(
         recordings=tuple(Source(r.name, r.source_hash) for r in given),
         warnings=unique_warnings(found),
     )
+
+
+def _from_currents(fit: Fit, recordings: Sequence[Recording]) -> bool:
+    """Whether torque comes from motor currents: by constants, or by a fit with rotor inertia."""
+    return (
+        any(recording.torque_constants is not None for recording in recordings)
+        or bool(np.isfinite(fit.model.robot.torque_constants).any())
+        or any(placement.effect.name == "armature" for placement in fit.model.placements)
+    )
+
+
+def _std_of_constants(fit: Fit, std: float | ArrayLike) -> tuple[float, ...]:
+    """Return relative standard deviations: one for all joints, or one per joint.
+
+    Raises
+    ------
+    IdentificationError
+    """
+    values = np.atleast_1d(np.asarray(std, dtype=np.float64))
+    sizes = (1, fit.model.n)
+    if values.ndim != 1 or len(values) not in sizes or not np.all((values >= 0) & (values < 1)):
+        raise IdentificationError(
+            f"standard deviations of torque constants: found {np.round(values, 6).tolist()}; "
+            f"expected one or {fit.model.n} numbers from 0 to 1, relative to the constants"
+        )
+    return tuple(values.tolist())
+
+
+def _with_uncertain_constants(
+    fit: Fit, estimate: LoadedRunEstimate, std: float | ArrayLike
+) -> LoadedRunEstimate:
+    """Return the estimate with the covariance that uncertain torque constants add."""
+    sizes = np.array(_std_of_constants(fit, std))
+    if not sizes.any():
+        return estimate
+    shared = len(sizes) == 1
+    slopes = estimate.parameters[None] if shared else estimate.by_joint
+    added = (sizes[:, None] * slopes).T @ (sizes[:, None] * slopes)
+    return replace(estimate, covariance=estimate.covariance + added)
 
 
 def _checked(fit: Fit, recording: Recording, parameters: Array) -> tuple[LieidWarning, ...]:
@@ -154,6 +213,14 @@ def require_one_load(segments: Sequence[Processed]) -> None:
         )
 
 
+def _frame(robot: Robot) -> str:
+    """Return where the tool frame lies in the last link, which the description names."""
+    link = robot.joints[-1].link_name or f"of joint {robot.n}"
+    x, y, z = 1000.0 * robot.tool[:3, 3]
+    turned = "" if np.allclose(robot.tool[:3, :3], np.eye(3), atol=1e-9) else ", turned"
+    return f"tool frame, at ({x:z.0f}, {y:z.0f}, {z:z.0f}) mm in link {link}{turned}"
+
+
 def _require_motion(run: LoadedRun) -> None:
     rows = run.design.rows(run.fit.shapes, run.fit.parameters)
     if not rows.lengths.any():
@@ -179,6 +246,7 @@ def _result(
     feasible_errors = run.errors(body, refitted, estimate.free)
     return PayloadEstimate(
         robot=fit.model.robot.name,
+        frame=_frame(fit.model.robot),
         joint_names=tuple(joint.name for joint in fit.model.robot.joints),
         values=np.where(unknown, np.nan, values),
         std=np.where(unknown, np.nan, std),

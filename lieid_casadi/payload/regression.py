@@ -60,6 +60,9 @@ class LoadedRunEstimate:
     before, after : tuple of (R,)
         Measured − predicted torque per joint, N·m: of the fit alone, and with the payload and
         the refitted parameters, all other parameters of the fit unchanged.
+    by_joint : (n, 10)
+        Contribution of each joint's torque to the parameters; their sum over joints is the
+        parameters, up to the change of the fit's parameters.
     noise : (n,)
         Standard deviation of the residual per joint, N·m, after the fit's parameters have been
         adjusted within their uncertainty.
@@ -73,6 +76,7 @@ class LoadedRunEstimate:
     free_std: Array
     before: tuple[Array, ...]
     after: tuple[Array, ...]
+    by_joint: Array
     noise: Array
     converged: bool
 
@@ -144,6 +148,12 @@ class LoadedRun:
             np.sqrt(np.diag(covariance)[BODY + self.root.shape[1] :]),
             tuple(before),
             tuple(after),
+            np.array(
+                [
+                    unit[:BODY] @ (joint.matrix.T @ joint.torque) * weight**2
+                    for joint, weight in zip(rows.joints, self._weights(noise), strict=True)
+                ]
+            ),
             noise,
             converged,
         )

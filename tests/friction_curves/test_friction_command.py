@@ -30,7 +30,10 @@ def test_models_are_ranked_and_the_best_is_printed(run, tmp_path, capsys):
     assert lieid_friction(run, "--joint", 1, "--json", out, "--plot", picture) == 0
     shown = capsys.readouterr().out
     assert "Friction models, by the Bayesian information criterion" in shown
-    assert "he2021: published as a Stribeck curve" in shown
+    assert "(he2021): published as a Stribeck curve" in shown
+    rows = [line for line in shown.splitlines() if "reconstructed" in line]
+    assert rows
+    assert not any(line.strip().startswith(("gao", "he2021")) for line in shown.splitlines())
     content = json.loads(out.read_text())
     assert content["joint"] == 1
     scores = [model["bic"] for model in content["models"]]

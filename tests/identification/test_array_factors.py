@@ -14,6 +14,7 @@ from lieid_casadi.identification.regression import design_matrix
 from lieid_casadi.identification.regression.array_factors import factors
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
+from lieid_casadi.identification.regression.motion_columns import MotionColumns
 from lieid_casadi.recording import Processing, process
 from lieid_casadi.recording.processing import overlap_windows
 from lieid_casadi.recording.processing.overlap_windows import filter_memory, windows
@@ -187,6 +188,25 @@ def recorded(duration, seed):
     motion = plant.FourierTrajectory(robot, base_frequency=0.1, seed=seed)
     t = np.arange(0.0, duration, 0.01)
     return plant.measure_along(arm, t, *motion.at(t), sensors=plant.Sensors(rate=100.0))
+
+
+def test_designs_of_several_models_share_their_filtered_columns(monkeypatch):
+    robot = lieid.robots.two_link()
+    segments = process([recorded(3.0, 1), recorded(2.0, 2)], Processing(cutoff=2.0))
+    known = [{} for _ in segments]
+    models = [
+        lieid.Model(robot, spec)
+        for spec in ("viscous", "coulomb:2,transmission_coupling:1<2,viscous", "stribeck,viscous")
+    ]
+    for model in models:
+        arm, shapes = lieid.compile(model), model.initial_shapes
+        own = Design(arm, segments).rows(shapes, None)
+        shared = Design(arm, segments, known=known).rows(shapes, None)
+        for one, other in zip(own.joints, shared.joints, strict=True):
+            np.testing.assert_array_equal(one.columns, other.columns)
+            np.testing.assert_array_equal(one.matrix, other.matrix)
+    monkeypatch.setattr(MotionColumns, "_evaluated", None)  # all columns are known
+    Design(lieid.compile(models[0]), segments, known=known)
 
 
 def test_long_recordings_give_nearly_the_same_fit(monkeypatch):

@@ -74,6 +74,13 @@ def test_schema_1_is_migrated(fit, text, tmp_path):
     assert all(n.order == 0 and n.motion_ratio == 1.0 for n in migrated.residual_noise)
 
 
+def test_schema_2_is_migrated(fit, text, tmp_path):
+    old = json.loads(text) | {"schema": 2}
+    for entry in ("torque_constants", "units"):
+        del old["provenance"][entry]
+    assert loaded(json.dumps(old), tmp_path).provenance == fit.provenance
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -86,7 +93,7 @@ def test_schema_1_is_migrated(fit, text, tmp_path):
         (b"[]", "not a fit file"),
         (b'{"kind": "lieid-fit"}', "no schema number"),
         (b'{"kind": "lieid-fit", "schema": true}', "no schema number"),
-        (b'{"kind": "lieid-fit", "schema": 3}', "newer than 2"),
+        (b'{"kind": "lieid-fit", "schema": 4}', "newer than 3"),
         (b'{"kind": "lieid-fit", "schema": -1}', "unknown"),
         (b'{"kind": "lieid-fit", "schema": 1, "noise": 5}', "not a usable fit"),
         (b'{"kind": "lieid-fit", "schema": 1, "noise": [[[]]]}', "not a usable fit"),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.identification.regression.motion_columns import MotionColumns
+from lieid_casadi.identification.regression.motion_columns import FilteredColumns, MotionColumns
 from lieid_casadi.identification.regression.rows import ChunkedRows
 from lieid_casadi.identification.regression.rows import JointRows as JointRows
 from lieid_casadi.identification.regression.rows import Rows as Rows
@@ -42,10 +42,18 @@ class Design:
         Each with a torque.
     held : int, optional
         Largest size of columns that are kept, bytes; 128 MB if left out.
+    known : sequence of FilteredColumns, optional
+        Of each segment, from designs of other models of the robot; columns that are not in them
+        are added. Not used where the columns take more than ``held`` bytes.
     """
 
     def __init__(
-        self, compiled: Compiled, segments: Sequence[Processed], *, held: int | None = None
+        self,
+        compiled: Compiled,
+        segments: Sequence[Processed],
+        *,
+        held: int | None = None,
+        known: Sequence[FilteredColumns] | None = None,
     ) -> None:
         self.compiled = compiled
         self.model = compiled.model
@@ -57,10 +65,14 @@ class Design:
         self._active = _active_columns(compiled)
         self._use = [_fit_rows(self.model, segment) for segment in self.segments]
         self._torque = [s.filter(_torque(s)) for s in self.segments]
-        self._constant = [MotionColumns(compiled, s, self.varying) for s in self.segments]
         windows = [(k, w) for k, s in enumerate(self.segments) for w in s.windows]
         width = 8 * sum(len(active) for active in self._active)
         self._chunks = _chunks(windows, width, HELD_BYTES if held is None else held)
+        stores = known if known and len(self._chunks) == 1 else [None] * len(self.segments)
+        self._constant = [
+            MotionColumns(compiled, segment, self.varying, store)
+            for segment, store in zip(self.segments, stores, strict=True)
+        ]
         self._kept: list[list[Array]] | None = None
         self._rows: Rows | None = None
         if len(self._chunks) == 1:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.effects import ArmEffect
 from lieid_casadi.identification.regression.design_matrix import Design, Rows, varying_columns
 from lieid_casadi.identification.regression.least_squares import LeastSquaresSolution, solve
 from lieid_casadi.identification.regression.shape_fit import fit_shapes
@@ -77,6 +78,9 @@ def fixed_point(
     held = start is not None and start.held
     iterate = bool(varying_columns(model).any())
     loaded = any("load" in p.effect.signals for p in model.placements)
+    if any(isinstance(p.effect, ArmEffect) and p.effect.shapes for p in model.placements):
+        # a fit without the effect is biased by it; the nominal bodies are nearer to the arm
+        loaded, links = True, nominal_parameters(model) if model.robot.has_inertia else None
     searched = start is not None
     before: Array | None = None
     for round_ in range(ROUNDS):

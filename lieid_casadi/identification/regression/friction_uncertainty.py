@@ -83,6 +83,8 @@ def dry_level(
     signals: dict[str, Any] = {"shapes": shapes, "time": segment.t[at] - segment.t[0]}
     if segment.temperature is not None:
         signals["temperature"] = segment.temperature[at]
+    if segment.command_error is not None:
+        signals["command_error"] = segment.command_error[at]
     if any("load" in p.effect.signals for p in compiled.model.placements):
         motion = q, segment.dq[at], segment.ddq[at]
         signals["load"] = compiled.inverse_dynamics(*motion, parameters[: 10 * n])

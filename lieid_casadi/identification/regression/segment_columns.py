@@ -14,6 +14,7 @@ from lieid_casadi.effects.arm_effect import ArmEffect
 from lieid_casadi.model import Model
 from lieid_casadi.recording.processing.filtering import lowpass
 from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.robot import Drive
 from lieid_casadi.robot.inertia import parameter_transport
 
 Array = NDArray[np.float64]
@@ -32,6 +33,8 @@ class ModelAlongSegment:
         Columns of effects on single joints; those of effects on the whole arm are zero.
     fitted : bool
         Whether the model was fitted to this segment.
+    shapes : (s,)
+        Shape parameters of the effects.
     """
 
     compiled: Compiled
@@ -39,6 +42,7 @@ class ModelAlongSegment:
     parameters: Array
     joint_columns: Array
     fitted: bool
+    shapes: Array
 
     @property
     def t(self) -> Array:
@@ -87,6 +91,16 @@ class ModelAlongSegment:
         return lowpass(x, self.segment.rate, SMOOTH * self.segment.cutoff)
 
     @property
+    def command(self) -> Array | None:
+        """Commanded position (K, n), rad, None without commands."""
+        return self.segment.command
+
+    @property
+    def drives(self) -> tuple[Drive, ...] | None:
+        """Control laws of the joints (n), None without."""
+        return self.compiled.model.robot.drives
+
+    @property
     def gravity(self) -> Array:
         """Gravity (3,) in the base frame, m/s²."""
         return np.asarray(self.compiled.model.robot.gravity)
@@ -101,6 +115,12 @@ class ModelAlongSegment:
     def jacobian(self) -> Array:
         """Return the tool's Jacobian (K, 6, n), [ω; v], base axes."""
         return self.compiled.jacobian(self.segment.q)
+
+    def joint_torque_at(self, load: Array) -> Array:
+        """Return the torque (K, n) of effects on single joints at another load (K, n), N·m."""
+        signals: dict[str, Any] = effect_signals(self.segment, self.shapes, load)
+        columns = self.compiled.effect_columns(*self.motion, **signals, joint_effects_only=True)
+        return np.asarray(columns @ self.coefficients)
 
     def tool_regressor(self) -> Array:
         """Return the rigid torque (K, n, 10) per link parameter of a body in the tool's frame."""
@@ -134,6 +154,8 @@ def effect_signals(segment: Processed, shapes: Array, load: Array | None) -> dic
         signals["load"] = load
     if segment.temperature is not None:
         signals["temperature"] = segment.temperature
+    if segment.command_error is not None:
+        signals["command_error"] = segment.command_error
     return signals
 
 
@@ -168,13 +190,14 @@ def effects_along(
     )
     if parameters is None:
         return columns
-    arm = ModelAlongSegment(compiled, segment, parameters, columns, fitted)
-    first, filled = 0, None
+    arm = ModelAlongSegment(compiled, segment, parameters, columns, fitted, shapes)
+    first, own, filled = 0, 0, None
     for p in compiled.model.placements:
         last = first + len(p.effect.coefficients)
         if isinstance(p.effect, ArmEffect):
             filled = columns.copy() if filled is None else filled
-            values = arm.coefficients[first:last]
+            crossed = shapes[own : own + len(p.effect.shapes)]
+            values = np.concatenate([arm.coefficients[first:last], crossed])
             filled[:, :, first:last] = p.effect.segment_columns(arm, p.joint, values)
-        first = last
+        first, own = last, own + len(p.effect.shapes)
     return columns if filled is None else filled

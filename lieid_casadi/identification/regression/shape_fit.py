@@ -16,9 +16,11 @@ from lieid_casadi.identification.regression.variable_projection import (
     SeparableProblem,
     minimize_shapes,
 )
+from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
 GRID = 17  # values tried over each shape's range
+COMMAND_ERRORS = (80.0, 99.5)  # percentiles of |error| between which saturation is searched
 STARTS = 3  # best values of the grid from which a local search starts
 
 
@@ -106,7 +108,7 @@ class _WeightedDesign:
         separable = SeparableProblem(
             columns=columns,
             target=weighted([joint.torque for joint in rows.joints]),
-            ranges=ShapeRange.of(design.model.shapes),
+            ranges=resolved_range(design),
             fixed=basis,
             slopes=slopes,
         )
@@ -136,6 +138,36 @@ class _WeightedDesign:
         """Return the sum of squared weighted residuals of each joint (n,)."""
         parts = np.split(self.separable.solve(shapes).residual, self.ends)
         return np.array([np.sum(part**2) for part in parts])
+
+
+def command_error_range(segments: Sequence[Processed], joint: int) -> tuple[float, float]:
+    """Return the errors of position control between which a joint in motion shows saturation, rad.
+
+    Of the largest fifth: where torque saturates at smaller errors than most of the recorded ones,
+    the column of the effect is the recorded torque itself, but for a constant, and every model
+    fits.
+    """
+    sizes = []
+    for s in segments:
+        if s.command_error is not None:
+            moving = np.abs(s.dq[:, joint]) > s.dead_zone[joint]
+            sizes.append(np.abs(s.command_error[moving, joint]))
+    every = np.concatenate(sizes) if sizes else np.zeros(0)
+    low, high = np.percentile(every, COMMAND_ERRORS) if len(every) else (0.0, 0.0)
+    return float(low), float(high)
+
+
+def resolved_range(design: Design) -> ShapeRange:
+    """Return the bounds of the shapes, those of errors of position control within the recorded."""
+    whole = ShapeRange.of(design.model.shapes)
+    lower, upper = whole.lower.copy(), whole.upper.copy()
+    shapes = [(p.joint, shape) for p in design.model.placements for shape in p.effect.shapes]
+    for k, (joint, shape) in enumerate(shapes):
+        if shape.resolved_by == "command_error":
+            low, high = np.clip(command_error_range(design.segments, joint), lower[k], upper[k])
+            if low < high:
+                lower[k], upper[k] = low, high
+    return ShapeRange(lower, upper)
 
 
 def _fixed_columns(design: Design, rows: Rows) -> list[Array]:
