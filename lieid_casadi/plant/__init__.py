@@ -10,8 +10,10 @@ from lieid_casadi.plant.arm_effects import (
     EncoderOffset,
     ExternalWrench,
     Payload,
+    TimeShift,
     TorqueDelay,
     TorqueGain,
+    TorqueLowpass,
 )
 from lieid_casadi.plant.constant_speed_sweep import sweep
 from lieid_casadi.plant.demo_arm import (
@@ -40,6 +42,7 @@ from lieid_casadi.plant.joint_effects import (
     ViscousPolynomial,
     WarmUp,
 )
+from lieid_casadi.plant.position_control import PositionDrive, simulate_commands
 from lieid_casadi.plant.rigid import build_pinocchio
 from lieid_casadi.plant.sensors import Sensors, measure
 from lieid_casadi.plant.simulate import Control, move, simulate
@@ -66,6 +69,7 @@ __all__ = [
     "JointState",
     "LoadFriction",
     "Payload",
+    "PositionDrive",
     "PositionFriction",
     "PositionSpring",
     "Presliding",
@@ -74,8 +78,10 @@ __all__ = [
     "Stribeck",
     "TemperatureFriction",
     "Thermal",
+    "TimeShift",
     "TorqueDelay",
     "TorqueGain",
+    "TorqueLowpass",
     "TorqueRipple",
     "TransmissionCoupling",
     "TrueMotion",
@@ -93,6 +99,7 @@ __all__ = [
     "perturbed_inertias",
     "point_to_point",
     "simulate",
+    "simulate_commands",
     "sweep",
     "torque_scale",
     "with_payload",

@@ -78,7 +78,7 @@ class Arm:
     def __post_init__(self) -> None:
         for effect in self.effects:
             for key in ("joint", "source"):
-                joint = getattr(effect, key, 0)
+                joint = getattr(effect, key, 0) or 0  # None: every joint
                 if not 0 <= joint < self.robot.n:
                     raise EffectError(
                         f"{effect.name}: {key} {joint} (from 0), but robot "

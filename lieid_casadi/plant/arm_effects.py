@@ -55,6 +55,24 @@ class TorqueDelay(HiddenEffect):
 
 
 @dataclass(frozen=True)
+class TimeShift(HiddenEffect):
+    """τ_measured(t) = τ(t − delay) on every joint, s."""
+
+    name: ClassVar[str] = "time_shift"
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class TorqueLowpass(HiddenEffect):
+    """A filter of ``order`` first-order stages, time constant in s; on every joint for None."""
+
+    name: ClassVar[str] = "torque_lowpass"
+    joint: int | None = None
+    time_constant: float = 0.0
+    order: int = 1
+
+
+@dataclass(frozen=True)
 class BiasDrift(HiddenEffect):
     """τ_measured = τ + rate·(t − t̄), N·m/s."""
 

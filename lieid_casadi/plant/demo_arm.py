@@ -16,8 +16,10 @@ from lieid_casadi.plant.arm_effects import (
     EncoderOffset,
     ExternalWrench,
     Payload,
+    TimeShift,
     TorqueDelay,
     TorqueGain,
+    TorqueLowpass,
 )
 from lieid_casadi.plant.effect import HiddenEffect
 from lieid_casadi.plant.inertias import perturbed_inertias
@@ -201,6 +203,8 @@ _MAKERS: dict[str, Callable[[_EffectSize], HiddenEffect]] = {
     ),
     "torque_gain": lambda s: TorqueGain(s.joint, gain=s.sign() * 0.08 * s.strength),
     "torque_delay": lambda s: TorqueDelay(s.joint, delay=0.02 * s.strength),
+    "torque_lowpass": lambda s: TorqueLowpass(s.joint, time_constant=0.02 * s.strength),
+    "time_shift": lambda s: TimeShift(delay=0.02 * s.strength),
     "bias_drift": lambda s: BiasDrift(s.joint, rate=s.sign() * 0.002 * s.torque),
     "encoder_offset": lambda s: EncoderOffset(s.joint, offset=s.sign() * 0.05 * s.strength),
     "base_tilt": lambda s: BaseTilt(

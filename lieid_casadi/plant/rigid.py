@@ -35,10 +35,11 @@ def build_pinocchio(
     Raises
     ------
     RobotError
-        Parameters of the wrong size, or none at all.
+        Parameters of the wrong size, or none at all; a geometry with symbols.
     """
     import pinocchio as pin
 
+    robot.require_numbers("plant")
     links = _links(robot, parameters)
     model = pin.Model()
     model.name = robot.name

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.plant.arm import Arm
-from lieid_casadi.plant.arm_effects import BiasDrift, EncoderOffset, TorqueDelay, TorqueGain
+from lieid_casadi.plant.arm_effects import (
+    BiasDrift,
+    EncoderOffset,
+    TimeShift,
+    TorqueDelay,
+    TorqueGain,
+    TorqueLowpass,
+)
 from lieid_casadi.plant.true_motion import TrueMotion
 from lieid_casadi.recording import Recording
 
@@ -176,21 +183,41 @@ def _velocity(
 
 
 def _torque(arm: Arm, motion: TrueMotion, t: Array) -> Array:
-    """Return noiseless torque measurements at t: delay, then gain, then drift."""
+    """Return noiseless torque measurements at t: filter, then delay, gain and drift."""
     from scipy.interpolate import PchipInterpolator
 
     at = np.searchsorted(motion.t, t)
-    torque = motion.tau[at].copy()
-    delays = np.zeros(arm.n)
+    recorded = _filtered(arm, motion)
+    torque = recorded[at].copy()
+    delays = np.full(arm.n, sum((s.delay for s in arm.effects_of(TimeShift)), 0.0))
     for late in arm.effects_of(TorqueDelay):
         delays[late.joint] += late.delay
     for joint in np.flatnonzero(delays):
         when = np.clip(t - delays[joint], motion.t[0], motion.t[-1])
-        torque[:, joint] = PchipInterpolator(motion.t, motion.tau[:, joint])(when)
+        torque[:, joint] = PchipInterpolator(motion.t, recorded[:, joint])(when)
     for gain in arm.effects_of(TorqueGain):
         torque[:, gain.joint] *= 1.0 + gain.gain
     for drift in arm.effects_of(BiasDrift):
         torque[:, drift.joint] += drift.rate * (t - t.mean())
+    return torque
+
+
+def _filtered(arm: Arm, motion: TrueMotion) -> Array:
+    """Return the torque (N, n) behind the low-pass filters of its signal, settled at the start."""
+    from scipy.signal import cont2discrete, lfilter, lfilter_zi
+
+    torque = motion.tau.copy()
+    step = float(motion.t[-1] - motion.t[0]) / (motion.t.size - 1)
+    for lag in arm.effects_of(TorqueLowpass):
+        numerator, a, _ = cont2discrete(
+            (np.ones(1), np.array([lag.time_constant, 1.0])), step, method="foh"
+        )
+        b = numerator.ravel()
+        settled = lfilter_zi(b, a)
+        for joint in range(arm.n) if lag.joint is None else [lag.joint]:
+            for _ in range(lag.order):
+                signal = torque[:, joint]
+                torque[:, joint], _ = lfilter(b, a, signal, zi=settled * signal[0])
     return torque
 
 

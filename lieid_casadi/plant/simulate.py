@@ -134,7 +134,7 @@ def move(
     controller = _Controller(arm, trajectory, t, control or Control())
     stepper = Stepper(arm, 1.0 / rate, controller.reference[0])
     _check_presliding(arm, stepper, controller.inertia, 1.0 / rate)
-    rows = _Rows(t.size, arm.n)
+    rows = MotionRows(t.size, arm.n)
     every = max(1, t.size // REPORTS)
     for k in range(t.size):
         command = controller.command(k, stepper.q, stepper.dq)
@@ -219,7 +219,7 @@ def _check_presliding(arm: Arm, stepper: Stepper, inertia: Array, h: float) -> N
         )
 
 
-class _Rows:
+class MotionRows:
     """Recorded signals of a simulation."""
 
     def __init__(self, size: int, n: int) -> None:
@@ -229,12 +229,23 @@ class _Rows:
         self.resting = np.zeros((size, n), dtype=bool)
 
     def put(self, k: int, step: StepResult) -> None:
+        """Store the result of step k."""
         self.q[k], self.dq[k], self.ddq[k] = step.q, step.dq, step.ddq
         self.tau[k], self.rigid[k] = step.tau, step.rigid
         self.smooth[k], self.dry[k] = step.smooth, step.dry
         self.resting[k] = step.resting
 
     def motion(self, t: Array, temperature: Array, rows: slice) -> TrueMotion:
+        """Return some rows as the motion of a rigid arm.
+
+        Parameters
+        ----------
+        t : (N,)
+            s.
+        temperature : (N, n)
+            °C.
+        rows : slice
+        """
         q, dq, ddq = self.q[rows], self.dq[rows], self.ddq[rows]
         return TrueMotion(
             t[rows], q, dq, ddq, q, dq, ddq, self.tau[rows], self.rigid[rows],

@@ -1,0 +1,161 @@
+"""A simulated arm whose drives follow commanded positions, with hidden imperfections."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import EffectError
+from lieid_casadi.plant.arm import Arm, JointFriction
+from lieid_casadi.plant.joint_effects import Armature
+from lieid_casadi.plant.play import MotorWithPlay
+from lieid_casadi.plant.sensors import Sensors, measure
+from lieid_casadi.plant.simulate import MotionRows
+from lieid_casadi.plant.stepper import DriveCommand, Stepper
+from lieid_casadi.plant.true_motion import ReferenceTrajectory
+from lieid_casadi.recording import Recording
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PositionDrive:
+    """One joint's position controller: torque = K·e − D·q̇ with e = q_cmd − q, limited.
+
+    Attributes
+    ----------
+    stiffness, damping : float
+        N·m/rad, N·m·s/rad.
+    limit : float
+        Largest torque that is proportional to the error, N·m.
+    delay : float
+        Of the command, s.
+    deadband : float
+        Errors of this size, rad, and smaller ones cause no torque.
+    backlash : float
+        Play between motor and link, rad: the encoder is at the motor. The arm needs an armature
+        on this joint, which is the inertia of the motor.
+    """
+
+    stiffness: float
+    damping: float
+    limit: float = np.inf
+    delay: float = 0.0
+    deadband: float = 0.0
+    backlash: float = 0.0
+
+
+def simulate_commands(
+    arm: Arm,
+    trajectory: ReferenceTrajectory,
+    drives: Sequence[PositionDrive],
+    *,
+    duration: float,
+    command_rate: float = 100.0,
+    rate: float = 1000.0,
+    sensors: Sensors | None = None,
+    seed: int = 0,
+    name: str = "",
+) -> Recording:
+    """Simulate an arm that follows commands, and record commands in place of torques.
+
+    The commands are the trajectory, held from one command to the next.
+
+    Parameters
+    ----------
+    arm : Arm
+    trajectory : ReferenceTrajectory
+    drives : sequence of PositionDrive
+        One per joint.
+    duration : float
+        s.
+    command_rate, rate : float
+        Of the commands and of the integration, Hz.
+    sensors : Sensors, optional
+        Default: ideal ones at 200 Hz.
+    seed : int
+        Of the sensor noise.
+    name : str
+        Of the recording.
+
+    Raises
+    ------
+    EffectError
+        Backlash on a joint without armature.
+    """
+    h = 1.0 / rate
+    t = np.asarray(np.arange(round(duration * rate) + 1) * h)
+    every = np.arange(0.0, duration + 1.0 / command_rate, 1.0 / command_rate)
+    goals, _, _ = trajectory.at(np.clip(every, 0.0, trajectory.duration))
+
+    def commands(times: Array) -> Array:
+        rows = np.floor(times * command_rate + 1e-9).astype(int)
+        return np.asarray(goals[np.clip(rows, 0, len(goals) - 1)])
+
+    late = np.column_stack([commands(t - d.delay)[:, j] for j, d in enumerate(drives)])
+    k, damping, limit, band = (
+        np.array([getattr(d, field) for d in drives])
+        for field in ("stiffness", "damping", "limit", "deadband")
+    )
+    motors = _motors(arm, drives, goals[0])
+    stepper = Stepper(_without_motors(arm, list(motors)), h, goals[0])
+    rows, motor = MotionRows(t.size, arm.n), np.empty((t.size, arm.n))
+    unlimited, temperature = np.full(arm.n, np.inf), arm.thermal.at(t, arm.n)
+    for step in range(t.size):
+        q, dq = stepper.q.copy(), stepper.dq.copy()
+        for j, own in motors.items():
+            q[j], dq[j] = own.q, own.dq
+        error = late[step] - q
+        part = k * (error - np.clip(error, -band, band))
+        clipped = np.clip(part, -limit, limit)
+        free = np.where(clipped == part, k, 0.0)
+        constant = clipped - (damping + 0.5 * h * free) * dq
+        gain = 0.5 * h * damping + 0.125 * h * h * free
+        middles = {}
+        for j, own in motors.items():
+            contact = own.contact(stepper.q[j], stepper.dq[j])
+            middles[j] = own.step(constant[j], gain[j], contact, h)
+            constant[j], gain[j] = contact, 0.0
+        result = stepper.step(t[step], DriveCommand(constant, gain, unlimited), temperature[step])
+        rows.put(step, result)
+        motor[step] = result.q
+        for j, middle_angle in middles.items():
+            motor[step, j] = middle_angle
+    middle = np.asarray(t + 0.5 * h)  # of the steps, to which the rows belong
+    motion = rows.motion(middle, temperature, slice(None))
+    motion = replace(motion, motor_q=motor)
+    recorded = measure(arm, motion, sensors or Sensors(), seed=seed, name=name)
+    return replace(recorded, tau=None, command=commands(recorded.t))
+
+
+def _motors(arm: Arm, drives: Sequence[PositionDrive], start: Array) -> dict[int, MotorWithPlay]:
+    """Return the motors of the joints with play, by joint, at rest at the start (n,)."""
+    import pinocchio as pin
+
+    model = arm.rigid_model()
+    links = 1.0 / np.diag(np.linalg.inv(pin.crba(model, model.createData(), start)))
+    found = {}
+    for j, drive in enumerate(drives):
+        if drive.backlash > 0.0:
+            if not arm.armature[j] > 0.0:
+                raise EffectError(
+                    f"backlash on joint {j + 1}: expected an armature, the inertia of its motor"
+                )
+            f = arm.friction
+            found[j] = MotorWithPlay(
+                arm.armature[j], links[j], drive.backlash,
+                f.coulomb[j], f.viscous[j], f.offset[j], start[j],
+            )  # fmt: skip
+    return found
+
+
+def _without_motors(arm: Arm, joints: list[int]) -> Arm:
+    """Return the arm without friction and armature of some joints, whose motors are apart."""
+    friction = [x.copy() for x in (arm.friction.coulomb, arm.friction.viscous, arm.friction.offset)]
+    for values in friction:
+        values[joints] = 0.0
+    effects = [e for e in arm.effects if not (isinstance(e, Armature) and e.joint in joints)]
+    return replace(arm, friction=JointFriction(*friction), effects=tuple(effects))

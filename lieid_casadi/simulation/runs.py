@@ -1,0 +1,153 @@
+"""Segments of recordings that a simulation follows, with its time steps and input."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import ModelError
+from lieid_casadi.expressions.symbolic import symbolic
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.identification.recording_checks import check_joints
+from lieid_casadi.identification.temperature import relative_temperature
+from lieid_casadi.recording import Processed, Processing, Recording, process
+
+Array = NDArray[np.float64]
+Input = Literal["command", "torque"]
+STEP = 1e-3  # s, longest step
+POSES = 500  # at which the mass matrix is checked
+
+
+def input_of(fit: Fit, recordings: Sequence[Recording], under: Input | None) -> Input:
+    """Return the input that all recordings have.
+
+    Parameters
+    ----------
+    fit : Fit
+    recordings : sequence of Recording
+    under : {"command", "torque"} or None
+        The wanted one; commands where all recordings and the fit have them if None.
+
+    Raises
+    ------
+    ModelError
+        A recording lacks it, or has another number of joints.
+    """
+    for recording in recordings:
+        check_joints(fit.model, recording)
+    commands = all(r.command is not None for r in recordings) and bool(fit.model.robot.drives)
+    torques = all(r.tau is not None for r in recordings)
+    if under is None:
+        under = "command" if commands else "torque"
+    if under == "command" and not commands:
+        raise ModelError(
+            "simulation under commands needs columns qcmd1… in all recordings and a drive law in "
+            "the fit (--stiffness, --servo)"
+        )
+    if under == "torque" and not torques:
+        raise ModelError(
+            f"{recordings[0].title}: no torque; expected columns tau1…tau{fit.model.n}, or "
+            "qcmd1… with a fit that has a drive law"
+        )
+    return under
+
+
+def require_positive_mass_matrix(fit: Fit, runs: Sequence[Run]) -> None:
+    """Raise `ModelError` if the mass matrix of a measured pose is not positive definite."""
+    mass = symbolic(fit, allow_indefinite=True).mass_matrix
+    poses = np.concatenate([run.segment.q for run in runs])
+    poses = poses[:: max(1, len(poses) // POSES)]
+    n = fit.model.n
+    matrices = mass(poses.T).full().reshape(n, len(poses), n).transpose(1, 0, 2)
+    least = np.linalg.eigvalsh(matrices)[:, 0]
+    if least.min() <= 0.0:
+        raise ModelError(
+            "the mass matrix of the fit is not positive definite in "
+            f"{np.mean(least <= 0.0):.0%} of the measured poses, so that accelerations have the "
+            "wrong sign; identify with "
+            "--method feasible (and with the effect armature if torque is that of motor currents)"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A segment and its time steps.
+
+    Attributes
+    ----------
+    segment : Processed
+        Of K instants.
+    under : {"command", "torque"}
+    temperature : (n, K)
+        °C.
+    substeps : int
+        Steps between two instants.
+    h : float
+        Step, s.
+    per_window : int
+        Instants between the start of a window and its end.
+    """
+
+    segment: Processed
+    under: Input
+    temperature: Array
+    substeps: int
+    h: float
+    per_window: int
+
+    @property
+    def windows(self) -> int:
+        """Number of windows."""
+        return (len(self.segment) - 1) // self.per_window
+
+    def inputs(self, delays: Array) -> Array:
+        """Return the input (n, (K − 1)·substeps) in the middle of each step.
+
+        Commands are held from row to row of the recording, which delays them by half of that
+        interval on average; delays (n,), s, of a fit contain it.
+        """
+        t, own = self.segment.t, self.segment.recording
+        middle = t[0] + (np.arange((len(t) - 1) * self.substeps) + 0.5) * self.h
+        if self.under == "torque":
+            assert self.segment.tau is not None
+            return np.stack([np.interp(middle, t, x) for x in self.segment.tau.T])
+        assert own.command is not None
+        late = middle - np.maximum(delays - 0.5 / own.rate, 0.0)[:, None]
+        rows = np.maximum(np.searchsorted(own.t, late, side="right") - 1, 0)
+        return np.take_along_axis(own.command.T, rows, axis=1)
+
+
+def runs_of(fit: Fit, recording: Recording, window: float, under: Input) -> list[Run]:
+    """Return the segments of a recording; those too short for the filter are left out.
+
+    Parameters
+    ----------
+    fit : Fit
+        Its filter is used.
+    recording : Recording
+    window : float
+        Length of the windows, s.
+    under : {"command", "torque"}
+    """
+    options = Processing(cutoff=fit.processing.cutoff, trim=0.0, order=fit.processing.order)
+    made = []
+    for raw in process(recording, options):
+        segment = relative_temperature(raw, fit.temperature_mean)
+        t = segment.t
+        interval = float(t[-1] - t[0]) / (len(t) - 1)
+        substeps = max(1, int(np.ceil(interval / STEP - 1e-9)))
+        h = interval / substeps
+        warm = segment.temperature
+        if warm is not None and fit.temperature_mean is not None:
+            warm = warm + fit.temperature_mean
+        if warm is None:
+            warm = np.zeros_like(segment.q) + (
+                0.0 if fit.temperature_mean is None else fit.temperature_mean
+            )
+        per_window = max(1, round(window / interval))
+        made.append(Run(segment, under, warm.T, substeps, h, per_window))
+    return made
