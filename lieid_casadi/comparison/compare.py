@@ -13,12 +13,16 @@ from lieid_casadi.comparison.comparison_warnings import comparison_warnings
 from lieid_casadi.comparison.largest_errors import largest_errors
 from lieid_casadi.comparison.noise_floor import noise_floor
 from lieid_casadi.comparison.time_series import series_along
-from lieid_casadi.errors import unique_warnings
+from lieid_casadi.errors import LieidWarning, unique_warnings
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.provenance import Source
-from lieid_casadi.identification.recording_checks import check_recordings, check_with_model
+from lieid_casadi.identification.recording_checks import (
+    check_recordings,
+    check_torque_constants,
+    check_with_model,
+)
 from lieid_casadi.identification.temperature import center_temperature
-from lieid_casadi.recording import Recording, process
+from lieid_casadi.recording import Processed, Recording, process
 from lieid_casadi.recording.given_recordings import listed
 
 Array = NDArray[np.float64]
@@ -49,10 +53,42 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
     given = listed(recordings)
     check_recordings(fit.model, given)
     found = [w for recording in given for w in check_with_model(fit.compiled, recording)]
+    found += [w for r in given for w in check_torque_constants(fit.provenance, r)]
     # Averaging over periods would reduce the error of the test.
     options = replace(fit.processing, average_periods=False)
     segments, _ = center_temperature(process(given, options), fit.temperature_mean)
-    both = [series_along(fit, segment) for segment in segments]
+    return compare_segments(fit, given, segments, warnings=found)
+
+
+def compare_segments(
+    fit: Fit,
+    recordings: Sequence[Recording],
+    segments: Sequence[Processed],
+    *,
+    added: Sequence[Array | float] | None = None,
+    warnings: Sequence[LieidWarning] = (),
+    with_noise: bool = True,
+) -> Comparison:
+    """Compare a fit with segments of recordings that were checked and processed before.
+
+    Parameters
+    ----------
+    fit : Fit
+    recordings : sequence of Recording
+    segments : sequence of Processed
+        Of these recordings, with temperatures relative to the fit's mean.
+    added : sequence of (K, n), optional
+        Torque in addition to the fit's on each segment's grid, N·m: of changes since the fit.
+    warnings : sequence of LieidWarning
+        Found so far.
+    with_noise : bool
+        Whether the noise floor is estimated, which takes as long as the rest; NaN otherwise.
+    """
+    found = list(warnings)
+    both = [
+        series_along(fit, segment, added=torque)
+        for segment, torque in zip(segments, added or [0.0] * len(segments), strict=True)
+    ]
     series = tuple(each for each, _ in both)
     raw_errors = [raw for _, raw in both]
     measured = np.concatenate([s.measured for s in series])
@@ -60,13 +96,16 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
     moving = np.concatenate([s.moving for s in series])
     error = measured - predicted
     rms, torque_rms = _rms(error), _rms(measured)
-    floor, source = noise_floor(given, segments, raw_errors)
+    rms_moving = _rms_where(error, moving)
+    floor, source = np.full(fit.model.n, np.nan), "none"
+    if with_noise:
+        floor, source = noise_floor(fit, recordings, segments, rms_moving)
     comparison = Comparison(
         joint_names=tuple(joint.name for joint in fit.model.robot.joints),
         units=tuple("N·m" if joint.revolute else "N" for joint in fit.model.robot.joints),
         rms=rms,
         rms_raw=_rms(np.concatenate(raw_errors)),
-        rms_moving=_rms_where(error, moving),
+        rms_moving=rms_moving,
         rms_at_rest=_rms_where(error, ~moving),
         at_rest=1.0 - moving.mean(axis=0),
         torque_rms=torque_rms,
@@ -78,7 +117,7 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
         worst=largest_errors(series),
         series=series,
         cutoff=segments[0].cutoff,
-        recordings=tuple(Source(r.name, r.source_hash) for r in given),
+        recordings=tuple(Source(r.name, r.source_hash) for r in recordings),
         duration=float(sum(s.time[-1] - s.time[0] for s in series)),
         warnings=(),
     )

@@ -51,9 +51,9 @@ class Comparison:
     bias : (n,)
         Mean error.
     noise_floor : (n,)
-        RMS error that a perfect model would have; see `noise_floor`.
+        RMS error in motion of a model that lacks nothing; see `noise_floor`.
     noise_source : str
-        ``period_to_period``, ``high_frequency`` (a lower bound) or ``none``; see
+        ``period_to_period``, ``motion`` or ``none``; see
         `lieid_casadi.comparison.noise_floor.SOURCES`.
     worst : tuple of LargeError
         Largest errors of each joint, largest first.
@@ -94,9 +94,19 @@ class Comparison:
 
     @property
     def over_noise(self) -> Array:
-        """RMS error in multiples of the noise floor (n,)."""
+        """RMS error in motion in multiples of the noise floor (n,), NaN for joints at rest."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(self.rms / self.noise_floor)
+            return np.asarray(self.rms_moving / self.noise_floor)
+
+    @property
+    def relative_rms_moving(self) -> Array:
+        """RMS error relative to the RMS of the measured torque, both in motion (n,)."""
+        measured = np.concatenate([s.measured for s in self.series])
+        moving = np.concatenate([s.moving for s in self.series])
+        squares = np.sum(np.where(moving, measured, 0.0) ** 2, axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            torque = np.sqrt(squares / moving.sum(axis=0))
+            return np.where(torque > 0.0, self.rms_moving / torque, np.nan)
 
     @property
     def error_at_rest(self) -> Array:
@@ -122,6 +132,7 @@ class Comparison:
             "error_at_rest": numbers_or_none(self.error_at_rest),
             "torque_rms": numbers_or_none(self.torque_rms),
             "relative_rms": numbers_or_none(self.relative_rms),
+            "relative_rms_moving": numbers_or_none(self.relative_rms_moving),
             "correlation": numbers_or_none(self.correlation),
             "bias": numbers_or_none(self.bias),
             "noise_floor": numbers_or_none(self.noise_floor),
@@ -158,8 +169,10 @@ class Comparison:
 
     @property
     def worst_joint(self) -> int:
-        """Number, from 0, of the joint with the largest relative error."""
-        return int(np.argmax(np.nan_to_num(self.relative_rms, nan=-1.0)))
+        """Number, from 0, of the joint with the largest relative error in motion, if any moves."""
+        moving = self.relative_rms_moving
+        relative = moving if np.isfinite(moving).any() else self.relative_rms
+        return int(np.argmax(np.nan_to_num(relative, nan=-1.0)))
 
     def _repr_html_(self) -> str:
         from lieid_casadi.comparison.table import html_view

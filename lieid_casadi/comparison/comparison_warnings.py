@@ -13,7 +13,7 @@ from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.regression.design_matrix import has_dry_friction
 
 _NUMBER = r"(?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?"
-_PART = re.compile(rf"@(?P<start>{_NUMBER}):(?P<end>{_NUMBER})$")
+_PART = re.compile(rf"(?:@| episodes )(?P<start>{_NUMBER}):(?P<end>{_NUMBER})$")
 
 
 def comparison_warnings(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
@@ -46,7 +46,7 @@ def _overlap(a: Source, b: Source) -> bool:
 
 
 def _part(name: str) -> tuple[float, float]:
-    """Return start and end of a part ``…@T0:T1``, s; infinite if the name states none."""
+    """Return start and end of a part, s or episodes; infinite if the name states none."""
     match = _PART.search(name)
     if match is None:
         return -np.inf, np.inf

@@ -1,8 +1,10 @@
-"""Noise floor: the RMS error that a perfect model would have after the fit's filter.
+"""Noise floor: the RMS error in motion of a model that lacks nothing, after the fit's filter.
 
-This is the definition for comparisons and diagnoses. The noise is estimated from the difference
-between periods if a recording is periodic (`period_noise`), otherwise from the spectrum of the
-error above the cut-off.
+This is the only definition; comparisons, diagnoses, their pictures and reports use it. Noise is
+what does not depend on the motion. It is estimated from the difference between periods where a
+recording is periodic (`period_noise`), and otherwise as the part of the error that no function of
+the motion explains: the model's own columns and common effects (`motion_columns`), by ridge
+regression whose penalty is chosen on held-out blocks of time. It never exceeds the error itself.
 """
 
 from __future__ import annotations
@@ -11,48 +13,49 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import trapezoid
-from scipy.signal import butter, sosfreqz, welch
 
+from lieid_casadi.comparison.motion_columns import motion_columns
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.recording import Recording, period_noise
 from lieid_casadi.recording.processing.process import Processed
 
 Array = NDArray[np.float64]
-# Band with noise alone: above the pass band of the filter, below the frequencies that resampling
-# and decimation attenuate. In units of the cut-off and of the sampling rate.
-FROM_CUTOFF, FROM_RATE, TO_RATE = 1.5, 0.25, 0.35
-FEWEST_FREQUENCIES = 3  # in that band
-SEGMENT_LENGTH = 1024  # samples, of Welch's method
+PENALTIES = np.logspace(-8.0, 3.0, 23)  # relative to the mean square of a column
+BLOCK, FOLDS = 1.0, 5  # s (less in short recordings), number: blocks go to the folds in turn
+BANDWIDTH = 0.5  # of the sampled band that the low-pass filter leaves: independent rows
+DEPENDENT = 0.8  # of the mean square error: with less on held-out blocks, the error depends on …
+FEWEST_ROWS = 2.0  # … the motion, and columns are fitted without penalty; rows per column
+LEAST_ROWS = 40  # in motion, for an estimate
 
 SOURCES = {
     "period_to_period": "differences between periods of the motion",
-    "high_frequency": "spectrum of the error above the cut-off, a lower bound",
+    "motion": "part of the error that no function of the motion explains",
     "none": "not available",
 }
 
 
 def noise_floor(
-    recordings: Sequence[Recording],
-    segments: Sequence[Processed],
-    raw_errors: Sequence[Array],
+    fit: Fit, recordings: Sequence[Recording], segments: Sequence[Processed], error: Array
 ) -> tuple[Array, str]:
     """Return the noise of the torque after the fit's filter (n,), N·m, and its source.
 
     Parameters
     ----------
+    fit : Fit
     recordings : sequence of Recording
         If the motion of at least one is periodic, its periods are compared with each other.
     segments : sequence of Processed
         Of the recordings.
-    raw_errors : sequence of (K, n)
-        Measured − predicted torque of each segment, not filtered, N·m. Without periods its
-        spectral density above the cut-off is extrapolated to the pass band as for white noise.
-        Noise with more power at low frequencies is underestimated, often several times.
+    error : (n,)
+        RMS error in motion, N·m; NaN for joints that do not move.
 
     Returns
     -------
     (n,) ndarray
-        NaN if neither estimate is possible.
+        NaN for joints that hardly move. Noise at the frequencies of the motion cannot be
+        distinguished from a function of the motion and is underestimated in short recordings,
+        by a factor of up to two if its correlation time is some tenths of a second.
     str
         Key of `SOURCES`.
     """
@@ -60,15 +63,11 @@ def noise_floor(
     repeated = [(period_noise(r, cutoff=cutoff), r.duration) for r in recordings]
     periodic = [(noise, duration) for noise, duration in repeated if noise is not None]
     if periodic:
-        return _pooled(periodic), "period_to_period"
-    floors = [
-        (_high_frequency_noise(segment, error), float(segment.t[-1] - segment.t[0]))
-        for segment, error in zip(segments, raw_errors, strict=True)
-    ]
-    usable = [(floor, duration) for floor, duration in floors if floor is not None]
-    if not usable:
-        return np.full(segments[0].n, np.nan), "none"
-    return _pooled(usable), "high_frequency"
+        floor, source = _pooled(periodic), "period_to_period"
+    else:
+        floor, source = _independent_of_motion(fit, segments), "motion"
+    floor = np.where(np.isfinite(error), np.minimum(floor, error), np.nan)
+    return floor, source if np.isfinite(floor).any() else "none"
 
 
 def _pooled(parts: Sequence[tuple[Array, float]]) -> Array:
@@ -78,33 +77,55 @@ def _pooled(parts: Sequence[tuple[Array, float]]) -> Array:
     return np.asarray(np.sqrt(np.average(squares, axis=0, weights=durations)))
 
 
-def _high_frequency_noise(segment: Processed, error: Array) -> Array | None:
-    """Return the noise (n,) of white noise with the density above the cut-off; None if unknown."""
-    if segment.options.smoother != "butterworth":
-        return None  # robust smoothing has removed the high frequencies
-    low = min(FROM_CUTOFF * segment.cutoff, FROM_RATE * segment.rate)
-    high = TO_RATE * segment.rate
-    if low < segment.cutoff:
-        return None
-    frequency, density = welch(error, segment.rate, nperseg=min(len(error), SEGMENT_LENGTH), axis=0)
-    band = (frequency >= low) & (frequency <= high)
-    if band.sum() < FEWEST_FREQUENCIES:
-        return None
-    level = np.median(density[band], axis=0)  # not sensitive to lines of drive harmonics
-    variance = level * noise_bandwidth(segment.rate, segment.cutoff, segment.options.order)
-    return np.asarray(np.sqrt(variance))
+def _independent_of_motion(fit: Fit, segments: Sequence[Processed]) -> Array:
+    """Return the RMS of what columns of the motion do not explain (n,), N·m."""
+    rows = Design(fit.compiled, segments).rows(fit.shapes, fit.parameters)
+    residuals = rows.residuals(fit.values)
+    columns = np.concatenate([motion_columns(fit, segment) for segment in segments])
+    time = segments[0].filtered_time
+    step = float(time[1] - time[0]) if len(time) > 1 else BLOCK
+    block = max(min(round(BLOCK / step), int(rows.segments[-1]) // (2 * FOLDS)), 1)
+    floors = []
+    for j, (joint, residual) in enumerate(zip(rows.joints, residuals, strict=True)):
+        own = np.column_stack([joint.matrix, columns[joint.instant, j]])
+        fold = joint.instant // block % FOLDS
+        enough = len(np.unique(fold)) == FOLDS and len(residual) > LEAST_ROWS
+        floors.append(_unexplained(own, residual, fold) if enough else np.nan)
+    return np.array(floors)
 
 
-def noise_bandwidth(rate: float, cutoff: float, order: int) -> float:
-    """Return the noise bandwidth of the zero-phase low-pass, ∫|H|⁴ df, Hz.
+def _unexplained(columns: Array, error: Array, fold: NDArray[np.intp]) -> float:
+    """Return the RMS of what columns (N, k) do not explain of an error (N,).
 
     Parameters
     ----------
-    rate, cutoff : float
-        Hz.
-    order : int
-        Of the Butterworth filter, which is applied forward and backward.
+    columns : (N, k)
+    error : (N,)
+    fold : (N,) int
+        Blocks of time, held out in turn.
     """
-    sections = butter(order, cutoff, fs=rate, output="sos")
-    frequency, response = sosfreqz(sections, worN=4096, fs=rate)
-    return float(trapezoid(np.abs(response) ** 4, frequency))
+    size = np.sqrt(np.mean(columns**2, axis=0))
+    scaled = columns[:, size > 0.0] / size[size > 0.0]
+    count, total = len(error), float(np.mean(error**2))
+    independent = BANDWIDTH * count
+    held_out = np.sum([_held_out(scaled, error, fold == k) for k in range(FOLDS)], axis=0) / count
+    best = int(np.argmin(held_out))
+    spread = np.maximum(np.linalg.eigvalsh(scaled.T @ scaled / count), 0.0)
+    used = float(np.sum((spread / (spread + PENALTIES[best])) ** 2))
+    # held-out errors contain the uncertainty of the columns' coefficients
+    square = float(held_out[best]) / (1.0 + used * FOLDS / (FOLDS - 1) / independent)
+    if square < DEPENDENT * total and independent > FEWEST_ROWS * scaled.shape[1]:
+        left, _, rank, _ = np.linalg.lstsq(scaled, error, rcond=1e-5)
+        rest = error - scaled @ left
+        square = min(square, float(rest @ rest) / count / (1.0 - rank / independent))
+    return float(np.sqrt(min(square, total)))
+
+
+def _held_out(columns: Array, error: Array, out: NDArray[np.bool_]) -> Array:
+    """Return the sum of squared errors of held-out rows, one for each of `PENALTIES`."""
+    inside, target = columns[~out], error[~out]
+    spread, axes = np.linalg.eigh(inside.T @ inside / len(target))
+    values = axes.T @ (inside.T @ target / len(target))
+    weights = values[:, None] / (np.maximum(spread, 0.0)[:, None] + PENALTIES)
+    rest = error[out, None] - (columns[out] @ axes) @ weights
+    return np.asarray(np.sum(rest**2, axis=0))

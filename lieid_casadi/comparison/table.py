@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 HEADINGS = (
     "joint",
-    "RMS",
     "in motion",
-    "at rest",
-    "raw",
+    "noise floor",
     "of torque",
+    "at rest",
+    "all",
+    "raw",
     "correlation",
     "bias",
-    "noise floor",
     "unit",
 )
 
@@ -28,17 +28,18 @@ HEADINGS = (
 def error_table(comparison: Comparison) -> Table:
     """Return the errors, one row per joint, with the columns `HEADINGS`."""
     c = comparison
+    relative = c.relative_rms_moving
     rows = [
         (
             joint_title(c, j),
-            digits(c.rms[j]),
             digits(c.rms_moving[j]),
+            digits(c.noise_floor[j]),
+            percent(relative[j]),
             digits(c.rms_at_rest[j]),
+            digits(c.rms[j]),
             digits(c.rms_raw[j]),
-            percent(c.relative_rms[j]),
             "–" if math.isnan(c.correlation[j]) else f"{c.correlation[j]:.4f}",
             digits(c.bias[j], sign="+"),
-            digits(c.noise_floor[j]),
             c.units[j],
         )
         for j in range(c.n)
@@ -50,7 +51,8 @@ def error_table(comparison: Comparison) -> Table:
     note = (
         f"Error: measured − predicted torque, both filtered by a zero-phase low-pass of "
         f"{c.cutoff:.3g} Hz; raw: resampled only. In motion, at rest: RMS while the joint moves "
-        "and while it is at rest. Of torque: RMS relative to the RMS of the measured torque. "
+        "and while it is at rest, where friction is undetermined. Of torque: RMS relative to the "
+        "RMS of the measured torque, both in motion. "
         f"Noise floor: {source}."
     )
     return make_table(title, HEADINGS, rows, note=note)

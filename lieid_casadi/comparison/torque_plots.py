@@ -105,9 +105,12 @@ def _torque_title(comparison: Comparison, joint: int) -> str:
 
 def _error_title(comparison: Comparison, joint: int) -> str:
     unit = comparison.units[joint]
-    text = f"RMS {digits(comparison.rms[joint])} {unit}"
-    if np.isfinite(comparison.relative_rms[joint]):
-        text += f", {percent(comparison.relative_rms[joint])} of the torque"
+    moving, relative = comparison.rms_moving[joint], comparison.relative_rms_moving[joint]
+    if np.isnan(moving):
+        return f"at rest: RMS {digits(comparison.rms[joint])} {unit}"
+    text = f"in motion: RMS {digits(moving)} {unit}"
+    if np.isfinite(relative):
+        text += f", {percent(relative)} of the torque"
     if np.isfinite(comparison.noise_floor[joint]):
         text += f"; noise floor {digits(comparison.noise_floor[joint])}"
     return text

@@ -24,24 +24,27 @@ def verdict(comparison: Comparison) -> str:
     if np.any(np.isfinite(_over_noise(c))):
         sentences.append(_noise(c))
     if any(isinstance(warning, FrictionAtRestWarning) for warning in c.warnings):
-        moving = ", ".join(digits(rms) for rms in c.rms_moving[c.rest_dominates])
+        at_rest = ", ".join(digits(rms) for rms in c.rms_at_rest[c.rest_dominates])
         sentences.append(
-            f"On {joints_text(c.rest_dominates)} much of the error occurs at rest, where friction "
-            f"is undetermined (RMS in motion: {moving})."
+            f"On {joints_text(c.rest_dominates)} the error at rest, where friction is "
+            f"undetermined, is larger (RMS {at_rest})."
         )
     return " ".join(sentences)
 
 
 def _size(c: Comparison) -> str:
-    relative = c.relative_rms[np.isfinite(c.relative_rms)]
+    moves = bool(np.isfinite(c.relative_rms_moving).any())
+    relative, rms = (c.relative_rms_moving, c.rms_moving) if moves else (c.relative_rms, c.rms)
+    relative = relative[np.isfinite(relative)]
     if not relative.size:
         return "the measured torque is zero"
+    error = "the error in motion" if moves else "no joint moves; the error at rest"
     worst = c.worst_joint
-    where = f"joint {worst + 1} (RMS {digits(c.rms[worst])} {c.units[worst]})"
+    where = f"joint {worst + 1} (RMS {digits(rms[worst])} {c.units[worst]})"
     if relative.size == 1 or relative.max() - relative.min() < 5e-4:
-        return f"the error is {percent(relative.max())} of the torque"
+        return f"{error} is {percent(relative.max())} of the torque"
     return (
-        f"the error is {percent(relative.min())} to {percent(relative.max())} of the torque, "
+        f"{error} is {percent(relative.min())} to {percent(relative.max())} of the torque, "
         f"largest on {where}"
     )
 
@@ -51,16 +54,13 @@ def _over_noise(c: Comparison) -> NDArray[np.float64]:
 
     NaN for joints that do not move, without measured torque, or without a noise floor.
     """
-    usable = (c.noise_floor > 0.0) & (c.torque_rms > 0.0)
-    return np.where(usable, c.rms_moving / np.where(usable, c.noise_floor, 1.0), np.nan)
+    return np.where((c.noise_floor > 0.0) & (c.torque_rms > 0.0), c.over_noise, np.nan)
 
 
 def _noise(c: Comparison) -> str:
     """Compare the error in motion with the noise floor."""
     ratio = np.nan_to_num(_over_noise(c), nan=0.0)
     floor = "the noise floor"
-    if c.noise_source != "period_to_period":
-        floor += " (a lower bound of the noise)"
     if ratio.max() <= AS_NOISE:
         return (
             f"The error in motion is at most {ratio.max():.2g} times {floor}: "

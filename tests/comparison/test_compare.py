@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from comparison import two_link_data as arm
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, lfilter, sosfiltfilt
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import (
@@ -78,12 +78,45 @@ def test_noise_from_period_to_period_is_the_noise_that_was_added(fit):
     np.testing.assert_allclose(comparison.noise_floor, expected, rtol=0.12)
 
 
-def test_noise_from_high_frequencies_is_the_noise_that_was_added(fit):
+def test_noise_without_periods_is_the_noise_that_was_added(fit):
     sigma = 0.4  # 10 s of a 6 s period: nothing repeats
     comparison = lieid.compare(fit, arm.recording(10.0, seed=1, noise=sigma))
-    assert comparison.noise_source == "high_frequency"
+    assert comparison.noise_source == "motion"
     expected = white_through_filter(sigma, 6.0)
     np.testing.assert_allclose(comparison.noise_floor, expected, rtol=0.12)
+
+
+def coloured(correlation_time, size, seed, samples):
+    """Return noise (samples, 2) of first order with a correlation time, s."""
+    random = np.random.default_rng(seed)
+    memory = np.exp(-1.0 / (arm.RATE * correlation_time))
+    white = random.standard_normal((samples, 2)) * size * np.sqrt(1.0 - memory**2)
+    return lfilter([1.0], [1.0, -memory], white, axis=0)
+
+
+@pytest.mark.parametrize("correlation_time", [0.0, 0.02, 0.1, 0.3])
+@pytest.mark.parametrize("missing", [False, True])
+def test_noise_floor_of_white_and_coloured_noise(fit, correlation_time, missing):
+    """The estimate is near the noise, and never above the error, whatever the model lacks."""
+    ratios = []
+    for seed in (11, 12, 13):
+        _, q, dq, _ = arm.motion(11.0, seed=seed)
+        if correlation_time:
+            noise = coloured(correlation_time, 0.3, seed, len(q))
+        else:
+            noise = 0.6 * np.random.default_rng(seed).standard_normal(q.shape)
+        friction = 3.0 * np.sign(dq) * np.exp(-((dq / 0.1) ** 2)) + 2.0 * dq**3
+        extra = noise + friction * missing
+        noisy = lieid.compare(fit, arm.recording(11.0, seed=seed, extra=extra))
+        pure = lieid.compare(fit, arm.recording(11.0, seed=seed, extra=friction * missing))
+        errors = [a.error - b.error for a, b in zip(noisy.series, pure.series, strict=True)]
+        ratios.append(noisy.noise_floor / np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)))
+        assert np.all(noisy.noise_floor <= noisy.rms_moving)
+        assert np.all(noisy.over_noise[:1] > 1.5) or not missing
+    # slow noise at the frequencies of the motion is partly taken for an effect
+    least = 0.5 if missing and correlation_time > 0.2 else 0.75
+    assert np.all(np.mean(ratios, axis=0) > least)
+    assert np.all(np.mean(ratios, axis=0) < 1.4)
 
 
 def test_a_missing_effect_raises_the_error_and_not_the_noise(fit):
@@ -96,12 +129,10 @@ def test_a_missing_effect_raises_the_error_and_not_the_noise(fit):
     assert comparison.over_noise[1] < 1.5
 
 
-def test_no_noise_floor_if_the_filter_passes_all_frequencies():
-    fit = arm.fit(cutoff=80.0)
-    comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.2))
-    assert comparison.noise_source == "none"
-    assert np.isnan(comparison.noise_floor).all()
-    assert comparison.to_dict()["noise_floor"] == [None, None]
+def test_no_noise_floor_of_joints_at_rest(fit):
+    comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.2, still_after=0.0))
+    assert np.isnan(comparison.noise_floor).tolist() == [False, True]
+    assert comparison.to_dict()["noise_floor"][1] is None
 
 
 def test_largest_errors_are_at_the_disturbances(fit):

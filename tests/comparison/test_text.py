@@ -21,7 +21,7 @@ def fit():
 def test_a_correct_model_has_no_systematic_error(fit):
     comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.4, name="run 2"))
     text = verdict(comparison)
-    assert text.startswith("run 2 (8.96 s): the error is ")
+    assert text.startswith("run 2 (8.96 s): the error in motion is ")
     assert "no systematic error is detectable" in text
 
 
@@ -31,7 +31,6 @@ def test_the_joint_with_a_systematic_error_is_named(fit):
     text = verdict(lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.2, extra=extra)))
     assert "On joint 2 the error in motion is " in text
     assert "part of it is systematic" in text
-    assert "lower bound" in text  # no period in 10 s
 
 
 def test_periods_give_the_noise_and_not_a_bound(fit):
@@ -43,12 +42,17 @@ def test_periods_give_the_noise_and_not_a_bound(fit):
 
 def test_verdict_reports_training_data_and_rest(fit):
     train = arm.recording(24.0, seed=1, noise=0.2, name="train")
-    assert "train (23 s, used to fit the model): the error" in verdict(lieid.compare(fit, train))
+    assert "train (23 s, used to fit the model): the error in motion" in verdict(
+        lieid.compare(fit, train)
+    )
     t = arm.motion(14.0)[0]
     stuck = np.where((t >= 7.0)[:, None], [0.0, 1.4], 0.0)
     rest = lieid.compare(fit, arm.recording(14.0, seed=2, noise=0.1, still_after=7.0, extra=stuck))
-    moving = digits(rest.rms_moving[1])
-    assert f"On joint 2 much of the error occurs at rest, where friction is undetermined (RMS in motion: {moving})" in verdict(rest)  # fmt: skip  # noqa: E501
+    at_rest = digits(rest.rms_at_rest[1])
+    text = verdict(rest)
+    assert f"On joint 2 the error at rest, where friction is undetermined, is larger (RMS {at_rest})" in text  # fmt: skip  # noqa: E501
+    worst = rest.relative_rms_moving
+    assert f"largest on joint {np.argmax(worst) + 1} (RMS {digits(rest.rms_moving[np.argmax(worst)])}" in text  # fmt: skip  # noqa: E501
 
 
 def test_verdict_without_any_torque():
@@ -108,4 +112,4 @@ def test_html_contains_the_table_and_escapes_names(fit):
     assert all(not attributes for _, attributes in parser.tags)
     for text in ("<script>alert(1)</script>", "<img src=x>", "<b onclick=x>"):
         assert text in parser.text
-    assert "noise floor: spectrum of the error above the cut-off, a lower bound" in parser.text
+    assert "noise floor: part of the error that no function of the motion explains" in parser.text
