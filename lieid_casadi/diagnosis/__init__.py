@@ -1,5 +1,6 @@
 """Diagnosis of a model: effects that it lacks, or changes since it was fitted."""
 
+from lieid_casadi.diagnosis.change_torque import change_torque
 from lieid_casadi.diagnosis.diagnose import diagnose
 from lieid_casadi.diagnosis.diagnosis import Diagnosis
 from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep, Evidence
@@ -18,6 +19,7 @@ __all__ = [
     "OwnEffects",
     "Proposal",
     "Unexplained",
+    "change_torque",
     "diagnose",
     "extend",
     "own_effects",

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.diagnosis.diagnose_changed import diagnose_changed
 from lieid_casadi.diagnosis.diagnose_missing import diagnose_missing
 from lieid_casadi.diagnosis.diagnosis import Diagnosis
+from lieid_casadi.diagnosis.events.brief_effects import with_brief_effects
+from lieid_casadi.diagnosis.events.event import Event
+from lieid_casadi.diagnosis.events.leave_out import leave_out_events
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.search.search_results import Proposal
-from lieid_casadi.errors import IdentificationError
-from lieid_casadi.identification import Fit
+from lieid_casadi.errors import DropoutWarning, IdentificationError, unique_warnings
+from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.recording import Processing, Recording
+from lieid_casadi.recording.checks.motion import check_time
 from lieid_casadi.recording.given_recordings import listed
 from lieid_casadi.robot import Robot
 
@@ -34,8 +39,9 @@ def diagnose(
 ) -> Diagnosis:
     """Find the effects that a model lacks or, given a fit, what has changed since.
 
-    Candidates are selected on the training recordings. A step is not accepted if the error on the
-    test rises.
+    The test recordings choose nothing: steps and unexplained parts are the same with them and
+    without. An effect must reduce the error of every held-out part of the training recordings that
+    can judge it: of each recording, or of blocks of time where there is only one.
 
     Parameters
     ----------
@@ -44,8 +50,7 @@ def diagnose(
         measured after it.
     train : Recording or sequence of Recording
     test : Recording or sequence of Recording, optional
-        Recordings of other motion. Without them errors are cross-validated. Not allowed with a
-        fit.
+        Recordings of other motion, on which errors are reported. Not allowed with a fit.
     method : {"ols", "wls", "robust"}
         Of the fits.
     processing : Processing, optional
@@ -77,15 +82,50 @@ def diagnose(
                 "a fit was given together with a test; with a fit, expected the recordings "
                 "measured after it and no test"
             )
-        return diagnose_changed(model, recordings, options=thresholds, seed=seed, report=report)
-    return diagnose_missing(
-        as_model(model),
-        recordings,
-        tests,
+        kept, events = leave_out_events(model, recordings, thresholds)
+        changed = diagnose_changed(model, kept, options=thresholds, seed=seed, report=report)
+        return _with_events(changed, events, recordings)
+    report("identify", 0.0)
+    first = identify(as_model(model), recordings, method=method, processing=processing)
+    judged = with_brief_effects(first, recordings, method, thresholds)
+    kept, events = leave_out_events(judged, recordings, thresholds)
+    if any(event.kind != "standstill" for event in events):
+        first = identify(as_model(model), kept, method=method, processing=first.processing)
+    kept_tests, test_events = leave_out_events(judged, tests, thresholds) if tests else ([], ())
+    missing = diagnose_missing(
+        first,
+        kept,
+        kept_tests,
         method=method,
-        processing=processing,
         options=thresholds,
         seed=seed,
         ask=ask,
         report=report,
+    )
+    return _with_events(missing, (*events, *test_events), [*recordings, *tests])
+
+
+def _with_events(
+    found: Diagnosis, events: tuple[Event, ...], recordings: Sequence[Recording]
+) -> Diagnosis:
+    """Return a diagnosis with the stretches left out; an arm at rest is not judged sufficient.
+
+    Warnings of gaps are those of the recordings as they were given.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        Of the rest of the recordings.
+    events : tuple of Event
+    recordings : sequence of Recording
+        As they were given.
+    """
+    resting = any(len(e.joints) == found.fit.model.n for e in events if e.kind == "standstill")
+    warnings = [w for w in found.warnings if not isinstance(w, DropoutWarning)]
+    gaps = [w for r in recordings for w in check_time(r) if isinstance(w, DropoutWarning)]
+    return replace(
+        found,
+        events=events,
+        verdict="unexplained" if resting else found.verdict,
+        warnings=unique_warnings([*warnings, *gaps]),
     )

@@ -10,14 +10,17 @@ from lieid_casadi.comparison import compare
 from lieid_casadi.diagnosis.diagnosis import Diagnosis
 from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep
 from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.residual.error_above_floor import errors_above
 from lieid_casadi.diagnosis.residual.projected_residual import ProjectedResidual
 from lieid_casadi.diagnosis.residual.residual_description import describe_parts
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+from lieid_casadi.diagnosis.review.partial_candidates import with_candidates
+from lieid_casadi.diagnosis.review.review import reviewed_parts
 from lieid_casadi.diagnosis.screening.aliases import aliases
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.search.changed_effects import ChangedEffects
 from lieid_casadi.diagnosis.search.effect_search import search
-from lieid_casadi.diagnosis.search.pruning import PARTIAL, partial_effects
+from lieid_casadi.diagnosis.search.recording_differences import recording_differences
 from lieid_casadi.errors import unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.temperature import center_temperature
@@ -57,18 +60,23 @@ def diagnose_changed(
         problem,
         options.most_changes,
         "most_changes",
-        lambda fraction: report("search for changes", 0.2 + 0.6 * fraction),
+        lambda step, fraction: report(step, 0.2 + 0.6 * fraction),
     )
     report("describe the residual", 0.8)
     parts = _unexplained(problem)
+    most = options.largest_error_over_expected
+    parts += errors_above(problem.errors(), problem.expected, most, parts)
     steps = tuple(
-        DiagnosisStep.of(a, rms_train=None, rms_test=a.errors[1], moving=a.errors[1])
+        DiagnosisStep.of(
+            a, confirmed=None, rms_train=None, rms_test=a.errors[1], moving=a.errors[1]
+        )
         for a in problem.accepted
     )
+    differing = recording_differences(problem)
     report("done", 1.0)
     return Diagnosis(
         mode="changed",
-        verdict="unexplained" if parts else "effect_found" if steps else "sufficient",
+        verdict="unexplained" if parts or differing else "effect_found" if steps else "sufficient",
         joint_names=before.joint_names,
         noise_floor=before.noise_floor,
         noise_source=before.noise_source,
@@ -78,6 +86,7 @@ def diagnose_changed(
         steps=steps,
         unexplained=parts,
         rejected=tuple((r.candidate.placement.label, r.reason) for r in problem.rejected),
+        differing=differing,
         aliases=aliases(context.candidates.whitened(problem.white, context.runs), problem.model),
         tried=len(context.candidates.owners),
         fit=fit,
@@ -87,18 +96,16 @@ def diagnose_changed(
         baseline_moving=first,
         expected=problem.expected,
         limits_reached=tuple(problem.limits_reached),
+        seed=seed,
     )
 
 
 def _unexplained(problem: ChangedEffects) -> tuple[Unexplained, ...]:
-    """Return the unexplained parts, after effects that only partly explain them are removed."""
-    parts = problem.unexplained()
-    partial = partial_effects(problem, parts)
-    if partial:
-        problem.remove(partial, PARTIAL)
-        parts = problem.unexplained()
+    """Return the unexplained parts, after the accepted effects are reviewed."""
+    parts = reviewed_parts(problem)
     baseline = problem.current_baseline(problem.white)
-    return describe_parts(parts, ProjectedResidual.of(problem.context, problem.white, baseline))
+    residual = ProjectedResidual.of(problem.context, problem.white, baseline)
+    return with_candidates(describe_parts(parts, residual), problem, residual)
 
 
 def held_out_noise(fit: Fit) -> tuple[Noise, ...]:

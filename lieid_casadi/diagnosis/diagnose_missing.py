@@ -8,38 +8,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import Comparison, compare
+from lieid_casadi.compiled import compile
 from lieid_casadi.diagnosis.diagnosis import Diagnosis
 from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep
 from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.residual.error_above_floor import errors_above
 from lieid_casadi.diagnosis.residual.projected_residual import ProjectedResidual
 from lieid_casadi.diagnosis.residual.residual_description import describe_parts
-from lieid_casadi.diagnosis.residual.test_validation import TrainAndTest, confirmed_parts
+from lieid_casadi.diagnosis.residual.test_results import TrainAndTest, with_test_results
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+from lieid_casadi.diagnosis.review.partial_candidates import with_candidates
+from lieid_casadi.diagnosis.review.review import reviewed_parts
 from lieid_casadi.diagnosis.screening.aliases import Aliases, aliases
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
-from lieid_casadi.diagnosis.search.effect_search import unexplained_parts
 from lieid_casadi.diagnosis.search.missing_effects import MissingEffects
-from lieid_casadi.diagnosis.search.pruning import PARTIAL, partial_effects
+from lieid_casadi.diagnosis.search.recording_differences import (
+    leading_difference,
+    recording_differences,
+)
 from lieid_casadi.diagnosis.search.search_results import Proposal
 from lieid_casadi.errors import LieidWarning, SameRecordingWarning, unique_warnings
-from lieid_casadi.identification import Fit, identify
-from lieid_casadi.identification.identify import Method
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.identify import Method, identify_segments
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
+from lieid_casadi.identification.regression.motion_columns import FilteredColumns
 from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processing, Recording, process
+from lieid_casadi.recording import Recording, process
 
 Array = NDArray[np.float64]
 
 
 def diagnose_missing(
-    model: Model,
+    first: Fit,
     train: Sequence[Recording],
     tests: Sequence[Recording],
     *,
     method: Method,
-    processing: Processing | None,
     options: DiagnosisOptions,
     seed: int,
     ask: Callable[[Proposal], bool] | None,
@@ -49,11 +55,11 @@ def diagnose_missing(
 
     Parameters
     ----------
-    model : Model
+    first : Fit
+        Of the model before any effect is added.
     train, tests : sequence of Recording
     method : {"ols", "wls", "robust", "feasible"}
         Of the fits.
-    processing : Processing or None
     options : DiagnosisOptions
     seed : int
         Of the bootstrap.
@@ -62,37 +68,55 @@ def diagnose_missing(
     report : callable
         Called with a stage's name and the fraction done.
     """
-    report("identify", 0.0)
-    first = identify(model, train, method=method, processing=processing)
-    processing = first.processing
-    segments, _ = center_temperature(process(train, processing), first.temperature_mean)
+    segments, _ = center_temperature(process(train, first.processing), first.temperature_mean)
+    known = tuple(FilteredColumns() for _ in segments)
     comparisons = FitComparisons(tests)
 
-    def refit(larger: Model, start: ShapeStart | None) -> Fit:
-        return identify(larger, train, method=method, processing=processing, start=start)
+    def refit(larger: Model, start: ShapeStart, *, uncertainty: bool = False) -> Fit:
+        return identify_segments(
+            compile(larger),
+            segments,
+            method=method,
+            start=start,
+            uncertainty=uncertainty,
+            known=known,
+            temperature_mean=first.temperature_mean,
+            provenance=first.provenance,
+        )
 
-    problem = MissingEffects(
-        first, segments, refit, comparisons.error, options=options, seed=seed, ask=ask
-    )
-    problem.run(lambda fraction: report("search for missing effects", 0.1 + 0.8 * fraction))
+    context = ScreeningContext.of(first, segments, options, known=known)
+    problem = MissingEffects(context, refit, seed=seed, ask=ask)
+    difference = leading_difference(problem)
+    if difference is not None:
+        context = context.with_apart(difference[1])
+        problem = MissingEffects(context, refit, seed=seed, ask=ask)
+    problem.run(lambda step, fraction: report(step, 0.1 + 0.8 * fraction))
     report("describe the residual", 0.9)
     parts = _unexplained(problem, tests)
+    problem.complete()
     steps = _steps(problem, comparisons)
     before = comparisons.of(first)
-    last = comparisons.of(problem.fit) or compare(problem.fit, train)
+    fitted = compare(problem.fit, train)
+    last = comparisons.of(problem.fit) or fitted
+    most = options.largest_error_over_floor
+    parts += errors_above(problem.fit.rms_cv, fitted.noise_floor, most, parts)
+    differing = recording_differences(problem)
+    if difference is not None:
+        differing = (difference[0], *differing)
     report("done", 1.0)
     return Diagnosis(
         mode="missing",
-        verdict="unexplained" if parts else "effect_found" if steps else "sufficient",
-        joint_names=tuple(joint.name for joint in model.robot.joints),
+        verdict="unexplained" if parts or differing else "effect_found" if steps else "sufficient",
+        joint_names=tuple(joint.name for joint in first.model.robot.joints),
         noise_floor=last.noise_floor,
         noise_source=last.noise_source,
-        baseline_effects=tuple(model.effects),
+        baseline_effects=tuple(first.model.effects),
         baseline_train=first.rms_train,
         baseline_test=None if before is None else before.rms,
         steps=steps,
         unexplained=parts,
         rejected=tuple((r.candidate.placement.label, r.reason) for r in problem.rejected),
+        differing=differing,
         aliases=_aliases(problem),
         tried=len(problem.context.candidates.owners) + len(steps),
         fit=problem.fit,
@@ -101,6 +125,7 @@ def diagnose_missing(
         test=tuple(Source(r.name, r.source_hash) for r in tests),
         baseline_moving=None if before is None else before.rms_moving,
         limits_reached=tuple(problem.limits_reached),
+        seed=seed,
     )
 
 
@@ -122,21 +147,23 @@ class FitComparisons:
             self._compared[fit] = compare(fit, self._tests)
         return self._compared.get(fit)
 
-    def error(self, fit: Fit) -> Array:
-        """Return the error of joints in motion (n,), N·m; NaN without a test."""
-        comparison = self.of(fit)
-        return np.full(fit.model.n, np.nan) if comparison is None else comparison.rms_moving
-
 
 def _steps(problem: MissingEffects, comparisons: FitComparisons) -> tuple[DiagnosisStep, ...]:
     steps = []
+    before = last = problem.first.fit
     for accepted in problem.accepted:
         assert accepted.fit is not None
-        test = comparisons.of(accepted.fit)
+        if accepted.fit is not last:  # members of a family share a fit
+            before, last = last, accepted.fit
+        test, earlier = comparisons.of(last), comparisons.of(before)
+        confirmed = None
+        if test is not None and earlier is not None:
+            confirmed = bool(test.rms_moving[accepted.joint] < earlier.rms_moving[accepted.joint])
         steps.append(
             DiagnosisStep.of(
                 accepted,
-                rms_train=accepted.fit.rms_train,
+                confirmed=confirmed,
+                rms_train=last.rms_train,
                 rms_test=None if test is None else test.rms,
                 moving=None if test is None else test.rms_moving,
             )
@@ -154,23 +181,20 @@ def _warnings(
 
 
 def _unexplained(problem: MissingEffects, tests: Sequence[Recording]) -> tuple[Unexplained, ...]:
-    """Return the unexplained parts, after effects that only partly explain them are removed."""
-    parts = unexplained_parts(problem)
-    partial = partial_effects(problem, parts)
-    if partial:
-        problem.remove(partial, PARTIAL)
-        parts = unexplained_parts(problem)
+    """Return the unexplained parts, after the accepted effects are reviewed."""
+    parts = reviewed_parts(problem)
     context, white = problem.context, problem.white
-    recordings = None
-    if parts and tests:
-        fit = problem.fit
-        segments = process(tests, fit.processing)
-        others, _ = center_temperature(segments, problem.first.fit.temperature_mean)
-        test = ScreeningContext.of(fit, others, context.options, with_candidates=False)
-        recordings = TrainAndTest(context, test, white)
-        parts = confirmed_parts(parts, recordings)
     residual = ProjectedResidual.of(context, white, context.baseline(white))
-    return describe_parts(parts, residual, recordings)
+    parts = with_candidates(describe_parts(parts, residual), problem, residual)
+    if not parts or not tests:
+        return parts
+    segments = process(tests, problem.fit.processing)
+    others, _ = center_temperature(segments, problem.first.fit.temperature_mean)
+    test = ScreeningContext.of(problem.fit, others, context.options, with_candidates=False)
+    if context.apart:  # columns of training recordings only
+        pairs = zip(test.torque, context.apart, strict=True)
+        test = test.with_apart([np.zeros((len(own), a.shape[1])) for own, a in pairs])
+    return with_test_results(parts, TrainAndTest(context, test, white))
 
 
 def _aliases(problem: MissingEffects) -> Aliases:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep, numbers_or_null
+from lieid_casadi.diagnosis.events.event import Event
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.provenance import Source
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from lieid_casadi.diagnosis.residual.unexplained import Unexplained
     from lieid_casadi.diagnosis.screening.aliases import Aliases
+    from lieid_casadi.diagnosis.search.search_results import Difference
 
 Array = NDArray[np.float64]
 
@@ -48,6 +50,10 @@ class Diagnosis:
     unexplained : tuple of Unexplained
     rejected : tuple of (str, str)
         Candidates that were selected but not accepted, or removed, and the reason.
+    differing : tuple of Difference
+        Effects that explain the residual of one training recording and not of the others.
+    seed : int
+        Of the bootstrap.
     tried : int
         Number of candidates that were screened.
     aliases : Aliases
@@ -64,6 +70,8 @@ class Diagnosis:
         model is fitted again.
     limits_reached : tuple of str
         Names of the options whose limit ended the search, so that further effects may be missing.
+    events : tuple of Event
+        Stretches that were left out: contact and faults; joints that do not move enough.
     """
 
     mode: str
@@ -86,6 +94,9 @@ class Diagnosis:
     baseline_moving: Array | None = None
     expected: Array | None = None
     limits_reached: tuple[str, ...] = ()
+    differing: tuple[Difference, ...] = ()
+    seed: int = 0
+    events: tuple[Event, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid diagnose --json`` writes."""
@@ -99,6 +110,7 @@ class Diagnosis:
                 "effects": list(self.baseline_effects),
                 "rms_train": numbers_or_null(self.baseline_train),
                 "rms_test": numbers_or_null(self.baseline_test),
+                "rms_test_moving": numbers_or_null(self.baseline_moving),
             },
             "steps": [
                 step.to_dict() | {"group": group}
@@ -106,8 +118,11 @@ class Diagnosis:
             ],
             "unexplained": [u.to_dict() for u in self.unexplained],
             "rejected": [{"effect": label, "reason": reason} for label, reason in self.rejected],
+            "differs_between_recordings": [d.to_dict() for d in self.differing],
+            "seed": self.seed,
             "tried": self.tried,
             "limits_reached": list(self.limits_reached),
+            "events": [event.to_dict() for event in self.events],
             "absorbed": list(self.aliases.absorbed),
             "weak": [{"effect": label, "remains": part} for label, part in self.aliases.weak],
             "cutoff": self.fit.processing.cutoff,
@@ -126,14 +141,29 @@ class Diagnosis:
         motion if all joints move, otherwise those of the whole test or of the training.
         """
         test = "test" if self.mode == "missing" else "new recordings"
-        moving = [self.baseline_moving, *(step.moving for step in self.steps)]
+        last = [together[-1] for together in self.additions]
+        moving = [self.baseline_moving, *(step.moving for step in last)]
         available = [values for values in moving if values is not None]
         if len(available) == len(moving) and np.isfinite(available).all():
             return f"{test}, joints in motion", available
         tested = self.baseline_test is not None
         errors = [self.baseline_test if tested else self.baseline_train]
-        errors += [step.rms_test if tested else step.rms_train for step in self.steps]
+        errors += [step.rms_test if tested else step.rms_train for step in last]
         return test if tested else "training", [values for values in errors if values is not None]
+
+    @property
+    def additions(self) -> tuple[tuple[DiagnosisStep, ...], ...]:
+        """The steps, those together whose effects were added to the model at once."""
+        together: dict[int, list[DiagnosisStep]] = {}
+        for number, step in enumerate(self.steps):
+            together.setdefault(number if step.fit is None else id(step.fit), []).append(step)
+        return tuple(map(tuple, together.values()))
+
+    @property
+    def model_names(self) -> tuple[str, ...]:
+        """The effects of the first model, and what each further model of `shown` adds."""
+        added = [" ".join(f"+ {step.label}" for step in steps) for steps in self.additions]
+        return ("+".join(self.baseline_effects) or "rigid", *added)
 
     @property
     def groups(self) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis.screening.candidates import Candidate
-    from lieid_casadi.diagnosis.search.search_results import AcceptedEffect
+    from lieid_casadi.diagnosis.search.search_results import AcceptedEffect, Significance
 
 Array = NDArray[np.float64]
 
@@ -25,32 +25,39 @@ class Evidence:
 
     Attributes
     ----------
-    log10_p : float
-        log₁₀ of the family-wise p-value over all candidates that were screened.
-    rows : int
-        Effective sample size: whitened rows of all joints.
+    significance : Significance
+        In the last model, in addition to all other steps.
     effect_size : float
         RMS of the residual that the effect explains on the joint where the error falls most, N·m.
     held_out_before, held_out_after : float
-        Error of that joint, N·m: of blocked cross-validation, or of the new recording if the
-        model is kept.
+        Error of that joint of the last model without the effect and with it, N·m: on held-out
+        parts of the training, or on the new recording if the model is kept.
     confirmed : bool or None
         Whether the error on the test falls; None without a test.
     """
 
-    log10_p: float
-    rows: int
+    significance: Significance
     effect_size: float
     held_out_before: float
     held_out_after: float
     confirmed: bool | None
 
+    @property
+    def log10_p(self) -> float:
+        """log₁₀ of the family-wise p-value over all candidates that were screened."""
+        return self.significance.log10_p
+
     def to_dict(self) -> dict[str, Any]:
-        """Return the evidence for JSON."""
+        """Return the evidence for JSON: p = 1 − (1 − P(χ² ≥ statistic))^family_size."""
+        s = self.significance
         return {
-            "p_value": float(10.0 ** max(self.log10_p, -300.0)),
-            "log10_p": max(self.log10_p, -1e6),
-            "effective_rows": self.rows,
+            "p_value": float(10.0 ** max(s.log10_p, -300.0)),
+            "log10_p": max(s.log10_p, -1e6),
+            "statistic": s.gain,
+            "degrees_of_freedom": s.degrees,
+            "family_size": s.tests,
+            "dispersion": s.dispersion,
+            "effective_rows": s.rows,
             "effect_size": self.effect_size,
             "rms_cv_before": self.held_out_before,
             "rms_cv_after": self.held_out_after,
@@ -81,6 +88,8 @@ class DiagnosisStep:
     indistinguishable : tuple of (Candidate, str)
         Rivals, and the kind of rivalry: ``exact`` if no data can separate the two, ``data`` if
         these data cannot.
+    rival_pairs : tuple of (Candidate, Candidate)
+        Pairs of effects that together fit as well.
     fit : Fit or None
         With this effect and those before it; None if the model is kept.
     moving : (n,) or None
@@ -88,6 +97,8 @@ class DiagnosisStep:
     share : float
         RMS of the torque that the effect explains, relative to the RMS of the measured torque of
         the joint where the error falls most.
+    selected : float
+        Fraction of block-bootstrap repetitions of the screening in which it is selected again.
     """
 
     label: str
@@ -99,15 +110,18 @@ class DiagnosisStep:
     rms_test: Array | None
     evidence: Evidence
     indistinguishable: tuple[tuple[Candidate, str], ...]
+    rival_pairs: tuple[tuple[Candidate, Candidate], ...] = ()
     fit: Fit | None = None
     moving: Array | None = None
     share: float = float("nan")
+    selected: float = float("nan")
 
     @classmethod
     def of(
         cls,
         accepted: AcceptedEffect,
         *,
+        confirmed: bool | None,
         rms_train: Array | None,
         rms_test: Array | None,
         moving: Array | None,
@@ -117,6 +131,8 @@ class DiagnosisStep:
         Parameters
         ----------
         accepted : AcceptedEffect
+        confirmed : bool or None
+            Whether the error on the test falls; None without a test.
         rms_train, rms_test, moving : (n,) or None
             Errors after the step, N·m.
         """
@@ -131,16 +147,17 @@ class DiagnosisStep:
             rms_train=rms_train,
             rms_test=rms_test,
             evidence=Evidence(
-                log10_p=accepted.significance.log10_p,
-                rows=accepted.significance.rows,
+                significance=accepted.significance,
                 effect_size=effect_size,
                 held_out_before=float(before),
                 held_out_after=float(after),
-                confirmed=accepted.confirmed,
+                confirmed=confirmed,
             ),
             indistinguishable=accepted.rivals,
+            rival_pairs=accepted.rival_pairs,
             fit=accepted.fit,
             moving=moving,
+            selected=accepted.selected,
             share=effect_size / accepted.torque_rms if accepted.torque_rms else float("nan"),
         )
 
@@ -156,11 +173,16 @@ class DiagnosisStep:
             "rms_test": numbers_or_null(self.rms_test),
             "rms_test_moving": numbers_or_null(self.moving),
             "share": number_or_none(self.share),
+            "selected": number_or_none(self.selected),
             "confirmed": self.evidence.confirmed,
             "evidence": self.evidence.to_dict(),
             "indistinguishable": [
                 {"effect": c.name, "joints": [j + 1 for j in c.joints], "kind": kind}
                 for c, kind in self.indistinguishable
+            ],
+            "rival_pairs": [
+                [{"effect": c.name, "joints": [j + 1 for j in c.joints]} for c in pair]
+                for pair in self.rival_pairs
             ],
         }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from lieid_casadi.comparison import compare
 from lieid_casadi.effects import Placement, parse_effects
-from lieid_casadi.errors import EffectError
+from lieid_casadi.errors import BoundWarning, EffectError, LieidWarning
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
+from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.given_recordings import listed
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
+SIGNIFICANT = 2.0  # standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,8 @@ class Extension:
         Both on the same training recordings.
     rms_train, rms_test : (2, n)
         Before and after, N·m; ``rms_test`` None without a test.
+    rms_test_moving, rms_test_at_rest : (2, n) or None
+        The same of joints in motion, and at rest; NaN where a joint never moves, or never rests.
     """
 
     added: tuple[str, ...]
@@ -44,6 +48,15 @@ class Extension:
     after: Fit
     rms_train: Array
     rms_test: Array | None
+    rms_test_moving: Array | None = None
+    rms_test_at_rest: Array | None = None
+
+    @property
+    def held_out(self) -> Array:
+        """Error in motion before and after (2, n), N·m: of the test, or cross-validated."""
+        if self.rms_test_moving is not None:
+            return self.rms_test_moving
+        return np.array([self.before.rms_cv, self.after.rms_cv])
 
     @property
     def parameters(self) -> list[dict[str, Any]]:
@@ -55,12 +68,11 @@ class Extension:
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid extend --json`` writes."""
         before, after = (self._model_dict(k) for k in (0, 1))
-        errors = self.rms_train if self.rms_test is None else self.rms_test
         return {
             "added": list(self.added),
             "before": before,
             "after": after,
-            "fall": (1.0 - errors[1] / errors[0]).tolist(),
+            "fall": numbers_or_none(1.0 - self.held_out[1] / self.held_out[0]),
             "parameters": self.parameters,
             "fit": self.after.to_dict(),
         }
@@ -72,16 +84,23 @@ class Extension:
             "effects": fit.model.effects,
             "rms_train": self.rms_train[row].tolist(),
             "rms_test": None if self.rms_test is None else self.rms_test[row].tolist(),
+            "rms_test_moving": (
+                None if self.rms_test_moving is None else numbers_or_none(self.rms_test_moving[row])
+            ),
         }
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the errors of both models per joint; not shown."""
         from lieid_casadi.diagnosis.waterfall_plot import draw_errors
 
-        pair = self.rms_train if self.rms_test is None else self.rms_test
-        recordings = "training" if self.rms_test is None else "test"
-        labels = ["before", f"+ {', '.join(self.added)}"]
-        return draw_errors(list(pair), labels, floor=None, recordings=recordings, ax=ax)
+        recordings = "held-out training data" if self.rms_test_moving is None else "test"
+        return draw_errors(
+            list(self.held_out),
+            ["before", f"+ {', '.join(self.added)}"],
+            floor=None,
+            recordings=f"{recordings}, joints in motion",
+            ax=ax,
+        )
 
 
 def extend(
@@ -128,13 +147,49 @@ def extend(
     before = identify(model, train, method=method, processing=fit.processing)
     report("after", 0.3)
     after = identify(larger, train, method=method, processing=fit.processing)
-    rms_test = None
+    after = replace(after, warnings=(*after.warnings, *_doubtful(after, wanted)))
+    rms_test = moving = at_rest = None
     if test is not None:
         report("test", 0.8)
-        rms_test = np.array([compare(before, test).rms, compare(after, test).rms])
+        tested = [compare(fit, test) for fit in (before, after)]
+        rms_test = np.array([c.rms for c in tested])
+        moving = np.array([c.rms_moving for c in tested])
+        at_rest = np.array([c.rms_at_rest for c in tested])
     report("done", 1.0)
     added = tuple(placement.label for placement in wanted)
-    return Extension(added, before, after, np.array([before.rms_train, after.rms_train]), rms_test)
+    rms_train = np.array([before.rms_train, after.rms_train])
+    return Extension(added, before, after, rms_train, rms_test, moving, at_rest)
+
+
+def _doubtful(fit: Fit, added: Sequence[Placement]) -> list[LieidWarning]:
+    """Return warnings about coefficients of added effects: negative friction, not significant."""
+    coefficients = {
+        (f"{placement.effect.label}.{c.name}", placement.joint): c
+        for placement in added
+        for c in placement.effect.coefficients
+    }
+    found: list[LieidWarning] = []
+    for parameter, value, std in zip(fit.model.base_columns, fit.values, fit.std, strict=False):
+        coefficient = coefficients.get((parameter.name, parameter.joint))
+        if coefficient is None:
+            continue
+        size = f"{parameter.label} = {value:.3g} ± {std:.2g} {parameter.unit}"
+        if abs(value) < SIGNIFICANT * std:
+            found.append(
+                BoundWarning(
+                    f"{size} is not significantly different from zero: the effect is probably not "
+                    "present on this joint"
+                )
+            )
+        elif coefficient.opposes_motion and value < 0.0:
+            found.append(
+                BoundWarning(
+                    f"{size} is negative, but {coefficient.meaning} is expected to be positive: "
+                    "the effect is probably not present, or another one is missing; lieid diagnose "
+                    "searches for it"
+                )
+            )
+    return found
 
 
 def _check_motion(wanted: Sequence[Placement], train: Recording | Sequence[Recording]) -> None:

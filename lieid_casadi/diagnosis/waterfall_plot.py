@@ -23,7 +23,7 @@ def plot_waterfall(d: Diagnosis, ax: Axes | None = None) -> Figure:
     See `draw_errors`.
     """
     recordings, errors = d.shown
-    labels = ["first model", *(f"+ {step.label}" for step in d.steps)]
+    labels = ["first model", *d.model_names[1:]]
     return draw_errors(errors, labels, floor=d.noise_floor, recordings=recordings, ax=ax)
 
 

@@ -27,12 +27,21 @@ from lieid_casadi.discrimination.trajectory_search import (
 from lieid_casadi.errors import ExcitationError, ModelError
 from lieid_casadi.excitation.basis import families
 from lieid_casadi.excitation.basis.trajectory import Parametrization
+from lieid_casadi.excitation.fitted_arm import FittedArm
+from lieid_casadi.excitation.limits.default_limits import (
+    MARGIN,
+    checked_limits,
+    default_limits,
+    unchecked_limits,
+)
 from lieid_casadi.excitation.limits.joint_limits import (
+    MotionRange,
     check_duration,
     check_start_pose,
     motion_range,
 )
-from lieid_casadi.excitation.limits.symbolic_limits import Limit, Torque
+from lieid_casadi.excitation.limits.start_pose import check_at_rest, find_start_pose
+from lieid_casadi.excitation.limits.symbolic_limits import Limit, sets_of
 from lieid_casadi.identification import Fit
 from lieid_casadi.recording import Recording
 
@@ -55,7 +64,8 @@ def discriminate(
     samples: int | None = None,
     start_pose: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
-    constraints: Sequence[Limit] | None = None,
+    margin: float = MARGIN,
+    limits: Sequence[Limit] | None = None,
     starts: int = 100,
     evaluations: int = 1500,
     rate: float = 1000.0,
@@ -86,11 +96,15 @@ def discriminate(
     samples : int, optional
         Of the criterion over a period, by default 200, or 8 per coefficient if that is more.
     start_pose : (n,), optional
-        Where the motion begins and ends at rest; by default the middle of the position limits.
-    acceleration : (n,), optional
-        Limits, rad/s², where the robot states none.
-    constraints : sequence of Limit, optional
-        Besides position, velocity and acceleration; by default the torque limits if known.
+        Where the motion begins and ends at rest, rad. Default: the middle of the joint ranges or,
+        where that is near a limit, a pose that is far from all limits.
+    acceleration : float or (n,), optional
+        Limits in place of the robot's, rad/s². Default: 3 where the robot states none.
+    margin : float
+        Part of the velocity limits, and of the torque limits by default, that is used.
+    limits : sequence of Limit, optional
+        Besides those of the joints. Default: those of `default_limits`, with the torque of the
+        fit; ``()`` leaves all out.
     starts, evaluations : int
         Number of random motions, and of evaluations of the criterion altogether. Ctrl-C during
         the refinement keeps the best motion so far.
@@ -134,7 +148,13 @@ def discriminate(
     began = time.monotonic()
     _check_options(fit, level, starts, evaluations, rate)
     progress("compile", 0.0)
-    feasible = _feasible(fit, duration, harmonics, samples, start_pose, acceleration, constraints)
+    arm, robot = FittedArm.of(fit), fit.model.robot
+    if limits is None:
+        limits = default_limits(robot, margin=margin)
+    feasible = _feasible(
+        arm, duration, harmonics, samples, start_pose,
+        motion_range(robot, acceleration, margin=margin), limits,
+    )  # fmt: skip
     rivals = RivalEffects(
         fit, effects, sizes or {}, independent_rate=independent_rate(fit, recordings),
         duration=duration, velocity=feasible.range.velocity,
@@ -178,6 +198,8 @@ def discriminate(
         pairs=pairs, random_seconds=duration / median if median > 0.0 else float("inf"),
         max_violation=violation, evaluations=len(values) + sum(r.evaluations for r in refined),
         solve_seconds=time.monotonic() - began, rate=rate, interrupted=refined[-1].interrupted,
+        checked=checked_limits(feasible.range, limits, arm),
+        unchecked=unchecked_limits(robot, limits, feasible.left_out, arm),
     )  # fmt: skip
 
 
@@ -224,13 +246,13 @@ def _check_options(fit: Fit, level: float, starts: int, evaluations: int, rate: 
 
 
 def _feasible(
-    fit: Fit,
+    fit: FittedArm,
     duration: float,
     harmonics: int,
     samples: int | None,
     start_pose: ArrayLike | None,
-    acceleration: ArrayLike | None,
-    constraints: Sequence[Limit] | None,
+    joints: MotionRange,
+    limits: Sequence[Limit],
 ) -> FeasibleMotions:
     """Return the motions within the limits; see `discriminate` for the parameters."""
     robot = fit.model.robot
@@ -239,12 +261,14 @@ def _feasible(
         samples = max(SAMPLES, 8 * basis.size)
     if samples < 4 * basis.size:
         raise ExcitationError(f"samples: {samples}; expected at least {4 * basis.size}")
-    limits = motion_range(robot, acceleration)
-    check_duration(robot, limits, duration)
-    pose = limits.middle if start_pose is None else np.asarray(start_pose, dtype=float)
-    check_start_pose(robot, limits, pose)
-    if constraints is None:
-        has_torque = robot.has_inertia and bool(np.isfinite(robot.limit("torque")).any())
-        constraints = (Torque(),) if has_torque else ()
-    sets = tuple(s for s in (limit.on(robot) for limit in constraints) if s is not None)
-    return FeasibleMotions(Parametrization(basis, pose, True, limits.units), limits, sets, samples)
+    check_duration(robot, joints, duration)
+    sets, left_out = sets_of(limits, robot, fit)
+    every = (joints.constraint_set(), *sets)
+    if start_pose is None:
+        pose = find_start_pose(joints, every)
+    else:
+        pose = np.asarray(start_pose, dtype=float)
+        check_start_pose(robot, joints, pose)
+        check_at_rest(pose, every)
+    parametrization = Parametrization(basis, pose, True, joints.units)
+    return FeasibleMotions(parametrization, joints, sets, samples, left_out)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.excitation.basis.trajectory import MotionSamples, Trajectory, period_grid
-from lieid_casadi.excitation.files import csv_text
+from lieid_casadi.excitation.files import csv_text, limit_comments
 from lieid_casadi.model import Model
 from lieid_casadi.output_folder import write_folder
 from lieid_casadi.tables import html
@@ -82,6 +82,8 @@ class Discrimination:
         Of the trajectory file, Hz.
     interrupted : bool
         Whether Ctrl-C ended the search.
+    checked, unchecked : tuple of str
+        Limits that were checked, and limits that were not.
     """
 
     model: Model
@@ -96,6 +98,8 @@ class Discrimination:
     solve_seconds: float
     rate: float
     interrupted: bool = False
+    checked: tuple[str, ...] = ()
+    unchecked: tuple[str, ...] = ()
 
     @property
     def seconds(self) -> float:
@@ -149,6 +153,8 @@ class Discrimination:
                 for p in self.pairs
             ],
             "max_violation": self.max_violation,
+            "checked": list(self.checked),
+            "unchecked": list(self.unchecked),
             "evaluations": self.evaluations,
             "interrupted": self.interrupted,
             "solve_seconds": self.solve_seconds,
@@ -170,7 +176,8 @@ class Discrimination:
                 ". Not separable by any motion, because the second contains the first: "
                 f"{', '.join(contained)}"
             )
-        return text + "."
+        text += f".\nThese limits are met: {'; '.join(self.checked)}."
+        return f"{text}\nNot checked: {'; '.join(self.unchecked)}."
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the motion and the torque that each rival's refit leaves; not shown."""
@@ -198,8 +205,9 @@ class Discrimination:
         content = json.dumps(
             {"schema": 1} | self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False
         )
+        comments = limit_comments(self.checked, self.unchecked)
         files = {
-            "trajectory.csv": csv_text(self.motion()).encode(),
+            "trajectory.csv": csv_text(self.motion(), comments=comments).encode(),
             "discriminate.json": content.encode(),
             "discriminate.png": image.getvalue(),
         }

@@ -244,9 +244,11 @@ def rival_placements(effects: Sequence[str], n: int) -> list[Placement]:
         (placement,) = placed
         if any(placement.label == other.label for other in found):
             raise EffectError(f"effect {placement.label} is given twice")
-        if "temperature" in placement.effect.signals:
+        needs = "commands" if placement.effect.commanded else ""
+        needs = "a temperature" if "temperature" in placement.effect.signals else needs
+        if needs:
             raise EffectError(
-                f"{placement.label} needs a temperature, which a trajectory does not determine"
+                f"{placement.label} needs {needs}, which a trajectory does not determine"
             )
         found.append(placement)
     if len(found) < 2:

@@ -41,12 +41,15 @@ class FeasibleMotions:
         Further limits.
     samples : int
         Of the criterion over a period.
+    left_out : tuple of str
+        Quantities that the further limits leave out.
     """
 
     parametrization: Parametrization
     range: MotionRange
     sets: tuple[ConstraintSet, ...]
     samples: int
+    left_out: tuple[str, ...] = ()
 
     def motion(self, z: Array) -> MotionSamples:
         """Return the samples of the criterion over one period."""

@@ -16,6 +16,13 @@ NONE = plant.JointFriction.none(7)
 CASES = {
     "gain": (plant.TorqueGain(2, 0.1), "torque_gain:3", [0.1]),
     "delay": (plant.TorqueDelay(1, 0.03), "torque_delay:2", [0.03]),
+    "shift": (plant.TimeShift(0.03), "time_shift", [0.03]),
+    "filter": (plant.TorqueLowpass(1, 0.03), "torque_lowpass:2", [0.03]),
+    "filter of all": (
+        plant.TorqueLowpass(None, 0.02, 2),
+        "torque_lowpass/common_second_order",
+        [0.02],
+    ),
     "offset": (plant.EncoderOffset(3, 0.05), "encoder_offset:4", [0.05]),
     "tilt": (plant.BaseTilt(0.06, -0.04), "base_tilt", [0.06, -0.04]),
     "wrench": (
@@ -57,7 +64,9 @@ def test_the_predicted_torque_matches_the_simulated_arm(name):
     assert np.sqrt(np.mean(error**2)) < share * np.sqrt(np.mean(without**2))
 
 
-@pytest.mark.parametrize("name", ["gain", "delay", "offset", "tilt", "elasticity"])
+@pytest.mark.parametrize(
+    "name", ["gain", "delay", "shift", "filter", "filter of all", "offset", "tilt", "elasticity"]
+)
 def test_the_fit_finds_the_value(name):
     effect, label, coefficients = CASES[name]
     fit = lieid.identify(

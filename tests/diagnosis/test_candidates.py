@@ -1,5 +1,6 @@
 """Candidates follow what effects declare about themselves, and the options of the diagnosis."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,6 +11,7 @@ from lieid_casadi import plant
 from lieid_casadi.diagnosis import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.candidates import list_candidates, shape_grid, shape_limits
 from lieid_casadi.diagnosis.screening.incremental_effect import incremental
+from lieid_casadi.diagnosis.search.parameter_checks import below_sample_time, implausible_size
 from lieid_casadi.effects import Shape, make
 from lieid_casadi.recording import Processing, process
 
@@ -85,7 +87,7 @@ def test_thresholds_are_options():
     found = lieid.diagnose(MODEL, measured())
     assert [step.label for step in found.steps] == ["load_friction:1"]
     assert found.limits_reached == ()
-    strict = lieid.diagnose(MODEL, measured(), options=DiagnosisOptions(least_improvement=0.999))
+    strict = lieid.diagnose(MODEL, measured(), options=DiagnosisOptions(worth=0.999))
     assert strict.steps == ()
     assert any("held-out error falls by only" in reason for _, reason in strict.rejected)
 
@@ -97,16 +99,78 @@ def test_a_limit_that_ends_the_search_is_reported():
     assert "The search ended at its limit (most_steps)" in found.sentence
 
 
-def test_a_delay_below_one_sample_is_rejected_by_what_the_effect_declares():
-    coefficient = make("torque_delay").coefficients[0]
-    assert coefficient.resolved_by == "sample_time"
+def delayed(strength):
     arm = plant.demo_arm(ROBOT, hidden=None)
-    arm = arm.with_effects(plant.hidden_effect(arm, "torque_delay", 1, strength=2.0))
+    arm = arm.with_effects(plant.hidden_effect(arm, "torque_delay", 1, strength=strength))
     motion = plant.FourierTrajectory(ROBOT, base_frequency=0.1, seed=1)
     t = np.arange(0.0, 10.0, 0.001)
-    train = plant.measure_along(arm, t, *motion.at(t), sensors=plant.demo_sensors(ROBOT), seed=1)
-    assert [s.label for s in lieid.diagnose(MODEL, train).steps] == ["torque_delay:2"]
-    coarse = DiagnosisOptions(least_delay_samples=1e3)
-    found = lieid.diagnose(MODEL, train, options=coarse)
-    assert found.steps == ()
-    assert any("less than one sample" in reason for _, reason in found.rejected)
+    return plant.measure_along(arm, t, *motion.at(t), sensors=plant.demo_sensors(ROBOT), seed=1)
+
+
+def test_a_lag_below_one_sample_is_named():
+    recording = delayed(0.2)
+    (step,) = lieid.diagnose(MODEL, recording).steps
+    names = {step.effect, *(rival["effect"] for rival in step.to_dict()["indistinguishable"])}
+    assert step.joints == (1,)
+    assert names >= {"torque_delay", "torque_lowpass"}  # to first order the same
+    (lag,) = step.parameters.values()
+    assert 0.5 < lag * recording.rate < 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "cause"),
+    [
+        ("torque_delay", 0.004, ""),
+        ("torque_delay", -0.004, "a velocity computed by differences is late by as much"),
+        ("torque_delay", -0.03, ""),
+        ("time_shift", -0.004, "a velocity computed by differences is late by as much"),
+        ("command_delay", 0.004, "commands are held for as long"),
+        ("command_delay", 0.03, ""),
+    ],
+)
+def test_a_lead_and_a_command_delay_below_one_sample_are_rejected(name, value, cause):
+    found = segments()
+    step = 1.0 / found[0].recording.rate
+    reason = below_sample_time(
+        make(name), {"delta": value / 0.01 * step}, found, DiagnosisOptions()
+    )
+    assert reason.endswith(cause)
+    assert ("less than one sample" in reason) == bool(cause)
+
+
+@pytest.mark.parametrize(
+    ("rise", "effect"), [(5.0, "temperature_friction"), (0.1, "warm_up"), (None, "warm_up")]
+)
+def test_a_measured_temperature_that_varies_is_tried_in_place_of_time(rise, effect):
+    (segment,) = segments()
+    size = segment.q.shape
+    if rise is None:
+        found = replace(segment, temperature=None)
+    else:
+        found = replace(segment, temperature=np.linspace(0.0, rise, size[0])[:, None] * np.ones(2))
+    scan = lambda effect, joint: np.ones((1, 1))  # noqa: E731
+    listed = list_candidates(MODEL, [found], scan, options=OPTIONS, model_fixed=True)
+    names = {candidate.name for candidate in listed}
+    assert effect in names
+    assert ("warm_up" in names) == (effect == "warm_up")
+
+
+def test_joints_that_hardly_move_have_no_candidates():
+    (segment,) = segments()
+    held = replace(segment, q=segment.q * [1.0, 1e-3])
+    scan = lambda effect, joint: np.ones((1, 1))  # noqa: E731
+    listed = list_candidates(MODEL, [held], scan, options=OPTIONS)
+    assert {joint for candidate in listed for joint in candidate.joints} == {0}
+
+
+@pytest.mark.parametrize(
+    ("label", "value"),
+    [("torque_gain", 2.35), ("torque_delay", 0.18), ("position_spring", -80_910.0)],
+)
+def test_values_that_no_real_arm_has_are_implausible(label, value):
+    effect = make(label)
+    (coefficient,) = effect.coefficients
+    reason = implausible_size(effect, {coefficient.name: value})
+    assert reason.startswith(f"{label}.{coefficient.name} = {value:.3g}")
+    assert "physically implausible (limit" in reason
+    assert implausible_size(effect, {coefficient.name: 0.05}) == ""

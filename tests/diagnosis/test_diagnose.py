@@ -12,6 +12,7 @@ from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.effects import Placement, make
+from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import EffectError, IdentificationError, SameRecordingWarning
 
 ROBOT = lieid.robots.two_link()
@@ -78,10 +79,10 @@ def test_one_hidden_effect_is_named(name, joint, strength):
 def test_the_sentence_states_effect_joint_size_and_fall():
     diagnosis = diagnosis_of(LOAD_FRICTION)
     (step,) = diagnosis.steps
-    before, after = step.evidence.held_out_before, step.evidence.held_out_after
+    fall = 100 * (1.0 - step.evidence.held_out_after / step.evidence.held_out_before)
     assert diagnosis.sentence == (
-        f"The model lacks load_friction on joint 1 (f_tau = {step.parameters['f_tau']:.3g}; "
-        f"held-out error from {before:.3g} to {after:.3g} N·m)."
+        f"Friction on joint 1 grows with the load (load_friction: {step.parameters['f_tau']:.3g} "
+        f"N·m per N·m; {fall:.0f} % of the held-out error)."
     )
 
 
@@ -92,17 +93,39 @@ def with_steps(diagnosis, *steps):
 def test_steps_with_one_effect_are_one_finding_and_rivals_are_alternatives():
     diagnosis = diagnosis_of(LOAD_FRICTION)
     (step,) = diagnosis.steps
-    other = replace(step, label="load_friction:2", joints=(1,))
+    other = replace(step, label="load_friction:2", joints=(1,), parameters={"f_tau": 0.02})
     text = with_steps(diagnosis, other, step).sentence
-    assert "load_friction on joints 1 and 2 (f_tau = " in text
+    size = f"{step.parameters['f_tau']:.3g}"
+    assert f"on joints 1 and 2 grows with the load (load_friction: {size} and 0.02 N·m per" in text
+    falls = replace(other, parameters={"f_tau": -0.02})
+    text = with_steps(diagnosis, step, falls).sentence
+    assert "Friction on joint 2 falls with the load (load_friction: −0.02 N·m per N·m;" in text
     arm = replace(step, label="payload", effect="payload", joints=())
     assert with_steps(diagnosis, step, arm, other).groups == (1, 2, 1)
     rival = Candidate(Placement(make("stribeck"), 1), np.ones((1, 1)))
-    text = with_steps(
-        diagnosis, step, replace(other, indistinguishable=((rival, "data"),))
-    ).sentence
-    assert "load_friction on joint 1 (" in text
-    assert text.endswith("N·m), or stribeck on joint 2, which fits as well.")
+    text = with_steps(diagnosis, replace(other, indistinguishable=((rival, "data"),))).sentence
+    assert text.endswith("of the held-out error), or stribeck, which fits as well.")
+    text = with_steps(diagnosis, replace(step, indistinguishable=((rival, "data"),))).sentence
+    assert text.endswith("of the held-out error), or stribeck on joint 2, which fits as well.")
+
+
+def test_findings_with_the_largest_share_of_the_torque_come_first():
+    diagnosis = diagnosis_of(LOAD_FRICTION)
+    (step,) = diagnosis.steps
+    small = replace(step, effect="armature", label="armature:2", joints=(1,), share=0.01,
+                    parameters={"I_a": 0.2}, units={"I_a": "kg·m²"})  # fmt: skip
+    text = with_steps(diagnosis, small, replace(step, share=0.5)).sentence
+    assert text.index("load_friction") < text.index("(armature: 0.2 kg·m²; ")
+
+
+@pytest.mark.parametrize("name", sorted(REGISTER))
+def test_every_effect_has_sentences_for_a_finding_and_a_change(name):
+    effect = make(name)
+    for texts in (effect.finding, effect.change):
+        assert len(texts) in (1, 2)
+        for text in texts:
+            assert "{joints}" in text or effect.whole_arm
+            assert ("{source}" in text) == effect.couples
 
 
 def test_two_hidden_effects_are_named():
@@ -137,7 +160,7 @@ def test_json_has_the_stated_keys():
     content = diagnosis_of(LOAD_FRICTION).to_dict()
     json.dumps(content, allow_nan=False)
     assert {"mode", "verdict", "noise_floor", "baseline", "steps", "unexplained"} <= set(content)
-    assert set(content["baseline"]) == {"effects", "rms_train", "rms_test"}
+    assert set(content["baseline"]) == {"effects", "rms_train", "rms_test", "rms_test_moving"}
     (step,) = content["steps"]
     assert step["effect"] == "load_friction"
     assert step["joints"] == [1]

@@ -7,7 +7,7 @@ from lieid_casadi.diagnosis import DiagnosisOptions
 from lieid_casadi.diagnosis.residual.function_dictionary import dictionaries, dictionary
 from lieid_casadi.diagnosis.residual.projected_residual import ProjectedResidual
 from lieid_casadi.diagnosis.residual.symbolic_formula import best_subsets
-from lieid_casadi.diagnosis.screening.baseline import Baseline
+from lieid_casadi.diagnosis.screening.model_factor import ModelFactor
 
 
 def test_units_of_coefficients():
@@ -18,6 +18,8 @@ def test_units_of_coefficients():
     assert by_name["sgn(dq2)·|load1|"] == "1"
     powers = {t.text: t.unit(turns, 0) for t in dictionary(["q1", "dq2"], turns, waves=False)}
     assert powers["q1·dq2³"] == "N·m·s³/rad⁴"
+    every = dictionary(["q1", "dq1", "ddq1", "load1", "dq2", "ddq2"], turns, waves=False)
+    assert all(t.unit(turns, 0) for t in every)  # of every power
     sliding = {t.text: t.unit(turns, 2) for t in dictionary(["q3", "dq3"], turns)}
     assert sliding["dq3"] == "N·s/m"
     assert not any("sin" in text for text in sliding)
@@ -53,7 +55,7 @@ def test_standard_deviations_match_the_scatter_of_estimates(memory):
         error = np.zeros(rows)
         for k in range(rows):
             error[k] = (memory * error[k - 1] if k else 0.0) + white[k]
-        baseline = Baseline.of([model], [error + 3.0 * column[:, 0] + 5.0])
+        baseline = ModelFactor.of([model], [error + 3.0 * column[:, 0] + 5.0]).baseline()
         blocks = np.arange(rows) // 40
         estimate = ProjectedResidual(
             (), (), (), baseline, blocks % 5, blocks, DiagnosisOptions()

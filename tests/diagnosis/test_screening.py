@@ -5,10 +5,11 @@ import pytest
 
 from lieid_casadi.diagnosis.options import DiagnosisOptions, Penalty
 from lieid_casadi.diagnosis.screening import screen as screening_module
-from lieid_casadi.diagnosis.screening.baseline import Baseline, with_groups
+from lieid_casadi.diagnosis.screening.baseline import with_groups
 from lieid_casadi.diagnosis.screening.candidate_columns import assemble_columns
 from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_gain
 from lieid_casadi.diagnosis.screening.evidence import HypothesisFamily
+from lieid_casadi.diagnosis.screening.model_factor import ModelFactor
 from lieid_casadi.diagnosis.screening.smooth_functions import SmoothFunction
 from lieid_casadi.diagnosis.search.forward_selection import best_set
 from lieid_casadi.diagnosis.search.rivals import find_rivals
@@ -49,7 +50,7 @@ def misfit(columns, torque):
 def test_gain_is_the_fall_of_the_sum_of_squares():
     random, matrices, candidates = random_problem()
     torques = [random.normal(size=ROWS) for _ in range(2)]
-    screening = screen(candidates, Baseline.of(matrices, torques))
+    screening = screen(candidates, ModelFactor.of(matrices, torques).baseline())
     model, torque = np.concatenate(matrices), np.concatenate(torques)
     for group in range(6):
         both = np.column_stack([model, candidates.stacked(group)])
@@ -59,7 +60,7 @@ def test_gain_is_the_fall_of_the_sum_of_squares():
 def test_gain_given_added_groups_is_the_fall_of_the_sum_of_squares():
     random, matrices, candidates = random_problem(seed=4)
     torques = [random.normal(size=ROWS) for _ in range(2)]
-    baseline = with_groups(Baseline.of(matrices, torques), candidates, [1, 2])
+    baseline = with_groups(ModelFactor.of(matrices, torques).baseline(), candidates, [1, 2])
     assert baseline.rank == 3 + 2 * 2
     columns = [np.concatenate(matrices), candidates.stacked(1), candidates.stacked(2)]
     model, torque = np.column_stack(columns), np.concatenate(torques)
@@ -70,13 +71,26 @@ def test_gain_given_added_groups_is_the_fall_of_the_sum_of_squares():
     assert screening.rank[1] == screening.rank[2] == 0
 
 
+@pytest.mark.parametrize("selected", [[], [1], [2, 1], [0, 3, 4]])
+def test_gains_from_stored_inner_products_are_those_of_a_new_baseline(selected):
+    random, matrices, candidates = random_problem(seed=6)
+    candidates.joints[0].matrix[:, 4] = candidates.joints[0].matrix[:, 0]  # groups 0 and 4 overlap
+    torques = [random.normal(size=ROWS) for _ in range(2)]
+    baseline = ModelFactor.of(matrices, torques).baseline()
+    found = screening_module.SelectionState(candidates, baseline, OPTIONS).given(selected)
+    expected = screen(candidates, with_groups(baseline, candidates, selected))
+    np.testing.assert_allclose(found.gain, expected.gain, atol=1e-9)
+    np.testing.assert_allclose(found.remaining, expected.remaining, atol=1e-6)
+    np.testing.assert_array_equal(found.rank, expected.rank)
+
+
 def test_columns_in_the_span_of_the_model_are_absorbed():
     random, matrices, candidates = random_problem(groups=2)
     candidates.joints[0].matrix[:, 0] = matrices[0] @ [1.0, -2.0, 0.5]
     matrices[1][:] = 0.0  # otherwise the rows of the other joint separate the two columns
     torques = [random.normal(size=ROWS) for _ in range(2)]
     candidates.joints[0].matrix[:, 1] = candidates.joints[0].matrix[:, 0] * 2.0
-    screening = screen(candidates, Baseline.of(matrices, torques))
+    screening = screen(candidates, ModelFactor.of(matrices, torques).baseline())
     assert screening.remaining[0] < 1e-6
     assert screening.gain[0] == 0.0
     assert screening.remaining[1] > 0.9
@@ -88,22 +102,25 @@ def test_a_pair_is_selected_instead_of_a_proxy_of_both():
     # the third group of joint 1 is nearly the sum of the two that are there
     candidates.joints[0].matrix[:, 4] = first + second + 0.3 * random.normal(size=ROWS)
     torques = [first + second + 0.05 * random.normal(size=ROWS), 0.05 * random.normal(size=ROWS)]
-    baseline = Baseline.of(matrices, torques)
+    baseline = ModelFactor.of(matrices, torques).baseline()
     alone = screen(candidates, baseline).gain
     assert np.argmax(alone) == 4
-    assert set(best_set(candidates, baseline, Penalty(0.05, 0.0), OPTIONS)) == {0, 2}
+    state = screening_module.SelectionState(candidates, baseline, OPTIONS)
+    assert set(best_set(state, Penalty(0.05, 0.0), OPTIONS)) == {0, 2}
 
 
 def test_family_wise_p_values_are_uniform_under_the_null_hypothesis():
     random, matrices, candidates = random_problem(groups=30)
     family = HypothesisFamily.of(
-        screen(candidates, Baseline.of(matrices, [np.ones(ROWS)] * 2)), seed=1, draws=200
+        screen(candidates, ModelFactor.of(matrices, [np.ones(ROWS)] * 2).baseline()),
+        seed=1,
+        draws=200,
     )
     assert 15 < family.tests < 45
     small = 0
     for _ in range(300):
         torques = [random.normal(size=ROWS) for _ in range(2)]
-        screening = screen(candidates, Baseline.of(matrices, torques))
+        screening = screen(candidates, ModelFactor.of(matrices, torques).baseline())
         best = int(np.argmax(screening.gain))
         small += family.log10_p(screening.gain[best], 2) < np.log10(0.1)
     assert 15 <= small <= 47  # 30 of 300 expected; binomial, four deviations
@@ -124,20 +141,23 @@ def test_rivals_cannot_be_separated_from_the_selected_group():
     candidates.joints[0].matrix[:, 4:6] = true + 0.02 * random.normal(size=true.shape)
     torques = [true @ [0.2, 0.2] + random.normal(size=ROWS), random.normal(size=ROWS)]
     blocks = np.tile(np.arange(ROWS) // 10, 2)
-    found = find_rivals(
-        candidates, Baseline.of(matrices, torques), 0, excluded=[], blocks=blocks, options=OPTIONS
-    )
+    baseline = ModelFactor.of(matrices, torques).baseline()
+    state = screening_module.SelectionState(candidates, baseline, OPTIONS)
+    found = find_rivals(state, [], 0, excluded=[], blocks=blocks, options=OPTIONS)
     assert [(r.group, r.kind) for r in found] == [(2, "exact"), (4, "data")]
 
 
 def test_held_out_gain_of_noise_is_negative():
     random, matrices, candidates = random_problem(seed=7)
     torques = [random.normal(size=ROWS) for _ in range(2)]
-    baseline, folds = Baseline.of(matrices, torques), np.tile(np.arange(ROWS) // 30 % 5, 2)
+    baseline, folds = (
+        ModelFactor.of(matrices, torques).baseline(),
+        np.tile(np.arange(ROWS) // 30 % 5, 2),
+    )
     noise = [cross_validated_gain(candidates.stacked(g), baseline, folds) for g in range(6)]
     assert np.mean(noise) < 0.0
     torques[0] = torques[0] + candidates.joints[0].matrix[:, 0]
-    baseline = Baseline.of(matrices, torques)
+    baseline = ModelFactor.of(matrices, torques).baseline()
     assert cross_validated_gain(candidates.stacked(0), baseline, folds) > 200.0
 
 
@@ -184,6 +204,24 @@ def test_a_column_of_zeros_does_not_exclude_its_group():
         candidates.joints[0].matrix[:, 0] + random.normal(size=ROWS),
         random.normal(size=ROWS),
     ]
-    screening = screen(candidates, Baseline.of(matrices, torques))
+    screening = screen(candidates, ModelFactor.of(matrices, torques).baseline())
     assert screening.gain[0] > 100.0
     assert screening.rank[0] == 1
+
+
+@pytest.mark.parametrize("dependent", [False, True])
+@pytest.mark.parametrize("without", [[], [2], [0, 4]])
+def test_baselines_of_parts_of_a_model_are_those_of_their_own_columns(dependent, without):
+    random, matrices, candidates = random_problem(seed=5)
+    matrices = [np.column_stack([m, random.normal(size=(ROWS, 2))]) for m in matrices]
+    if dependent:
+        matrices = [np.column_stack([m, m[:, 0] + m[:, 2], np.zeros(ROWS)]) for m in matrices]
+    torques = [random.normal(size=ROWS) for _ in range(2)]
+    part = ModelFactor.of(matrices, torques).baseline(without)
+    own = ModelFactor.of([np.delete(m, without, axis=1) for m in matrices], torques).baseline()
+    assert part.rank == own.rank
+    np.testing.assert_allclose(part.residual, own.residual, atol=1e-12)
+    columns = candidates.stacked(1)
+    np.testing.assert_allclose(part.outside(columns), own.outside(columns), atol=1e-12)
+    found, expected = (screen(candidates, baseline).gain for baseline in (part, own))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)

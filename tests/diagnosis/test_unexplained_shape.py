@@ -1,6 +1,7 @@
 """Unexplained residual: its shape, a formula, and the code of a user-defined effect."""
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -15,7 +16,7 @@ from lieid_casadi.diagnosis.residual.function_dictionary import (
     Term,
 )
 from lieid_casadi.diagnosis.residual.symbolic_formula import Formula
-from lieid_casadi.diagnosis.residual.test_validation import TrainAndTest, confirms_formula
+from lieid_casadi.diagnosis.residual.test_results import TrainAndTest, with_test_results
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.effects.registry import REGISTER
@@ -213,7 +214,18 @@ def test_json_of_unexplained_parts(by_angle, with_bump):
     for diagnosis, *_ in (by_angle, with_bump):
         for part in diagnosis.to_dict()["unexplained"]:
             json.dumps(part, allow_nan=False)
-            assert {"joint", "fraction", "depends_on", "form", "shape"} == set(part)
+            assert {
+                "joint",
+                "fraction",
+                "depends_on",
+                "form",
+                "shape",
+                "confirmed",
+                "candidates",
+                "contained_in",
+                "carries_over",
+                "error_ratio",
+            } == set(part)
             assert part["joint"] == 2
             for shape in part["shape"]:
                 assert np.shape(shape["value"]) == tuple(len(g) for g in shape["grid"])
@@ -264,8 +276,63 @@ def test_the_test_confirms_a_formula_or_contradicts_it(by_angle):
         )
                         for r in (train, test, clean))  # fmt: skip
     noise = own.white_noise
-    assert confirms_formula(part.formula, part, TrainAndTest(own, same, noise))
-    assert not confirms_formula(part.formula, part, TrainAndTest(own, other, noise))
+    assert part.confirmed
+    for described in (part, replace(part, formula=None)):  # formula, smooth functions
+        results = [with_test_results([described], TrainAndTest(own, test, noise))[0].confirmed
+                   for test in (same, other)]  # fmt: skip
+        assert results == [True, False]
+
+
+def test_the_test_recordings_choose_neither_parts_nor_formulas(by_angle):
+    """A test without the effect contradicts the part, which is reported and changes nothing."""
+    diagnosis, train, _ = by_angle
+    against = lieid.diagnose(MODEL, train, run(plain_arm(), 2))
+    alone = lieid.diagnose(MODEL, train)
+    (part,) = diagnosis.unexplained
+    for other, confirmed in ((against, False), (alone, None)):
+        (same,) = other.unexplained
+        assert set(same.formula.terms) == set(part.formula.terms)
+        assert (same.joint, same.terms) == (part.joint, part.terms)
+        assert same.confirmed is confirmed
+
+
+@pytest.mark.parametrize(
+    ("joint", "torque"),
+    [
+        (1, lambda s: 0.05 * SIZE[1] * np.maximum(s.q[..., 0] - 0.1, 0.0) ** 2),
+        (0, lambda s: 0.1 * SIZE[0] * np.sin(s.q[..., 1] + 0.3) * s.sign[..., 0]),
+        (1, lambda s: 0.3 * SIZE[1] * np.exp(-(((s.q[..., 1] + 0.5) / 0.3) ** 2))),
+        (1, lambda s: 0.05 * SIZE[1] * s.dq[..., 0] * s.dq[..., 1]),
+    ],
+)
+def test_printed_code_reduces_the_error_of_an_unseen_recording(joint, torque):
+    arm = plain_arm().with_effects(plant.ForeignTorque(joint, torque))
+    train, unseen = run(arm, 1), run(arm, 4)
+    diagnosis = lieid.diagnose(MODEL, train)
+    own, _, after = with_user_effect(diagnosis, train, unseen)
+    assert own.labels[0].startswith(f"own_{joint + 1}")
+    before = lieid.compare(diagnosis.fit, unseen).rms[joint]
+    assert after[joint] < 0.7 * before
+    assert (after < 1.05 * lieid.compare(diagnosis.fit, unseen).rms).all()
+
+
+def test_code_that_does_not_hold_for_another_training_recording_is_not_printed():
+    pushed = plain_arm().with_effects(plant.ForeignTorque(1, bump))
+    diagnosis = lieid.diagnose(MODEL, [run(pushed, 1, "a"), run(plain_arm(), 4, "b")])
+    assert own_effects(diagnosis.unexplained).labels == ()
+
+
+def test_functions_of_time_are_not_suggested_as_effects():
+    hum = plain_arm().with_effects(
+        plant.ForeignTorque(1, lambda s: 0.2 * SIZE[1] * np.sin(0.7 * s.t) + 0.0 * s.q[..., 1])
+    )
+    diagnosis = lieid.diagnose(MODEL, run(hum, 1))
+    (part,) = diagnosis.unexplained
+    assert part.depends_on == ("t",)
+    assert part.to_dict()["carries_over"] is False
+    assert own_effects(diagnosis.unexplained).code == ""
+    assert "changes over the recording" in diagnosis.sentence
+    assert "@lieid.effect" not in diagnosis_report(diagnosis)
 
 
 def test_products_of_two_other_joints_are_a_comment_in_the_code():
@@ -282,3 +349,12 @@ def test_registered_names_are_not_used_again(by_angle):
         own = own_effects(by_angle[0].unexplained)
         assert own.labels == (f"{name}:2",)
         exec(compile(own.code, "own.py", "exec"), {})
+
+
+def test_a_torque_that_is_the_same_in_all_recordings_is_no_difference_between_them():
+    arm = plain_arm().with_effects(
+        plant.ForeignTorque(1, lambda s: 0.05 * SIZE[1] * np.maximum(s.q[..., 0] - 0.1, 0.0) ** 2)
+    )
+    diagnosis = lieid.diagnose(MODEL, [run(arm, 1, "a"), run(arm, 2, "b")])
+    assert diagnosis.steps == diagnosis.differing == ()
+    assert [(part.joint, part.depends_on) for part in diagnosis.unexplained] == [(1, ("q1",))]

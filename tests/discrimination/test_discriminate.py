@@ -12,6 +12,7 @@ from lieid_casadi.discrimination import discriminate
 from lieid_casadi.discrimination.independent_samples import correlation_sum
 from lieid_casadi.discrimination.separability import noncentrality_needed
 from lieid_casadi.errors import EffectError, NoSolution
+from lieid_casadi.excitation import Torque
 
 RIVALS = ("stribeck:1", "viscous_polynomial:1")
 EFFECTS = ["coulomb", "viscous", "offset"]
@@ -42,7 +43,10 @@ def fit(robot, train):
 
 @pytest.fixture(scope="module")
 def design(fit, train):
-    return discriminate(fit, RIVALS, recordings=[train], evaluations=900)
+    return discriminate(
+        fit, RIVALS, recordings=[train], evaluations=900, margin=1.0, limits=[Torque()],
+        start_pose=[0.0, 0.0],
+    )  # fmt: skip
 
 
 def separation(fit, sizes, q, dq, ddq):
@@ -268,7 +272,10 @@ def test_two_names_of_one_effect_have_no_solution(fit):
 
 def test_saved_files_hold_the_motion_and_the_answer(design, tmp_path):
     design.save(tmp_path / "out")
-    table = np.genfromtxt(tmp_path / "out" / "trajectory.csv", delimiter=",", names=True)
+    lines = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
+    comments = [line for line in lines if line.startswith("#")]
+    assert "# not checked: floor" in comments
+    table = np.genfromtxt(lines[len(comments) :], delimiter=",", names=True)
     motion = design.motion()
     assert np.allclose(table["q2"], motion.q[:, 1])
     content = json.loads((tmp_path / "out" / "discriminate.json").read_text())

@@ -35,6 +35,14 @@ def test_writes_the_trajectory_and_prints_its_duration(paths, tmp_path, capsys):
     shown = capsys.readouterr()
     content = json.loads(result.read_text())
     assert f"{content['seconds']:.4g} s of this motion" in shown.out
+    # within the default limits: the tool stays above the base plane
+    assert {"floor", "self-collision", "tool speed"}.isdisjoint(content["unchecked"])
+    assert "Not checked: " in shown.out
+    lines = (out / "trajectory.csv").read_text().splitlines()
+    assert any(line.startswith("# not checked: ") for line in lines)
+    table = np.genfromtxt([line for line in lines if line[0] != "#"], delimiter=",", names=True)
+    height = 0.5 * np.sin(table["q1"]) + 0.4 * np.sin(table["q1"] + table["q2"])
+    assert height.min() > 0.0
     assert shown.err == ""
     assert {p.name for p in out.iterdir()} == {
         "trajectory.csv", "discriminate.json", "discriminate.png", "lieid-manifest.json"

@@ -14,7 +14,7 @@ from lieid_casadi.diagnosis.screening.effect_columns import SegmentSignals
 
 Array = NDArray[np.float64]
 HARMONICS = 6
-SUPERSCRIPT = {1: "", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶"}
+SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 @dataclass(frozen=True)
@@ -172,8 +172,13 @@ def _functions(name: str, revolute: Sequence[bool], waves: bool) -> list[SignalF
 def _unit_text(powers: dict[str, int]) -> str:
     """Return ``N·m·s²/rad²`` of {N·m: 1, s: 2, rad: −2}."""
 
+    def raised(unit: str, power: int) -> str:
+        if power == 1:
+            return unit
+        return (f"({unit})" if "·" in unit else unit) + str(power).translate(SUPERSCRIPTS)
+
     def joined(parts: list[tuple[str, int]]) -> str:
-        return "·".join((f"({u})" if "·" in u and p > 1 else u) + SUPERSCRIPT[p] for u, p in parts)
+        return "·".join(raised(unit, power) for unit, power in parts)
 
     above = [(unit, power) for unit, power in powers.items() if power > 0]
     below = [(unit, -power) for unit, power in powers.items() if power < 0]

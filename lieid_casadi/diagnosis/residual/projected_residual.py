@@ -12,6 +12,7 @@ from scipy.stats import t as student
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
+from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_gain
 from lieid_casadi.diagnosis.screening.effect_columns import SegmentSignals
 from lieid_casadi.identification.uncertainty.noise_model import Noise, Runs
 
@@ -107,6 +108,10 @@ class ProjectedResidual:
         rows = np.zeros((self.baseline.rows, filtered.shape[1]))
         rows[self.baseline.joint(joint)] = self.noise[joint].whiten(filtered[runs.all], runs)
         return rows
+
+    def carries_over(self, columns: Array) -> bool:
+        """Whether columns (R, k) reduce the error on the parts that their fit leaves out."""
+        return cross_validated_gain(columns, self.baseline, self.folds) > 0.0
 
     def fit(self, columns: Array) -> ColumnEstimate:
         """Fit columns (R, k) to the residual in addition to the model (Frisch, Waugh, Lovell).

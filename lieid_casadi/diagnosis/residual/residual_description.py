@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from lieid_casadi.diagnosis.residual.projected_residual import ProjectedResidual
-from lieid_casadi.diagnosis.residual.shapes import smooth_shapes
+from lieid_casadi.diagnosis.residual.shapes import smooth_function, smooth_shapes
 from lieid_casadi.diagnosis.residual.symbolic_formula import find_formula
-from lieid_casadi.diagnosis.residual.test_validation import TrainAndTest, confirms_formula
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 
 
 def describe_parts(
-    parts: Sequence[Unexplained],
-    residual: ProjectedResidual,
-    recordings: TrainAndTest | None = None,
+    parts: Sequence[Unexplained], residual: ProjectedResidual
 ) -> tuple[Unexplained, ...]:
     """Return unexplained parts with their shapes, and with a formula where one is found.
 
@@ -24,13 +21,17 @@ def describe_parts(
     parts : sequence of Unexplained
     residual : ProjectedResidual
         Of the last model on the training recordings.
-    recordings : TrainAndTest, optional
-        With these, a formula that the test contradicts is left out.
     """
     described = []
     for part in parts:
-        formula = find_formula(part, residual)
-        if formula is not None and recordings is not None:
-            formula = formula if confirms_formula(formula, part, recordings) else None
-        described.append(replace(part, shapes=smooth_shapes(part, residual), formula=formula))
+        shapes, formula = smooth_shapes(part, residual), find_formula(part, residual)
+        works = formula is not None or _carries_over(part, residual)
+        described.append(replace(part, shapes=shapes, formula=formula, carries_over=works))
     return tuple(described)
+
+
+def _carries_over(part: Unexplained, residual: ProjectedResidual) -> bool:
+    """Whether the first smooth function of a part holds for data to which it is not fitted."""
+    if not part.terms or "t" in part.terms[0]:
+        return False
+    return residual.carries_over(smooth_function(part.joint, part.terms[0], residual))

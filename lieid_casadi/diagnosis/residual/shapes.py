@@ -103,6 +103,20 @@ def smooth_shapes(part: Unexplained, residual: ProjectedResidual) -> tuple[Smoot
     return tuple(shapes)
 
 
+def smooth_function(joint: int, names: tuple[str, ...], residual: ProjectedResidual) -> Array:
+    """Return the columns (R, k) of the smooth functions of one or two signals on a joint.
+
+    Parameters
+    ----------
+    joint : int
+        From 0.
+    names : tuple of str
+    residual : ProjectedResidual
+    """
+    ranges = signal_ranges(residual.signals)
+    return residual.columns(joint, [_functions(s, names, ranges) for s in residual.signals])
+
+
 def _shape(
     joint: int,
     names: tuple[str, ...],

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from lieid_casadi.diagnosis.residual.shapes import SmoothShape
 from lieid_casadi.diagnosis.residual.signal_names import split_name
-from lieid_casadi.diagnosis.screening.smooth_functions import is_friction_by_angle
+from lieid_casadi.diagnosis.screening.smooth_functions import (
+    ANGLE_WAVES,
+    FRICTION_WAVES,
+    SPEED_WAVES,
+    is_friction_by_angle,
+)
 
-ANGLE_WAVES, TIME_WAVES, POWERS = 8, 12, 5
+POWERS = 5
 FUNCTIONS_OF_PAIR = 4  # of each of two signals
+REACH = 1.05  # range of a signal in which a function varies, relative to that in training
 
 
 def smooth_lists(shape: SmoothShape, members: dict[str, str]) -> list[tuple[str, int]]:
@@ -27,28 +33,40 @@ def smooth_lists(shape: SmoothShape, members: dict[str, str]) -> list[tuple[str,
             members[name],
             float(grid[0]),
             float(grid[-1]),
-            pair and not (own and name == shape.signals[0]),
+            pair,
+            FRICTION_WAVES if own else FUNCTIONS_OF_PAIR if pair else ANGLE_WAVES,
         )
         for name, grid in zip(shape.signals, shape.grid, strict=True)
     ]
 
 
-def _list(name: str, member: str, low: float, high: float, pair: bool) -> tuple[str, int]:
+def _list(
+    name: str, member: str, low: float, high: float, pair: bool, waves: int
+) -> tuple[str, int]:
     kind, _ = split_name(name)
     middle, half = 0.5 * (low + high), max(0.5 * (high - low), 1e-9)
-    if kind in ("q", "t"):
-        count = FUNCTIONS_OF_PAIR if pair else ANGLE_WAVES if kind == "q" else TIME_WAVES
-        turn = f"{0.5 / half:.6g} * ca.pi * ({member} - {low:.6g})"
-        return f"[ca.cos(k * {turn}) for k in range(1, {count + 1})]", count
+    if kind == "q":
+        turn = f"{0.5 / half:.6g} * ca.pi * ({_limited(member, low, high)} - {low:.6g})"
+        return f"[ca.cos(k * {turn}) for k in range(1, {waves + 1})]", waves
     if kind == "dq":
-        sign, v = member.replace(".dq", ".sign"), member
+        reach = max(abs(low), abs(high))
+        sign, v = member.replace(".dq", ".sign"), _limited(member, -reach, reach)
         size = f"ca.fabs({v})"
         if pair:
             return f"[{sign}, {size}, {v}, {v} * {size}]", FUNCTIONS_OF_PAIR
-        near = f"{sign} * ca.exp(-(({v} / {0.1 * max(abs(low), abs(high)):.6g}) ** 2))"
-        return f"[{size}, {v} * {size}, {v} ** 3, {near}]", 4
+        near = f"{sign} * ca.exp(-(({v} / {0.1 * reach:.6g}) ** 2))"
+        wave = f"{sign} * ca.cos(k * ca.pi * {size} / {reach:.6g})"
+        peaks = f"[{wave} for k in range(1, {SPEED_WAVES + 1})]"
+        return f"[{size}, {v} * {size}, {v} ** 3, {near}, *{peaks}]", 4 + SPEED_WAVES
     count = FUNCTIONS_OF_PAIR if pair else 2 if kind == "temp" else POWERS
-    x = f"(({member} - {middle:.6g}) / {half:.6g})"
-    if kind != "temp":
-        x = f"ca.fmax(-1.2, ca.fmin(1.2, {x}))"
+    x = f"(({_limited(member, low, high)} - {middle:.6g}) / {half:.6g})"
     return f"[{x} ** k for k in range(1, {count + 1})]", count
+
+
+def _limited(member: str, low: float, high: float) -> str:
+    """Return a signal limited to its range in training and a little more.
+
+    Outside of it the function is constant: its slope there is not determined.
+    """
+    margin = (REACH - 1.0) * 0.5 * (high - low)
+    return f"ca.fmax({low - margin:.6g}, ca.fmin({high + margin:.6g}, {member}))"

@@ -1,25 +1,11 @@
-"""The explainable part of the residual, and which signals it depends on.
-
-Smooth functions of each signal, and of pairs of signals, are screened like candidates. Their
-gains are those on held-out blocks of time.
-"""
+"""The explainable part of one joint's residual, and which signals it depends on."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lieid_casadi.diagnosis.options import DiagnosisOptions
-from lieid_casadi.diagnosis.screening.baseline import Baseline
-from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
-from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_gain
-from lieid_casadi.diagnosis.screening.evidence import HypothesisFamily
-from lieid_casadi.diagnosis.screening.screen import screen
-from lieid_casadi.diagnosis.screening.smooth_functions import SmoothFunction
+from lieid_casadi.diagnosis.wording import join_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +14,40 @@ if TYPE_CHECKING:
     from lieid_casadi.diagnosis.residual.shapes import SmoothShape
     from lieid_casadi.diagnosis.residual.symbolic_formula import Formula
 
-SHORTLIST = 6  # groups whose held-out gain is computed, those with the largest gain
+
+@dataclass(frozen=True)
+class PartialCandidate:
+    """An effect that explains part of an unexplained part and is not in the model.
+
+    Attributes
+    ----------
+    label : str
+        As on the command line, ``stribeck:2``.
+    effect : str
+        Its name.
+    joints : tuple of int
+        From 0; target and source for couplings.
+    part : float
+        Of what the smooth functions explain, 0 to 1.
+    reason : str
+        Why it was not added to the model.
+    """
+
+    label: str
+    effect: str
+    joints: tuple[int, ...]
+    part: float
+    reason: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for JSON, joints from 1."""
+        return {
+            "effect": self.effect,
+            "joints": [j + 1 for j in self.joints],
+            "label": self.label,
+            "part": self.part,
+            "reason": self.reason,
+        }
 
 
 @dataclass(frozen=True)
@@ -42,13 +61,27 @@ class Unexplained:
     fraction : float
         Of the variance of the joint's residual, on held-out blocks of time.
     depends_on : tuple of str
-        At most three signals, those that explain most first.
+        At most three signals, those that explain most first. Empty if the error is far above
+        that of a complete model and no smooth function of the signals explains it.
     terms : tuple of tuple of str
         Signals of each smooth function, the one that explains most first.
     shapes : tuple of SmoothShape
         These functions, with confidence bands.
     formula : Formula or None
         A short formula that explains nearly as much.
+    confirmed : bool or None
+        Whether the formula, or the smooth functions where there is none, reduce the test error of
+        the joint; reported only. None without a test and for functions of time.
+    candidates : tuple of PartialCandidate
+        Effects that explain part of it, those that explain most first.
+    contained_in : str
+        Label of the library's effect whose formula contains it, or empty.
+    carries_over : bool
+        Whether the formula, or the first smooth function where there is none, reduces the error
+        of training data that was held out; never for a function of time.
+    ratio : float or None
+        If it depends on no signal: the joint's error relative to the noise floor or, where a fit
+        is kept, to the error that is expected of it.
     """
 
     joint: int
@@ -57,6 +90,22 @@ class Unexplained:
     terms: tuple[tuple[str, ...], ...] = ()
     shapes: tuple[SmoothShape, ...] = field(default=(), repr=False)
     formula: Formula | None = field(default=None, repr=False)
+    confirmed: bool | None = None
+    candidates: tuple[PartialCandidate, ...] = ()
+    contained_in: str = ""
+    carries_over: bool = True
+    ratio: float | None = None
+
+    @property
+    def relation(self) -> str:
+        """What the error of the joint follows, as the end of a sentence that begins with it."""
+        part = f"{100 * self.fraction:.0f} % of the variance of the residual"
+        if not self.depends_on:
+            limit = f"{self.ratio:.2g} times that of a complete model" if self.ratio else "large"
+            return f"the error is {limit} and follows no measured signal"
+        if self.depends_on == ("t",):
+            return f"{part} changes over the recording and follows no other signal"
+        return f"{part} depends on {join_words(self.depends_on)}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for JSON, joints from 1."""
@@ -65,6 +114,11 @@ class Unexplained:
             "fraction": self.fraction,
             "depends_on": list(self.depends_on),
             "form": None if self.formula is None else self.formula.to_dict(),
+            "confirmed": self.confirmed,
+            "contained_in": self.contained_in or None,
+            "carries_over": self.carries_over,
+            "error_ratio": self.ratio,
+            "candidates": [candidate.to_dict() for candidate in self.candidates],
             "shape": [shape.to_dict() for shape in self.shapes],
         }
 
@@ -82,109 +136,3 @@ class Unexplained:
         from lieid_casadi.diagnosis.residual.shape_plots import plot_shapes
 
         return plot_shapes([self], ax)
-
-
-@dataclass(frozen=True, eq=False)
-class SmoothScreen:
-    """Smooth functions and a baseline, whitened in the same way.
-
-    Attributes
-    ----------
-    functions : CandidateColumns
-    baseline : Baseline
-    """
-
-    functions: CandidateColumns[SmoothFunction]
-    baseline: Baseline
-
-
-def find_unexplained(
-    plain: SmoothScreen,
-    coloured: SmoothScreen,
-    folds: NDArray[np.intp],
-    *,
-    options: DiagnosisOptions,
-    seed: int,
-) -> tuple[Unexplained, ...]:
-    """Return the joints whose residual depends on signals, those with the largest gain first.
-
-    Parameters
-    ----------
-    plain : SmoothScreen
-        On rows divided by the noise's standard deviation, where fractions of the variance are
-        measured.
-    coloured : SmoothScreen
-        On rows whitened by the autoregressive noise, for the p-values.
-    folds : (R,) int
-        Fold of each plain row.
-    options : DiagnosisOptions
-    seed : int
-        Of the bootstrap.
-    """
-    screening = screen(coloured.functions, coloured.baseline, options)
-    if not len(screening.gain):
-        return ()
-    family = HypothesisFamily.of(screening, seed=seed, draws=options.bootstrap_draws)
-    found = []
-    for joint in range(len(plain.baseline.ends) - 1):
-        own = [g for g, c in enumerate(plain.functions.owners) if c.joint == joint]
-        variance = float(np.sum(plain.baseline.residual[plain.baseline.joint(joint)] ** 2))
-        spread = np.mean(coloured.baseline.residual[coloured.baseline.joint(joint)] ** 2)
-        significant = [
-            g
-            for g in own
-            if family.log10_p(screening.gain[g] / max(spread, 1.0), int(screening.rank[g]))
-            < np.log10(options.residual_significance)
-        ]
-        names, terms, gain = _strongest(plain, significant, folds, variance, options)
-        fraction = gain / variance if variance > 0.0 else 0.0
-        if names and fraction >= _least_part(names, options):
-            part = Unexplained(joint, min(fraction, 1.0), names, terms)
-            found.append((fraction * variance, part))
-    return tuple(u for _, u in sorted(found, key=lambda pair: -pair[0]))
-
-
-def _least_part(names: Sequence[str], options: DiagnosisOptions) -> float:
-    if names[0] == "t":
-        return options.least_residual_part_of_time
-    return options.least_residual_part
-
-
-def _strongest(
-    plain: SmoothScreen,
-    groups: Sequence[int],
-    folds: NDArray[np.intp],
-    variance: float,
-    options: DiagnosisOptions,
-) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], float]:
-    """Add the group with the largest held-out gain until a further one adds little.
-
-    Returns
-    -------
-    signals : tuple of str
-    terms : tuple of tuple of str
-    gain : float
-        Held-out gain of all that was added.
-    """
-    functions, baseline = plain.functions, plain.baseline
-    names: list[str] = []
-    terms: list[tuple[str, ...]] = []
-    total = 0.0
-    while len(names) < options.most_signals:
-        gain = screen(functions, baseline, options).gain
-        best = sorted(groups, key=lambda g: -gain[g])[:SHORTLIST]
-        gains = [cross_validated_gain(functions.stacked(g), baseline, folds) for g in best]
-        least = max(
-            0.5 * options.least_residual_part * variance, options.least_further_part * total
-        )
-        if not gains or max(gains) < least:
-            break
-        winner = best[int(np.argmax(gains))]
-        signals = functions.owner(winner).signals
-        fresh = [s for s in signals if s not in names]
-        names += fresh[: options.most_signals - len(names)]
-        terms.append(signals)
-        total += max(gains)
-        baseline = baseline.with_columns(functions.stacked(winner))
-        groups = [g for g in groups if g != winner]
-    return tuple(names), tuple(terms), total

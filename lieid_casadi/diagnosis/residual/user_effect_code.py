@@ -39,13 +39,16 @@ def own_effects(parts: Sequence[Unexplained]) -> OwnEffects:
     """Return unexplained parts as user-defined effects with free coefficients.
 
     A formula gives one effect for each joint whose signals it depends on; without a formula the
-    first smooth function is used. Products of signals of two other joints cannot be written as
-    an effect on one joint; a comment in the code lists them.
+    first smooth function is used. Parts that would not hold for another recording, and parts that
+    an effect of the library contains, are left out. Products of signals of two other joints
+    cannot be written as an effect on one joint; a comment in the code lists them.
     """
     blocks: list[str] = []
     notes: list[str] = []
     labels: list[str] = []
     for part in parts:
+        if part.contained_in or not part.carries_over:
+            continue
         by_source, beyond = _by_source(part)
         notes += [
             f"# joint {part.joint + 1}, {text}: depends on two other joints, "

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
-from lieid_casadi.diagnosis.options import ABSORBED, RANK_TOLERANCE
+from lieid_casadi.diagnosis.options import ABSORBED
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 
 Array = NDArray[np.float64]
@@ -25,9 +25,11 @@ class Baseline:
     Attributes
     ----------
     model : (R, p)
-        Orthonormal basis of the model's columns.
+        Orthonormal basis of the columns of the model, or of a larger one.
+    left_out : (p, s)
+        Orthonormal directions of that basis that the model does not span.
     added : (R, a)
-        Orthonormal basis of the columns added to it, orthogonal to ``model``.
+        Orthonormal basis of the columns added to the model, orthogonal to its span.
     residual : (R,)
         Whitened torque minus its projection onto both.
     ends : (n + 1,) int
@@ -35,30 +37,16 @@ class Baseline:
     """
 
     model: Array
+    left_out: Array
     added: Array
     residual: Array
     ends: NDArray[np.intp]
 
-    @classmethod
-    def of(cls, matrices: Sequence[Array], torques: Sequence[Array]) -> Baseline:
-        """Return the baseline of whitened columns and torques.
-
-        Parameters
-        ----------
-        matrices : sequence of (R_j, p)
-            Columns of the model on the rows of each joint; rows of a prior may come last.
-        torques : sequence of (R_j,)
-        """
-        matrix = np.concatenate(matrices)
-        scale = np.linalg.norm(matrix, axis=0)
-        scale[scale == 0.0] = 1.0
-        basis, triangle, _ = qr(matrix / scale, mode="economic", pivoting=True)
-        sizes = np.abs(np.diag(triangle))
-        basis = basis[:, sizes > RANK_TOLERANCE * sizes.max(initial=1e-300)]
-        torque = np.concatenate(torques)
-        ends = np.concatenate([[0], np.cumsum([len(t) for t in torques])]).astype(np.intp)
-        residual = torque - basis @ (basis.T @ torque)
-        return cls(basis, np.zeros((len(torque), 0)), residual, ends)
+    @cached_property
+    def axes(self) -> Array:
+        """Orthonormal directions (p, p − s) of ``model`` that the model spans."""
+        every, _ = np.linalg.qr(self.left_out, mode="complete")
+        return np.asarray(every[:, self.left_out.shape[1] :])
 
     @property
     def rows(self) -> int:
@@ -76,11 +64,12 @@ class Baseline:
     @property
     def rank(self) -> int:
         """Dimension of the span."""
-        return int(self.model.shape[1] + self.added.shape[1])
+        return int(self.model.shape[1] - self.left_out.shape[1] + self.added.shape[1])
 
     def project_out(self, columns: Array) -> Array:
         """Return columns (R, k) minus their projection onto the span."""
-        rest = columns - self.model @ (self.model.T @ columns)
+        along = self.model.T @ columns
+        rest = columns - self.model @ (along - self.left_out @ (self.left_out.T @ along))
         if self.added.shape[1]:
             rest = rest - self.added @ (self.added.T @ columns)
         return np.asarray(rest)
@@ -91,13 +80,42 @@ class Baseline:
 
     def with_columns(self, columns: Array) -> Baseline:
         """Return the baseline of a model with further columns (…, k)."""
+        return self.with_part(self.part(columns))
+
+    def part(self, columns: Array) -> Array:
+        """Return the part of further columns (…, k), at unit length, outside the span (R, k)."""
         columns = self.padded(columns)
         norms = np.linalg.norm(columns, axis=0)
-        rest = self.outside(columns) / np.where(norms > 0, norms, 1.0)
-        u, sizes, _ = np.linalg.svd(rest, full_matrices=False)
+        return self.outside(columns) / np.where(norms > 0, norms, 1.0)
+
+    def with_part(self, part: Array) -> Baseline:
+        """Return the baseline with further columns, given their part (R, k) outside the model.
+
+        It is `part` of this baseline or of one to which fewer columns were added.
+        """
+        if self.added.shape[1]:
+            for _ in range(2):  # against rounding
+                part = part - self.added @ (self.added.T @ part)
+        u, sizes, _ = np.linalg.svd(part, full_matrices=False)
         new = u[:, sizes > ABSORBED]
         residual = self.residual - new @ (new.T @ self.residual)
-        return Baseline(self.model, np.hstack([self.added, new]), residual, self.ends)
+        return replace(self, added=np.hstack([self.added, new]), residual=residual)
+
+    def dispersion(self, columns: Array, n: int) -> float:
+        """Return the mean square of the residual after columns (…, k) are fitted, at least 1.
+
+        Each of the n joints counts by its part of the torque that the columns explain, so that a
+        noisy joint does not change the evidence for an effect on another one.
+        """
+        rest = self.outside(self.padded(columns))
+        explained = rest @ np.linalg.lstsq(rest, self.residual, rcond=ABSORBED)[0]
+        after = self.residual - explained
+        freedom = max(1.0 - (self.rank + rest.shape[1]) / self.rows, 1.0 / self.rows)
+        joints = [self.joint(j) for j in range(n)]
+        weights = np.array([np.sum(explained[rows] ** 2) for rows in joints])
+        sizes = np.array([np.sum(after[rows] ** 2) / max(len(after[rows]), 1) for rows in joints])
+        total = float(weights.sum())
+        return float(weights @ np.maximum(sizes / freedom, 1.0)) / total if total > 0.0 else 1.0
 
     def coefficients(self, columns: Array, *, least: float) -> Array:
         """Return the coefficients (k,) of further columns (…, k) fitted in addition to the model.

@@ -99,15 +99,20 @@ class CandidateColumns(Generic[T]):
         width = int(self.size.max(initial=1))
         inner = np.zeros((width, self.count))
         for own in self.joints:
-            for offset in range(min(width, own.matrix.shape[1])):
-                count = own.matrix.shape[1] - offset
-                product = np.einsum("rc,rc->c", own.matrix[:, :count], own.matrix[:, offset:])
-                neighbours = own.columns[offset:] - own.columns[:count] == offset
-                inner[offset, own.columns[:count][neighbours]] += product[neighbours]
+            inner[0, own.columns] += np.einsum("rc,rc->c", own.matrix, own.matrix)
+        for start, size in zip(self.start, self.size, strict=True):
+            if size == 1:
+                continue
+            row, column = np.triu_indices(size, 1)
+            for own in self.joints:
+                at = int(np.searchsorted(own.columns, start))
+                if at < len(own.columns) and own.columns[at] == start:
+                    group = own.matrix[:, at : at + size]
+                    inner[column - row, start + row] += (group.T @ group)[row, column]
         return inner
 
-    def inner_in_span(self, basis: Array, ends: Indices) -> Array:
-        """Return inner products within groups (k, m) of the projections onto a span.
+    def along(self, basis: Array, ends: Indices) -> Array:
+        """Return the coordinates (p, m) of the projections of all columns onto a span.
 
         Parameters
         ----------
@@ -119,23 +124,26 @@ class CandidateColumns(Generic[T]):
         projected = np.zeros((basis.shape[1], self.count))
         for j, own in enumerate(self.joints):
             projected[:, own.columns] += basis[ends[j] : ends[j + 1]].T @ own.matrix
+        return projected
+
+    def along_model(self, basis: Array, ends: Indices) -> tuple[Array, Array]:
+        """Return `along` of a model's basis, and `inner_along` of that; the last result is kept."""
+        if not self._model_spans or self._model_spans[0][0] is not basis:
+            along = self.along(basis, ends)
+            self._model_spans[:] = [(basis, along, self.inner_along(along))]
+        return self._model_spans[0][1:]
+
+    @cached_property
+    def _model_spans(self) -> list[tuple[Array, Array, Array]]:
+        return []
+
+    def inner_along(self, along: Array) -> Array:
+        """Return inner products within groups (k, m), as `inner`, of coordinates (p, m)."""
         inner = np.zeros_like(self.inner)
         for offset in range(len(inner)):
             count = self.count - offset
-            inner[offset, :count] = np.einsum(
-                "pc,pc->c", projected[:, :count], projected[:, offset:]
-            )
+            inner[offset, :count] = np.einsum("pc,pc->c", along[:, :count], along[:, offset:])
         return inner
-
-    def inner_in_model(self, basis: Array, ends: Indices) -> Array:
-        """Return `inner_in_span` of a model's basis; the last result is kept."""
-        if not self._model_spans or self._model_spans[0][0] is not basis:
-            self._model_spans[:] = [(basis, self.inner_in_span(basis, ends))]
-        return self._model_spans[0][1]
-
-    @cached_property
-    def _model_spans(self) -> list[tuple[Array, Array]]:
-        return []
 
     @cached_property
     def lower_bounds(self) -> Array:

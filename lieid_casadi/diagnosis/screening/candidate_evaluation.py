@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +15,52 @@ from lieid_casadi.diagnosis.screening.effect_columns import (
     SegmentSignals,
     columns_along,
 )
-from lieid_casadi.effects import ArmEffect
+from lieid_casadi.diagnosis.screening.smooth_functions import SmoothColumns
+from lieid_casadi.effects import ArmEffect, Effect
+from lieid_casadi.identification.regression.motion_columns import FilteredColumns
 from lieid_casadi.identification.uncertainty.noise_model import Runs
 
 Array = NDArray[np.float64]
-#: Columns by `Candidate.key`, then by joint.
-ColumnCache = dict[str, dict[int, Array]]
+#: Columns (N_j, c) by joint, of one candidate at one grid point.
+PointColumns = dict[int, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnStore:
+    """Columns that were evaluated, by label and grid point, so that none is evaluated twice.
+
+    Attributes
+    ----------
+    lasting : dict
+        Columns that depend on the measured signals alone, shared by all fits on the same runs.
+    of_fit : dict
+        Columns that depend on the fit.
+    smooth : SmoothColumns
+        Smooth functions of the measured signals.
+    motion : sequence of FilteredColumns, optional
+        Of each segment: columns of models, see `Design`.
+    """
+
+    lasting: dict[str, PointColumns] = field(default_factory=dict)
+    of_fit: dict[str, PointColumns] = field(default_factory=dict)
+    smooth: SmoothColumns = field(default_factory=dict)
+    motion: Sequence[FilteredColumns] | None = None
+
+    def for_another_fit(self) -> ColumnStore:
+        """Return the store without the columns that depend on the fit."""
+        return ColumnStore(self.lasting, smooth=self.smooth, motion=self.motion)
+
+    def of(self, effect: Effect) -> dict[str, PointColumns]:
+        """Return the part in which an effect's columns are kept."""
+        depends = isinstance(effect, ArmEffect) or "load" in effect.signals
+        return self.of_fit if depends else self.lasting
 
 
 def evaluate_candidates(
     wanted: Sequence[Candidate],
     signals: Sequence[SegmentSignals],
     runs: Sequence[Runs],
-    cache: ColumnCache | None = None,
+    store: ColumnStore,
 ) -> CandidateColumns[Candidate]:
     """Evaluate and filter the columns of all candidates, on the runs of each joint.
 
@@ -37,79 +71,94 @@ def evaluate_candidates(
         One per segment.
     runs : sequence of Runs
         One per joint.
-    cache : dict, optional
-        Columns that do not depend on the fit; pass it again with the same runs.
+    store : ColumnStore
+        Grid points that are in it are not evaluated again; the others are added.
 
     Returns
     -------
     CandidateColumns
         Not whitened.
     """
-    cache = {} if cache is None else cache
     owner: list[int] = []
     point: list[int] = []
     size: list[int] = []
     on_joint: list[list[tuple[int, Array]]] = [[] for _ in runs]
     first = 0
-    for members in _by_effect(wanted):
-        effect, grid = wanted[members[0]].effect, wanted[members[0]].grid
-        fresh = [wanted[k] for k in members if wanted[k].key not in cache]
-        along_arm = isinstance(effect, ArmEffect)
-        evaluate = _arm_effect_columns if along_arm else _joint_effect_columns
-        values = evaluate(fresh, signals, runs)
-        for k in members:
-            columns = cache[wanted[k].key] if wanted[k].key in cache else values[wanted[k].key]
-            if "load" not in effect.signals and not along_arm:
-                cache[wanted[k].key] = columns
+    _evaluate_missing(wanted, signals, runs, store)
+    for k, candidate in enumerate(wanted):
+        found = store.of(candidate.effect)
+        for number, row in enumerate(candidate.grid):
+            columns = found[_key(candidate, row)]
             for joint, matrix in columns.items():
                 on_joint[joint].append((first, matrix))
-            total = next(iter(columns.values())).shape[1]
-            owner += [k] * len(grid)
-            point += range(len(grid))
-            size += [total // len(grid)] * len(grid)
-            first += total
+            width = len(candidate.effect.coefficients)
+            owner.append(k)
+            point.append(number)
+            size.append(width)
+            first += width
     return assemble_columns(wanted, owner, point, size, on_joint, runs)
+
+
+def _key(candidate: Candidate, row: Array) -> str:
+    return f"{candidate.placement.label} {row.tobytes().hex()}"
+
+
+def _evaluate_missing(
+    wanted: Sequence[Candidate],
+    signals: Sequence[SegmentSignals],
+    runs: Sequence[Runs],
+    store: ColumnStore,
+) -> None:
+    """Evaluate the grid points that are not in the store, those of one effect together."""
+    together: dict[str, list[Candidate]] = {}
+    for candidate in wanted:
+        found = store.of(candidate.effect)
+        missing = [row for row in candidate.grid if _key(candidate, row) not in found]
+        if missing:
+            new = replace(candidate, grid=np.array(missing))
+            together.setdefault(f"{new.effect.label} {new.grid.tobytes().hex()}", []).append(new)
+    for group in together.values():
+        effect, grid = group[0].effect, group[0].grid
+        evaluate = _arm_effect_columns if isinstance(effect, ArmEffect) else _joint_effect_columns
+        for candidate, columns in zip(group, evaluate(group, signals, runs), strict=True):
+            for k, row in enumerate(grid):
+                width = len(effect.coefficients)
+                store.of(effect)[_key(candidate, row)] = {
+                    j: matrix[:, k * width : (k + 1) * width] for j, matrix in columns.items()
+                }
 
 
 def _joint_effect_columns(
     group: Sequence[Candidate], signals: Sequence[SegmentSignals], runs: Sequence[Runs]
-) -> ColumnCache:
-    """Return the columns (N_j, G·c) of the candidates of one effect, by key and joint."""
-    if not group:
-        return {}
+) -> list[PointColumns]:
+    """Return the columns (N_j, G·c) of the candidates of one effect by joint."""
     function, places = EffectFunction(group[0].effect), [c.placement for c in group]
     values = np.concatenate([columns_along(function, s, places, group[0].grid) for s in signals])
-    return {
-        c.key: {c.joint: values[runs[c.joint].all, k].reshape(runs[c.joint].count, -1)}
+    return [
+        {c.joint: values[runs[c.joint].all, k].reshape(runs[c.joint].count, -1)}
         for k, c in enumerate(group)
-    }
+    ]
 
 
 def _arm_effect_columns(
     group: Sequence[Candidate], signals: Sequence[SegmentSignals], runs: Sequence[Runs]
-) -> ColumnCache:
+) -> list[PointColumns]:
     """Return the columns of effects that are computed along a whole segment."""
-    found: ColumnCache = {}
+    found = []
     for c in group:
         assert isinstance(c.effect, ArmEffect)
+        grid = c.grid
+        if c.effect.shapes:
+            grid = np.hstack([np.zeros((len(grid), len(c.effect.coefficients))), grid])
+        own = [c.joint] if c.effect.reach == "joint" else list(range(len(runs)))
         parts = [
             s.segment.filter(
                 np.concatenate(
-                    [c.effect.segment_columns(s.arm, c.joint, x) for x in c.grid], axis=2
+                    [c.effect.segment_columns(s.arm, c.joint, x)[:, own] for x in grid], axis=2
                 )
             )
             for s in signals
         ]
         values = np.concatenate(parts)
-        joints = [c.joint] if c.effect.reach == "joint" else range(values.shape[1])
-        found[c.key] = {j: values[runs[j].all, j] for j in joints}
+        found.append({j: values[runs[j].all, k] for k, j in enumerate(own)})
     return found
-
-
-def _by_effect(wanted: Sequence[Candidate]) -> list[list[int]]:
-    """Return the indices of candidates of the same effect with the same grid, together."""
-    groups: dict[str, list[int]] = {}
-    for k, candidate in enumerate(wanted):
-        key = candidate.effect.label + candidate.grid.tobytes().hex()
-        groups.setdefault(key, []).append(k)
-    return list(groups.values())

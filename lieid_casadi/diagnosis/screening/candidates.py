@@ -9,15 +9,20 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.diagnosis.events.standstill import moves_enough
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.incremental_effect import incremental
 from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
 from lieid_casadi.effects.registry import REGISTER, make
+from lieid_casadi.identification.regression.shape_fit import command_error_range
 from lieid_casadi.identification.regression.shape_range import ShapeRange
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
+from lieid_casadi.recording.torque_source import is_torque_of_laws
+from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
+LEAST_TEMPERATURE_RANGE = 0.5  # °C, of a joint: less is the resolution of a sensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,16 +34,11 @@ class Candidate:
     placement : Placement
     grid : (G, s)
         Values of the shape parameters to try, (1, 0) without any. For effects computed along a
-        whole segment, coefficients at which their columns are evaluated.
+        whole segment without shape parameters, coefficients at which their columns are evaluated.
     """
 
     placement: Placement
     grid: Array
-
-    @property
-    def key(self) -> str:
-        """Label and grid: what its columns depend on besides the fit."""
-        return f"{self.placement.label}{self.grid.tobytes().hex()}"
 
     def refined(self, points: Sequence[int], positions: Sequence[float]) -> Candidate:
         """Return the candidate with further grid points around some of its points.
@@ -133,12 +133,17 @@ def list_candidates(
         Whether the model is not fitted again, so that effects of the model are candidates too,
         as changes.
     """
+    commanded = follows_commands(model.robot, segments)
     have = set() if model_fixed else {p.label for p in model.placements}
-    moves = np.any([s.moving.any(axis=0) for s in segments], axis=0)
-    found = []
+    moves = moves_enough(model.robot, segments, options.least_motion)
+    found: list[Candidate] = []
+    if not moves.any():
+        return ()
     for label in REGISTER:
         effect = make(label)
-        if effect.option or not effect.candidate or not _has_signals(effect, segments):
+        if effect.option and not effect.whole_arm:  # of variants, only those of the whole arm
+            continue
+        if not effect.candidate or not _has_signals(effect, segments, commanded=commanded):
             continue
         if model_fixed:
             effect = incremental(effect, [p.effect.name for p in model.placements])
@@ -169,9 +174,9 @@ def shape_grid(
     Returns
     -------
     (G, s) array
-        For effects computed along a whole segment, coefficients (G, c).
+        For effects computed along a whole segment without shape parameters, coefficients (G, c).
     """
-    if isinstance(effect, ArmEffect):
+    if isinstance(effect, ArmEffect) and not effect.shapes:
         return np.array([(0.0,) * len(effect.coefficients), *effect.trial_values])
     if not effect.shapes:
         return np.zeros((1, 0))
@@ -211,16 +216,45 @@ def shape_limits(
         top = max(float(np.percentile(np.abs(s.dq[:, joint]), 99.0)) for s in segments)
         low = options.least_velocity_scale * max(float(s.dead_zone[joint]) for s in segments)
         high = options.largest_velocity_scale * top
+    elif shape.resolved_by == "command_error":
+        low, high = command_error_range(segments, joint)
     else:
         return shape.lower, shape.upper
     low = min(max(low, shape.lower), 0.5 * shape.upper)
     return low, min(max(high, 2.0 * low), shape.upper)
 
 
-def _has_signals(effect: Effect, segments: Sequence[Processed]) -> bool:
-    if "temperature" not in effect.signals:
-        return True
-    return all(segment.temperature is not None for segment in segments)
+def _has_signals(effect: Effect, segments: Sequence[Processed], *, commanded: bool) -> bool:
+    """Return whether the recordings have what an effect acts on.
+
+    Parameters
+    ----------
+    effect : Effect
+    segments : sequence of Processed
+    commanded : bool
+        Whether their torque is that of a control law: effects of such drives act then, and none of
+        a torque signal.
+    """
+    if effect.commanded or effect.on_torque_signal:
+        return commanded != effect.on_torque_signal
+    measured = all(segment.temperature is not None for segment in segments)
+    if effect.unless_measured == "temperature":
+        return not (measured and _temperature_range(segments) > LEAST_TEMPERATURE_RANGE)
+    return "temperature" not in effect.signals or measured
+
+
+def _temperature_range(segments: Sequence[Processed]) -> float:
+    """Return the largest range of a joint's temperature in the recordings, °C."""
+    values = [s.temperature for s in segments if s.temperature is not None]
+    return float(np.ptp(np.concatenate(values), axis=0).max())
+
+
+def follows_commands(robot: Robot, segments: Sequence[Processed]) -> bool:
+    """Return whether the torque of the recordings is that of the robot's control laws."""
+    drives = robot.drives
+    if drives is None:
+        return False
+    return all(is_torque_of_laws(segment.recording, drives) for segment in segments)
 
 
 def _placements(effect: Effect, n: int) -> list[Placement]:

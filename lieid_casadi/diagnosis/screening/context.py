@@ -13,22 +13,35 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.candidate_evaluation import (
-    ColumnCache,
+    ColumnStore,
     evaluate_candidates,
 )
 from lieid_casadi.diagnosis.screening.candidates import Candidate, list_candidates
 from lieid_casadi.diagnosis.screening.cross_validation import time_blocks
 from lieid_casadi.diagnosis.screening.effect_columns import SegmentSignals, scanned_grid
+from lieid_casadi.diagnosis.screening.held_out import HeldOutRows, redundancy_of
+from lieid_casadi.diagnosis.screening.held_out_parts import block_parts, recording_parts
+from lieid_casadi.diagnosis.screening.model_factor import ModelFactor
 from lieid_casadi.diagnosis.screening.smooth_functions import SmoothFunction, smooth_candidates
 from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.design_matrix import Design, Rows
 from lieid_casadi.identification.regression.friction_uncertainty import friction_torque_std
+from lieid_casadi.identification.regression.motion_columns import FilteredColumns
 from lieid_casadi.identification.regression.shape_fit import shape_columns
-from lieid_casadi.identification.uncertainty.noise_model import Noise, Runs, runs_of, spread_of
+from lieid_casadi.identification.uncertainty.noise_model import (
+    RATE_OVER_CUTOFF,
+    Noise,
+    Runs,
+    runs_of,
+    spread_of,
+)
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
+#: Longest gap between held-out data and the rest, relative to the length of a block.
+LARGEST_GAP = 0.25
+FACTORS = 3  # factorisations that are kept, each of one noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +64,14 @@ class ScreeningContext:
     signals : tuple of SegmentSignals
         One per segment.
     candidates : CandidateColumns
-    cache : dict
-        Columns that other fits on the same segments share.
+    store : ColumnStore
+        Of the candidates' columns.
     scanned : int
         Grid points tried by scans that are not among the candidates.
     options : DiagnosisOptions
+    apart : tuple of (N_j, a)
+        Of each joint: columns of what differs between the recordings; the last of
+        ``model_columns``. Empty if there are none.
     """
 
     fit: Fit
@@ -66,9 +82,10 @@ class ScreeningContext:
     residual: tuple[Array, ...]
     signals: tuple[SegmentSignals, ...]
     candidates: CandidateColumns[Candidate]
-    cache: ColumnCache
+    store: ColumnStore
     scanned: int
     options: DiagnosisOptions
+    apart: tuple[Array, ...] = ()
 
     @classmethod
     def of(
@@ -80,6 +97,7 @@ class ScreeningContext:
         previous: ScreeningContext | None = None,
         model_fixed: bool = False,
         with_candidates: bool = True,
+        known: Sequence[FilteredColumns] | None = None,
     ) -> ScreeningContext:
         """Evaluate the columns of the model and of all candidates.
 
@@ -90,16 +108,18 @@ class ScreeningContext:
         options : DiagnosisOptions
         previous : ScreeningContext, optional
             Of another fit on the same segments. Its rows are kept, so that the two can be
-            compared, and its columns where they do not depend on the fit.
+            compared, its columns where they do not depend on the fit, and those set apart.
         model_fixed : bool
             Whether the model is not fitted again, so that changes of its own effects are
             candidates too.
         with_candidates : bool
             False leaves the candidates out.
+        known : sequence of FilteredColumns, optional
+            Of each segment, see `Design`; those of ``previous`` if it is given.
         """
-        rows, matrices = _model_rows(fit, segments)
+        store = ColumnStore(motion=known) if previous is None else previous.store.for_another_fit()
+        rows, matrices = _model_rows(fit, segments, store.motion)
         runs = _runs(fit, rows, segments) if previous is None else previous.runs
-        cache: ColumnCache = {} if previous is None else previous.cache
         torque = [joint.torque for joint in rows.joints]
         model_columns, torques, residuals = (
             _on_runs(rows, runs, values)
@@ -120,7 +140,7 @@ class ScreeningContext:
             wanted = list_candidates(
                 fit.model, segments, scan, options=options, model_fixed=model_fixed
             )
-        return cls(
+        found = cls(
             fit,
             tuple(segments),
             runs,
@@ -128,11 +148,18 @@ class ScreeningContext:
             torques,
             residuals,
             tuple(signals),
-            evaluate_candidates(wanted, signals, runs, cache),
-            cache,
+            evaluate_candidates(wanted, signals, runs, store),
+            store,
             scanned,
             options,
         )
+        return found.with_apart(previous.apart) if previous and previous.apart else found
+
+    def with_apart(self, columns: Sequence[Array]) -> ScreeningContext:
+        """Return the context with columns (N_j, a) of each joint beside those of the model."""
+        together = zip(self.model_columns, columns, strict=True)
+        model_columns = tuple(np.hstack(both) for both in together)
+        return replace(self, model_columns=model_columns, apart=tuple(columns))
 
     def with_grids(self, grids: Mapping[int, Array]) -> ScreeningContext:
         """Return the context with other grids (G, s) of some candidates, given by index."""
@@ -140,13 +167,13 @@ class ScreeningContext:
             replace(c, grid=grids[k]) if k in grids else c
             for k, c in enumerate(self.candidates.owners)
         ]
-        columns = evaluate_candidates(wanted, self.signals, self.runs, self.cache)
+        columns = evaluate_candidates(wanted, self.signals, self.runs, self.store)
         return replace(self, candidates=columns)
 
     @cached_property
     def smooth(self) -> CandidateColumns[SmoothFunction]:
         """Columns of smooth functions of all signals."""
-        return smooth_candidates(self.signals, self.runs)
+        return smooth_candidates(self.signals, self.runs, known=self.store.smooth)
 
     @cached_property
     def white_noise(self) -> tuple[Noise, ...]:
@@ -156,20 +183,29 @@ class ScreeningContext:
             for residual, runs in zip(self.residual, self.runs, strict=True)
         )
 
-    def baseline(
-        self, noise: Sequence[Noise], columns: NDArray[np.intp] | slice = slice(None)
-    ) -> Baseline:
-        """Return the baseline of the model, whitened.
+    def factor(self, noise: Sequence[Noise]) -> ModelFactor:
+        """Return the factorisation of the model's whitened columns; the last ones are kept.
 
         Parameters
         ----------
         noise : sequence of Noise
             One per joint.
-        columns : (k,) int, optional
-            The model's columns to use, by default all of them.
         """
-        own = [matrix[:, columns] for matrix in self.model_columns]
-        return Baseline.of(self.whitened(noise, own), self.whitened(noise, self.torque))
+        key = tuple(noise)
+        if key not in self._factors:
+            while len(self._factors) >= FACTORS:
+                del self._factors[next(iter(self._factors))]
+            matrices, torque = (self.whitened(noise, v) for v in (self.model_columns, self.torque))
+            self._factors[key] = ModelFactor.of(matrices, torque)
+        return self._factors[key]
+
+    @cached_property
+    def _factors(self) -> dict[tuple[Noise, ...], ModelFactor]:
+        return {}
+
+    def baseline(self, noise: Sequence[Noise]) -> Baseline:
+        """Return the baseline of the model, whitened."""
+        return self.factor(noise).baseline()
 
     def whitened(self, noise: Sequence[Noise], values: Sequence[Array]) -> list[Array]:
         """Return values (N_j, …) of each joint whitened by the noise of each joint."""
@@ -178,6 +214,30 @@ class ScreeningContext:
     def time_blocks(self, noise: Sequence[Noise], duration: float) -> NDArray[np.intp]:
         """Return the block of time (R,) of each whitened row, for blocks of a duration in s."""
         return time_blocks(self.segments, noise, self.runs, duration)
+
+    def held_out_rows(self, white: Sequence[Noise], coloured: Sequence[Noise]) -> HeldOutRows:
+        """Return the held-out parts of the rows: recordings if there are several, and blocks.
+
+        Parameters
+        ----------
+        white : sequence of Noise
+            White noise of each joint, by which the rows are whitened.
+        coloured : sequence of Noise
+            Autoregressive noise of each joint, whose correlation time is the gap between parts.
+        """
+        redundancy = np.array([redundancy_of(noise) for noise in coloured])
+        gap = float(redundancy.max()) / (RATE_OVER_CUTOFF * self.segments[0].cutoff)
+        gap = min(gap, LARGEST_GAP * self.options.held_out_duration)
+        blocks = block_parts(self.segments, white, self.runs, gap=gap, options=self.options)
+        recordings = recording_parts(self.segments, white, self.runs)
+        return HeldOutRows(
+            (blocks,) if recordings is None else (recordings, blocks),
+            np.concatenate(
+                [n.sigma / r.weights(n.spread) for n, r in zip(white, self.runs, strict=True)]
+            ),
+            redundancy,
+            self.options.held_out_deviations,
+        )
 
     def folds(self, noise: Sequence[Noise]) -> NDArray[np.intp]:
         """Return the fold (R,) of each whitened row: blocks of time go to the folds in turn."""
@@ -192,9 +252,11 @@ def _runs(fit: Fit, rows: Rows, segments: Sequence[Processed]) -> tuple[Runs, ..
     return runs_of(usable, segments, np.concatenate(doubt))
 
 
-def _model_rows(fit: Fit, segments: Sequence[Processed]) -> tuple[Rows, list[Array]]:
+def _model_rows(
+    fit: Fit, segments: Sequence[Processed], known: Sequence[FilteredColumns] | None
+) -> tuple[Rows, list[Array]]:
     """Return the rows of a fit, and each joint's columns and derivatives by shape parameters."""
-    design = Design(fit.compiled, segments)
+    design = Design(fit.compiled, segments, known=known)
     rows = design.rows(fit.shapes, fit.parameters)
     matrices = _dense(rows)
     if len(fit.shapes):

@@ -38,7 +38,22 @@ def time_blocks(
 
 
 def cross_validated_gain(columns: Array, baseline: Baseline, folds: Indices) -> float:
-    """Return the fall of the held-out sum of squares when columns are added.
+    """Return the fall of the held-out sum of squares when columns are added, of all folds.
+
+    Parameters
+    ----------
+    columns : (…, k)
+        On the rows of the joints, whitened.
+    baseline : Baseline
+        Of R rows.
+    folds : (…,) int
+        Fold of each row of the joints; rows of a prior are in none.
+    """
+    return float(gains_of_folds(columns, baseline, folds).sum())
+
+
+def gains_of_folds(columns: Array, baseline: Baseline, folds: Indices) -> Array:
+    """Return the fall of the sum of squares of each fold (F,) when columns are added.
 
     The coefficients for a fold are those of the other folds; the model's own columns are
     projected out of all of them once.
@@ -54,10 +69,10 @@ def cross_validated_gain(columns: Array, baseline: Baseline, folds: Indices) -> 
     """
     rest = baseline.project_out(baseline.padded(columns))
     folds = np.pad(folds, (0, len(rest) - len(folds)), constant_values=-1)
-    total = 0.0
+    gains = []
     for fold in np.unique(folds[folds >= 0]):
         held = folds == fold
         values = np.linalg.lstsq(rest[~held], baseline.residual[~held], rcond=None)[0]
         after = baseline.residual[held] - rest[held] @ values
-        total += float(np.sum(baseline.residual[held] ** 2) - np.sum(after**2))
-    return total
+        gains.append(float(np.sum(baseline.residual[held] ** 2) - np.sum(after**2)))
+    return np.array(gains)

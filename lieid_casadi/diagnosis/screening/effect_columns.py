@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.screening.effect_memory import OWN, signals_of, states_along
 from lieid_casadi.diagnosis.screening.numpy_evaluation import ArrayFunction
 from lieid_casadi.effects import Effect, Placement, Signals
 from lieid_casadi.expressions.model_functions import ramp
@@ -20,7 +21,6 @@ from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
 CHUNK = 128  # values of a shape parameter that a scan evaluates at once: bounds the memory
-OWN = ("q", "dq", "ddq", "sign", "load", "temperature", "time")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +45,10 @@ class SegmentSignals:
     def of(cls, fit: Fit, segment: Processed) -> SegmentSignals:
         """Return the signals of a segment; the load is that of the fit."""
         effects = effects_along(fit.compiled, segment, fit.shapes, fit.parameters)
-        arm = ModelAlongSegment(fit.compiled, segment, fit.parameters, effects, True)
+        arm = ModelAlongSegment(fit.compiled, segment, fit.parameters, effects, True, fit.shapes)
         load = arm.load
         shape = segment.q.shape
-        temperature = segment.temperature
+        temperature, error = segment.temperature, segment.command_error
         time = np.broadcast_to((segment.t - segment.t[0])[:, None], shape)
         return cls(
             segment,
@@ -60,6 +60,7 @@ class SegmentSignals:
                 "load": load,
                 "temperature": np.zeros(shape) if temperature is None else temperature,
                 "time": np.array(time),
+                "command_error": np.zeros(shape) if error is None else error,
             },
             arm,
         )
@@ -86,21 +87,14 @@ class EffectFunction:
         inputs = [*self._own.values(), *self._other.values(), *self._shapes, *self._states]
         return ArrayFunction(inputs, self.effect.columns(self._signals(), self._shape))
 
-    @cached_property
-    def _advance(self) -> ArrayFunction:
-        now = _signals({name: ca.SX.sym(f"now_{name}") for name in OWN})
-        inputs = [*self._states, *self._own.values(), *(getattr(now, name) for name in OWN)]
-        after = self.effect.next_states(self._signals(), now, self._shape)
-        return ArrayFunction([*inputs, *self._shapes], after)
-
     @property
     def _shape(self) -> dict[str, ca.SX]:
         return {s.name: x for s, x in zip(self.effect.shapes, self._shapes, strict=True)}
 
     def _signals(self) -> Signals:
         state = {s.name: x for s, x in zip(self.effect.states, self._states, strict=True)}
-        other = _signals(self._other) if self.effect.couples else None
-        return replace(_signals(self._own), other=other, state=state)
+        other = signals_of(self._other) if self.effect.couples else None
+        return replace(signals_of(self._own), other=other, state=state)
 
     def at(self, values: Mapping[str, Array], grid: Array) -> Array:
         """Return the columns (c, N, G) of an effect with one shape parameter.
@@ -135,26 +129,10 @@ class EffectFunction:
         other = own
         if self.effect.couples:
             other = [signals.values[name][:, [s or 0 for _, s in places], None] for name in OWN]
-        states = self._states_along(own, grid.T) if self.effect.states else []
+        states = states_along(self.effect, own, grid) if self.effect.states else []
         results = self._columns(*own, *other, *grid.T, *states)
         shape = (len(signals.segment), len(places), len(grid))
         return np.stack([np.broadcast_to(x, shape) for x in results], axis=-1)
-
-    def _states_along(self, own: Sequence[Array], shapes: Array) -> list[Array]:
-        """Return the states along a segment, (K, places, G) each."""
-        samples, places = own[0].shape[:2]
-        states = np.empty((len(self.effect.states), samples, places, shapes.shape[1]))
-        for state, series in zip(self.effect.states, states, strict=True):
-            series[0] = state.initial
-        for k in range(1, samples):
-            before, now = (x[k - 1] for x in own), (x[k] for x in own)
-            states[:, k] = self._advance(*states[:, k - 1], *before, *now, *shapes)
-        return list(states)
-
-
-def _signals(own: Mapping[str, ca.SX]) -> Signals:
-    q, dq, ddq, sign, load, temperature, time = (own[name] for name in OWN)
-    return Signals(q, dq, ddq, sign, load, temperature, time)
 
 
 def columns_along(

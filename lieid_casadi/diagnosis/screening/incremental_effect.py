@@ -5,10 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
+from lieid_casadi.effects.arm_effect import SegmentModel
 from lieid_casadi.effects.effect import Effect
+from lieid_casadi.effects.payload import Payload
 from lieid_casadi.effects.registry import make
 from lieid_casadi.effects.signals import Signals
+
+Array = NDArray[np.float64]
+LEAST_STEP = 1e-3  # N·m, of the load in the slope of load friction
+LEAST_MASS = 1e-3  # kg
+INERTIA = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 
 class IncrementalEffect(Effect):
@@ -49,8 +58,56 @@ class IncrementalEffect(Effect):
         return self._effect.advance(before, now, shape)
 
 
+class AddedPayload(Payload):
+    """A payload on an arm that is not fitted again, with what follows from its mass and place.
+
+    That is the inertia of a point mass, and the change of the model's load friction.
+    """
+
+    def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
+        """Return the columns (K, n, 4): columns · values is the whole change of the torque.
+
+        The inertia is homogeneous of degree one in m and m·c, and therefore equal to its gradient
+        times the values. Load friction of a joint depends on the load of this joint alone, so
+        that its change is in proportion to the payload's torque there.
+
+        Parameters
+        ----------
+        arm : SegmentModel
+        joint : int
+            Not used.
+        values : (4,)
+            Mass and first moments, kg and kg·m.
+        """
+        whole = arm.tool_regressor()
+        columns = whole[:, :, :4] + whole[:, :, 4:] @ _point_mass_gradient(values)
+        torque = columns @ values
+        step = np.where(np.abs(torque) > LEAST_STEP, torque, LEAST_STEP)
+        change = arm.joint_torque_at(arm.load + step) - arm.joint_torque_at(arm.load)
+        return np.asarray(columns * (1.0 + change / step)[:, :, None])
+
+
+def _point_mass_gradient(values: Array) -> Array:
+    """Return the gradient (6, 4) of the inertia of a point mass with respect to m and m·c.
+
+    The inertia is Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin; zero without a positive mass.
+    """
+    mass, moment = values[0], values[1:]
+    if mass < LEAST_MASS:
+        return np.zeros((6, 4))
+    rows = []
+    for i, j in INERTIA:
+        both = np.eye(3)[i] * moment[j] + np.eye(3)[j] * moment[i]
+        size = (moment @ moment if i == j else 0.0) - moment[i] * moment[j]
+        slope = (2.0 * moment if i == j else 0.0) - both
+        rows.append([-size / mass**2, *(slope / mass)])
+    return np.array(rows)
+
+
 def incremental(effect: Effect, present: Sequence[str]) -> Effect:
     """Return an effect as the change that it makes to a model with the named effects."""
     replaced = [make(name) for name in effect.replaces if name in present]
     companions = [make(name) for name in effect.accompanied_by]
+    if isinstance(effect, Payload):
+        return AddedPayload()
     return IncrementalEffect(effect, replaced, companions) if replaced or companions else effect

@@ -7,6 +7,7 @@ formed: gain = gᵀ·G⁻¹·g with g = Cᵀr and G = CᵀC − (QᵀC)ᵀ(QᵀC
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,16 +20,17 @@ from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 
 Array = NDArray[np.float64]
+#: Of the Gram matrix of unit columns: below it a direction is numerically dependent.
+LEAST_EIGENVALUE = ABSORBED**2 * 1e2
 
 
 @dataclass(frozen=True, eq=False)
-class Screening:
-    """The gain of every group of candidate columns added to a baseline.
+class Gains:
+    """The gain of every group of candidate columns.
 
     Attributes
     ----------
     candidates : CandidateColumns
-    baseline : Baseline
     gain : (G,)
         Fall of the whitened sum of squares; 0 where a coefficient has a sign that is physically
         impossible, or where the group is excluded by the options.
@@ -39,11 +41,9 @@ class Screening:
     """
 
     candidates: CandidateColumns[Any]
-    baseline: Baseline
     gain: Array
     remaining: Array
     rank: NDArray[np.intp]
-    _roots: Array
 
     @cached_property
     def parameters(self) -> Array:
@@ -51,10 +51,25 @@ class Screening:
         each = np.array([c.parameters for c in self.candidates.owners])
         return np.asarray(each[self.candidates.owner_index], dtype=float)
 
+
+@dataclass(frozen=True, eq=False)
+class Screening(Gains):
+    """The gain of every group of candidate columns added to a baseline.
+
+    Attributes
+    ----------
+    baseline : Baseline
+    roots : (m, k)
+        Row c: column c's row of the inverse square root of its group's Gram matrix.
+    """
+
+    baseline: Baseline
+    roots: Array
+
     def statistic(self, noise: Array) -> Array:
         """Return the gains (G, B) that white rows (R, B) would give."""
         rest = self.baseline.project_out(noise)
-        return _gains(self.candidates, self._roots, _products(self.candidates, self.baseline, rest))
+        return _gains(self.candidates, self.roots, _products(self.candidates, self.baseline, rest))
 
 
 def screen(
@@ -71,14 +86,114 @@ def screen(
         They exclude groups that rest on few rows or on a small part of their own; with None no
         group is excluded, and signs are not checked.
     """
-    gram, norms = _grams(candidates, baseline)
-    roots, remaining, rank = _inverse_roots(candidates, gram, norms)
-    products = _products(candidates, baseline, baseline.residual[:, None])
-    gain = _gains(candidates, roots, products)[:, 0]
+    gram = _grams(candidates, baseline)
+    products = _products(candidates, baseline, baseline.residual[:, None])[:, 0]
+    found, roots = _gains_of(candidates, gram, products, options)
+    return Screening(candidates, found.gain, found.remaining, found.rank, baseline, roots)
+
+
+class SelectionState:
+    """Gains of all groups given any selected groups, from inner products computed once.
+
+    With C the columns outside the model's span and S the selected ones, gains follow from
+    CᵀC − CᵀS·(SᵀS)⁺·SᵀC within the groups and from Cᵀr − CᵀS·(SᵀS)⁺·Sᵀr. The inner products CᵀS
+    of a group are computed when it is first selected; no baseline is formed again.
+
+    Parameters
+    ----------
+    candidates : CandidateColumns
+        Whitened as the baseline is.
+    baseline : Baseline
+        Of the model.
+    options : DiagnosisOptions or None
+        As for `screen`.
+    """
+
+    def __init__(
+        self,
+        candidates: CandidateColumns[Any],
+        baseline: Baseline,
+        options: DiagnosisOptions | None,
+    ) -> None:
+        self.candidates, self.baseline, self._options = candidates, baseline, options
+        self._gram = _grams(candidates, baseline)
+        self._products = _products(candidates, baseline, baseline.residual[:, None])[:, 0]
+        self._with: dict[int, Array] = {}
+        self._parts: dict[int, Array] = {}
+        self._given: dict[frozenset[int], Gains] = {}
+
+    def given(self, groups: Sequence[int]) -> Gains:
+        """Return the gain of every group in addition to the model and the selected groups."""
+        key = frozenset(groups)
+        if key not in self._given:
+            gram, products = self._gram, self._products
+            if key:
+                axes, along = self._axes(sorted(key))
+                gram, products = gram.copy(), products - axes @ along
+                for offset in range(len(gram)):
+                    count = len(axes) - offset
+                    gram[offset, :count] -= np.einsum("cr,cr->c", axes[:count], axes[offset:])
+            self._given[key], _ = _gains_of(self.candidates, gram, products, self._options)
+        return self._given[key]
+
+    def _axes(self, groups: Sequence[int]) -> tuple[Array, Array]:
+        """Return inner products of all columns (m, r), and of the residual (r,), with a basis.
+
+        The basis of the groups' columns is orthonormal: S·W with (SᵀS)⁺ = W·Wᵀ.
+        """
+        own = np.concatenate([self.candidates.columns_of(g) for g in groups])
+        inner = np.hstack([self._inner_with(g) for g in groups])
+        size = np.sqrt(self.candidates.inner[0, own])
+        size[size == 0.0] = 1.0
+        gram = inner[own] / np.outer(size, size)
+        sizes, axes = np.linalg.eigh(0.5 * (gram + gram.T))
+        seen = sizes > LEAST_EIGENVALUE
+        root = axes[:, seen] / np.sqrt(sizes[seen]) / size[:, None]
+        return inner @ root, root.T @ self._products[own]
+
+    def _inner_with(self, group: int) -> Array:
+        """Return the inner products (m, k) of all columns with a group's, outside the model."""
+        if group not in self._with:
+            size = np.sqrt(self.candidates.inner[0, self.candidates.columns_of(group)])
+            self._with[group] = _products(self.candidates, self.baseline, self._part(group)) * size
+        return self._with[group]
+
+    def _part(self, group: int) -> Array:
+        if group not in self._parts:
+            self._parts[group] = self.baseline.part(self.candidates.stacked(group))
+        return self._parts[group]
+
+    def with_groups(self, groups: Sequence[int]) -> Baseline:
+        """Return the baseline of the model with groups added."""
+        baseline = self.baseline
+        for group in groups:
+            baseline = baseline.with_part(self._part(group))
+        return baseline
+
+
+def _gains_of(
+    candidates: CandidateColumns[Any],
+    gram: Array,
+    products: Array,
+    options: DiagnosisOptions | None,
+) -> tuple[Gains, Array]:
+    """Return the gains, and the inverse roots (m, k), from inner products.
+
+    Parameters
+    ----------
+    candidates : CandidateColumns
+    gram : (k, m)
+        Of columns outside the span, within groups by offset.
+    products : (m,)
+        Of the columns with the residual.
+    options : DiagnosisOptions or None
+    """
+    roots, remaining, rank = _inverse_roots(candidates, gram, candidates.inner[0])
+    gain = _gains(candidates, roots, products[:, None])[:, 0]
     if options is not None:
-        values = _values(candidates, roots, products[:, 0])
+        values = _values(candidates, roots, products)
         gain = np.where(_selectable(candidates, values, remaining, options), gain, 0.0)
-    return Screening(candidates, baseline, gain, remaining, rank, roots)
+    return Gains(candidates, gain, remaining, rank), roots
 
 
 def _selectable(
@@ -95,12 +210,13 @@ def _selectable(
     return np.asarray(fine & ~(on_grid & (remaining < options.least_own_part)))
 
 
-def _grams(candidates: CandidateColumns[Any], baseline: Baseline) -> tuple[Array, Array]:
-    """Return inner products of the projected columns (k, m) by offset, and squared norms (m,)."""
-    inner = candidates.inner - candidates.inner_in_model(baseline.model, baseline.ends)
+def _grams(candidates: CandidateColumns[Any], baseline: Baseline) -> Array:
+    """Return inner products (k, m) of the projected columns within groups, by offset."""
+    along, in_model = candidates.along_model(baseline.model, baseline.ends)
+    inner = candidates.inner - in_model + candidates.inner_along(baseline.left_out.T @ along)
     if baseline.added.shape[1]:
-        inner -= candidates.inner_in_span(baseline.added, baseline.ends)
-    return inner, candidates.inner[0]
+        inner -= candidates.inner_along(candidates.along(baseline.added, baseline.ends))
+    return inner
 
 
 def _inverse_roots(
@@ -129,7 +245,7 @@ def _inverse_roots(
                 entry = gram[b - a, first + a] / (scale[first + a] * scale[first + b])
                 matrix[:, a, b] = matrix[:, b, a] = entry
         sizes, axes = np.linalg.eigh(matrix)
-        seen = sizes > ABSORBED**2 * 1e2
+        seen = sizes > LEAST_EIGENVALUE
         remaining[groups] = np.sqrt(np.clip(sizes[:, -1], 0.0, 1.0))
         rank[groups] = seen.sum(axis=1)
         inverse = np.where(seen, 1.0 / np.sqrt(np.where(seen, sizes, 1.0)), 0.0)

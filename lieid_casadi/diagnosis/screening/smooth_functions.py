@@ -15,6 +15,12 @@ from lieid_casadi.identification.uncertainty.noise_model import Runs
 Array = NDArray[np.float64]
 #: Of each signal: lowest and highest values (2, n).
 SignalRanges = dict[str, Array]
+ANGLE_WAVES = 16  # half waves over the range of an angle: a bump may be narrow
+FRICTION_WAVES = 8  # the same in a short recording, and of friction that varies with the angle
+FRICTION_CURVES = 6  # friction-like functions of a velocity, which precede the half waves
+SPEED_WAVES = 6  # half waves over the speed: friction may have a peak at a narrow range of speeds
+#: By names of signals, of each joint (N_j, k).
+SmoothColumns = dict[tuple[str, ...], dict[int, Array]]
 HALF_WAVES = 12  # over a recording, up to which a function of time counts as smooth
 
 
@@ -48,6 +54,7 @@ def smooth_candidates(
     runs: Sequence[Runs],
     *,
     ranges: SignalRanges | None = None,
+    known: SmoothColumns | None = None,
 ) -> CandidateColumns[SmoothFunction]:
     """Return smooth functions of every signal on every joint, filtered, on its runs.
 
@@ -59,18 +66,20 @@ def smooth_candidates(
         One per joint.
     ranges : dict, optional
         Ranges of other segments, to evaluate the functions that were fitted there.
+    known : SmoothColumns, optional
+        Columns that depend on the measured signals alone; those that are not in it are added.
     """
-    n = len(runs)
+    n, known = len(runs), {} if known is None else known
     ranges = signal_ranges(signals) if ranges is None else ranges
     bases = [basis_functions(s, ranges) for s in signals]
     functions: list[SmoothFunction] = []
     size: list[int] = []
     on_joint: list[list[tuple[int, Array]]] = [[] for _ in runs]
     first = 0
-    for names in _terms(n, "temp1" in bases[0]):
-        values = np.concatenate(
-            [s.segment.filter(product_basis(b, names)) for s, b in zip(signals, bases, strict=True)]
-        )
+    terms = _terms(n, "temp1" in bases[0])
+    for names, count in [(term, count) for term in terms for count in _counts(term)]:
+        along = [_first_functions(basis, names, count) for basis in bases]
+        values = np.concatenate([s.segment.filter(a) for s, a in zip(signals, along, strict=True)])
         for joint in _joints_of(names, n):
             functions.append(SmoothFunction(joint, names, values.shape[1]))
             size.append(values.shape[1])
@@ -144,12 +153,14 @@ def basis_functions(signals: SegmentSignals, ranges: SignalRanges) -> dict[str, 
             x = np.clip((values - 0.5 * (low + high)) / half, -1.2, 1.2)
             if name == "dq":
                 reach = max(abs(low), abs(high), 1e-9)
-                x, sign = values / reach, signals.values["sign"][:, i]
+                x, sign = np.clip(values / reach, -1.2, 1.2), signals.values["sign"][:, i]
+                peaks = np.cos(np.pi * np.abs(x)[:, None] * np.arange(1, SPEED_WAVES + 1))
+                near = np.exp(-((x / 0.1) ** 2))
                 basis = np.column_stack(
-                    [sign, np.abs(x), x, x * np.abs(x), x**3, np.exp(-((x / 0.1) ** 2)) * sign]
+                    [sign, np.abs(x), x, x * np.abs(x), x**3, sign * near, sign[:, None] * peaks]
                 )
             elif name == "q":
-                waves = [np.cos(np.pi * 0.5 * k * (x + 1.0)) for k in range(1, 9)]
+                waves = [np.cos(np.pi * 0.5 * k * (x + 1.0)) for k in range(1, ANGLE_WAVES + 1)]
                 basis = np.column_stack(waves)
             else:
                 basis = np.polynomial.legendre.legvander(x, 5)[:, 1:]
@@ -164,12 +175,41 @@ def basis_functions(signals: SegmentSignals, ranges: SignalRanges) -> dict[str, 
     return bases
 
 
+def _counts(names: tuple[str, ...]) -> tuple[int | None, ...]:
+    """Return the numbers of basis functions that are tried, None for all of them.
+
+    Of an angle or a velocity alone fewer are tried, too: all need a long recording.
+    """
+    if len(names) > 1:
+        return (None,)
+    if names[0].startswith("dq"):
+        return (FRICTION_CURVES, None)
+    return (FRICTION_WAVES, None) if names[0].startswith("q") else (None,)
+
+
+def _first_functions(bases: dict[str, Array], names: tuple[str, ...], count: int | None) -> Array:
+    """Return the first functions (K, b) of `product_basis`, of one signal with a constant.
+
+    The zero of such a function is arbitrary. A model with a free offset contains the constant.
+
+    Parameters
+    ----------
+    bases : dict
+    names : tuple of str
+    count : int or None
+        None for all.
+    """
+    functions = product_basis(bases, names)[:, :count]
+    return np.column_stack([np.ones(len(functions)), functions]) if len(names) == 1 else functions
+
+
 def product_basis(bases: dict[str, Array], names: tuple[str, ...]) -> Array:
     """Return the basis functions (K, b) of one column, or products of those of two."""
     if len(names) == 1:
         return bases[names[0]]
     first, second = (bases[name] for name in names)
-    first, second = first if is_friction_by_angle(names) else first[:, :4], second[:, :4]
+    waves = FRICTION_WAVES if is_friction_by_angle(names) else 4
+    first, second = first[:, :waves], second[:, :4]
     return np.asarray(np.einsum("ka,kb->kab", first, second).reshape(len(first), -1))
 
 

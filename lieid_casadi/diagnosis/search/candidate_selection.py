@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.options import DiagnosisOptions, Penalty
-from lieid_casadi.diagnosis.screening.baseline import Baseline, with_groups
+from lieid_casadi.diagnosis.options import Penalty
+from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_gain
-from lieid_casadi.diagnosis.screening.screen import screen
+from lieid_casadi.diagnosis.screening.screen import SelectionState
 from lieid_casadi.diagnosis.search.rivals import RivalGroup
 from lieid_casadi.identification.regression.shape_range import ShapeRange
 
@@ -24,28 +24,9 @@ def schwarz_penalty(baseline: Baseline, part: float) -> Penalty:
     return Penalty(per_parameter=float(np.log(max(baseline.rows, 2))), part=part)
 
 
-def by_contribution(
-    candidates: CandidateColumns[Candidate],
-    baseline: Baseline,
-    groups: Sequence[int],
-    options: DiagnosisOptions,
-) -> list[int]:
-    """Return the selected groups, the one whose removal costs most first.
-
-    Parameters
-    ----------
-    candidates : CandidateColumns
-        Whitened as the baseline is.
-    baseline : Baseline
-        Without the selected groups.
-    groups : sequence of int
-    options : DiagnosisOptions
-    """
-    contribution = []
-    for g in groups:
-        others = [h for h in groups if h != g]
-        with_others = with_groups(baseline, candidates, others)
-        contribution.append(screen(candidates, with_others, options).gain[g])
+def by_contribution(state: SelectionState, groups: Sequence[int]) -> list[int]:
+    """Return the selected groups, the one whose removal costs most first."""
+    contribution = [state.given([h for h in groups if h != g]).gain[g] for g in groups]
     return [groups[k] for k in np.argsort(-np.array(contribution))] if groups else []
 
 

@@ -7,6 +7,7 @@ measured rows), so that an uncertain parameter is not taken for a change.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,19 @@ from lieid_casadi.diagnosis.screening.baseline import Baseline, with_groups
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
-from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_gain
 from lieid_casadi.diagnosis.search.effect_search import unexplained_parts
-from lieid_casadi.diagnosis.search.parameter_checks import is_unresolved, unresolved_text
-from lieid_casadi.diagnosis.search.search_problem import Offer, SearchProblem
+from lieid_casadi.diagnosis.search.fixed_model import (
+    LEAST_OWN_PART,
+    fixed_parameters,
+    with_prior,
+    without_columns,
+)
+from lieid_casadi.diagnosis.search.parameter_checks import (
+    implausible_size,
+    is_unresolved,
+    unresolved_text,
+)
+from lieid_casadi.diagnosis.search.search_problem import Offer, SearchProblem, joint_of
 from lieid_casadi.diagnosis.search.search_results import (
     AcceptedEffect,
     RejectedEffect,
@@ -29,10 +39,6 @@ from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
 Array = NDArray[np.float64]
-#: Relative to the largest variance: below it a parameter counts as exactly known.
-LEAST_VARIANCE = 1e-12
-#: Part of a unit column outside the model's span, below which its coefficient is not fitted.
-LEAST_OWN_PART = 1e-6
 
 
 class ChangedEffects(SearchProblem):
@@ -58,13 +64,13 @@ class ChangedEffects(SearchProblem):
             context, noise, white, seed=seed, least_gain=context.options.least_change_improvement
         )
         self.expected = np.array([each.spread for each in noise])
-        self.model = _with_prior(context, white)
-        self._fixed_model = _without_columns(context, white)
+        self.model = with_prior(context, white)
+        self._fixed_model = without_columns(context, white)
         self._points: list[bytes] = []  # grid point of each accepted effect
 
     def baseline(self, noise: Sequence[Noise], candidates: CandidateColumns[Candidate]) -> Baseline:
         """Return the baseline of the model, within its uncertainty, and all accepted changes."""
-        model = self.model if noise is self.white else _with_prior(self.context, noise)
+        model = self.model if noise is self.white else with_prior(self.context, noise)
         return with_groups(model, candidates, self._groups(candidates))
 
     def refined_grids(
@@ -105,40 +111,56 @@ class ChangedEffects(SearchProblem):
                     grids[index] = np.vstack([candidate.grid, values])
         return grids
 
-    def accept(self, offer: Offer) -> bool:
-        """Accept a change that is significant, resolved, and reduces a raised error."""
-        candidate, columns = offer.candidate, offer.columns
-        before = self._misfit(self._accepted_columns(offer.candidates))
-        after = self._misfit([*self._accepted_columns(offer.candidates), columns])
-        fall = 1.0 - after / before
-        joint = int(np.argmax(np.where(self.raised, fall, -np.inf)))
-        held_out = cross_validated_gain(columns, offer.baseline, offer.context.folds(self.white))
-        reason = self._unresolved(offer)
-        if not reason and offer.significance.log10_p > np.log10(self.options.significance):
-            reason = self.insignificant(offer.significance)
-        least = self.options.least_change_improvement
-        if not reason and (held_out <= 0.0 or not fall[joint] >= least):
-            reason = f"the error of raised joints falls by only {100 * fall[joint]:.1f} %"
-        if reason:
-            return self.reject(candidate, reason)
-        point = candidate.grid[offer.candidates.point[offer.group]]
-        self.context = offer.context
-        self._points.append(point.tobytes())
-        parameters = _parameters(candidate, point, offer.baseline, columns)
-        robot = self.context.fit.model.robot
-        self.accepted.append(
-            AcceptedEffect(
-                candidate,
-                parameters,
-                parameter_units(robot, candidate.placement, parameters),
-                self.expected * np.array([before, after]),
-                joint,
-                self.torque_rms(joint),
-                offer.significance,
-                offer.rivals,
+    def accept(self, offers: Sequence[Offer]) -> bool:
+        """Accept changes that are significant, resolved, and reduce a raised error."""
+        candidates = offers[0].state.candidates
+        own = self._accepted_columns(candidates)
+        before, passed = self._misfit(own), []
+        raised = self.raised
+        for offer in offers:
+            after = self._misfit([*own, offer.columns])
+            fall = 1.0 - after / before
+            joint = int(np.argmax(np.where(raised, fall, -np.inf)))
+            unresolved = self._unresolved(offer) or self._implausible(offer)
+            reason = unresolved or self.insignificant(offer.significance) or offer.held_out.reason
+            if not reason and not fall[joint] >= self.options.least_change_improvement:
+                reason = f"the error of raised joints falls by only {100 * fall[joint]:.1f} %"
+            if reason:
+                self.reject(offer.candidate, reason, final=bool(unresolved))
+            else:
+                passed.append((offer, joint))
+        self._add(passed, before)
+        return bool(passed)
+
+    def _add(self, passed: Sequence[tuple[Offer, int]], before: Array) -> None:
+        """Accept offers, each with the joint where the error falls most.
+
+        Parameters
+        ----------
+        passed : sequence of (Offer, int)
+        before : (n,)
+            Relative error of each joint without them.
+        """
+        for offer, joint in passed:
+            candidate, columns, state = offer.candidate, offer.columns, offer.state
+            with_others = state.with_groups([o.group for o, _ in passed if o is not offer])
+            point = candidate.grid[state.candidates.point[offer.group]]
+            parameters = fixed_parameters(candidate, point, with_others, columns)
+            own = [*self._accepted_columns(state.candidates), columns]
+            self.accepted.append(
+                AcceptedEffect(
+                    candidate,
+                    parameters,
+                    parameter_units(self.context.fit.model.robot, candidate.placement, parameters),
+                    self.expected * np.array([before, self._misfit(own)]),
+                    joint,
+                    self.torque_rms(joint),
+                    offer.significance,
+                    offer.rivals,
+                )
             )
-        )
-        return True
+            self._points.append(point.tobytes())
+            self.context = offer.context
 
     def update(self) -> None:
         """Do nothing: the model is not fitted again."""
@@ -155,8 +177,13 @@ class ChangedEffects(SearchProblem):
         return np.asarray(misfit > self.options.least_misfit * rises)
 
     def errors(self) -> Array:
-        """Return the error of each joint (n,) with the accepted changes, N·m."""
-        return self.expected * self._misfit(self._accepted_columns(self.candidates(self.white)))
+        """Return the error of each joint (n,) with the accepted changes, N·m; NaN at rest."""
+        misfit = self._misfit(self._accepted_columns(self.candidates(self.white)))
+        moved = [
+            len(self._fixed_model.residual[self._fixed_model.joint(j)]) > 0
+            for j in range(len(self.white))
+        ]
+        return np.where(moved, self.expected * misfit, np.nan)
 
     def remove(self, out: Sequence[Placement], reason: str) -> None:
         """Remove accepted changes."""
@@ -175,7 +202,7 @@ class ChangedEffects(SearchProblem):
         if not self.raised.any():
             return ()
         raised = self.raised
-        return tuple(part for part in unexplained_parts(self) if raised[part.joint])
+        return tuple(part for part in unexplained_parts(self, self.coloured) if raised[part.joint])
 
     def error_baselines(self) -> tuple[Baseline, Baseline]:
         """Return the residual of the fixed model, without and with the accepted changes."""
@@ -183,20 +210,63 @@ class ChangedEffects(SearchProblem):
         last = with_groups(self._fixed_model, candidates, self._groups(candidates))
         return self._fixed_model, last
 
-    def baseline_without(self, placement: Placement) -> Baseline:
-        """Return the baseline of the model and of all accepted changes but one."""
-        candidates = self.candidates(self.white)
-        groups = [
-            g for g in self._groups(candidates)
-            if candidates.owner(g).placement.label != placement.label
-        ]  # fmt: skip
-        return with_groups(self.model, candidates, groups)
+    def baseline_without(
+        self, placement: Placement, noise: Sequence[Noise] | None = None
+    ) -> Baseline:
+        """Return the baseline of the model and of all accepted changes but one.
 
-    def _groups(self, candidates: CandidateColumns[Candidate]) -> list[int]:
-        """Return the groups of the accepted changes."""
+        Parameters
+        ----------
+        placement : Placement
+        noise : sequence of Noise, optional
+            By default the white noise.
+        """
+        noise = noise or self.white
+        candidates = self.candidates(noise)
+        model = self.model if noise is self.white else with_prior(self.context, noise)
+        return with_groups(model, candidates, self._groups(candidates, without=placement))
+
+    def columns_of(self, placement: Placement, noise: Sequence[Noise]) -> Array:
+        """Return the columns (R, k) of an accepted change, whitened.
+
+        Parameters
+        ----------
+        placement : Placement
+        noise : sequence of Noise
+        """
+        candidates = self.candidates(noise)
+        (group,) = (
+            g
+            for g in self._groups(candidates)
+            if candidates.owner(g).placement.label == placement.label
+        )
+        return candidates.stacked(group)
+
+    def in_last_model(self, effect: AcceptedEffect) -> tuple[AcceptedEffect, str]:
+        """Return a change with the errors without and with it, and why it fails."""
+        placement, candidates = effect.candidate.placement, self.candidates(self.white)
+        others = [candidates.stacked(g) for g in self._groups(candidates, without=placement)]
+        columns = self.columns_of(placement, self.white)
+        before, after = self._misfit(others), self._misfit([*others, columns])
+        fall = 1.0 - after / before
+        joint = joint_of(effect.candidate, fall)
+        held_out = self.held_out_rows.errors(columns, self.baseline_without(placement))
+        reason = held_out.reason
+        if not reason and not fall[joint] >= self.options.least_change_improvement:
+            reason = f"the error of raised joints falls by only {100 * fall[joint]:.1f} %"
+        errors = self.expected * np.array([before, after])
+        found = replace(effect, errors=errors, joint=joint, torque_rms=self.torque_rms(joint))
+        return found, reason
+
+    def _groups(
+        self, candidates: CandidateColumns[Candidate], *, without: Placement | None = None
+    ) -> list[int]:
+        """Return the groups of the accepted changes, without one of them if stated."""
         labels = [c.placement.label for c in candidates.owners]
         groups = []
         for effect, point in zip(self.accepted, self._points, strict=True):
+            if without is not None and effect.candidate.placement.label == without.label:
+                continue
             index = labels.index(effect.candidate.placement.label)
             grid = candidates.owners[index].grid
             (at,) = (k for k, row in enumerate(grid) if row.tobytes() == point)
@@ -218,43 +288,20 @@ class ChangedEffects(SearchProblem):
         rows = [kept.residual[kept.joint(j)] for j in range(len(self.white))]
         return np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in rows])
 
+    def _implausible(self, offer: Offer) -> str:
+        """Return which coefficient is larger than on any real arm, or an empty text."""
+        state, candidate = offer.state, offer.candidate
+        with_others = state.with_groups(offer.others)
+        point = candidate.grid[state.candidates.point[offer.group]]
+        parameters = fixed_parameters(candidate, point, with_others, offer.columns)
+        return implausible_size(candidate.effect, parameters)
+
     def _unresolved(self, offer: Offer) -> str:
         """Return which shape parameter is not resolved by the motion, or an empty text."""
         candidate = offer.candidate
-        point = candidate.grid[offer.candidates.point[offer.group]]
+        point = candidate.grid[offer.state.candidates.point[offer.group]]
         for shape, value in zip(candidate.effect.shapes, point, strict=False):
             if is_unresolved(shape, value, self.context.segments, candidate.joint, self.options):
                 label = f"{candidate.name}.{shape.name}:{candidate.joint + 1}"
                 return unresolved_text(label, float(value), shape.unit)
         return ""
-
-
-def _parameters(
-    candidate: Candidate, point: Array, baseline: Baseline, columns: Array
-) -> dict[str, float]:
-    """Return the coefficients of columns (R, k), and the shape parameters of a grid point."""
-    values = baseline.coefficients(columns, least=LEAST_OWN_PART)
-    effect = candidate.effect
-    coefficients = {c.name: float(v) for c, v in zip(effect.coefficients, values, strict=True)}
-    shapes = point[: len(effect.shapes)]
-    return coefficients | {s.name: float(v) for s, v in zip(effect.shapes, shapes, strict=True)}
-
-
-def _without_columns(context: ScreeningContext, noise: Sequence[Noise]) -> Baseline:
-    """Return the residual of a model whose parameters cannot move."""
-    residuals = context.whitened(noise, context.residual)
-    ends = np.concatenate([[0], np.cumsum([len(r) for r in residuals])]).astype(np.intp)
-    empty = np.zeros((ends[-1], 0))
-    return Baseline(empty, empty, np.concatenate(residuals), ends)
-
-
-def _with_prior(context: ScreeningContext, noise: Sequence[Noise]) -> Baseline:
-    """Return the baseline of a model whose parameters may move within their uncertainty."""
-    fit = context.fit
-    count = len(fit.values) + len(fit.shapes)
-    sizes, axes = np.linalg.eigh(fit.covariance[:count, :count])
-    least = LEAST_VARIANCE * max(float(sizes.max(initial=0.0)), 1e-300)
-    prior = (axes / np.sqrt(np.maximum(sizes, least))).T
-    matrices = context.whitened(noise, context.model_columns)
-    residuals = context.whitened(noise, context.residual)
-    return Baseline.of([*matrices, prior], [*residuals, np.zeros(count)])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.candidates import shape_limits
-from lieid_casadi.effects import Placement, Shape
+from lieid_casadi.effects import Effect, Placement, Shape
 from lieid_casadi.identification import Fit
 from lieid_casadi.recording import Processed
 
@@ -17,6 +17,19 @@ def implausible_sign(fit: Fit, placement: Placement) -> str:
     for column, value in zip(columns, fit.effect_coefficients, strict=True):
         if belongs_to(placement, column.name, column.joint) and value < column.lower:
             return f"{column.label} = {value:.2g} {column.unit} is physically implausible"
+    return ""
+
+
+def implausible_size(effect: Effect, parameters: Mapping[str, float]) -> str:
+    """Return which coefficient is larger than on any real arm, or an empty text."""
+    for coefficient in effect.coefficients:
+        value = parameters.get(coefficient.name, 0.0)
+        if abs(value) > coefficient.limit:
+            unit = "" if coefficient.unit == "1" else f" {coefficient.unit}"
+            return (
+                f"{effect.name}.{coefficient.name} = {value:.3g}{unit} is physically implausible "
+                f"(limit {coefficient.limit:g}{unit})"
+            )
     return ""
 
 
@@ -92,3 +105,41 @@ def belongs_to(placement: Placement, name: str, joint: int | None) -> bool:
         From 0.
     """
     return joint == placement.joint and name.rpartition(".")[0] == placement.effect.label
+
+
+def below_sample_time(
+    effect: Effect,
+    parameters: Mapping[str, float],
+    segments: Sequence[Processed],
+    options: DiagnosisOptions,
+) -> str:
+    """Return which coefficient is too small for the sampling rate, or an empty text.
+
+    A torque that lags is resolved below one sample: a velocity is never early, so that no error of
+    differentiation imitates it.
+
+    Parameters
+    ----------
+    effect : Effect
+    parameters : mapping
+        Coefficients by name.
+    segments : sequence of Processed
+    options : DiagnosisOptions
+    """
+    rate = min(segment.recording.rate for segment in segments)
+    for coefficient in effect.coefficients:
+        value = parameters.get(coefficient.name, 0.0)
+        lead = coefficient.resolved_by == "lead" and value < 0.0
+        if not lead and coefficient.resolved_by != "sample_time":
+            continue
+        if abs(value) * rate < options.least_delay_samples:
+            cause = (
+                "a velocity computed by differences is late by as much"
+                if lead
+                else "commands are held for as long"
+            )
+            return (
+                f"{coefficient.name} = {value:.2g} {coefficient.unit} is less than one sample; "
+                f"{cause}"
+            )
+    return ""

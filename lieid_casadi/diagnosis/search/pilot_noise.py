@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from lieid_casadi.diagnosis.screening.baseline import with_groups
+from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
+from lieid_casadi.diagnosis.screening.screen import SelectionState
 from lieid_casadi.diagnosis.search.forward_selection import best_set
 from lieid_casadi.identification.uncertainty.noise_model import Noise, noise_of
 
@@ -23,14 +24,33 @@ def pilot_noise(context: ScreeningContext) -> tuple[tuple[Noise, ...], tuple[Noi
     """
     options, white = context.options, context.white_noise
     candidates, baseline = context.candidates.whitened(white, context.runs), context.baseline(white)
-    groups = best_set(candidates, baseline, options.pilot_penalty, options)
-    rich = with_groups(baseline, candidates, groups)
+    state = SelectionState(candidates, baseline, options)
+    groups = best_set(state, options.pilot_penalty, options)
+    coloured = _noise_of(context, white, state.with_groups(groups))
+    return coloured, tuple(Noise.white(noise.spread) for noise in coloured)
+
+
+def final_noise(context: ScreeningContext) -> tuple[Noise, ...]:
+    """Estimate the autoregressive noise of each joint from the residual of the last model.
+
+    The pilot noise allows for unexplained torque that is large relative to the first model's
+    residual only; after effects were added, smaller ones would be attributed to the noise.
+    """
+    white = context.white_noise
+    return _noise_of(context, white, context.baseline(white))
+
+
+def _noise_of(
+    context: ScreeningContext, white: tuple[Noise, ...], rich: Baseline
+) -> tuple[Noise, ...]:
+    """Return the noise (one per joint) of a residual from which smooth functions are removed."""
     smooth = context.smooth.whitened(white, context.runs)
-    groups = best_set(smooth, rich, options.pilot_smooth_penalty, options)
-    rich = with_groups(rich, smooth, groups)
+    options = context.options
+    state = SelectionState(smooth, rich, options)
+    rich = state.with_groups(best_set(state, options.pilot_smooth_penalty, options))
     freedom = 1.0 - rich.rank / max(rich.rows, 1)
     coloured = []
     for j, (noise, runs) in enumerate(zip(white, context.runs, strict=True)):
         residual = rich.residual[rich.joint(j)] * noise.sigma / runs.weights(noise.spread)
         coloured.append(noise_of(residual, runs, freedom))
-    return tuple(coloured), tuple(Noise.white(noise.spread) for noise in coloured)
+    return tuple(coloured)

@@ -8,17 +8,20 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.diagnosis.options import RANK_TOLERANCE
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 from lieid_casadi.diagnosis.screening.baseline import Baseline
+from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
-from lieid_casadi.diagnosis.screening.smooth_functions import smooth_columns
+from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_gain
+from lieid_casadi.diagnosis.screening.smooth_functions import SmoothFunction, smooth_columns
 from lieid_casadi.diagnosis.search.parameter_checks import belongs_to
 from lieid_casadi.diagnosis.search.search_problem import SearchProblem
+from lieid_casadi.diagnosis.wording import join_words
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
 Array = NDArray[np.float64]
-PARTIAL = "only partly explains the residual"
 
 
 def redundant_effects(
@@ -43,42 +46,104 @@ def redundant_effects(
     part : float
         0 to 1.
     """
-    full = context.baseline(noise)
-    before = float(np.sum(full.residual**2))
+    factor = context.factor(noise)
+    penalty = np.log(max(len(factor.torque), 2))
+    inverse = np.linalg.pinv(factor.triangle, rcond=RANK_TOLERANCE)
+    values, covariance = inverse @ (factor.basis.T @ factor.torque), inverse @ inverse.T
+    lengths = [len(own) for own in context.torque]
     found = []
     for placement in placements:
-        smaller = baseline_without(context, noise, placement)
-        cost = float(np.sum(smaller.residual**2)) - before
-        rows = full.ends[placement.joint + 1] - full.ends[placement.joint]
-        parameters = len(_columns_of(context, placement))
-        if cost < max(parameters * np.log(max(full.rows, 2)), part * float(rows)):
+        own = columns_of(context, placement)
+        # leaving columns out costs βᵀ·C⁻¹·β, C their block of (XᵀX)⁻¹
+        cost = float(values[own] @ np.linalg.lstsq(covariance[np.ix_(own, own)], values[own])[0])
+        if cost < max(len(own) * penalty, part * lengths[placement.joint]):
             found.append((cost, placement))
     return [placement for _, placement in sorted(found, key=lambda pair: pair[0])]
 
 
-def partial_effects(problem: SearchProblem, parts: Sequence[Unexplained]) -> list[Placement]:
-    """Return accepted effects that only partly explain what the residual follows.
+def without_partial_effects(problem: SearchProblem) -> tuple[Unexplained, ...]:
+    """Remove effects that only partly explain the residual, and return the unexplained parts.
+
+    Of several on a joint the weakest is removed first, and the others are examined again.
+    """
+    while True:
+        parts = problem.unexplained()
+        partial = _partial_effects(problem, parts)
+        if not partial:
+            return parts
+        for placement, reason in partial:
+            problem.remove([placement], reason)
+
+
+def _partial_effects(
+    problem: SearchProblem, parts: Sequence[Unexplained]
+) -> list[tuple[Placement, str]]:
+    """Return the effect of each joint that least explains an unexplained part, and why.
 
     On a joint with a large unexplained part, the right effect explains as much with smooth
-    functions of the signals as without them. An effect that merely resembles the cause does not,
-    and naming it would be misleading.
+    functions of the part's signals as without them; or it explains nearly all that these
+    functions explain, with far fewer parameters, where they can imitate it. An effect that merely
+    resembles the cause does neither, and naming it would be misleading. What an effect explains is
+    the fall of the held-out error when it was added; it is compared with what smooth functions
+    explain in addition to it, and in its place.
     """
     first, last = problem.error_baselines()
     doubtful = [u for u in parts if _is_doubtful(u, first, last, problem)]
     if not doubtful:
         return []
-    smooth = problem.context.smooth.whitened(problem.white, problem.context.runs)
-    full = problem.current_baseline(problem.white)
-    out = []
+    options, context = problem.options, problem.context
+    smooth = context.smooth.whitened(problem.white, context.runs)
+    full, folds = problem.current_baseline(problem.white), context.folds(problem.white)
+    least = dict.fromkeys([part.joint for part in doubtful], options.least_part_of_smooth)
+    out: dict[int, tuple[Placement, str]] = {}
     for part, effect in product(doubtful, problem.accepted):
         placement = effect.candidate.placement
-        if placement.joint == part.joint and not placement.whole_arm:
-            columns = smooth_columns(smooth, part.joint, part.depends_on)
-            without = problem.baseline_without(placement)
-            least = problem.options.least_gain_with_smooth
-            if gain_with_smooth(full, without, columns) < least:
-                out.append(placement)
-    return out
+        if placement.joint != part.joint or placement.whole_arm:
+            continue
+        without = problem.baseline_without(placement)
+        columns = smooth_columns(smooth, part.joint, part.depends_on)
+        if gain_with_smooth(full, without, columns) >= options.least_gain_with_smooth:
+            continue
+        before, after = effect.errors[:, part.joint] ** 2
+        own, rest = before - after, part.fraction * problem.accepted[-1].errors[1, part.joint] ** 2
+        gain = float(np.sum(without.residual**2) - np.sum(full.residual**2))
+        share = min(
+            max(own, 0.0) / (max(own, 0.0) + rest),
+            gain / _smooth_gain(part, smooth, without, folds),
+        )
+        if share < least[part.joint]:
+            least[part.joint] = share
+            out[part.joint] = (
+                placement,
+                f"explains only {100 * share:.0f} % of what smooth functions of "
+                f"{join_words(part.depends_on)} explain, and little in addition to them",
+            )
+    return list(out.values())
+
+
+def _smooth_gain(
+    part: Unexplained,
+    smooth: CandidateColumns[SmoothFunction],
+    without: Baseline,
+    folds: NDArray[np.intp],
+) -> float:
+    """Return the largest held-out gain of a smooth function of a part's signals.
+
+    Parameters
+    ----------
+    part : Unexplained
+    smooth : CandidateColumns
+        Whitened as the baseline is.
+    without : Baseline
+        Of the model without the effect that is examined.
+    folds : (R,) int
+    """
+    gains = [
+        cross_validated_gain(smooth.stacked(g), without, folds)
+        for g, function in enumerate(smooth.owners)
+        if function.joint == part.joint and set(function.signals) <= set(part.depends_on)
+    ]
+    return max([*gains, 1e-300])
 
 
 def gain_with_smooth(full: Baseline, without: Baseline, smooth: Array) -> float:
@@ -108,8 +173,7 @@ def baseline_without(
     noise : sequence of Noise
     placement : Placement
     """
-    every = np.arange(context.model_columns[0].shape[1])
-    return context.baseline(noise, np.setdiff1d(every, _columns_of(context, placement)))
+    return context.factor(noise).baseline(without=columns_of(context, placement))
 
 
 def _is_doubtful(
@@ -122,7 +186,7 @@ def _is_doubtful(
     return part.fraction * rest > problem.options.doubtful_residual * explained
 
 
-def _columns_of(context: ScreeningContext, placement: Placement) -> list[int]:
+def columns_of(context: ScreeningContext, placement: Placement) -> list[int]:
     """Return the positions of an effect's columns and shape parameters among the model's."""
     model = context.fit.model
     every = (*model.base_columns, *model.shapes)

@@ -6,14 +6,18 @@ import logging
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
+from lieid_casadi.diagnosis.screening.held_out import HeldOut, HeldOutRows
+from lieid_casadi.diagnosis.screening.screen import SelectionState
 from lieid_casadi.diagnosis.search.search_results import (
     AcceptedEffect,
     RejectedEffect,
@@ -34,35 +38,61 @@ class Offer:
     ----------
     context : ScreeningContext
         With the grids on which the candidate was selected.
-    candidates : CandidateColumns
-        Of the context, whitened by the problem's white noise.
-    baseline : Baseline
-        Of the model and of all accepted effects, whitened alike.
+    state : SelectionState
+        Of its candidates and of the model with all accepted effects.
     group : int
         Of the candidate, at its grid point.
     others : tuple of int
         Groups that were selected together with it.
     significance : Significance
     rivals : tuple of (Candidate, str)
+    held_out : HeldOut
+        Held-out errors of the model with the others, without and with the candidate.
     """
 
     context: ScreeningContext
-    candidates: CandidateColumns[Candidate]
-    baseline: Baseline
+    state: SelectionState
     group: int
     others: tuple[int, ...]
     significance: Significance
     rivals: tuple[tuple[Candidate, str], ...]
+    held_out: HeldOut
 
     @property
     def candidate(self) -> Candidate:
         """The candidate."""
-        return self.candidates.owner(self.group)
+        owner: Candidate = self.state.candidates.owner(self.group)
+        return owner
 
     @property
     def columns(self) -> Array:
         """Its columns (R, k), whitened."""
-        return self.candidates.stacked(self.group)
+        return self.state.candidates.stacked(self.group)
+
+    @property
+    def errors(self) -> Array:
+        """Held-out errors (2, n) without and with the candidate, N·m."""
+        return np.array([self.held_out.before, self.held_out.after])
+
+    @property
+    def joint(self) -> int:
+        """The joint (from 0) where it counts; see `joint_of`."""
+        return joint_of(self.candidate, self.held_out.fall)
+
+
+def joint_of(candidate: Candidate, fall: Array) -> int:
+    """Return the joint (from 0) where a candidate counts.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        On a single joint it counts there, otherwise where the error falls most.
+    fall : (n,)
+        Relative fall of the error.
+    """
+    if candidate.joints and not candidate.reaches_all:
+        return candidate.joint
+    return int(np.argmax(fall))
 
 
 class SearchProblem(ABC):
@@ -137,16 +167,54 @@ class SearchProblem(ABC):
         """
 
     @abstractmethod
-    def accept(self, offer: Offer) -> bool:
-        """Accept a candidate, or reject it with a reason."""
+    def accept(self, offers: Sequence[Offer]) -> bool:
+        """Accept members of a family, reject the others with a reason; whether any is accepted."""
 
     @abstractmethod
     def error_baselines(self) -> tuple[Baseline, Baseline]:
         """Return the baselines that state the error before and after all accepted effects."""
 
     @abstractmethod
-    def baseline_without(self, placement: Placement) -> Baseline:
-        """Return the baseline of the model and of all accepted effects but one."""
+    def baseline_without(
+        self, placement: Placement, noise: Sequence[Noise] | None = None
+    ) -> Baseline:
+        """Return the baseline of the model and of all accepted effects but one.
+
+        Parameters
+        ----------
+        placement : Placement
+        noise : sequence of Noise, optional
+            By default the white noise.
+        """
+
+    @abstractmethod
+    def columns_of(self, placement: Placement, noise: Sequence[Noise]) -> Array:
+        """Return the columns (R, k) of an accepted effect in the last model, whitened.
+
+        Parameters
+        ----------
+        placement : Placement
+        noise : sequence of Noise
+        """
+
+    @abstractmethod
+    def in_last_model(self, effect: AcceptedEffect) -> tuple[AcceptedEffect, str]:
+        """Return an accepted effect with its errors in the last model, and why it fails there.
+
+        The errors are those of the last model without the effect, and with it.
+        """
+
+    @abstractmethod
+    def unexplained(self) -> tuple[Unexplained, ...]:
+        """Return what smooth functions explain of the residual of all accepted effects."""
+
+    @abstractmethod
+    def remove(self, out: Sequence[Placement], reason: str) -> None:
+        """Remove accepted effects, and keep the reason."""
+
+    def last_noise(self) -> tuple[Noise, ...]:
+        """Return the autoregressive noise of each joint, estimated in the last model."""
+        return self.coloured
 
     def is_finished(self) -> bool:
         """Whether the error is too small for a further step."""
@@ -162,22 +230,45 @@ class SearchProblem(ABC):
         labels |= {a.candidate.placement.label for a in self.accepted}
         return np.array([c.placement.label in labels for c in candidates.owners], dtype=bool)
 
+    def is_excluded(self, candidate: Candidate) -> bool:
+        """Whether a candidate was rejected for good."""
+        label = candidate.placement.label
+        return any(r.final and r.candidate.placement.label == label for r in self.rejected)
+
     def torque_rms(self, joint: int) -> float:
         """Return the RMS of the measured torque on a joint, N·m."""
         return float(np.sqrt(np.mean(self.context.torque[joint] ** 2)))
 
-    def reject(self, candidate: Candidate, reason: str) -> bool:
-        """Keep the reason for which a candidate is rejected, and return False."""
+    def reject(self, candidate: Candidate, reason: str, *, final: bool = False) -> None:
+        """Keep the reason for which a candidate is rejected.
+
+        Parameters
+        ----------
+        candidate : Candidate
+        reason : str
+        final : bool
+            Whether it is never tried again; otherwise it is after the next acceptance.
+        """
         logger.info("rejected %s: %s", candidate.placement.label, reason)
-        self.rejected.append(RejectedEffect(candidate, reason))
-        return False
+        self.rejected.append(RejectedEffect(candidate, reason, final))
+
+    def reconsider(self) -> None:
+        """Let candidates that failed a statistical test be tried again."""
+        self.rejected = [r for r in self.rejected if r.final]
 
     def insignificant(self, significance: Significance) -> str:
-        """Return the reason for which an effect counts as noise."""
+        """Return the reason for which an effect counts as noise; empty if it does not."""
+        if significance.log10_p <= np.log10(self.options.significance):
+            return ""
         return (
             f"not significant: family-wise p = {10.0**significance.log10_p:.2g} "
             f"(limit {self.options.significance:g})"
         )
+
+    @cached_property
+    def held_out_rows(self) -> HeldOutRows:
+        """The held-out parts; all contexts of a problem have the same rows."""
+        return self.context.held_out_rows(self.white, self.coloured)
 
     def candidates(self, noise: Sequence[Noise]) -> CandidateColumns[Candidate]:
         """Return the columns of all candidates, whitened; those for the white noise are kept."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +26,25 @@ class Significance:
     Attributes
     ----------
     log10_p : float
-        log₁₀ of the family-wise p-value over all candidates that were screened.
+        log₁₀ of the family-wise p-value: 1 − (1 − p)^tests with p of a χ² distribution.
     gain : float
-        Fall of the whitened sum of squares, in units of the noise's variance.
+        The statistic: fall of the whitened sum of squares, divided by the dispersion.
+    degrees : int
+        Degrees of freedom of the χ² distribution.
     rows : int
         Whitened rows of all joints: the effective sample size.
+    tests : float
+        Number of independent tests in the family of all candidates and grid points.
+    dispersion : float
+        Mean square of the whitened residual on the joints where the effect acts, at least 1.
     """
 
     log10_p: float
     gain: float
+    degrees: int
     rows: int
+    tests: float
+    dispersion: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +68,12 @@ class AcceptedEffect:
     significance : Significance
     rivals : tuple of (Candidate, str)
         Candidates that could take its place, and the kind of rivalry, ``exact`` or ``data``.
-    confirmed : bool or None
-        Whether the error on the test falls; None without a test.
     fit : Fit or None
         With this effect and those accepted before; None if the model is kept.
+    selected : float
+        Fraction of block-bootstrap repetitions of the screening in which it is selected again.
+    rival_pairs : tuple of (Candidate, Candidate)
+        Pairs of candidates that together could take its place.
     """
 
     candidate: Candidate
@@ -72,8 +84,9 @@ class AcceptedEffect:
     torque_rms: float
     significance: Significance
     rivals: tuple[tuple[Candidate, str], ...]
-    confirmed: bool | None = None
     fit: Fit | None = None
+    selected: float = float("nan")
+    rival_pairs: tuple[tuple[Candidate, Candidate], ...] = ()
 
 
 def fitted_parameters(fit: Fit, placement: Placement) -> dict[str, float]:
@@ -111,10 +124,51 @@ def parameter_units(
 
 @dataclass(frozen=True)
 class RejectedEffect:
-    """A candidate that was selected and not accepted, or accepted and removed, and why."""
+    """A candidate that was selected and not accepted, or accepted and removed, and why.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    reason : str
+    final : bool
+        Whether it stays rejected; otherwise it is tried again after the next acceptance.
+    """
 
     candidate: Candidate
     reason: str
+    final: bool = True
+
+
+@dataclass(frozen=True)
+class Difference:
+    """An effect that explains the residual of some training recordings and not of the others.
+
+    Attributes
+    ----------
+    label, effect : str
+        ``base_tilt``, ``encoder_offset:2``; its name.
+    joints : tuple of int
+        From 0.
+    recordings : tuple of str
+        Names of the recordings that it explains.
+    parameters : dict
+        Coefficients there.
+    """
+
+    label: str
+    effect: str
+    joints: tuple[int, ...]
+    recordings: tuple[str, ...]
+    parameters: dict[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for JSON, joints from 1."""
+        return {
+            "effect": self.effect,
+            "joints": [j + 1 for j in self.joints],
+            "recordings": list(self.recordings),
+            "parameters": self.parameters,
+        }
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Stretches of recordings that say nothing about the arm: contact, faults, joints at rest."""

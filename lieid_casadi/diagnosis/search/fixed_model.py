@@ -1,0 +1,62 @@
+"""Baselines of a model that is not fitted again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.diagnosis.screening.baseline import Baseline
+from lieid_casadi.diagnosis.screening.candidates import Candidate
+from lieid_casadi.diagnosis.screening.context import ScreeningContext
+from lieid_casadi.diagnosis.screening.model_factor import ModelFactor
+from lieid_casadi.identification.uncertainty.noise_model import Noise
+
+#: Relative to the largest variance: below it a parameter counts as exactly known.
+LEAST_VARIANCE = 1e-12
+#: Part of a unit column outside the model's span, below which its coefficient is not fitted.
+LEAST_OWN_PART = 1e-6
+
+Array = NDArray[np.float64]
+
+
+def fixed_parameters(
+    candidate: Candidate, point: Array, baseline: Baseline, columns: Array
+) -> dict[str, float]:
+    """Return the coefficients of columns, and the shape parameters of a grid point.
+
+    Parameters
+    ----------
+    candidate : Candidate
+    point : (s,)
+        Of its grid.
+    baseline : Baseline
+    columns : (R, k)
+        Whitened as the baseline is.
+    """
+    values = baseline.coefficients(columns, least=LEAST_OWN_PART)
+    effect = candidate.effect
+    coefficients = {c.name: float(v) for c, v in zip(effect.coefficients, values, strict=True)}
+    shapes = point[: len(effect.shapes)]
+    return coefficients | {s.name: float(v) for s, v in zip(effect.shapes, shapes, strict=True)}
+
+
+def without_columns(context: ScreeningContext, noise: Sequence[Noise]) -> Baseline:
+    """Return the residual of a model whose parameters cannot move."""
+    residuals = context.whitened(noise, context.residual)
+    ends = np.concatenate([[0], np.cumsum([len(r) for r in residuals])]).astype(np.intp)
+    empty = np.zeros((ends[-1], 0))
+    return Baseline(empty, np.zeros((0, 0)), empty, np.concatenate(residuals), ends)
+
+
+def with_prior(context: ScreeningContext, noise: Sequence[Noise]) -> Baseline:
+    """Return the baseline of a model whose parameters may move within their uncertainty."""
+    fit = context.fit
+    count = len(fit.values) + len(fit.shapes)
+    sizes, axes = np.linalg.eigh(fit.covariance[:count, :count])
+    least = LEAST_VARIANCE * max(float(sizes.max(initial=0.0)), 1e-300)
+    prior = (axes / np.sqrt(np.maximum(sizes, least))).T
+    matrices = context.whitened(noise, context.model_columns)
+    residuals = context.whitened(noise, context.residual)
+    return ModelFactor.of([*matrices, prior], [*residuals, np.zeros(count)]).baseline()

@@ -1,0 +1,150 @@
+"""Contact, faults and joints at rest are recognised, reported and left out; the rest is judged."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.diagnosis import DiagnosisOptions
+from lieid_casadi.diagnosis.events.leave_out import leave_out_events
+
+ROBOT = lieid.robots.panda()
+MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
+FORCE = np.array([40.0, -25.0, 60.0])  # on the tool, N
+POSE = np.array([0.3, -0.6, 0.2, -2.0, 0.4, 1.7, 0.5])
+
+
+def recording(duration=12.0, seed=0, hidden=None, name="run"):
+    arm = plant.demo_arm(ROBOT, seed=0, hidden=None)
+    if hidden is not None:
+        arm = arm.with_effects(plant.hidden_effect(arm, *hidden[:2], strength=hidden[2]))
+    trajectory = plant.FourierTrajectory(ROBOT, base_frequency=1 / duration, seed=seed)
+    t = np.arange(0.0, duration, 0.002)
+    sensors = plant.demo_sensors(ROBOT)
+    return plant.measure_along(arm, t, *trajectory.at(t), sensors=sensors, seed=seed, name=name)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return lieid.identify(MODEL, [recording(seed=1), recording(seed=2)])
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A reference that holds one pose."""
+
+    duration: float = 10.0
+
+    def at(self, t):
+        still = np.zeros((len(t), len(POSE)))
+        return POSE + still, still, still.copy()
+
+
+def balancing(q):
+    """Return the drives' torque (N, n) that balances the force at positions (N, n)."""
+    return -np.einsum("kij,i->kj", lieid.compile(MODEL).jacobian(q)[:, 3:], FORCE)
+
+
+def pushed_at_rest(start, end):
+    """Simulate an arm under joint control that is pushed while it holds a pose."""
+    torque = balancing(POSE[None])[0]
+
+    def push(joint):
+        def of(state):
+            inside = np.clip((state.t - start) / 0.2, 0.0, 1.0) * np.clip(
+                (end - state.t) / 0.2, 0.0, 1.0
+            )
+            return torque[joint] * inside
+
+        return plant.ForeignTorque(joint, of)
+
+    arm = plant.demo_arm(ROBOT, seed=0, hidden=None)
+    arm = arm.with_effects(*(push(j) for j in range(ROBOT.n)))
+    sensors = plant.demo_sensors(ROBOT)
+    return plant.simulate(arm, Pose(), rate=500.0, sensors=sensors, name="at rest")
+
+
+def pushed(run, start, end):
+    """Add the force to a recording in motion."""
+    inside = (run.t > start) & (run.t < end)
+    tau = run.tau.copy()
+    tau[inside] += balancing(run.q[inside])
+    return replace(run, tau=tau)
+
+
+def test_an_arm_at_rest_that_is_pushed_has_an_event_and_no_change(fit):
+    found = lieid.diagnose(fit, pushed_at_rest(4.9, 6.0))
+    contact, standstill = found.events
+    assert found.steps == ()
+    assert found.verdict != "sufficient"
+    assert (contact.kind, standstill.kind) == ("contact", "standstill")
+    assert contact.start == pytest.approx(4.9, abs=0.25)
+    assert contact.end == pytest.approx(6.0, abs=0.25)
+    np.testing.assert_allclose(contact.force, FORCE, atol=0.25 * np.linalg.norm(FORCE))
+    assert standstill.joints == tuple(range(7))
+    assert found.to_dict()["events"][0] == {
+        "kind": "contact", "recording": "at rest", "from": contact.start, "to": contact.end,
+        "joints": [j + 1 for j in contact.joints], "peak": contact.peak,
+        "force": list(contact.force), "sentence": contact.sentence,
+    }  # fmt: skip
+    assert contact.sentence in found.sentence
+    assert np.isnan(found.baseline_moving).all()
+    assert "Dropout" not in str([type(warning).__name__ for warning in found.warnings])
+    assert "N on the tool" in contact.sentence
+
+
+def test_a_push_in_motion_is_left_out(fit):
+    run = recording(seed=3)
+    (kept,), (event,) = leave_out_events(fit, [pushed(run, 5.0, 5.8)], DiagnosisOptions())
+    assert event.kind == "contact"
+    assert 4.7 < event.start < event.end < 6.1
+    np.testing.assert_allclose(event.force, FORCE, atol=0.25 * np.linalg.norm(FORCE))
+    outside = (run.t < event.start - 0.1) | (run.t > event.end + 0.1)
+    np.testing.assert_array_equal(kept.tau, run.tau[outside])
+
+
+@pytest.mark.slow
+def test_nothing_has_changed_on_an_arm_that_is_pushed_in_motion(fit):
+    found = lieid.diagnose(fit, pushed(recording(seed=3), 5.0, 5.8))
+    assert (found.verdict, found.steps) == ("sufficient", ())
+    assert [event.kind for event in found.events] == ["contact"]
+
+
+@pytest.mark.slow
+def test_a_push_while_training_does_not_hide_what_is_missing():
+    hidden = ("load_friction", 1, 1.0)
+    train = pushed(recording(seed=1, hidden=hidden), 5.0, 5.8)
+    found = lieid.diagnose(MODEL, [train, recording(seed=2, hidden=hidden)])
+    assert [event.kind for event in found.events] == ["contact"]
+    assert [step.label for step in found.steps] == ["load_friction:2"]
+
+
+@pytest.mark.parametrize("fault", ["frozen", "spike"])
+def test_a_fault_of_the_recorder_is_named(fit, fault):
+    run = recording(seed=3)
+    tau = run.tau.copy()
+    rows = np.flatnonzero((run.t > 6.0) & (run.t < 6.3))
+    if fault == "frozen":
+        tau[rows] = tau[rows[0]]
+    else:
+        tau[rows[:2], 1] += 2000.0
+    _, (event,) = leave_out_events(fit, [replace(run, tau=tau)], DiagnosisOptions())
+    assert event.kind == "fault"
+    assert 5.7 < event.start < event.end < 6.6
+
+
+@pytest.mark.parametrize("hidden", [("load_friction", 1, 2.0), ("presliding", 3, 2.0)])
+def test_an_effect_of_the_arm_is_no_event(fit, hidden):
+    run = recording(seed=3, hidden=hidden)
+    assert leave_out_events(fit, [run], DiagnosisOptions()) == ([run], ())
+
+
+def test_effects_on_joints_that_hardly_move_are_no_candidates(fit):
+    run = recording(seed=3)
+    q, dq = run.q.copy(), run.dq.copy()
+    q[:, 4] = 0.4 + 1e-3 * np.sin(run.t)
+    dq[:, 4] = 1e-3 * np.cos(run.t)
+    _, (event,) = leave_out_events(fit, [replace(run, q=q, dq=dq)], DiagnosisOptions())
+    assert (event.kind, event.joints) == ("standstill", (4,))

@@ -1,0 +1,67 @@
+"""Effects that smooth functions could imitate: named if they explain as much, else listed."""
+
+from functools import cache
+
+import numpy as np
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.diagnosis import DiagnosisOptions
+
+ROBOT = lieid.robots.two_link()
+MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
+ARM = plant.demo_arm(ROBOT, hidden=None)
+COULOMB, SCALE = ARM.friction.coulomb[1], plant.torque_scale(ROBOT)[1]
+
+
+def two_harmonics(s):
+    q = s.q[..., 1]
+    return COULOMB * (0.9 * np.sin(q + 0.4) + 0.2 * np.sin(4.0 * q)) * s.sign[..., 1]
+
+
+def settling(s):
+    return 0.1 * SCALE * (1.0 - np.exp(-s.t / 10.0)) * np.ones(s.q.shape[:-1])
+
+
+def bump(s):
+    return 0.3 * SCALE / (1.0 + ((s.q[..., 1] - 0.3) / 0.15) ** 2)
+
+
+@cache
+def run(torque, seed, duration):
+    arm = ARM.with_effects(plant.ForeignTorque(1, torque))
+    motion = plant.FourierTrajectory(ROBOT, base_frequency=1.0 / duration, seed=seed)
+    t = np.arange(0.0, duration, 0.002)
+    return plant.measure_along(arm, t, *motion.at(t), sensors=plant.demo_sensors(ROBOT), seed=seed)
+
+
+def test_an_effect_that_explains_nearly_as_much_as_smooth_functions_is_named():
+    train, label = run(two_harmonics, 1, 40.0), "position_friction:2"
+    assert [s.label for s in lieid.diagnose(MODEL, train).steps] == [label]
+    strict = lieid.diagnose(MODEL, train, options=DiagnosisOptions(least_part_of_smooth=np.inf))
+    assert strict.steps == ()
+    reasons = dict(strict.rejected)
+    assert "of what smooth functions of" in reasons[label]
+    (part,) = strict.unexplained
+    (candidate,) = [c for c in part.candidates if c.label == label]
+    assert candidate.part > 0.7
+    assert candidate.reason == reasons[label]
+
+
+def test_a_torque_that_settles_changes_over_the_recording():
+    """It is neither a drift at a constant rate, nor a function of the joints' motion."""
+    diagnosis = lieid.diagnose(MODEL, run(settling, 1, 60.0))
+    assert diagnosis.steps == ()
+    (part,) = diagnosis.unexplained
+    assert (part.joint, part.depends_on) == (1, ("t",))
+    assert part.formula is None
+
+
+def test_a_torque_on_one_joint_is_not_unexplained_on_the_others():
+    """The inertias that both joints share move with it."""
+    diagnosis = lieid.diagnose(MODEL, run(bump, 1, 20.0))
+    (part,) = diagnosis.unexplained
+    assert (part.joint, part.depends_on) == (1, ("q2",))
+    listed = diagnosis.to_dict()["unexplained"][0]["candidates"]
+    assert [c["joints"] for c in listed] == [[2]] * len(listed)
+    assert all(0.0 < c["part"] <= 1.0 and c["reason"] for c in listed)

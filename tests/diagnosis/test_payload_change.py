@@ -1,0 +1,63 @@
+"""A payload on an arm with load friction is named with mass and place, and nothing beside it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.errors import IdentificationError
+
+ROBOT = lieid.robots.panda()
+COM = np.array([0.02, 0.03, 0.08])
+
+
+def recording(seed, mass=0.0, duration=12.0):
+    arm = plant.demo_arm(ROBOT, seed=0, hidden=None)
+    friction = [plant.hidden_effect(arm, "load_friction", j, strength=1.0) for j in (1, 2, 3)]
+    arm = arm.with_effects(*friction, plant.Payload(mass, tuple(COM)))
+    trajectory = plant.FourierTrajectory(ROBOT, base_frequency=1 / duration, seed=seed)
+    t = np.arange(0.0, duration, 0.002)
+    sensors = plant.demo_sensors(ROBOT)
+    return plant.measure_along(arm, t, *trajectory.at(t), sensors=sensors, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset,load_friction:2+3+4")
+    return lieid.identify(model, [recording(1), recording(2)])
+
+
+def test_a_payload_is_the_only_change(fit):
+    found = lieid.diagnose(fit, recording(3, 2.8))
+    assert [step.label for step in found.steps] == ["payload"]
+    parameters = found.steps[0].parameters
+    assert parameters["m"] == pytest.approx(2.8, rel=0.01)
+    moment = [parameters[f"mc{x}"] for x in "xyz"]
+    np.testing.assert_allclose(np.array(moment) / parameters["m"], COM, atol=2e-3)
+    assert "2.8 kg, centre of mass at (20, 30, 80) mm in the tool frame" in found.sentence
+
+
+def test_uncertain_torque_constants_are_part_of_the_standard_deviation(fit):
+    run = recording(3, 2.8)
+    exact = lieid.identify_payload(fit, run)
+    shared = lieid.identify_payload(fit, run, torque_constant_std=0.03)
+    each = lieid.identify_payload(fit, run, torque_constant_std=[0.03] * 7)
+    added = np.sqrt(shared.mass_std**2 - exact.mass_std**2)
+    assert added == pytest.approx(0.03 * exact.mass, rel=0.01)
+    assert exact.mass_std < each.mass_std < shared.mass_std
+    np.testing.assert_array_equal(shared.values[:4], exact.values[:4])
+    assert "include 3 % of the torque constants" in shared.sentence
+    assert "in the tool frame, at (0, 0, " in exact.sentence
+    with pytest.raises(IdentificationError, match="expected one or 7 numbers"):
+        lieid.identify_payload(fit, run, torque_constant_std=[0.1, 0.2])
+
+
+def test_friction_that_changed_on_several_joints_is_one_finding(fit):
+    run = recording(3)
+    less = np.array([0.0, 0.6, 0.0, 0.6, 0.12, 0.0, 0.0])
+    found = lieid.diagnose(fit, replace(run, tau=run.tau + less * np.sign(run.dq)))
+    assert sorted(step.label for step in found.steps) == ["coulomb:2", "coulomb:4", "coulomb:5"]
+    assert set(found.groups) == {1}
+    assert found.sentence.count("Dry friction on joints 2, 4 and 5 has increased") == 1
