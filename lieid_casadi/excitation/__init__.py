@@ -1,12 +1,20 @@
-"""Optimal excitation: trajectories that identify the parameters best, within every limit."""
+"""Optimal excitation: trajectories that identify the parameters best, within stated limits."""
 
+from lieid_casadi.excitation.basis.families import Basis, BSpline, Fourier, ModifiedFourier
 from lieid_casadi.excitation.excitation import Excitation
 from lieid_casadi.excitation.excite import excite
 from lieid_casadi.excitation.friction_sweep import FrictionSweep, friction_sweep
 from lieid_casadi.excitation.limits.capsules import Capsule, enclosing, skeleton
+from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
 from lieid_casadi.excitation.limits.default_limits import default_limits
+from lieid_casadi.excitation.limits.expression_limit import (
+    ExpressionLimit,
+    Symbols,
+    jerk_limit,
+)
 from lieid_casadi.excitation.limits.link_geometry import capsules_of, load_capsules
-from lieid_casadi.excitation.limits.symbolic_limits import CartesianSpeed, Torque
+from lieid_casadi.excitation.limits.symbolic_limits import CartesianSpeed, Limit
+from lieid_casadi.excitation.limits.torque_limit import Torque
 from lieid_casadi.excitation.limits.workspace import (
     Obstacle,
     SelfCollision,
@@ -16,12 +24,20 @@ from lieid_casadi.excitation.limits.workspace import (
 )
 
 __all__ = [
+    "BSpline",
+    "Basis",
     "Capsule",
     "CartesianSpeed",
+    "ConstraintSet",
     "Excitation",
+    "ExpressionLimit",
+    "Fourier",
     "FrictionSweep",
+    "Limit",
+    "ModifiedFourier",
     "Obstacle",
     "SelfCollision",
+    "Symbols",
     "Torque",
     "Wall",
     "capsules_of",
@@ -30,6 +46,7 @@ __all__ = [
     "excite",
     "floor",
     "friction_sweep",
+    "jerk_limit",
     "load_capsules",
     "skeleton",
     "workspace_box",

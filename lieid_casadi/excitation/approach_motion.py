@@ -45,9 +45,9 @@ class RestToRest:
         shape = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
         first = 30.0 * u**2 * (1.0 - u) ** 2 * rate
         second = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) * rate**2
-        return MotionSamples(
-            np.asarray(t), self.start + shape * distance, first * distance, second * distance
-        )
+        third = 60.0 * (1.0 - 6.0 * u + 6.0 * u**2) * rate**3
+        parts = (kind * distance for kind in (first, second, third))
+        return MotionSamples(np.asarray(t), self.start + shape * distance, *parts)
 
 
 def approach_motion(

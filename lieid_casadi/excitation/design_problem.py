@@ -10,13 +10,20 @@ from numpy.typing import NDArray
 
 from lieid_casadi.excitation.basis.families import Basis
 from lieid_casadi.excitation.basis.trajectory import Parametrization, SampledBasis, period_grid
-from lieid_casadi.excitation.criteria.criterion import Criterion, LogDet, unit_norm_gram
+from lieid_casadi.excitation.criteria.criterion import (
+    Criterion,
+    CriterionExpression,
+    CriterionName,
+    LogDet,
+    unit_norm_gram,
+)
 from lieid_casadi.excitation.criteria.information_matrix import InformationMatrix
 from lieid_casadi.excitation.criteria.objective_value import ObjectiveValue
-from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet, SampledConstraints
+from lieid_casadi.excitation.fitted_arm import FittedArm
+from lieid_casadi.excitation.limits.constraint_sets import SampledConstraints
 from lieid_casadi.excitation.limits.joint_limits import MotionRange
 from lieid_casadi.excitation.limits.start_pose import check_at_rest, find_start_pose
-from lieid_casadi.excitation.limits.symbolic_limits import Limit
+from lieid_casadi.excitation.limits.symbolic_limits import Limit, sets_of
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
@@ -35,6 +42,8 @@ class ExcitationDesign:
     ----------
     model : Model
         Its regressor is the one that the criterion evaluates.
+    fit : FittedArm or None
+        Identified parameters; without them the stated inertias and initial shapes are used.
     basis : Basis
     samples : int
         Of the criterion, over one period.
@@ -47,28 +56,30 @@ class ExcitationDesign:
         None: found within all limits.
     fixed : bool
         Whether the trajectory starts and ends at ``pose``.
-    criterion : str
+    criterion : str or callable
+        Name, or expression of G.
     column_scale : (P,) or None
         Factors of the full regressor's columns, ones for plain SI; None: columns of the base
         regressor, scaled to unit norm.
-    solver : str
-        ``ipopt`` or ``sqp``.
     condition_threshold, neg_log_det_threshold : float, optional
         Δ₁ and Δ₂ of the criterion ``combined`` (Eq. 20).
+    start : (N, n), optional
+        Positions over one period, equidistant in time, from which the first search starts; rad.
     """
 
     model: Model
+    fit: FittedArm | None
     basis: Basis
     samples: int
     range: MotionRange
     limits: tuple[Limit, ...]
     pose: Array | None
     fixed: bool
-    criterion: str
+    criterion: CriterionName | CriterionExpression
     column_scale: Array | None
-    solver: str = "ipopt"
     condition_threshold: float | None = None
     neg_log_det_threshold: float | None = None
+    start: Array | None = None
 
 
 class ExcitationProblem:
@@ -76,13 +87,14 @@ class ExcitationProblem:
 
     def __init__(self, design: ExcitationDesign) -> None:
         self.design = design
-        self.sets = self._make_sets()
+        sets, self.left_out = sets_of(design.limits, design.model.robot, design.fit)
+        self.sets = (design.range.constraint_set(), *sets)
         self.pose = self._start_pose()
         self.parametrization = Parametrization(
             design.basis, self.pose, design.fixed, design.range.units
         )
         self.information = InformationMatrix(
-            design.model, sign_width=SIGN_WIDTH * design.range.velocity
+            design.model, sign_width=SIGN_WIDTH * design.range.velocity, fit=design.fit
         )
 
     def _start_pose(self) -> Array:
@@ -90,11 +102,6 @@ class ExcitationProblem:
             return find_start_pose(self.design.range, self.sets)
         check_at_rest(self.design.pose, self.sets)
         return self.design.pose
-
-    def _make_sets(self) -> tuple[ConstraintSet, ...]:
-        robot = self.design.model.robot
-        made = [limit.on(robot) for limit in self.design.limits]
-        return (self.design.range.constraint_set(), *(s for s in made if s is not None))
 
     @cached_property
     def metric(self) -> Array:
@@ -110,17 +117,16 @@ class ExcitationProblem:
     @cached_property
     def samples(self) -> SampledBasis:
         """Grid of the criterion."""
-        return self._grid(self.design.samples)
+        times = period_grid(self.design.basis.duration, self.design.samples)
+        return SampledBasis(self.parametrization, times)
 
     def constraints(self, factor: int, *, margin: float = MARGIN) -> SampledConstraints:
-        """Return the constraint sets on a grid ``factor`` times finer than the samples."""
+        """Return the constraint sets on a grid ``factor`` times finer, with the period's end."""
+        duration = self.design.basis.duration
+        times = np.append(period_grid(duration, factor * self.design.samples), duration)
         return SampledConstraints(
-            self.sets, self._grid(factor * self.design.samples), margin=margin
+            self.sets, SampledBasis(self.parametrization, times), margin=margin
         )
-
-    def _grid(self, samples: int) -> SampledBasis:
-        times = period_grid(self.design.basis.duration, samples)
-        return SampledBasis(self.parametrization, times)
 
     def gram(self, z: Array) -> Array:
         """Return G (p, p) of the base regressor at z."""

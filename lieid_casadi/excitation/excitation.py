@@ -25,9 +25,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StartSummary:
-    """Result of one random start; NaN where it found no trajectory."""
+    """Result of one start; NaN where it found no trajectory. ``seed`` is None for a file."""
 
-    seed: int
+    seed: int | None
     condition_number: float
     neg_log_det: float
     seconds: float
@@ -61,7 +61,7 @@ class Excitation:
         Of the criterion over one period.
     quality : Quality
         Condition number and singular values at the samples.
-    criterion, scaling, solver : str
+    criterion, scaling : str
     max_violation : float
         Largest excess over any limit on a grid 20 times finer than the samples, in the limit's
         unit; 0 if every limit holds.
@@ -74,8 +74,8 @@ class Excitation:
         For derivation and compilation; for optimization and verification of all starts.
     interrupted : bool
         Whether the user interrupted the search; the trajectory is the best so far.
-    unchecked : tuple of str
-        Limits that were not checked.
+    checked, unchecked : tuple of str
+        Limits that were checked, and limits that were not.
     warnings : tuple of LieidWarning
         Effects that the design could not take into account.
     """
@@ -90,7 +90,6 @@ class Excitation:
     quality: Quality
     criterion: str
     scaling: str
-    solver: str
     max_violation: float
     active_limits: tuple[ActiveLimit, ...]
     starts: tuple[StartSummary, ...]
@@ -98,6 +97,7 @@ class Excitation:
     build_seconds: float
     solve_seconds: float
     interrupted: bool = False
+    checked: tuple[str, ...] = ()
     unchecked: tuple[str, ...] = ()
     warnings: tuple[LieidWarning, ...] = field(default=())
 
@@ -136,7 +136,7 @@ class Excitation:
         """Return the whole motion at times (N,) from 0 to ``duration``, s."""
         time = np.asarray(t, dtype=float)
         n = self.model.n
-        parts = np.zeros((3, len(time), n))
+        parts = np.zeros((4, len(time), n))
         before, after = time < self.start, time > self.end
         inside = ~(before | after)
         phase = time[inside] - self.start
@@ -149,7 +149,7 @@ class Excitation:
             (after, self._return_motion(time[after]) if after.any() else None),
         ):
             if part is not None:
-                parts[:, mask] = part.q, part.dq, part.ddq
+                parts[:, mask] = part.q, part.dq, part.ddq, part.dddq
         return MotionSamples(time, *parts)
 
     def _return_motion(self, time: Array) -> MotionSamples:
@@ -181,7 +181,6 @@ class Excitation:
             "effects": self.model.effects,
             "criterion": self.criterion,
             "scaling": self.scaling,
-            "solver": self.solver,
             "condition_number": self.condition_number,
             "singular_values": {
                 "largest": float(sizes[0]),
@@ -198,6 +197,7 @@ class Excitation:
             "rate": self.rate,
             "rest_pose": self.rest_pose.tolist(),
             "max_violation": self.max_violation,
+            "checked": list(self.checked),
             "unchecked": list(self.unchecked),
             "active_limits": [
                 {"quantity": limit.quantity, "used": limit.used} for limit in self.active_limits

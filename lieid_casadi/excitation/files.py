@@ -31,12 +31,13 @@ def save(excitation: Excitation, folder: Path, *, force: bool) -> tuple[Path, ..
     """
     content = {"schema": 1} | excitation.to_dict()
     motion = excitation.motion()
+    comments = limit_comments(excitation.checked, excitation.unchecked)
     ros = excitation.motion(min(ROS_RATE, excitation.rate))
     names = [joint.name for joint in excitation.model.robot.joints]
     figure = io.BytesIO()
     excitation.plot().savefig(figure, format="png", dpi=120)
     files = {
-        "trajectory.csv": csv_text(motion, comments=limit_comments(excitation)).encode(),
+        "trajectory.csv": csv_text(motion, comments=comments).encode(),
         "excitation.json": json.dumps(content, indent=1, ensure_ascii=False).encode(),
         "joint_trajectory.yaml": joint_trajectory_yaml(ros, names).encode(),
         "excitation.png": figure.getvalue(),
@@ -45,9 +46,13 @@ def save(excitation: Excitation, folder: Path, *, force: bool) -> tuple[Path, ..
     return write_folder(folder, files, force=force)
 
 
-def limit_comments(excitation: Excitation) -> tuple[str, ...]:
-    """Return the comments of ``trajectory.csv``: the limits that were not checked."""
-    return tuple(f"not checked: {name}" for name in excitation.unchecked)
+def limit_comments(checked: Sequence[str], unchecked: Sequence[str]) -> tuple[str, ...]:
+    """Return the comments of ``trajectory.csv``: limits that were checked, and that were not."""
+    return tuple(
+        f"{state}: {name}"
+        for state, names in (("checked", checked), ("not checked", unchecked))
+        for name in names
+    )
 
 
 def csv_text(motion: MotionSamples, *, comments: Sequence[str] = ()) -> str:

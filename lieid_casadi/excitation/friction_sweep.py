@@ -17,12 +17,19 @@ from lieid_casadi.errors import ExcitationError, NoSolution
 from lieid_casadi.excitation.approach_motion import PEAK_ACCELERATION, PEAK_VELOCITY, RestToRest
 from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.constant_speed_run import ConstantSpeedRun, MotionPath
+from lieid_casadi.excitation.fitted_arm import IdentifiedModel, model_and_fit
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
-from lieid_casadi.excitation.limits.default_limits import MARGIN, default_limits
+from lieid_casadi.excitation.limits.default_limits import (
+    MARGIN,
+    checked_limits,
+    default_limits,
+    unchecked_limits,
+)
 from lieid_casadi.excitation.limits.joint_limits import MotionRange, check_start_pose, motion_range
-from lieid_casadi.excitation.limits.start_pose import find_start_pose
-from lieid_casadi.excitation.limits.symbolic_limits import Limit
+from lieid_casadi.excitation.limits.start_pose import RANGE_USED, find_start_pose
+from lieid_casadi.excitation.limits.symbolic_limits import Limit, sets_of
 from lieid_casadi.model import Model
+from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
 SPEEDS = np.deg2rad(
@@ -35,7 +42,7 @@ DWELL = 0.5  # s at rest between runs
 STEEPEST = 1.875  # of the quintic step from 0 to 1 in 1 s
 RAMP_MARGIN = 1.1  # on the shortest ramp that the acceleration limit permits
 SHORTEST_RAMP = 0.2  # s
-RANGE_USED = 0.9  # of the position range
+REACHES = (1.0, 0.7, 0.5, 0.35, 0.25)  # parts of the longest motion for which a pose is searched
 
 
 @dataclass(frozen=True)
@@ -57,6 +64,8 @@ class FrictionSweep:
         Slowest first, forward and backward in turn.
     left_out : tuple of float
         Speeds beyond the joint's limit, or for which its range is too short, rad/s.
+    checked, unchecked : tuple of str
+        Limits that were checked, and limits that were not.
     """
 
     model: Model
@@ -64,6 +73,8 @@ class FrictionSweep:
     motion: MotionSamples
     parts: tuple[ConstantSpeed, ...]
     left_out: tuple[float, ...]
+    checked: tuple[str, ...]
+    unchecked: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return a description of the runs; joints are numbered from 1."""
@@ -73,17 +84,20 @@ class FrictionSweep:
             "duration": float(self.motion.t[-1]),
             "parts": [{"speed": p.speed, "start": p.start, "end": p.end} for p in self.parts],
             "left_out": list(self.left_out),
+            "checked": list(self.checked),
+            "unchecked": list(self.unchecked),
         }
 
     def files(self) -> dict[str, bytes]:
         """Return the content of ``friction_sweep_qJ.csv`` and ``.json`` by name."""
         import json
 
-        from lieid_casadi.excitation.files import csv_text
+        from lieid_casadi.excitation.files import csv_text, limit_comments
 
         name = f"friction_sweep_q{self.joint + 1}"
+        table = csv_text(self.motion, comments=limit_comments(self.checked, self.unchecked))
         content = json.dumps({"schema": 1} | self.to_dict(), indent=1)
-        return {f"{name}.csv": csv_text(self.motion).encode(), f"{name}.json": content.encode()}
+        return {f"{name}.csv": table.encode(), f"{name}.json": content.encode()}
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
         """Write ``friction_sweep_qJ.csv`` and ``.json`` into a folder; return the files.
@@ -106,7 +120,7 @@ class FrictionSweep:
 
 
 def friction_sweep(
-    model: Model,
+    source: Model | Robot | IdentifiedModel,
     joint: int,
     *,
     speeds: ArrayLike = SPEEDS,
@@ -114,14 +128,15 @@ def friction_sweep(
     start_pose: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
     margin: float = MARGIN,
-    constraints: Sequence[Limit] | None = None,
+    limits: Sequence[Limit] | None = None,
     rate: float = 200.0,
 ) -> FrictionSweep:
     """Return constant-speed runs of a joint around the start pose.
 
     Parameters
     ----------
-    model : Model
+    source : Model, Robot or Fit
+        A fit gives the torque limit its inertias and effects, as for `excite`.
     joint : int
         From 0.
     speeds : (k,)
@@ -129,14 +144,14 @@ def friction_sweep(
     seconds : float
         Longest part at constant speed; slow runs cover a smaller part of the range.
     start_pose : (n,), optional
-        rad. Default: the middle of the joint ranges or, where that is near a limit, a pose that is
-        far from all limits.
+        rad. Default: a pose around which the joint can move as far as the longest run needs or,
+        where there is none, down to a quarter of it.
     acceleration : float or (n,), optional
         Limits in place of the robot's, rad/s².
     margin : float
         Part of the velocity limits, and of the torque limits by default, that is used.
-    constraints : sequence of Limit, optional
-        Limits besides the joint limits, verified along the whole motion. Default: those of
+    limits : sequence of Limit, optional
+        Limits besides those of the joints, verified along the whole motion. Default: those of
         `default_limits`.
     rate : float
         Of the samples, Hz.
@@ -148,41 +163,64 @@ def friction_sweep(
     NoSolution
         The runs violate a limit; names it.
     """
+    model, fit = model_and_fit(source)
     robot = model.robot
     if not 0 <= joint < robot.n:
         raise ExcitationError(f"friction sweep: no joint {joint + 1}; the arm has 1 to {robot.n}")
     if not (seconds > 0.0 and rate > 0.0):
         raise ExcitationError("friction sweep: seconds and rate must be positive")
-    limits = motion_range(robot, acceleration, margin=margin)
-    if constraints is None:
-        constraints = default_limits(robot, margin=margin)
-    sets = [s for s in (limit.on(robot) for limit in constraints) if s is not None]
-    sets.append(limits.constraint_set())
+    joints = motion_range(robot, acceleration, margin=margin)
+    if limits is None:
+        limits = default_limits(robot, margin=margin)
+    made, left_out_pairs = sets_of(limits, robot, fit)
+    sets = (*made, joints.constraint_set())
+    reach = min(RANGE_USED * joints.units[joint, 0], 0.5 * seconds * float(np.max(np.abs(speeds))))
     if start_pose is None:
-        reach = RANGE_USED * limits.units[joint, 0]
-        travel = np.zeros(robot.n)
-        travel[joint] = min(reach, 0.5 * seconds * float(np.max(np.abs(speeds))))
-        pose = find_start_pose(limits, sets, travel=travel)
+        pose, reach = _found_pose(joints, sets, joint, reach)
     else:
         pose = np.asarray(start_pose, dtype=float)
-        check_start_pose(robot, limits, pose)
-    runs, left_out = _runs(limits, joint, pose[joint], np.sort(np.abs(speeds)), seconds)
+        check_start_pose(robot, joints, pose)
+    runs, left_out = _runs(joints, joint, pose[joint], np.sort(np.abs(speeds)), seconds, reach)
     if not runs:
         raise NoSolution(
             f"friction sweep: the range of joint {joint + 1} around {pose[joint]:g} is too short "
             "for every speed; choose a start pose nearer to the middle of the range"
         )
-    motion, parts = _motion(pose, joint, runs, rate, float(limits.acceleration[joint]))
+    motion, parts = _motion(pose, joint, runs, rate, float(joints.acceleration[joint]))
     _verify(motion, sets)
-    return FrictionSweep(model, joint, motion, tuple(parts), tuple(left_out))
+    return FrictionSweep(
+        model, joint, motion, tuple(parts), tuple(left_out),
+        checked_limits(joints, limits, fit),
+        unchecked_limits(robot, limits, left_out_pairs, fit),
+    )  # fmt: skip
+
+
+def _found_pose(
+    limits: MotionRange, sets: Sequence[ConstraintSet], joint: int, reach: float
+) -> tuple[Array, float]:
+    """Return a pose around which the joint can move, and how far it moves to either side, rad.
+
+    Raises
+    ------
+    NoSolution
+        There is none even for a quarter of ``reach``; names the limit.
+    """
+    for part in REACHES:
+        travel = np.zeros(len(limits.velocity))
+        travel[joint] = part * reach
+        try:
+            return find_start_pose(limits, sets, travel=travel), part * reach
+        except NoSolution as failure:
+            reason = failure
+    raise NoSolution(f"friction sweep of joint {joint + 1}: {reason}")
 
 
 def _runs(
-    limits: MotionRange, joint: int, centre: float, speeds: Array, seconds: float
+    limits: MotionRange, joint: int, centre: float, speeds: Array, seconds: float, reach: float
 ) -> tuple[list[ConstantSpeedRun], list[float]]:
     """Return the runs that fit the joint's range, and the speeds that are left out."""
     low, high = limits.position[joint]
-    available = min(2.0 * RANGE_USED * min(centre - low, high - centre), 2.0 * np.pi)
+    available = 2.0 * min(RANGE_USED * min(centre - low, high - centre), reach, np.pi)
     runs, left_out = [], []
     for speed in speeds.tolist():
         ramp = max(SHORTEST_RAMP, RAMP_MARGIN * STEEPEST * speed / limits.acceleration[joint])

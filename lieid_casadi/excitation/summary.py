@@ -11,8 +11,6 @@ from lieid_casadi.tables import html as to_html
 if TYPE_CHECKING:
     from lieid_casadi.excitation.excitation import Excitation
 
-SOLVERS = {"ipopt": "Ipopt", "sqp": "sequential quadratic programming"}
-
 
 def summary(excitation: Excitation) -> str:
     """Return a few paragraphs: quality, reference, active limits, weakest directions."""
@@ -32,9 +30,10 @@ def summary(excitation: Excitation) -> str:
         f"Condition number {e.condition_number:.4g} (σ₁ {q.singular_values[0]:.4g}, "
         f"σ_r {q.singular_values[q.rank - 1]:.4g} of the full regressor at {e.samples} samples, "
         f"{unit}, {effects}); −log det {e.neg_log_det:.4g} for {q.rank} base parameters. "
-        f"Solved by {SOLVERS[e.solver]}.{against}",
-        f"The stated limits are met on a grid 20 times finer than the samples "
-        f"(largest excess {e.max_violation:.1g}). Not checked: {', '.join(e.unchecked)}.",
+        f"Solved by Ipopt.{against}",
+        f"These limits are met on a grid 20 times finer than the samples (largest excess "
+        f"{e.max_violation:.1g}): {'; '.join(e.checked)}.",
+        f"Not checked: {'; '.join(e.unchecked)}.",
     ]
     if e.active_limits:
         names = ", ".join(limit.quantity for limit in e.active_limits[:6])

@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import RobotError
-from lieid_casadi.excitation import Capsule, SelfCollision, capsules_of, enclosing, load_capsules
+from lieid_casadi.excitation import (
+    Capsule,
+    SelfCollision,
+    capsules_of,
+    enclosing,
+    excite,
+    load_capsules,
+)
 from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.limits.capsules import (
     enclosing_all,
@@ -165,7 +172,7 @@ def test_capsules_contain_a_mesh_that_is_found(tmp_path, monkeypatch):
 
 def test_missing_mesh_falls_back_to_lines_between_joints(tmp_path, caplog):
     robot = robot_of(tmp_path, '<mesh filename="package://nowhere/fore.stl"/>')
-    with caplog.at_level("WARNING", logger="lieid_casadi"):
+    with caplog.at_level("INFO", logger="lieid_casadi"):
         links = capsules_of(robot)
     assert [c.link for c in links] == [c.link for c in skeleton(robot)]
     assert "no collision geometry found" in caplog.text
@@ -198,3 +205,26 @@ def test_capsule_file(tmp_path):
     assert capsule.link == 2
     assert capsule.radius == 0.05
     np.testing.assert_array_equal(capsule.end, [0.4, 0.0, 0.0])
+
+
+def test_a_forearm_that_folds_onto_the_base_is_checked(recordings):
+    """Base and link 3 of the TX40 touch in 41 % of random poses, and are three joints apart."""
+    robot = lieid.Robot.from_urdf(recordings / "staubli_tx40" / "tx40.urdf")
+    limits = SelfCollision().on(robot)
+    assert limits.labels == ("distance of the base from link 3",)
+    assert limits.left_out == ()
+
+
+def test_links_that_cannot_be_checked_are_listed():
+    """Capsules so thick that they always touch, and capsules without geometry."""
+    robot = lieid.robots.two_link()
+    thick = tuple(Capsule(link, np.zeros(3), np.array([0.1, 0.1, 0.0]), 2.0) for link in (0, 2))
+    found = excite(
+        lieid.Model(robot), duration=6.0, starts=1, max_iterations=10,
+        limits=[SelfCollision(0.02, thick)],
+    )  # fmt: skip
+    assert "distance of the base from link 2 (capsules too coarse)" in found.unchecked
+    plain = excite(
+        lieid.Model(robot), duration=6.0, starts=1, max_iterations=10, limits=[SelfCollision()]
+    )
+    assert any("no collision geometry was found" in text for text in plain.unchecked)

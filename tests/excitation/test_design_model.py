@@ -64,7 +64,7 @@ def test_columns_that_depend_on_time():
 
 def test_a_design_warns_of_effects_that_it_leaves_out():
     model = lieid.Model(ROBOT, effects="presliding,viscous,warm_up:1,temperature_friction:2")
-    options = {"duration": 8.0, "starts": 1, "max_iterations": 40, "constraints": ()}
+    options = {"duration": 8.0, "starts": 1, "max_iterations": 40, "limits": ()}
     found = excite(model, **options)
     plain = excite(lieid.Model(ROBOT, effects="coulomb,viscous,warm_up:1"), **options)
     assert found.condition_number == pytest.approx(plain.condition_number)

@@ -29,9 +29,14 @@ SPEED = 0.9
 def limited():
     """The Panda with every kind of limit; one start."""
     links = capsules_of(PANDA)
-    limits = [Torque(0.9), CartesianSpeed(SPEED), floor(capsules=links), SelfCollision(0.02, links)]
+    limits = [
+        Torque(0.9, dry=0.0, viscous=0.0),
+        CartesianSpeed(SPEED),
+        floor(capsules=links),
+        SelfCollision(0.02, links),
+    ]
     return excite(
-        lieid.Model(PANDA), criterion="condition", constraints=limits, acceleration=5.0, starts=1
+        lieid.Model(PANDA), criterion="condition", limits=limits, acceleration=5.0, starts=1
     )
 
 
@@ -146,7 +151,7 @@ def test_starts_and_ends_at_rest_at_the_start_pose(limited):
 def test_free_start_reaches_the_condition_number_of_the_reference(capsys):
     """43 inertial columns, 5 rad/s², free start: condition number near 12; nothing printed."""
     found = excite(
-        lieid.Model(PANDA), criterion="condition", constraints=(), acceleration=5.0,
+        lieid.Model(PANDA), criterion="condition", limits=(), acceleration=5.0,
         free_start=True, starts=2, margin=1.0,
     )  # fmt: skip
     assert found.condition_number <= 12.5
@@ -162,7 +167,7 @@ def test_the_file_begins_and_ends_at_rest_at_the_rest_pose(free_start):
     """Run-in and run-out are smooth: position, velocity and acceleration are continuous."""
     found = excite(
         lieid.Model(lieid.robots.two_link()), duration=6.0, periods=2, starts=1, rate=500.0,
-        start_pose=[0.3, -0.4], free_start=free_start, constraints=(), max_iterations=30,
+        start_pose=[0.3, -0.4], free_start=free_start, limits=(), max_iterations=30,
     )  # fmt: skip
     motion = found.motion()
     np.testing.assert_allclose(motion.q[[0, -1]], [[0.3, -0.4]] * 2, atol=1e-9)
@@ -191,14 +196,14 @@ def test_limits_that_are_checked_by_default():
     for q in motion.q[::10]:
         pin.framesForwardKinematics(model, data, q)
         assert data.oMf[model.getFrameId("tool")].translation[2] > 0.0
-    free = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=40, constraints=())
+    free = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=40, limits=())
     assert {"floor", "self-collision", "tool speed", "torque of every joint"} <= set(free.unchecked)
 
 
 def test_a_start_pose_in_collision_is_refused_before_the_search():
     under_the_floor = [0.0, 1.2, 0.0, -0.2, 0.0, 1.8, 0.0]
     with pytest.raises(NoSolution, match=r"start pose violates a limit at rest: .* from the floor"):
-        excite(lieid.Model(PANDA), start_pose=under_the_floor, constraints=[floor(0.5)])
+        excite(lieid.Model(PANDA), start_pose=under_the_floor, limits=[floor(0.5)])
 
 
 def test_periods_repeat():
@@ -215,7 +220,7 @@ def test_same_seed_same_trajectory_on_any_executor():
     model = lieid.Model(lieid.robots.two_link(), effects="coulomb,viscous")
     options = {
         "criterion": "condition", "duration": 6.0, "starts": 3, "seed": 5, "max_iterations": 60,
-        "constraints": (),
+        "limits": (),
     }  # fmt: skip
     here = excite(model, **options)
     with ThreadPoolExecutor(2) as threads:
@@ -251,7 +256,7 @@ def test_interrupt_keeps_the_best_feasible_trajectory():
         criterion="condition",
         starts=3,
         progress=progress,
-        constraints=[Torque()],
+        limits=[Torque()],
     )
     assert found.interrupted
     assert found.max_violation == 0.0
@@ -264,18 +269,23 @@ def test_interrupt_before_anything_is_feasible():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        excite(lieid.Model(PANDA), starts=1, progress=progress, constraints=())
+        excite(lieid.Model(PANDA), starts=1, progress=progress, limits=())
 
 
 def test_infeasible_workspace_names_the_limit():
     ceiling = Wall((0.0, 0.0, 1.0), 0.3, "ceiling")
     with pytest.raises(NoSolution, match=r"no start pose .* from the ceiling is violated"):
-        excite(lieid.Model(PANDA), constraints=[ceiling], starts=1, max_iterations=20)
+        excite(lieid.Model(PANDA), limits=[ceiling], starts=1, max_iterations=20)
 
 
 def test_torque_limit_below_gravity_is_infeasible():
     with pytest.raises(NoSolution, match="torque of joint"):
-        excite(lieid.Model(PANDA), constraints=[Torque(0.05)], starts=1, max_iterations=20)
+        excite(
+            lieid.Model(PANDA),
+            limits=[Torque(0.05, dry=0.0, viscous=0.0)],
+            starts=1,
+            max_iterations=20,
+        )
 
 
 def robot_with(**changes):
@@ -310,7 +320,7 @@ def robot_with(**changes):
         ({}, {"rate": 1e12}, "rate: 1e\\+12 Hz gives 2e\\+13 rows .* at most 10000000"),
         ({}, {"periods": 10**8}, "in 100000000 periods of 20 s; expected at most"),
         ({}, {"samples": 10**9}, "samples: 1000000000; .* at most 100000"),
-        ({}, {"constraints": [CartesianSpeed(0.0)]}, "Cartesian speed: 0"),
+        ({}, {"limits": [CartesianSpeed(0.0)]}, "Cartesian speed: 0"),
     ],
 )
 def test_bad_requests(robot, options, message):
@@ -320,14 +330,14 @@ def test_bad_requests(robot, options, message):
 
 def test_a_robot_without_acceleration_limits_or_end_stops():
     robot = robot_with(acceleration=np.nan, position_lower=np.nan, position_upper=np.nan)
-    found = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=30, constraints=())
+    found = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=30, limits=())
     assert np.abs(found.motion(200.0).ddq[:, 1]).max() <= 3.0
 
 
 def test_combined_criterion_improves_log_det():
     """C1's bound on −log det: never much worse than C3's, better than C2's."""
     options = {
-        "constraints": (), "acceleration": 5.0, "free_start": True, "starts": 1, "margin": 1.0,
+        "limits": (), "acceleration": 5.0, "free_start": True, "starts": 1, "margin": 1.0,
     }  # fmt: skip
     model = lieid.Model(PANDA)
     names = "combined", "condition", "hadamard"
@@ -338,7 +348,7 @@ def test_combined_criterion_improves_log_det():
 
 def test_thresholds_of_the_combined_criterion_end_the_search():
     """Eq. 20 as printed: below Δ₁ with −log det at most Δ₂, verified, in fewer iterations."""
-    options = {"duration": 6.0, "starts": 1, "criterion": "combined", "constraints": ()}
+    options = {"duration": 6.0, "starts": 1, "criterion": "combined", "limits": ()}
     model = lieid.Model(lieid.robots.two_link())
     full = excite(model, **options)
     threshold = 1.3 * full.condition_number
@@ -352,7 +362,7 @@ def test_thresholds_of_the_combined_criterion_end_the_search():
 
 def test_unit_norm_scaling_is_named_and_used():
     model = lieid.Model(lieid.robots.two_link(), effects="coulomb,viscous")
-    options = {"duration": 6.0, "starts": 1, "criterion": "condition", "constraints": ()}
+    options = {"duration": 6.0, "starts": 1, "criterion": "condition", "limits": ()}
     scaled = excite(model, scaling="unit_norm", **options)
     plain = excite(model, **options)
     assert scaled.to_dict()["scaling"] == "unit_norm"
@@ -366,7 +376,7 @@ def test_prior_scaling_is_named_and_used():
     model = lieid.Model(lieid.robots.two_link())
     options = {
         "duration": 6.0, "starts": 1, "criterion": "condition", "max_iterations": 60,
-        "constraints": (),
+        "limits": (),
     }  # fmt: skip
     plain, prior = excite(model, **options), excite(model, scaling="prior", **options)
     assert prior.to_dict()["scaling"] == "prior"
@@ -375,4 +385,6 @@ def test_prior_scaling_is_named_and_used():
 
 def test_capsules_that_always_touch_are_left_out():
     base = Capsule(0, np.array([0.0, 0.0, 0.5]), np.array([0.0, 0.0, 0.6]), 5.0)
-    assert SelfCollision(0.0, (base, *capsules_of(PANDA)[-1:])).on(PANDA) is None
+    limits = SelfCollision(0.0, (base, *capsules_of(PANDA)[-1:])).on(PANDA)
+    assert limits.labels == ()
+    assert limits.left_out == ("distance of the base from link 7",)

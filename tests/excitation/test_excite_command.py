@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 import lieid_casadi as lieid
-from lieid_casadi.cli import excite as command
+from lieid_casadi import plant
+from lieid_casadi.cli import motion_limits
 from lieid_casadi.cli.main import main
 
 KEYS = {
@@ -133,7 +134,7 @@ def test_limits_from_all_options():
          "--wall", "1", "0", "0", "0.8", "--workspace-box", "-1", "-1", "-1", "1", "1", "2",
          "--obstacle", "0.5", "-0.1", "0", "0.7", "0.1", "0.3"]
     )  # fmt: skip
-    limits = command.limits_of(arguments, lieid.robots.panda())
+    limits = motion_limits.limits_of(arguments, lieid.robots.panda())
     names = [type(limit).__name__ for limit in limits]
     assert names == ["Torque", "CartesianSpeed", "Wall", "SelfCollision", *["Wall"] * 7, "Obstacle"]
     floor = limits[2]
@@ -141,10 +142,28 @@ def test_limits_from_all_options():
     assert len(floor.capsules) == 8
 
 
-def test_torque_fraction_was_replaced_by_margin(tmp_path, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        main(["excite", "two_link", "-o", str(tmp_path / "x"), "--torque-fraction", "0.5"])
-    assert "use --margin" in capsys.readouterr().err
+def test_a_fit_in_place_of_the_robot(tmp_path, capsys):
+    """Its effects and torque are used; options for another model are refused."""
+    robot = lieid.robots.two_link()
+    t = np.arange(0.0, 10.0, 0.01)
+    motion = plant.FourierTrajectory(robot, base_frequency=0.1, seed=2).at(t)
+    recording = plant.measure_along(plant.demo_arm(robot, hidden=None), t, *motion)
+    fit = tmp_path / "fit.json"
+    lieid.identify(lieid.Model(robot, ["coulomb", "viscous"]), recording).save(fit)
+    target = tmp_path / "out"
+    assert main(["excite", str(fit), "-o", str(target), *SHORT]) == 0
+    content = json.loads((target / "excitation.json").read_text())
+    assert content["effects"] == ["coulomb", "viscous"]
+    assert any("by the fit with all effects, ± 2 standard" in text for text in content["checked"])
+    capsys.readouterr()
+    for option in (["--effects", "coulomb"], ["--tip", "link"], ["--lock", "elbow"]):
+        assert main(["excite", str(fit), "-o", str(tmp_path / "no"), *option]) == 2
+        assert "a fit" in capsys.readouterr().err
+    sweep = ["--friction-sweep", "1", "--json", str(tmp_path / "s.json"), "--unchecked-workspace"]
+    assert main(["excite", str(fit), "-o", str(tmp_path / "runs"), *sweep]) == 0
+    unchecked = json.loads((tmp_path / "s.json").read_text())["sweeps"][0]["unchecked"]
+    assert {"floor", "self-collision", "tool speed"} <= set(unchecked)
+    assert "Not checked: " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -159,7 +178,7 @@ def test_default_limits(options, expected):
     from lieid_casadi.cli.main import build_parser
 
     arguments = build_parser().parse_args(["excite", "panda", "-o", "x", *options])
-    limits = command.limits_of(arguments, lieid.robots.panda())
+    limits = motion_limits.limits_of(arguments, lieid.robots.panda())
     assert [type(limit).__name__ for limit in limits] == expected
     assert limits[0].fraction == 0.8
 

@@ -12,7 +12,7 @@ PANDA = lieid.Model(lieid.robots.panda())
 
 @pytest.fixture(scope="module")
 def sweep():
-    return friction_sweep(PANDA, 2, seconds=2.0, constraints=[Torque()])
+    return friction_sweep(PANDA, 2, seconds=2.0, limits=[Torque()])
 
 
 def test_speeds_of_the_paper_forward_and_backward(sweep):
@@ -62,16 +62,30 @@ def test_limits_hold(sweep):
 
 
 def test_speeds_beyond_the_limits_are_left_out():
-    fast = friction_sweep(PANDA, 0, speeds=[0.1, 3.0], seconds=1.0, constraints=[])
+    fast = friction_sweep(PANDA, 0, speeds=[0.1, 3.0], seconds=1.0, limits=[])
     assert fast.left_out == (3.0,)
     assert len(fast.parts) == 2
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_default_limits_hold_where_the_middle_of_the_range_is_horizontal(joint):
+    """A pose is found around which the joint can move above the floor; height by hand."""
+    sweep = friction_sweep(lieid.Model(lieid.robots.two_link()), joint, speeds=[0.1, 0.5])
+    q = sweep.motion.q
+    elbow = 0.5 * np.sin(q[:, 0])
+    tool = elbow + 0.4 * np.sin(q.sum(axis=1))
+    assert min(elbow.min(), tool.min()) > 0.0
+    assert len(sweep.parts) == 4
+    assert "floor" not in sweep.unchecked
 
 
 def test_files(sweep, tmp_path):
     import json
 
     table, text = sweep.save(tmp_path / "runs")
-    rows = np.loadtxt(table, delimiter=",", skiprows=1)
+    lines = table.read_text().splitlines()
+    assert "# not checked: self-collision" in lines
+    rows = np.loadtxt([line for line in lines if line[0] != "#"][1:], delimiter=",")
     np.testing.assert_allclose(rows[:, 3], sweep.motion.q[:, 2], atol=1e-10)
     content = json.loads(text.read_text())
     assert content["joint"] == 3
@@ -82,6 +96,6 @@ def test_bad_requests():
     with pytest.raises(ExcitationError, match="no joint 9; the arm has 1 to 7"):
         friction_sweep(PANDA, 8)
     with pytest.raises(NoSolution, match="too short for every speed"):
-        friction_sweep(PANDA, 0, speeds=[5.0], constraints=[])
+        friction_sweep(PANDA, 0, speeds=[5.0], limits=[])
     with pytest.raises(NoSolution, match="torque of joint"):
-        friction_sweep(PANDA, 1, speeds=[0.1], constraints=[Torque(0.01)])
+        friction_sweep(PANDA, 1, speeds=[0.1], limits=[Torque(0.01, dry=0.0, viscous=0.0)])

@@ -102,7 +102,7 @@ def test_names_of_criteria():
 )
 def test_gradient_of_an_objective_in_the_free_variables(robot, effects):
     model = lieid.Model(lieid.Robot.load(robot), effects=effects)
-    design = make_design(model, basis=make(harmonics=3), samples=40, constraints=())
+    design = make_design(model, basis=make(harmonics=3), samples=40, limits=())
     problem = ExcitationProblem(design)
     z = random_start(problem, 3)
     direction = np.random.default_rng(4).normal(size=z.size)

@@ -1,6 +1,5 @@
-"""The solvers behind one interface: optima, limits between samples, interrupts, determinism."""
+"""The solver: optima, limits between samples, interrupts, determinism."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
-from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation import Torque, excite
 from lieid_casadi.excitation.basis.families import make
 from lieid_casadi.excitation.criteria.objective_value import ObjectiveValue
@@ -16,20 +14,18 @@ from lieid_casadi.excitation.design_problem import ExcitationProblem
 from lieid_casadi.excitation.make_design import make_design
 from lieid_casadi.excitation.solvers.ipopt import Ipopt
 from lieid_casadi.excitation.solvers.nonlinear_program import run_ipopt
-from lieid_casadi.excitation.solvers.staged_solve import SOLVERS, solve
+from lieid_casadi.excitation.solvers.staged_solve import solve
 from lieid_casadi.plant.rigid import build_pinocchio
 
 PANDA = lieid.robots.panda()
-both = pytest.mark.parametrize("solver", list(SOLVERS))
 
 
-@both
-def test_torques_and_joint_limits_hold_between_the_samples(solver):
+def test_torques_and_joint_limits_hold_between_the_samples():
     import pinocchio as pin
 
     found = excite(
-        lieid.Model(PANDA), criterion="condition", constraints=[Torque(0.9)], acceleration=5.0,
-        starts=1, solver=solver,
+        lieid.Model(PANDA), criterion="condition", acceleration=5.0, starts=1,
+        limits=[Torque(0.9, dry=0.0, viscous=0.0)],
     )  # fmt: skip
     motion = found.motion(500.0)
     model = build_pinocchio(PANDA)
@@ -43,12 +39,9 @@ def test_torques_and_joint_limits_hold_between_the_samples(solver):
     assert np.abs(motion.ddq).max() <= 5.0
     assert found.max_violation == 0.0
     assert found.condition_number < 15.0
-    assert found.to_dict()["solver"] == solver
-    assert {"ipopt": "Ipopt", "sqp": "quadratic"}[solver] in found.summary()
 
 
-@both
-def test_interrupt_keeps_a_feasible_trajectory(solver):
+def test_interrupt_keeps_a_feasible_trajectory():
     calls = []
 
     def progress(stage, fraction):
@@ -56,30 +49,23 @@ def test_interrupt_keeps_a_feasible_trajectory(solver):
         if len(calls) == 50:
             raise KeyboardInterrupt
 
-    found = excite(
-        lieid.Model(PANDA), starts=2, progress=progress, solver=solver, constraints=[Torque()]
-    )
+    found = excite(lieid.Model(PANDA), starts=2, progress=progress, limits=[Torque()])
     assert found.interrupted
     assert found.max_violation == 0.0
     assert len(calls) == 50
 
 
-@both
-def test_an_iteration_limit_ends_within_the_limits(solver):
+def test_an_iteration_limit_ends_within_the_limits():
     """Four polishing rounds of 40 iterations may follow the limited search."""
-    found = excite(
-        lieid.Model(PANDA), starts=1, max_iterations=8, solver=solver, constraints=[Torque()]
-    )
+    found = excite(lieid.Model(PANDA), starts=1, max_iterations=8, limits=[Torque()])
     assert found.max_violation == 0.0
     assert 8 <= len(found.history) <= 8 + 4 * 40
 
 
-@both
-def test_no_solver_reads_a_clock(problem, solver, monkeypatch):
+def test_the_solver_reads_no_clock(problem, monkeypatch):
     """Iterates of a machine on which every call of the clock takes an hour are the same."""
     import time
 
-    problem = ExcitationProblem(replace(problem.design, solver=solver))
     quick = solve(problem, 0)
     hours = iter(range(10**9))
     monkeypatch.setattr(time, "monotonic", lambda: 3600.0 * next(hours))
@@ -87,10 +73,9 @@ def test_no_solver_reads_a_clock(problem, solver, monkeypatch):
     np.testing.assert_array_equal(quick.z, slow.z)
 
 
-@both
-def test_criteria_decrease(solver):
+def test_criteria_decrease():
     """Each criterion ends below where its start was, and below the other criteria's optima."""
-    options = {"duration": 6.0, "starts": 1, "solver": solver, "constraints": ()}
+    options = {"duration": 6.0, "starts": 1, "limits": ()}
     model = lieid.Model(lieid.robots.two_link())
     volume = excite(model, criterion="logdet", **options)
     condition = excite(model, criterion="condition", **options)
@@ -99,47 +84,34 @@ def test_criteria_decrease(solver):
     assert volume.history[-1].value < volume.history[0].value
 
 
-def test_an_unknown_solver(tmp_path, capsys):
-    model = lieid.Model(lieid.robots.two_link())
-    with pytest.raises(ExcitationError, match=r"solver: 'snopt'; expected one of ipopt, sqp"):
-        excite(model, solver="snopt")
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        (["--solver", "sqp"], "Ipopt is the only solver"),
+        (["--family", "spline"], "use --basis"),
+        (["--torque-fraction", "0.5"], "use --margin"),
+    ],
+)
+def test_options_that_were_removed(tmp_path, capsys, option, message):
     target = tmp_path / "x"
     with pytest.raises(SystemExit, match="2"):
-        main(["excite", "two_link", "-o", str(target), "--solver", "snopt"])
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1
-    assert "snopt" in message
+        main(["excite", "two_link", "-o", str(target), *option])
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
     assert not target.exists()
-
-
-def test_the_solver_is_recorded(tmp_path):
-    quick = [
-        "--duration",
-        "6",
-        "--starts",
-        "1",
-        "--rate",
-        "100",
-        "--solver",
-        "sqp",
-        "--max-iterations",
-        "20",
-    ]
-    assert main(["excite", "two_link", "-o", str(tmp_path / "x"), *quick]) == 0
-    assert json.loads((tmp_path / "x" / "excitation.json").read_text())["solver"] == "sqp"
 
 
 @pytest.fixture(scope="module")
 def problem():
     robot = lieid.robots.two_link()
     design = make_design(
-        lieid.Model(robot), basis=make(duration=6.0), criterion="condition", constraints=()
+        lieid.Model(robot), basis=make(duration=6.0), criterion="condition", limits=()
     )
     return ExcitationProblem(design)
 
 
-@both
-def test_a_quadratic_objective_within_linear_limits(problem, solver):
+def test_a_quadratic_objective_within_linear_limits(problem):
     """The optimum of a convex problem, by its optimality conditions from another program."""
     from scipy.optimize import minimize
 
@@ -153,7 +125,7 @@ def test_a_quadratic_objective_within_linear_limits(problem, solver):
         )
 
     constraints = problem.constraints(1)
-    made = SOLVERS[solver](constraints, size)
+    made = Ipopt(constraints, size)
     z = np.zeros(size)
     for _ in range(8):
         z = made.minimize(objective, z, iterations=200, tolerance=1e-9)

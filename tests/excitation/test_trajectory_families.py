@@ -12,7 +12,7 @@ from lieid_casadi.excitation.basis.trajectory import (
     null_space,
 )
 
-FAMILIES = ["fourier", "modified_fourier", "spline"]
+FAMILIES = ["fourier", "modified_fourier", "bspline"]
 UNITS = np.array([[2.0, 2.0, 5.0], [1.0, 3.0, 9.0]])
 
 
@@ -43,6 +43,7 @@ def test_derivatives(family):
     here, after, before = (trajectory.at(t + step) for step in (0.0, h, -h))
     np.testing.assert_allclose(here.dq, (after.q - before.q) / (2 * h), atol=1e-6)
     np.testing.assert_allclose(here.ddq, (after.dq - before.dq) / (2 * h), atol=1e-6)
+    np.testing.assert_allclose(here.dddq, (after.ddq - before.ddq) / (2 * h), atol=1e-5)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -61,7 +62,7 @@ def test_end_conditions(family, fixed):
 
 def test_fourier_and_spline_have_equal_freedom():
     sizes = {family: parametrization(family, fixed=True).size for family in FAMILIES}
-    assert sizes["fourier"] == sizes["spline"] == 2 * (2 * 4 + 1 - 3)
+    assert sizes["fourier"] == sizes["bspline"] == 2 * (2 * 4 + 1 - 3)
     assert sizes["modified_fourier"] > sizes["fourier"]
 
 
@@ -94,7 +95,7 @@ def test_sampled_motion_and_its_gradient(family):
     z, t = rng.normal(size=p.size), np.linspace(0.0, 7.5, 23)
     sampled, motion = SampledBasis(p, t), p.trajectory(z).at(t)
     samples = sampled.motion(z)
-    for name in ("q", "dq", "ddq"):
+    for name in ("q", "dq", "ddq", "dddq"):
         np.testing.assert_allclose(getattr(samples, name), getattr(motion, name), atol=1e-10)
     weights = rng.normal(size=(2, 3, 23))
 
@@ -129,7 +130,7 @@ def test_a_unit_of_a_free_variable_reaches_a_limit():
         ({"duration": 0.0}, "duration: 0 s"),
         ({"duration": float("nan")}, "duration: nan s"),
         ({"harmonics": 1}, "harmonics: 1; expected 2 to 100"),
-        ({"family": "sines"}, "family: 'sines'; expected fourier"),
+        ({"name": "sines"}, "basis: 'sines'; expected one of fourier"),
     ],
 )
 def test_bad_families(options, message):

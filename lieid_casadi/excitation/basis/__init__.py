@@ -1,1 +1,1 @@
-"""Families of trajectories and their coefficients."""
+"""Bases of trajectories and their coefficients."""

@@ -1,10 +1,10 @@
-"""Families of trajectories that are linear in their coefficients."""
+"""Bases of trajectories: Fourier series and B-splines."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,15 @@ DEGREE = 5  # of the splines, and of the polynomial of the modified Fourier seri
 
 
 class Basis(Protocol):
-    """Functions of time over one duration; column 0 is the constant 1."""
+    """Functions of time over one period, of which a trajectory is a linear combination.
+
+    Column 0 is the constant 1. A basis of your own has these four members and is picklable where
+    an executor is used.
+    """
 
     @property
     def name(self) -> str:
-        """Name of the family."""
+        """Name in files."""
 
     @property
     def duration(self) -> float:
@@ -32,7 +36,7 @@ class Basis(Protocol):
         """Number of functions m."""
 
     def evaluate(self, t: Array) -> Array:
-        """Return the functions, their first and second derivatives (3, N, m) at t (N,) in s."""
+        """Return the functions and their first three derivatives (4, N, m) at t (N,) in s."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class Fourier:
         return 2 * self.harmonics + 1
 
     def evaluate(self, t: Array) -> Array:
-        """Return the functions and two derivatives (3, N, m)."""
+        """Return the functions and three derivatives (4, N, m)."""
         rates = 2.0 * np.pi / self.duration * np.arange(1, self.harmonics + 1)
         angles = np.outer(t, rates)
         sine, cosine = np.sin(angles), np.cos(angles)
@@ -63,6 +67,7 @@ class Fourier:
                 np.hstack([one, sine / rates, -cosine / rates]),
                 np.hstack([zero, cosine, sine]),
                 np.hstack([zero, -sine * rates, cosine * rates]),
+                np.hstack([zero, -cosine * rates**2, -sine * rates**2]),
             ]
         )
 
@@ -86,7 +91,7 @@ class ModifiedFourier:
         return 2 * self.harmonics + 1 + DEGREE
 
     def evaluate(self, t: Array) -> Array:
-        """Return the functions and two derivatives (3, N, m)."""
+        """Return the functions and three derivatives (4, N, m)."""
         series = Fourier(self.harmonics, self.duration).evaluate(t)
         # powers of u ∈ [−1, 1] have the same size
         u, rate = 2.0 * t / self.duration - 1.0, 2.0 / self.duration
@@ -94,16 +99,21 @@ class ModifiedFourier:
         powers = u[:, None] ** k
         first = rate * k * u[:, None] ** (k - 1)
         second = rate**2 * k * (k - 1) * u[:, None] ** np.maximum(k - 2, 0)
-        return np.concatenate([series, np.stack([powers, first, second])], axis=2)
+        third = rate**3 * k * (k - 1) * (k - 2) * u[:, None] ** np.maximum(k - 3, 0)
+        return np.concatenate([series, np.stack([powers, first, second, third])], axis=2)
 
 
 @dataclass(frozen=True)
-class Spline:
-    """Uniform quintic B-spline; not periodic, with continuous fourth derivative."""
+class BSpline:
+    """Uniform quintic B-spline; not periodic, with continuous jerk and fourth derivative.
+
+    Each coefficient acts on six intervals only, so that a limit at one time does not restrain the
+    motion at another. For a bound on the jerk beside it see `jerk_limit`.
+    """
 
     intervals: int = 11
     duration: float = 20.0
-    name = "spline"
+    name = "bspline"
 
     @property
     def size(self) -> int:
@@ -117,18 +127,45 @@ class Spline:
         return np.concatenate([0.0 * ends, inner, self.duration * ends])
 
     def evaluate(self, t: Array) -> Array:
-        """Return the functions and two derivatives (3, N, m)."""
+        """Return the functions and three derivatives (4, N, m)."""
         from scipy.interpolate import BSpline
 
         splines = BSpline(self._knots, np.eye(self.intervals + DEGREE), DEGREE)
-        values = np.stack([splines(t), splines(t, 1), splines(t, 2)])
+        values = np.stack([splines(t), splines(t, 1), splines(t, 2), splines(t, 3)])
         values[:, :, 0] = 0.0
         values[0, :, 0] = 1.0
         return np.asarray(values)
 
 
+BasisName = Literal["fourier", "modified_fourier", "bspline"]
+NAMES: tuple[BasisName, ...] = get_args(BasisName)
+
+
+def check_basis(basis: Basis) -> None:
+    """Refuse a basis without the properties that `Basis` states.
+
+    Raises
+    ------
+    ExcitationError
+        Names what was found.
+    """
+    if not 0.0 < basis.duration <= LONGEST:
+        raise ExcitationError(
+            f"basis {basis.name}: duration {basis.duration:g} s; expected a positive number of at "
+            f"most {LONGEST:g} s"
+        )
+    values = np.asarray(basis.evaluate(np.array([0.0, basis.duration])), dtype=float)
+    if values.shape != (4, 2, basis.size):
+        raise ExcitationError(
+            f"basis {basis.name}: evaluate at two times has shape {values.shape}; expected "
+            f"(4, 2, {basis.size}): functions and three derivatives, times, functions"
+        )
+    if not np.allclose(values[:, :, 0], np.array([[1.0], [0.0], [0.0], [0.0]])):
+        raise ExcitationError(f"basis {basis.name}: column 0 is not the constant 1")
+
+
 def make(
-    family: str = "fourier",
+    name: str = "fourier",
     *,
     duration: float = 20.0,
     harmonics: int = 5,
@@ -138,19 +175,19 @@ def make(
 
     Parameters
     ----------
-    family : str
-        ``fourier`` (Eq. 19), ``modified_fourier`` or ``spline``.
+    name : str
+        ``fourier`` (Eq. 19), ``modified_fourier`` or ``bspline``.
     duration : float
         Of one period, s.
     harmonics : int
         Of the Fourier series.
     intervals : int, optional
-        Of the spline; by default it has as many free coefficients as the Fourier series.
+        Of the B-spline; by default it has as many free coefficients as the Fourier series.
 
     Raises
     ------
     ExcitationError
-        Unknown family, or numbers out of range.
+        Unknown name, or numbers out of range.
     """
     if not 0.0 < duration <= LONGEST:
         raise ExcitationError(
@@ -158,11 +195,11 @@ def make(
         )
     if not 2 <= harmonics <= 100:
         raise ExcitationError(f"harmonics: {harmonics}; expected 2 to 100")
-    if family == "fourier":
+    if name == "fourier":
         return Fourier(harmonics, duration)
-    if family == "modified_fourier":
+    if name == "modified_fourier":
         return ModifiedFourier(harmonics, duration)
-    if family == "spline":
+    if name == "bspline":
         # six end conditions in place of three: the same number of free coefficients
-        return Spline(2 * harmonics - 1 if intervals is None else intervals, duration)
-    raise ExcitationError(f"family: {family!r}; expected fourier, modified_fourier or spline")
+        return BSpline(2 * harmonics - 1 if intervals is None else intervals, duration)
+    raise ExcitationError(f"basis: {name!r}; expected one of {', '.join(NAMES)}")

@@ -24,15 +24,23 @@ class MotionSamples:
         Time, s.
     q, dq, ddq : (N, n)
         Joint positions, velocities and accelerations: rad, rad/s, rad/s²; m for prismatic joints.
+    dddq : (N, n) or None
+        Jerk, rad/s³, where it is known.
     """
 
     t: Array
     q: Array
     dq: Array
     ddq: Array
+    dddq: Array | None = None
 
     def __len__(self) -> int:
         return len(self.t)
+
+    def at(self, index: NDArray[np.intp]) -> MotionSamples:
+        """Return some of the samples."""
+        jerk = None if self.dddq is None else self.dddq[index]
+        return MotionSamples(self.t[index], self.q[index], self.dq[index], self.ddq[index], jerk)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +66,7 @@ class Trajectory:
         """Return the motion at times within the period."""
         time = np.asarray(t, dtype=float)
         functions = self.basis.evaluate(time)
-        q, dq, ddq = (functions[k] @ self.coefficients.T for k in range(3))
-        return MotionSamples(time, q, dq, ddq)
+        return MotionSamples(time, *(kind @ self.coefficients.T for kind in functions))
 
 
 def period_grid(duration: float, samples: int) -> Array:
@@ -71,9 +78,9 @@ def period_grid(duration: float, samples: int) -> Array:
 class Parametrization:
     """Free variables z (n d,) of the trajectories that meet the end conditions.
 
-    At both ends velocity and acceleration vanish (Eq. 20); with ``fixed`` the position there is
-    ``pose``, otherwise it is free. The conditions are linear: the coefficients are those of the
-    pose at rest plus null-space directions times z.
+    At both ends velocity and acceleration vanish (Eq. 20) and the positions are the same; with
+    ``fixed`` they are ``pose``, otherwise free. The conditions are linear: the coefficients are
+    those of the pose at rest plus null-space directions times z.
 
     Attributes
     ----------
@@ -111,18 +118,22 @@ class Parametrization:
         ends = self.basis.evaluate(np.array([0.0, self.basis.duration]))
         kinds = (0, 1, 2) if self.fixed else (1, 2)
         # a duration of one in place of seconds makes the conditions comparable
-        conditions = np.vstack([ends[k] * self.basis.duration**k for k in kinds])
-        return null_space(conditions)
+        conditions = [ends[k] * self.basis.duration**k for k in kinds]
+        closing = ends[0, 1] - ends[0, 0]
+        if not self.fixed and np.abs(closing).max() > DEPENDENT:  # periodic bases close anyway
+            conditions.append(closing[None])
+        return null_space(np.vstack(conditions))
 
     @cached_property
     def scales(self) -> Array:
         """Length (n, d) of each direction, such that a unit of z reaches about one limit."""
         grid = period_grid(self.basis.duration, 200)
-        peaks = np.abs(self.basis.evaluate(grid) @ self._directions).max(axis=1)  # (3, d)
+        functions = self.basis.evaluate(grid)[:3] @ self._directions
+        peaks = np.abs(functions).max(axis=1)  # (3, d)
         return np.asarray(1.0 / (peaks[None] / self.size_of_unit[:, :, None]).max(axis=1))
 
     def functions(self, t: Array) -> Array:
-        """Return ∂(q, dq, ddq)_j/∂z_j (n, 3, N, d) at times t (N,), s."""
+        """Return ∂(q, dq, ddq, dddq)_j/∂z_j (n, 4, N, d) at times t (N,), s."""
         plain = self.basis.evaluate(t) @ self._directions
         return np.asarray(plain[None] * self.scales[:, None, None, :])
 
@@ -174,7 +185,7 @@ class SampledBasis:
 
     @cached_property
     def functions(self) -> Array:
-        """∂(q, dq, ddq)_j/∂z_j (n, 3, N, d)."""
+        """∂(q, dq, ddq, dddq)_j/∂z_j (n, 4, N, d)."""
         return self.parametrization.functions(self.t)
 
     @cached_property
@@ -186,11 +197,12 @@ class SampledBasis:
         """Return the motion of free variables (n d,) at the times."""
         p = self.parametrization
         free = np.reshape(z, (p.n, -1, 1))
-        values = (self._flat @ free).reshape(p.n, 3, len(self.t))
+        values = (self._flat @ free).reshape(p.n, 4, len(self.t))
         values[:, 0] += p.pose[:, None]
-        return MotionSamples(self.t, *(np.ascontiguousarray(values[:, k].T) for k in range(3)))
+        return MotionSamples(self.t, *(np.ascontiguousarray(values[:, k].T) for k in range(4)))
 
     def gradient(self, gradients: Array) -> Array:
         """Return ∂f/∂z (n d,) of gradients (n, 3, N) with respect to the motion."""
         n = self.parametrization.n
-        return np.ravel(gradients.reshape(n, 1, -1) @ self._flat)
+        flat = gradients.reshape(n, 1, -1)
+        return np.ravel(flat @ self._flat[:, : flat.shape[2]])

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Literal, get_args
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
-NAMES = ("si", "units", "prior", "unit_norm")
+ScalingName = Literal["si", "units", "prior", "unit_norm"]
+NAMES: tuple[ScalingName, ...] = get_args(ScalingName)
 LEAST_SIZE = 0.01  # of a group's typical size: prior deviation of a parameter stated as 0
 
 
-def column_scale(model: Model, scaling: str | ArrayLike) -> Array | None:
+def column_scale(model: Model, scaling: ScalingName | Sequence[float] | Array) -> Array | None:
     """Return the factors (P,) of the full regressor's columns; None for ``unit_norm``.
 
     Parameters

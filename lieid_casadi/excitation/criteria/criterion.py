@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import ExcitationError
 
 Array = NDArray[np.float64]
+CriterionExpression = Callable[[ca.SX], ca.SX]
 SMALLEST = 1e-14  # of the largest eigenvalue; smaller ones are replaced by it
 
 
@@ -142,6 +145,41 @@ class UnitNormColumns(Criterion):
         norms = np.sqrt(np.diag(gram))
         change = np.diag((slope * scaled).sum(axis=1) / norms**2)
         return value, slope / np.outer(norms, norms) - change
+
+
+class ExpressionCriterion(Criterion):
+    """A criterion of your own, as a CasADi expression of G (p, p); differentiated by CasADi.
+
+    Parameters
+    ----------
+    expression : callable
+        SX (p, p) → SX scalar.
+    size : int
+        p.
+
+    Raises
+    ------
+    ExcitationError
+        The expression is not a scalar.
+    """
+
+    def __init__(self, expression: CriterionExpression, size: int) -> None:
+        gram = ca.SX.sym("G", size, size)
+        value = ca.SX(expression(gram))
+        if value.shape != (1, 1):
+            raise ExcitationError(f"criterion: shape {value.shape}; expected a scalar expression")
+        self.name = criterion_name(expression)  # type: ignore[misc]
+        self._function = ca.Function("criterion", [gram], [value, ca.gradient(value, gram)])
+
+    def evaluate(self, gram: Array) -> tuple[float, Array]:
+        """See `Criterion`."""
+        value, slope = (output.full() for output in self._function(gram))
+        return float(value[0, 0]), 0.5 * (slope + slope.T)
+
+
+def criterion_name(criterion: str | CriterionExpression) -> str:
+    """Return the name of a criterion in files and summaries."""
+    return criterion if isinstance(criterion, str) else getattr(criterion, "__name__", "own")
 
 
 def unit_norm_gram(gram: Array) -> Array:

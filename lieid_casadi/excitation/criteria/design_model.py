@@ -16,6 +16,7 @@ def design_model(model: Model) -> tuple[Model, tuple[NotCountedWarning, ...]]:
     temperature, which no trajectory chooses, other effects with memory, and effects on the whole
     arm or on the measurement.
     """
+    model.robot.require_numbers("excite")
     kept: list[Placement] = []
     left_out: list[Placement] = []
     replaced: list[Placement] = []
@@ -53,4 +54,4 @@ def design_model(model: Model) -> tuple[Model, tuple[NotCountedWarning, ...]]:
 def follows_from_motion(effect: Effect) -> bool:
     """Return whether an effect's columns follow from the motion and the time of one instant."""
     has_memory = isinstance(effect, ArmEffect) or bool(effect.states)
-    return not has_memory and "temperature" not in effect.signals
+    return not has_memory and "temperature" not in effect.signals and not effect.commanded

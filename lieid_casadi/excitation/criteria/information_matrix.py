@@ -15,6 +15,7 @@ from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.criteria.design_model import follows_from_motion
+from lieid_casadi.excitation.fitted_arm import FittedArm, load_parameters, shapes_of
 from lieid_casadi.excitation.sample_functions import SampleKernel, reverse_derivative
 from lieid_casadi.model import Model
 
@@ -44,6 +45,8 @@ class InformationMatrix:
     model : Model
     sign_width : (n,)
         Width of the smooth sign, rad/s.
+    fit : FittedArm, optional
+        Shape parameters, and link parameters for effects of the load. Default: the stated ones.
 
     Raises
     ------
@@ -52,13 +55,13 @@ class InformationMatrix:
         `design_model`.
     """
 
-    def __init__(self, model: Model, *, sign_width: Array) -> None:
+    def __init__(self, model: Model, *, sign_width: Array, fit: FittedArm | None = None) -> None:
         self.model = model
         symbols = Symbols.symbols(model.n)
         time = ca.SX.sym("time")
         self._timed = any("time" in p.effect.signals for p in model.placements)
         further = {"time": time} if self._timed else {}
-        matrix = base_regressor(model, symbols, sign_width, time)
+        matrix = base_regressor(model, symbols, sign_width, time, fit)
         kept = model.base.count
         self._values = SampleKernel("base_columns", symbols, matrix, further)
         seed = ca.SX.sym("seed", len(self._values.rows))
@@ -109,7 +112,9 @@ class InformationMatrix:
         return {"time": motion.t[:, None]} if self._timed else {}
 
 
-def base_regressor(model: Model, symbols: Symbols, sign_width: Array, time: ca.SX) -> ca.SX:
+def base_regressor(
+    model: Model, symbols: Symbols, sign_width: Array, time: ca.SX, fit: FittedArm | None = None
+) -> ca.SX:
     """Return the base columns (n, p) of [Y, effect columns] with a smooth sign.
 
     Parameters
@@ -121,6 +126,8 @@ def base_regressor(model: Model, symbols: Symbols, sign_width: Array, time: ca.S
         Width of the smooth sign, rad/s.
     time : SX
         Symbol of the time, s.
+    fit : FittedArm, optional
+        See `InformationMatrix`.
     """
     unreachable = [p.label for p in model.placements if not follows_from_motion(p.effect)]
     if unreachable:
@@ -132,9 +139,9 @@ def base_regressor(model: Model, symbols: Symbols, sign_width: Array, time: ca.S
     sign = ca.tanh(symbols.dq / ca.DM(sign_width))
     load = ca.SX(n, 1)
     if any("load" in p.effect.signals for p in model.placements):
-        parameters = ca.SX(ca.DM(model.robot.link_parameters))
+        parameters = ca.SX(ca.DM(load_parameters(model, fit)))
         load = recursion.inverse_dynamics(model.robot, symbols, parameters)
     signals = EffectSignals(symbols.q, symbols.dq, symbols.ddq, sign, load, ca.SX(n, 1), time)
-    shapes = ca.SX(ca.DM(model.initial_shapes))
+    shapes = ca.SX(ca.DM(shapes_of(model, fit)))
     every = ca.horzcat(regressor(model.robot, symbols), model.effect_columns(signals, shapes))
     return every[:, [int(k) for k in model.base.kept]]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.excitation.basis.trajectory import MotionSamples
+from lieid_casadi.excitation.fitted_arm import FittedArm, load_parameters, shapes_of
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
@@ -71,7 +72,12 @@ class Quality:
         return float(self.singular_values[0] / self.singular_values[self.rank - 1])
 
 
-def quality(model: Model, motion: MotionSamples, column_scale: Array | None) -> Quality:
+def quality(
+    model: Model,
+    motion: MotionSamples,
+    column_scale: Array | None,
+    fit: FittedArm | None = None,
+) -> Quality:
     """Evaluate the model's own columns, sharp signs included, at samples of a motion.
 
     Parameters
@@ -80,8 +86,10 @@ def quality(model: Model, motion: MotionSamples, column_scale: Array | None) -> 
     motion : MotionSamples
     column_scale : (P,) or None
         Factors of the full regressor's columns; None: base columns scaled to unit norm.
+    fit : FittedArm, optional
+        Shape parameters, and link parameters for effects of the load. Default: the stated ones.
     """
-    base, full = stacked_regressors(model, motion)
+    base, full = stacked_regressors(model, motion, fit)
     if column_scale is None:
         norms = np.linalg.norm(base, axis=0)
         sizes, metric = np.linalg.svd(base / norms, compute_uv=False), np.diag(1.0 / norms)
@@ -101,18 +109,29 @@ def quality(model: Model, motion: MotionSamples, column_scale: Array | None) -> 
     return Quality(np.asarray(sizes), rank, -volume, weak, np.sqrt(variances))
 
 
-def stacked_regressors(model: Model, motion: MotionSamples) -> tuple[Array, Array]:
-    """Return the base (N·n, p) and the full (N·n, P) regressor of a motion's samples."""
+def stacked_regressors(
+    model: Model, motion: MotionSamples, fit: FittedArm | None = None
+) -> tuple[Array, Array]:
+    """Return the base (N·n, p) and the full (N·n, P) regressor of a motion's samples.
+
+    Parameters
+    ----------
+    model : Model
+    motion : MotionSamples
+    fit : FittedArm, optional
+        As in `quality`.
+    """
     from lieid_casadi.compiled import compile
 
     arm = compile(model)
     signals = motion.q, motion.dq, motion.ddq
     load = None
     if any("load" in p.effect.signals for p in model.placements):
-        load = arm.inverse_dynamics(*signals, model.robot.link_parameters)
+        load = arm.inverse_dynamics(*signals, load_parameters(model, fit))
     columns = [arm.regressor(*signals)]
     if model.columns:
-        columns.append(arm.effect_columns(*signals, load=load, time=motion.t))
+        shapes = shapes_of(model, fit)
+        columns.append(arm.effect_columns(*signals, load=load, time=motion.t, shapes=shapes))
     full = np.concatenate(columns, axis=2).reshape(-1, len(model.base.names))
     return np.ascontiguousarray(full[:, model.base.kept]), full
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,6 +29,8 @@ class ConstraintSet(ABC):
         Unit in which violations of different quantities are compared.
     remedy : str
         What to relax, for messages.
+    left_out : tuple of str
+        Quantities that are not checked.
     """
 
     labels: tuple[str, ...]
@@ -37,6 +40,7 @@ class ConstraintSet(ABC):
     scale: Array
     remedy: str
     linear: bool = False
+    left_out: tuple[str, ...] = ()
 
     @abstractmethod
     def values(self, motion: MotionSamples) -> Array:
@@ -44,11 +48,30 @@ class ConstraintSet(ABC):
 
     @abstractmethod
     def jacobian(self, motion: MotionSamples) -> Array:
-        """Return ∂values/∂(q, dq, ddq) (k, 3 n, N)."""
+        """Return ∂values/∂(q, dq, ddq) (k, 3 n, N), or by the jerk dddq, too (k, 4 n, N)."""
 
     def excess(self, values: Array) -> Array:
         """Return by how much values (k, N) exceed the limits, in their units; negative inside."""
         return np.maximum(values - self.upper[:, None], self.lower[:, None] - values)
+
+
+class UncheckedSet(ConstraintSet):
+    """A set of a limit none of whose quantities can be checked; without quantities."""
+
+    labels = units = ()
+    lower = upper = scale = np.zeros(0)
+    remedy = ""
+
+    def __init__(self, left_out: Sequence[str]) -> None:
+        self.left_out = tuple(left_out)
+
+    def values(self, motion: MotionSamples) -> Array:
+        """See `ConstraintSet`."""
+        return np.zeros((0, len(motion)))
+
+    def jacobian(self, motion: MotionSamples) -> Array:
+        """See `ConstraintSet`."""
+        return np.zeros((0, 3 * motion.q.shape[1], len(motion)))
 
 
 class JointLimits(ConstraintSet):
@@ -202,7 +225,7 @@ class SampledConstraints:
 
     def jacobian(self, motion: MotionSamples, rows: ConstraintRows) -> Array:
         """Return ∂excess/∂z (R, n d) of rows."""
-        functions = self.sampled.functions  # (n, 3, N, d)
+        functions = self.sampled.functions  # (n, 4, N, d)
         n, _, _, d = functions.shape
         result = np.zeros((len(rows), n, d))
         for index, limits in enumerate(self.sets):
@@ -210,13 +233,12 @@ class SampledConstraints:
             if not len(own):
                 continue
             samples, place = np.unique(rows.samples[own], return_inverse=True)
-            part = MotionSamples(
-                motion.t[samples], motion.q[samples], motion.dq[samples], motion.ddq[samples]
-            )
-            slopes = limits.jacobian(part)[rows.quantities[own], :, place]  # (R, 3 n)
+            slopes = limits.jacobian(motion.at(samples))
+            kinds = slopes.shape[1] // n  # of derivatives of the position, itself included
+            slopes = slopes[rows.quantities[own], :, place]  # (R, kinds n)
             factor = rows.sides[own] / limits.scale[rows.quantities[own]]
-            slopes = (slopes * factor[:, None]).reshape(-1, 3, n)
+            slopes = (slopes * factor[:, None]).reshape(-1, kinds, n)
             result[own] = np.einsum(
-                "rkj,jkrd->rjd", slopes, functions[:, :, rows.samples[own], :], optimize=True
+                "rkj,jkrd->rjd", slopes, functions[:, :kinds, rows.samples[own], :], optimize=True
             )
         return result.reshape(len(rows), n * d)

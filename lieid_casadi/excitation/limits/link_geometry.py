@@ -27,7 +27,7 @@ def capsules_of(robot: Robot) -> tuple[Capsule, ...]:
 
     Bundled robots have bundled capsules. For a URDF they are fitted to the collision geometry, if
     its meshes are found (``package://`` in ``ROS_PACKAGE_PATH`` or ``AMENT_PREFIX_PATH``).
-    Otherwise they follow the lines from joint to joint, which is logged as a warning.
+    Otherwise they follow the lines from joint to joint; designs list this as unchecked.
     """
     if robot.source is None or robot.source.kind != "urdf":
         if robot.name in BUNDLED:
@@ -39,11 +39,7 @@ def capsules_of(robot: Robot) -> tuple[Capsule, ...]:
         fitted = fitted_to_urdf(robot)
         if fitted:
             return fitted
-    logger.warning(
-        "robot %s: no collision geometry found; capsules along the lines from joint to joint stand "
-        "for its links. Give capsules with --capsules if these are too coarse",
-        robot.name,
-    )
+    logger.info("%s: no collision geometry found; links follow the lines of joints", robot.name)
     return skeleton(robot)
 
 

@@ -14,6 +14,7 @@ from lieid_casadi.excitation.limits.joint_limits import MotionRange
 
 Array = NDArray[np.float64]
 TRIED = 2000  # random poses
+RANGE_USED = 0.9  # part of the joint ranges that a motion around the pose uses
 RANGE_TRIED = 0.6  # part of the joint ranges around their middle
 ENOUGH = 0.05  # scaled distance from every limit above which the middle of the ranges is taken
 
@@ -46,8 +47,7 @@ def find_start_pose(
     sets : sequence of ConstraintSet
         Evaluated at rest.
     travel : (n,), optional
-        Distance that each joint will move to either side of the pose, rad; joints that move start
-        at the middle of their range.
+        Distance that each joint will move to either side of the pose, rad.
 
     Raises
     ------
@@ -55,9 +55,10 @@ def find_start_pose(
         No pose meets all limits; names the one that the best pose violates.
     """
     half = RANGE_TRIED * limits.units[:, 0]
-    random = np.random.default_rng(0).uniform(-half, half, (TRIED, len(half)))
     if travel is not None:
-        random[:, travel > 0.0] = 0.0
+        space = np.maximum(limits.units[:, 0] - travel / RANGE_USED, 0.0)
+        half = np.where(travel > 0.0, space, half)
+    random = np.random.default_rng(0).uniform(-half, half, (TRIED, len(half)))
     poses = limits.middle + np.vstack([np.zeros(len(half)), random])
     excess, names = _excess(poses, sets)
     if travel is not None:
@@ -76,6 +77,6 @@ def find_start_pose(
 def _excess(poses: Array, sets: Sequence[ConstraintSet]) -> tuple[Array, list[str]]:
     """Return scaled excesses (k, N) at rest in poses (N, n), and the names of the quantities."""
     rest = np.zeros_like(poses)
-    motion = MotionSamples(np.zeros(len(poses)), poses, rest, rest)
+    motion = MotionSamples(np.zeros(len(poses)), poses, rest, rest, rest)
     parts = [s.excess(s.values(motion)) / s.scale[:, None] for s in sets]
     return np.concatenate(parts), [label for s in sets for label in s.labels]

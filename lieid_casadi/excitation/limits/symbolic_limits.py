@@ -1,4 +1,4 @@
-"""Limits that are expressions of the motion: joint torque, Cartesian speed."""
+"""Limits that are expressions of the motion, and the Cartesian speed."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.dynamics import recursion
 from lieid_casadi.dynamics.lie import Pose, constant, cross, inverse_adjoint_times
 from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
 from lieid_casadi.dynamics.motion_symbols import axes, relative_poses
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.basis.trajectory import MotionSamples
+from lieid_casadi.excitation.fitted_arm import FittedArm
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
 from lieid_casadi.excitation.sample_functions import SampleKernel, motion_jacobian
 from lieid_casadi.robot.robot import Robot
@@ -27,14 +27,44 @@ SMOOTHING = 1e-4  # m/s; √(v² + SMOOTHING²) has a gradient at rest
 class Limit(Protocol):
     """A limit that a caller specifies; for a robot it becomes a constraint set."""
 
-    def on(self, robot: Robot) -> ConstraintSet | None:
+    def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
         """Return the set for a robot; None if no motion of the robot can violate the limit.
+
+        Parameters
+        ----------
+        robot : Robot
+        fit : FittedArm, optional
+            Identified parameters, for limits that depend on the torque.
 
         Raises
         ------
         ExcitationError
             The robot lacks what the limit needs.
         """
+
+
+def sets_of(
+    limits: Sequence[Limit], robot: Robot, fit: FittedArm | None
+) -> tuple[tuple[ConstraintSet, ...], tuple[str, ...]]:
+    """Return the constraint sets of limits, and the quantities that they leave out.
+
+    Parameters
+    ----------
+    limits : sequence of Limit
+    robot : Robot
+    fit : FittedArm or None
+
+    Raises
+    ------
+    ExcitationError
+        One of them is not a limit.
+    """
+    for limit in limits:
+        if not hasattr(limit, "on"):
+            raise ExcitationError(f"limits: {limit!r:.60}; expected limits, such as Torque()")
+    made = [s for s in (limit.on(robot, fit) for limit in limits) if s is not None]
+    left_out = dict.fromkeys(label for s in made for label in s.left_out)
+    return tuple(s for s in made if s.labels), tuple(left_out)
 
 
 class SymbolicSet(ConstraintSet):
@@ -49,7 +79,7 @@ class SymbolicSet(ConstraintSet):
     quantities : SX (k,)
     jacobian : SX (k, 3 n), optional
         ∂quantities/∂(q, dq, ddq). Default: by differentiation.
-    labels, units, lower, upper, scale, remedy
+    labels, units, lower, upper, scale, remedy, left_out
         See `ConstraintSet`.
     """
 
@@ -66,45 +96,22 @@ class SymbolicSet(ConstraintSet):
         upper: Array,
         scale: Array,
         remedy: str,
+        left_out: Sequence[str] = (),
     ) -> None:
         slopes = motion_jacobian(quantities, symbols) if jacobian is None else jacobian
         self._values = SampleKernel(name, symbols, ca.densify(quantities))
         self._slopes = SampleKernel(f"{name}_jacobian", symbols, slopes)
         self.labels, self.units = tuple(labels), tuple(units)
         self.lower, self.upper, self.scale = lower, upper, scale
-        self.remedy = remedy
+        self.remedy, self.left_out = remedy, tuple(left_out)
 
     def values(self, motion: MotionSamples) -> Array:
         """See `ConstraintSet`."""
-        return self._values.values(motion)
+        return self._values.dense(motion)[:, 0]  # identically zero quantities included
 
     def jacobian(self, motion: MotionSamples) -> Array:
         """See `ConstraintSet`."""
         return self._slopes.dense(motion)
-
-
-@dataclass(frozen=True)
-class Torque:
-    """Rigid torque of the robot's stated inertias within ``fraction`` of its torque limits."""
-
-    fraction: float = 1.0
-
-    def on(self, robot: Robot) -> ConstraintSet | None:
-        """See `Limit`."""
-        limit = self.fraction * robot.limit("torque")
-        stated = [j for j in range(robot.n) if np.isfinite(limit[j])]
-        if not stated:
-            raise ExcitationError(f"robot {robot.name!r} states no torque limits")
-        symbols = Symbols.symbols(robot.n)
-        parameters = ca.SX(ca.DM(robot.link_parameters))
-        torque = recursion.inverse_dynamics(robot, symbols, parameters)[stated]
-        units = ["N·m" if robot.joints[j].revolute else "N" for j in stated]
-        return SymbolicSet(
-            "torque", symbols, torque,
-            labels=[f"torque of joint {j + 1}" for j in stated], units=units,
-            lower=-limit[stated], upper=limit[stated], scale=limit[stated],
-            remedy="a longer duration, lower acceleration limits or another start pose",
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -113,7 +120,7 @@ class CartesianSpeed:
 
     limit: float
 
-    def on(self, robot: Robot) -> ConstraintSet | None:
+    def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
         """See `Limit`."""
         _positive("Cartesian speed", self.limit)
         symbols = Symbols.symbols(robot.n)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from lieid_casadi.dynamics.lie import Pose
 from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
 from lieid_casadi.errors import ExcitationError
+from lieid_casadi.excitation.fitted_arm import FittedArm
 from lieid_casadi.excitation.limits.capsules import Capsule, skeleton
-from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
+from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet, UncheckedSet
 from lieid_casadi.excitation.limits.symbolic_limits import SymbolicSet, link_poses
 from lieid_casadi.excitation.sample_functions import motion_jacobian
 from lieid_casadi.robot.robot import Robot
@@ -25,7 +26,8 @@ logger = logging.getLogger("lieid_casadi")
 SCALE = 0.2  # m; unit in which violated distances are compared with other violations
 TINY = 1e-12  # m²; keeps square roots and quotients of lengths smooth
 PROBES = 500  # random poses at which distances are evaluated before the design
-OFTEN = 1.0 / 3.0  # part of these poses; pairs that touch in more are left out
+OFTEN = 1.0 / 3.0  # part of these poses; links two joints apart that touch in more are left out
+ALWAYS = 0.95  # the same for links that are farther apart
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Wall:
     name: str = "wall"
     capsules: tuple[Capsule, ...] = ()
 
-    def on(self, robot: Robot) -> ConstraintSet | None:
+    def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
         """See `Limit`."""
         size = float(np.linalg.norm(self.normal))
         if size == 0.0:
@@ -122,7 +124,7 @@ class Obstacle:
     name: str = "obstacle"
     capsules: tuple[Capsule, ...] = ()
 
-    def on(self, robot: Robot) -> ConstraintSet | None:
+    def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
         """See `Limit`."""
         low, high = np.array(self.lower), np.array(self.upper)
         if not np.all(low < high):
@@ -142,27 +144,29 @@ class Obstacle:
 class SelfCollision:
     """Distance of at least ``clearance`` (m) between links, modelled as capsules.
 
-    Adjacent links are left out, and pairs whose capsules touch in a third of random poses or more:
-    they are too coarse for links close to each other. The log names these pairs.
+    Adjacent links are left out, and pairs for which capsules are too coarse: links two joints
+    apart whose capsules touch in a third of random poses or more, and links farther apart that
+    touch in nearly all. The result of the design and the log name these pairs.
     """
 
     clearance: float = 0.02
     capsules: tuple[Capsule, ...] = ()
 
-    def on(self, robot: Robot) -> ConstraintSet | None:
+    def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
         """See `Limit`."""
         symbols = Symbols.symbols(robot.n)
         poses = link_poses(robot, symbols)
-        labels, distances, slopes = [], [], []
+        labels, distances, slopes, often = [], [], [], []
         for a, b in combinations(self.capsules or skeleton(robot), 2):
             if abs(a.link - b.link) <= 1:
                 continue
+            often.append(OFTEN if abs(a.link - b.link) == 2 else ALWAYS)
             distance, jacobian = capsule_distance(poses, symbols, a, b)
             labels.append(f"distance of {_link(robot, a.link)} from {_link(robot, b.link)}")
             distances.append(distance)
             slopes.append(jacobian)
         return _clearances(
-            "self_collision", robot, symbols, labels, distances, self.clearance, slopes, often=OFTEN
+            "self_collision", robot, symbols, labels, distances, self.clearance, slopes, often=often
         )
 
 
@@ -251,7 +255,7 @@ def _clearances(
     clearance: float,
     slopes: list[ca.SX] | None = None,
     *,
-    often: float = np.inf,
+    often: Sequence[float] = (),
 ) -> ConstraintSet | None:
     """Return the set distance ≥ clearance of the distances that depend on the pose.
 
@@ -261,14 +265,14 @@ def _clearances(
     if not distances:
         return None
     touching, spread = _probed(robot, symbols, ca.vertcat(*distances), clearance)
-    varying = [k for k in range(len(labels)) if spread[k] > 1e-9 and touching[k] < often]
-    coarse = [labels[k] for k in range(len(labels)) if spread[k] > 1e-9 and touching[k] >= often]
+    varying = np.flatnonzero((spread > 1e-9) & (touching < (often or np.inf)))
+    coarse = [labels[k] for k in np.flatnonzero((spread > 1e-9) & (touching >= (often or np.inf)))]
     if coarse:
         logger.info(
             "%s: not checked, because the capsules are too coarse: %s", name, "; ".join(coarse)
         )
-    if not varying:
-        return None
+    if not len(varying):
+        return UncheckedSet(coarse) if coarse else None
     count = len(varying)
     chosen = ca.vertcat(*(distances[k] for k in varying))
     jacobian = None if slopes is None else ca.vertcat(*(slopes[k] for k in varying))
@@ -276,7 +280,7 @@ def _clearances(
         "".join(c if c.isalnum() else "_" for c in name), symbols, chosen, jacobian,
         labels=[labels[k] for k in varying], units=["m"] * count,
         lower=np.full(count, clearance), upper=np.full(count, np.inf), scale=np.full(count, SCALE),
-        remedy="another start pose, thinner capsules or a wider workspace",
+        remedy="another start pose, thinner capsules or a wider workspace", left_out=coarse,
     )  # fmt: skip
 
 

@@ -1,1 +1,1 @@
-"""Solvers of the excitation problem, and the stages and starts they run through."""
+"""Solver of the excitation problem, and the stages and starts it runs through."""

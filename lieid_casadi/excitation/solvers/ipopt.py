@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintRows, SampledConstraints
-from lieid_casadi.excitation.solvers.nonlinear_program import run_ipopt
-from lieid_casadi.excitation.solvers.solver_interface import (
+from lieid_casadi.excitation.solvers.iterates import (
     Iterate,
     Iteration,
     Objective,
@@ -30,6 +29,7 @@ from lieid_casadi.excitation.solvers.solver_interface import (
     initial_hessian,
     update_hessian,
 )
+from lieid_casadi.excitation.solvers.nonlinear_program import run_ipopt
 
 if TYPE_CHECKING:
     from scipy.optimize import BFGS
@@ -58,6 +58,7 @@ class Ipopt:
     Parameters
     ----------
     constraints : SampledConstraints
+        May be replaced between two calls.
     size : int
         Number of free variables m.
     report : callable
@@ -80,7 +81,20 @@ class Ipopt:
     def minimize(
         self, objective: Objective, z: Array, *, iterations: int, tolerance: float
     ) -> Array:
-        """See `solver_interface.Solver.minimize`."""
+        """Return the last iterate z (m,) of one stage.
+
+        No clock is read: the same start gives the same iterates on a busy machine.
+
+        Parameters
+        ----------
+        objective : callable
+        z : (m,)
+            Start.
+        iterations : int
+            At most.
+        tolerance : float
+            Decrease of the objective below which the stage ends.
+        """
         c = self.constraints
         state = evaluate_iterate(c, objective, z)
         rows, multipliers = c.peaks(state.excess, ROW_THRESHOLD), np.zeros(0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +11,8 @@ from numpy.typing import NDArray
 from lieid_casadi.errors import ExcitationError, NoSolution
 from lieid_casadi.excitation.design_problem import COARSE, FINE, ExcitationProblem
 from lieid_casadi.excitation.solvers.ipopt import Ipopt
+from lieid_casadi.excitation.solvers.iterates import Iterate
 from lieid_casadi.excitation.solvers.random_start import random_start
-from lieid_casadi.excitation.solvers.solver_interface import Iterate, Solver
-from lieid_casadi.excitation.solvers.sqp import Sqp
 from lieid_casadi.excitation.solvers.stages import (
     StagePlan,
     make_plan,
@@ -26,6 +24,7 @@ from lieid_casadi.excitation.solvers.tracker import (
     ThresholdReached,
     Tracker,
 )
+from lieid_casadi.excitation.solvers.warm_start import warm_start
 
 Array = NDArray[np.float64]
 FINE_ROUNDS = 4  # how often the problem is solved again on the fine grid
@@ -33,7 +32,7 @@ FINE_ITERATIONS = 40  # of one round
 FINE_TOLERANCE = 1e-5
 LEAST_DECREASE = 0.9  # of the violation in one round; rounds that gain less are the last
 NEG_LOG_DET_SLACK = 0.5  # per parameter: Δ₂ above what the first stage reached
-SOLVERS: dict[str, Callable[..., Solver]] = {"ipopt": Ipopt, "sqp": Sqp}
+WARM_START = -1  # in place of the seed of a random start
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +77,7 @@ def solve(
     ----------
     problem : ExcitationProblem
     seed : int
-        Of the random start.
+        Of the random start, or `WARM_START`.
     progress : callable, optional
         Called with the stage and the fraction that is done.
     max_iterations : int, optional
@@ -96,12 +95,10 @@ def solve(
         [stage.criterion.name for stage in plan.stages], progress,
         sum(stage.iterations for stage in plan.stages),
     )  # fmt: skip
-    solver = SOLVERS[problem.design.solver](
-        problem.constraints(COARSE), problem.parametrization.size, tracker
-    )
+    solver = Ipopt(problem.constraints(COARSE), problem.parametrization.size, tracker)
     interrupted = False
     try:
-        start = random_start(problem, seed)
+        start = first_variables(problem, seed)
         ceiling = run_stages(problem, plan, solver, tracker, start, max_iterations)
         best = verified(problem, plan, solver, tracker, ceiling)
     except KeyboardInterrupt:
@@ -117,10 +114,18 @@ def solve(
     )  # fmt: skip
 
 
+def first_variables(problem: ExcitationProblem, seed: int) -> Array:
+    """Return the free variables (m,) of a random start, or of the design's for `WARM_START`."""
+    if seed == WARM_START:
+        assert problem.design.start is not None
+        return warm_start(problem.parametrization, problem.design.start)
+    return random_start(problem, seed)
+
+
 def run_stages(
     problem: ExcitationProblem,
     plan: StagePlan,
-    solver: Solver,
+    solver: Ipopt,
     tracker: Tracker,
     z: Array,
     max_iterations: int | None,
@@ -131,7 +136,7 @@ def run_stages(
     ----------
     problem : ExcitationProblem
     plan : StagePlan
-    solver : Solver
+    solver : Ipopt
     tracker : Tracker
         Records the iterates.
     z : (m,)
@@ -171,7 +176,7 @@ def reached_ceiling(tracker: Tracker) -> float:
 def verified(
     problem: ExcitationProblem,
     plan: StagePlan,
-    solver: Solver,
+    solver: Ipopt,
     tracker: Tracker,
     ceiling: float | None,
 ) -> Iterate:
@@ -183,7 +188,7 @@ def verified(
     ----------
     problem : ExcitationProblem
     plan : StagePlan
-    solver : Solver
+    solver : Ipopt
     tracker : Tracker
         With the iterates so far.
     ceiling : float or None

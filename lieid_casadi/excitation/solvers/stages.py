@@ -6,10 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from lieid_casadi.excitation.criteria import criterion
-from lieid_casadi.excitation.criteria.criterion import Criterion, CriterionStage, Hadamard, LogDet
+from lieid_casadi.excitation.criteria.criterion import (
+    Criterion,
+    CriterionStage,
+    ExpressionCriterion,
+    Hadamard,
+    LogDet,
+)
 from lieid_casadi.excitation.design_problem import ExcitationProblem
-from lieid_casadi.excitation.solvers.solver_interface import Iterate
+from lieid_casadi.excitation.solvers.iterates import Iterate
 
+OWN_FIRST_ITERATIONS = 15  # of −log det before a criterion of the user's
 FIRST_STAGE_ITERATIONS = 60  # of 1/∏ of the column norms, at most
 
 
@@ -57,6 +64,12 @@ def make_plan(problem: ExcitationProblem) -> StagePlan:
             (first, *then), by_condition, bounded_from=then[0],
             ceiling=None if bound is None else bound / count, goal=design.condition_threshold,
         )  # fmt: skip
+    if not isinstance(design.criterion, str):
+        own = ExpressionCriterion(design.criterion, design.model.base.count)
+        begin = CriterionStage(LogDet(), OWN_FIRST_ITERATIONS)
+        return StagePlan(
+            (begin, CriterionStage(own, 200, 1e-5)), lambda state: value_of(own, state)
+        )
     stages = criterion.stages(design.criterion, problem.metric, unit_norm=unit_norm)
     if design.criterion == "condition":
         return StagePlan(stages, by_condition)

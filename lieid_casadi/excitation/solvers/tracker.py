@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lieid_casadi.excitation.design_problem import MARGIN, ExcitationProblem
-from lieid_casadi.excitation.solvers.solver_interface import Iterate, Iteration
+from lieid_casadi.excitation.solvers.iterates import Iterate, Iteration
 
 FEASIBLE = 0.5 * MARGIN  # scaled excess, margin included, up to which an iterate is kept
 Progress = Callable[[str, float], None]

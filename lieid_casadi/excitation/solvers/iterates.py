@@ -1,10 +1,10 @@
-"""Interface of the solvers of excitation problems: iterates, Hessian, and one method."""
+"""Iterates of a search, and the approximation of its Hessian."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,38 +53,6 @@ class Iteration:
     stage: int
     number: int
     state: Iterate
-
-
-class Solver(Protocol):
-    """Minimizes one objective after the other; its Hessian carries over from one to the next.
-
-    Every solver is made with ``constraints``, ``size`` (of z) and ``report`` (called with each
-    `Iteration`; may raise to stop). No solver reads a clock: the same start gives the same
-    iterates on a busy machine.
-
-    Attributes
-    ----------
-    constraints : SampledConstraints
-        May be replaced between two calls.
-    """
-
-    constraints: SampledConstraints
-
-    def minimize(
-        self, objective: Objective, z: Array, *, iterations: int, tolerance: float
-    ) -> Array:
-        """Return the last iterate z (m,) of one stage.
-
-        Parameters
-        ----------
-        objective : callable
-        z : (m,)
-            Start.
-        iterations : int
-            At most.
-        tolerance : float
-            Decrease of the objective below which the stage ends.
-        """
 
 
 def evaluate_iterate(constraints: SampledConstraints, objective: Objective, z: Array) -> Iterate:
