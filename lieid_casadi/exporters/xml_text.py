@@ -18,7 +18,12 @@ def attribute(text: str) -> str:
     >>> print(attribute("a<b>"))
     "a&lt;b&gt;"
     """
-    return quoteattr(_FORBIDDEN.sub("\ufffd", text))
+    return quoteattr(allowed(text))
+
+
+def allowed(text: str) -> str:
+    """Return text in which characters that XML does not allow are U+FFFD."""
+    return _FORBIDDEN.sub("\ufffd", text)
 
 
 def comment(text: str) -> str:

@@ -12,7 +12,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.c.export import export_c
 from lieid_casadi.robot.pose import pose
 
 PANDA = lieid.robots.panda()

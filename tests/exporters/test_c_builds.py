@@ -9,7 +9,7 @@ from exporters.c_arms import ARMS, BUILDS, WARNINGS, library, made_fit, run
 from real_arms import TX40, UR10E, needs
 
 import lieid_casadi as lieid
-from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.c.export import export_c
 
 LIBM = {"sin", "cos", "exp", "tanh", "fabs", "sqrt"}
 COPIES = {"memcpy", "memset"}  # of structs and small arrays; no part of libm
@@ -115,7 +115,7 @@ def test_self_test_finds_a_wrong_number(tmp_path, where, arm):
 
 
 def test_numbers_folded_in_leave_fewer_instructions(tmp_path):
-    from lieid_casadi.exporters.c_functions import exported_functions
+    from lieid_casadi.exporters.c.functions import exported_functions
     from lieid_casadi.expressions.model_functions import ModelFunctions
 
     fit = ARMS["panda"]()

@@ -8,7 +8,7 @@ from exporters.c_arms import ARMS, made_fit
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExportError, OutputError
-from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.c.export import export_c
 from lieid_casadi.output_folder import MANIFEST, write_folder
 
 FILES = {
@@ -198,5 +198,6 @@ def test_command_writes_a_urdf(tmp_path, capsys):
     fitted(lieid.robots.two_link()).save(tmp_path / "fit.json")
     words = ["export", str(tmp_path / "fit.json"), "--to", "urdf", "-o", str(tmp_path / "out")]
     assert main(words) == 0
-    assert names(tmp_path / "out") == {"two_link.urdf", "two_link_joints.xml", MANIFEST}
+    written = {"two_link.urdf", "two_link_joints.xml", "two_link_joints.yaml", MANIFEST}
+    assert names(tmp_path / "out") == written
     assert "written to" in capsys.readouterr().out

@@ -9,7 +9,7 @@ import pytest
 from exporters.c_arms import ARMS, made_fit
 
 import lieid_casadi as lieid
-from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.c.export import export_c
 
 NUMBER = re.compile(r"(?<![\w.])\d+\.\d{3,}(?:e[-+]?\d+)?")
 ASSIGNED = re.compile(

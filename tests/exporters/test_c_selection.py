@@ -10,8 +10,8 @@ from exporters.c_arms import ARMS, WARNINGS, made_fit, run, with_load_friction
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.c_export import export_c
-from lieid_casadi.exporters.c_functions import NAMES
+from lieid_casadi.exporters.c.export import export_c
+from lieid_casadi.exporters.c.functions import NAMES
 
 SOURCES = ["arm.c", "arm_parameters.c", "arm_test.c"]
 

@@ -10,7 +10,7 @@ from robot.random_arms import to_pinocchio
 
 import lieid_casadi as lieid
 from lieid_casadi.codegen_files import codegen_folder
-from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.c.export import export_c
 from lieid_casadi.plant import build_pinocchio
 
 ROWS = 30

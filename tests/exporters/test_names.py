@@ -8,10 +8,10 @@ import pytest
 from exporters.c_arms import made_fit
 
 import lieid_casadi as lieid
-from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.c.export import export_c
 from lieid_casadi.exporters.joint_friction import simulator_joints
-from lieid_casadi.exporters.mjcf import mjcf_snippet
-from lieid_casadi.exporters.urdf_write import written_urdf
+from lieid_casadi.exporters.urdf.mujoco_joints import mjcf_snippet
+from lieid_casadi.exporters.urdf.write import written_urdf
 from lieid_casadi.exporters.xml_text import comment
 
 NAMES = [

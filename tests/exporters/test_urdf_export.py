@@ -6,13 +6,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import yaml
 from real_arms import PANDA, TX40, UR10E, needs
 from robot.random_arms import random_arm
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.urdf_export import export_urdf
+from lieid_casadi.exporters.urdf.export import export_urdf
 from lieid_casadi.recording import Processing
 
 ARM = """<?xml version="1.0" encoding="utf-8"?>
@@ -307,3 +308,23 @@ def test_offset_axes_prismatic_joints_and_other_gravity(seed, tmp_path):
 def test_urdfs_of_real_arms(path, lock, tmp_path):
     fit = fitted(lieid.Robot.from_urdf(path, lock=lock))
     check_torques(export_urdf(fit, tmp_path).urdf, fit)
+
+
+def test_ros2_control_and_isaac_joints(tmp_path):
+    robot = lieid.robots.two_link()
+    fit = fitted(robot)
+    done = export_urdf(fit, tmp_path / "torque")
+    assert ElementTree.parse(done.urdf).getroot().find("ros2_control") is None
+    law = lieid.Drive(stiffness=30.0, damping=2.0)
+    driven = replace(fit, model=lieid.Model(robot.with_drives(law), EFFECTS))
+    done = export_urdf(driven, tmp_path / "position")
+    control = ElementTree.parse(done.urdf).getroot().find("ros2_control")
+    assert [joint.get("name") for joint in control.findall("joint")] == ["shoulder", "elbow"]
+    assert {e.get("name") for e in control.iter("command_interface")} == {"position"}
+    joints = yaml.safe_load(done.isaac.read_text())
+    values = dict(zip([c.label for c in fit.model.columns], fit.effect_coefficients, strict=True))
+    assert joints["elbow"]["stiffness"] == 30.0
+    assert joints["elbow"]["damping"] == pytest.approx(2.0 + values["viscous.f_v:2"])
+    assert joints["elbow"]["armature"] == pytest.approx(values["armature.I_a:2"])
+    assert joints["elbow"]["effort_limit_sim"] == 15.0
+    assert lieid.Robot.from_urdf(done.urdf).n == 2

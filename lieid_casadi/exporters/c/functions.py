@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import casadi as ca
 
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.c_expressions import ExportExpressions, ExportSymbols, folded
-from lieid_casadi.exporters.c_statements import FunctionBody, FunctionInput, body, each, number
-from lieid_casadi.expressions.forward_dynamics import indefinite_share, unsolved_share
+from lieid_casadi.exporters.c.expressions import ExportExpressions, ExportSymbols, model_numbers
+from lieid_casadi.exporters.c.numbers import DOUBLE, Precision
+from lieid_casadi.exporters.c.statements import FunctionBody, FunctionInput, body, each
+from lieid_casadi.expressions.forward_dynamics import obstacle
 from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.identification.fit import Fit
 
@@ -32,6 +33,8 @@ SAMPLE_ARGUMENTS = {  # function: its argument between the sample and the state
     "base_regressor": "load",
 }
 NAMES = (*RIGID_ARGUMENTS, *SAMPLE_ARGUMENTS)
+WITHOUT_NUMBERS = ("forward_kinematics", "jacobian", "regressor", "slotine_li_regressor")
+RUNTIME = ("payload", "parameters")  # numbers that may be inputs
 _RESULTS = {  # name of the result, where it is no matrix
     "rigid_torque": "torque",
     "gravity": "torque",
@@ -89,23 +92,34 @@ def _no_forward_dynamics(fit: Fit) -> dict[str, str]:
     """Return why the fit has no forward dynamics, by the name of the function; empty if it has."""
     values = Values.numbers(fit.link_parameters, fit.effect_coefficients, fit.shapes)
     torque = TorqueExpressions(fit.model, values, None, as_measured=False, payload=False)
-    reason, share = "", indefinite_share(torque)
-    if share > 0.0:
-        reason = (
-            f"the mass matrix is not positive definite in {100.0 * share:.1f} % of the poses "
-            "within the joint limits; lieid identify --method feasible gives a fit whose "
-            "mass matrix is"
-        )
-    elif (share := unsolved_share(torque)) > 0.0:
-        reason = (
-            "friction that depends on the load changes by more than the load, so that the "
-            f"acceleration is not determined in {100.0 * share:.1f} % of motions within the "
-            "limits; expected smaller coefficients of load friction"
-        )
+    reason = obstacle(
+        torque, remedy="lieid identify --method feasible gives a fit whose mass matrix is"
+    )
     return {"forward_dynamics": reason} if reason else {}
 
 
-def exported_functions(fit: Fit, names: Sequence[str]) -> ExportedFunctions:
+@dataclass(frozen=True)
+class ExportForm:
+    """How numbers appear in exported C.
+
+    Attributes
+    ----------
+    precision : Precision
+        The floating-point type.
+    runtime : tuple of str
+        Those of `RUNTIME` that are arguments of the functions instead of constants.
+    """
+
+    precision: Precision = DOUBLE
+    runtime: tuple[str, ...] = ()
+
+
+CONSTANTS = ExportForm()
+
+
+def exported_functions(
+    fit: Fit, names: Sequence[str], form: ExportForm = CONSTANTS
+) -> ExportedFunctions:
     """Return the C of functions, and of those that they call.
 
     Parameters
@@ -113,6 +127,7 @@ def exported_functions(fit: Fit, names: Sequence[str]) -> ExportedFunctions:
     fit : Fit
     names : sequence of str
         Result of `select`.
+    form : ExportForm
 
     Raises
     ------
@@ -120,19 +135,27 @@ def exported_functions(fit: Fit, names: Sequence[str]) -> ExportedFunctions:
         An effect uses an operation without a C form, or needs more than one instant.
     """
     now = ExportSymbols.of(fit)
-    expressions = folded(fit, now)
-    rigid = rigid_inputs(now) | {
-        "dq_r": each(now.dq_r, "dq_r[{j}]"),
-        "ddq_r": each(now.ddq_r, "ddq_r[{j}]"),
-    }
-    sample = sample_inputs(fit, now, of="sample->")
+    values = model_numbers(fit, form.runtime)
+    expressions = ExportExpressions(fit, now, values)
+    numbers = {name: each(x, f"numbers->{name}[{{j}}]") for name, x in values.inputs.items()}
+    rigid = (
+        rigid_inputs(now, form.precision)
+        | numbers
+        | {
+            "dq_r": each(now.dq_r, "dq_r[{j}]"),
+            "ddq_r": each(now.ddq_r, "ddq_r[{j}]"),
+        }
+    )
+    sample = sample_inputs(fit, now, form.precision, of="sample->") | numbers
     further = {
         "": {},
         "load": {"load": each(now.load, "load[{j}]")},
         "torque": {"torque": each(now.torque, "torque[{j}]")},
     }
     used = any(name in SAMPLE_ARGUMENTS for name in names)
-    advance = _advance(fit, expressions, now) if fit.model.states and used else None
+    advance = None
+    if fit.model.states and used:
+        advance = _advance(fit, expressions, now, form.precision, numbers)
     remembers = advance is not None and "before_load" in advance.used
     reads = remembers or (advance is not None and "load" in advance.used)
     bodies = {}
@@ -140,51 +163,73 @@ def exported_functions(fit: Fit, names: Sequence[str]) -> ExportedFunctions:
         if name in names or (name == "rigid_torque" and reads):
             inputs = rigid if name in RIGID_ARGUMENTS else sample | further[SAMPLE_ARGUMENTS[name]]
             result = _RESULTS.get(name, "matrix")
-            bodies[name] = body(getattr(expressions, name), inputs, to=result)
+            expression = getattr(expressions, name)
+            bodies[name] = body(expression, inputs, to=result, precision=form.precision)
     return ExportedFunctions(bodies, advance, remembers, reads)
 
 
-def _advance(fit: Fit, expressions: ExportExpressions, now: ExportSymbols) -> FunctionBody:
+def _advance(
+    fit: Fit,
+    expressions: ExportExpressions,
+    now: ExportSymbols,
+    precision: Precision,
+    numbers: dict[str, FunctionInput],
+) -> FunctionBody:
     """Return the body that computes the states at a sample from those at the sample before."""
     before = ExportSymbols.of(fit, "before_")
     after = expressions.advance(before)
-    past = sample_inputs(fit, before, of="state->before.")
+    past = sample_inputs(fit, before, precision, of="state->before.")
     past["load"] = each(before.load, "state->before_load[{j}]")
-    inputs = sample_inputs(fit, now, of="sample->") | {"load": each(now.load, "load[{j}]")}
+    inputs = sample_inputs(fit, now, precision, of="sample->") | numbers
+    inputs["load"] = each(now.load, "load[{j}]")
     inputs |= {f"before_{name}": given for name, given in past.items()}
     inputs["states"] = inputs.pop("before_states")
-    return body(ca.densify(after), inputs, to="after")
+    return body(ca.densify(after), inputs, to="after", precision=precision)
 
 
-def rigid_inputs(symbols: ExportSymbols, *, of: str = "") -> dict[str, FunctionInput]:
-    """Return the inputs of functions of the motion alone; ``of`` is the expression of a sample."""
+def rigid_inputs(
+    symbols: ExportSymbols, precision: Precision, *, of: str = ""
+) -> dict[str, FunctionInput]:
+    """Return the inputs of functions of the motion alone.
+
+    Parameters
+    ----------
+    symbols : ExportSymbols
+    precision : Precision
+    of : str
+        C expression of a sample, such as ``sample->``, whose members are read.
+    """
     motion = symbols.motion
     return {
         "q": each(motion.q, of + "q[{j}]"),
-        "sin": each(motion.sin, f"sin({of}q[{{j}}])"),
-        "cos": each(motion.cos, f"cos({of}q[{{j}}])"),
+        "sin": each(motion.sin, f"{precision.call('sin')}({of}q[{{j}}])"),
+        "cos": each(motion.cos, f"{precision.call('cos')}({of}q[{{j}}])"),
         "dq": each(motion.dq, of + "dq[{j}]"),
         "ddq": each(motion.ddq, of + "ddq[{j}]"),
     }
 
 
-def sample_inputs(fit: Fit, symbols: ExportSymbols, *, of: str) -> dict[str, FunctionInput]:
+def sample_inputs(
+    fit: Fit, symbols: ExportSymbols, precision: Precision, *, of: str
+) -> dict[str, FunctionInput]:
     """Return the inputs of functions of a whole sample and the state.
 
     Parameters
     ----------
     fit : Fit
     symbols : ExportSymbols
+    precision : Precision
     of : str
         C expression of the sample, such as ``sample->``.
     """
     mean = fit.temperature_mean
     warmth = [
-        f"{of}temperature[{j}]" + (f" - {number(mean[j])}" if mean is not None else "")
+        f"{of}temperature[{j}]" + (f" - {precision.number(mean[j])}" if mean is not None else "")
         for j in range(fit.model.n)
     ]
-    return rigid_inputs(symbols, of=of) | {
-        "sign": each(symbols.sign, f"lieid_direction({of}dq[{{j}}], v0, {{j}})"),
+    direction = precision.call("lieid_direction")
+    return rigid_inputs(symbols, precision, of=of) | {
+        "sign": each(symbols.sign, f"{direction}({of}dq[{{j}}], v0, {{j}})"),
         "temperature": FunctionInput(symbols.temperature, tuple(warmth)),
         "time": FunctionInput(symbols.time, (f"{of}time",)),
         "states": each(symbols.states, "state->values[{j}]"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,11 +16,11 @@ from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.dynamics.regressor import regressor, slotine_li_regressor
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.signals import EffectSignals
-from lieid_casadi.exporters.c_arm_effects import with_arm_effects
+from lieid_casadi.exporters.c.arm_effects import with_arm_effects
 from lieid_casadi.expressions import forward_dynamics
 from lieid_casadi.expressions.frames import homogeneous
 from lieid_casadi.expressions.instant import ArmInstant
-from lieid_casadi.expressions.torque import TorqueExpressions, Values
+from lieid_casadi.expressions.torque import TorqueExpressions, Values, with_body
 from lieid_casadi.identification.fit import Fit
 
 Array = NDArray[np.float64]
@@ -67,6 +68,21 @@ class ExportSymbols:
         return EffectSignals(m.q, m.dq, m.ddq, self.sign, self.load, self.temperature, self.time)
 
 
+@dataclass(frozen=True, eq=False)
+class ModelNumbers:
+    """Numbers of a model: constants, or symbols where they are inputs of the C functions.
+
+    ``links`` (10 n,) may be a reduced set with the torque of ``all_links``; both contain the
+    payload. ``inputs`` are the symbols by the names of their C arrays.
+    """
+
+    links: ca.SX
+    all_links: ca.SX
+    coefficients: ca.SX
+    shapes: ca.SX
+    inputs: dict[str, ca.SX]
+
+
 class ExportExpressions:
     """Functions of a model for given link parameters, coefficients and shape parameters.
 
@@ -75,29 +91,15 @@ class ExportExpressions:
     fit : Fit
     symbols : ExportSymbols
         Symbols of the sample.
-    links : (10 n,) ca.SX
-        Link parameters: numbers, or symbols for the evaluation in the self-test.
-    coefficients : (m,) ca.SX
-        Coefficients of the effects, numbers or symbols.
-    shapes : (s,) ca.SX
-        Shape parameters, numbers or symbols.
-    all_links : (10 n,) ca.SX, optional
-        The identified link parameters, if ``links`` is a reduced set: in another direction of
-        gravity, more parameters have an effect.
+    numbers : ModelNumbers
+        In another direction of gravity than the robot's, more link parameters have an effect than
+        its reduced set has.
     """
 
-    def __init__(
-        self,
-        fit: Fit,
-        symbols: ExportSymbols,
-        links: ca.SX,
-        coefficients: ca.SX,
-        shapes: ca.SX,
-        all_links: ca.SX | None = None,
-    ) -> None:
-        self._fit, self._model, self._symbols = fit, fit.model, symbols
-        self._links, self._coefficients, self._shapes = links, coefficients, shapes
-        self._all_links = links if all_links is None else all_links
+    def __init__(self, fit: Fit, symbols: ExportSymbols, numbers: ModelNumbers) -> None:
+        self._model, self._symbols = fit.model, symbols
+        self._links, self._all_links = numbers.links, numbers.all_links
+        self._coefficients, self._shapes = numbers.coefficients, numbers.shapes
 
     @cached_property
     def rigid_torque(self) -> ca.SX:
@@ -155,7 +157,7 @@ class ExportExpressions:
         columns = self._model.effect_columns(s.signals, self._shapes, s.states)
         torque = s.load + ca.mtimes(columns, self._coefficients)
         arm = ArmInstant(self._model.robot, s.motion, self._links, self._all_links, s.load, torque)
-        return with_arm_effects(columns, self._model, arm, self._fit.effect_coefficients)
+        return with_arm_effects(columns, self._model, arm, self._coefficients)
 
     @cached_property
     def base_regressor(self) -> ca.SX:
@@ -212,16 +214,29 @@ class ExportExpressions:
         )
 
 
-def folded(fit: Fit, symbols: ExportSymbols) -> ExportExpressions:
-    """Return the functions of the model with the identified numbers as constants."""
-    return ExportExpressions(
-        fit,
-        symbols,
-        ca.SX(ca.DM(fewer_parameters(fit))),
-        ca.SX(ca.DM(fit.effect_coefficients)),
-        ca.SX(ca.DM(fit.shapes)),
-        ca.SX(ca.DM(fit.link_parameters)),
-    )
+def model_numbers(fit: Fit, runtime: Collection[str]) -> ModelNumbers:
+    """Return the identified numbers, those of ``runtime`` as symbols.
+
+    Parameters
+    ----------
+    fit : Fit
+    runtime : collection of str
+        Of ``parameters`` (link parameters, coefficients and shape parameters) and ``payload``.
+    """
+    values = {
+        "link_parameters": fit.link_parameters,
+        "effect_coefficients": fit.effect_coefficients,
+        "shapes": fit.shapes,
+    }
+    inputs: dict[str, ca.SX] = {}
+    if "parameters" in runtime:
+        inputs = {name: ca.SX.sym(name, len(x)) for name, x in values.items() if len(x)}
+    links, coefficients, shapes = (inputs.get(name, ca.SX(ca.DM(x))) for name, x in values.items())
+    fewer = links if "parameters" in runtime else ca.SX(ca.DM(fewer_parameters(fit)))
+    if "payload" in runtime:
+        inputs["payload"] = body = ca.SX.sym("payload", 10)
+        fewer, links = (with_body(x, body, fit.model) for x in (fewer, links))
+    return ModelNumbers(fewer, links, coefficients, shapes, inputs)
 
 
 def fewer_parameters(fit: Fit) -> Array:

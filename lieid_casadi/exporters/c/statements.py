@@ -2,61 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 
 from lieid_casadi.errors import ExportError
-from lieid_casadi.expressions.c_writer import (
-    ARITHMETIC,
-    Dialect,
-    UnsupportedOperation,
-    statements,
-)
+from lieid_casadi.exporters.c.numbers import DOUBLE, Precision
+from lieid_casadi.expressions.c_writer import UnsupportedOperation, statements
 from lieid_casadi.expressions.model_functions import sparse_function
 
-_CONDITIONS = {
-    "LT": "{0} < {1} ? 1.0 : 0.0", "LE": "{0} <= {1} ? 1.0 : 0.0",
-    "EQ": "{0} == {1} ? 1.0 : 0.0", "NE": "{0} != {1} ? 1.0 : 0.0",
-    "NOT": "{0} == 0.0 ? 1.0 : 0.0",
-    "AND": "{0} != 0.0 && {1} != 0.0 ? 1.0 : 0.0", "OR": "{0} != 0.0 || {1} != 0.0 ? 1.0 : 0.0",
-    "IF_ELSE_ZERO": "{0} != 0.0 ? {1} : 0.0",
-}  # fmt: skip
-_LIBRARY = ("SIN", "COS", "EXP", "TANH", "SQRT", "FABS")  # all that is used of libm
-_RUNTIME = (  # codegen/export/lieid_runtime.h
-    "SIGN", "EXPM1", "LOG", "LOG1P", "TAN", "SINH", "COSH", "ASIN", "ACOS", "ATAN", "FLOOR",
-    "CEIL",
-)  # fmt: skip
-_RUNTIME_OF_TWO = ("FMIN", "FMAX", "COPYSIGN", "ATAN2", "HYPOT")
 INDENT = "    "
 ZEROS_PER_LINE = 5
-
-
-def number(value: float) -> str:
-    """Return a double as C reads it back, bit by bit.
-
-    Raises
-    ------
-    ExportError
-        It is infinite or NaN.
-    """
-    if not math.isfinite(value):
-        raise ExportError(f"the fit has a number that is {value}; expected finite ones")
-    text = repr(float(value))
-    return f"({text})" if text.startswith("-") else text
-
-
-SCALARS = Dialect(
-    declaration="const double",
-    patterns=ARITHMETIC
-    | _CONDITIONS
-    | {name: f"{name.lower()}({{0}})" for name in _LIBRARY}
-    | {name: f"lieid_{name.lower()}({{0}})" for name in _RUNTIME}
-    | {name: f"lieid_{name.lower()}({{0}}, {{1}})" for name in _RUNTIME_OF_TWO},
-    number=number,
-)
 
 
 @dataclass(frozen=True)
@@ -89,7 +46,13 @@ class FunctionBody:
         return "\n".join(INDENT + line for line in self.lines)
 
 
-def body(matrix: ca.SX, inputs: Mapping[str, FunctionInput], *, to: str) -> FunctionBody:
+def body(
+    matrix: ca.SX,
+    inputs: Mapping[str, FunctionInput],
+    *,
+    to: str,
+    precision: Precision = DOUBLE,
+) -> FunctionBody:
     """Return the C statements that evaluate a matrix.
 
     Parameters
@@ -99,6 +62,8 @@ def body(matrix: ca.SX, inputs: Mapping[str, FunctionInput], *, to: str) -> Func
         Local name → symbols.
     to : str
         The array (rows · columns) that takes the result; structural zeros are written too.
+    precision : Precision
+        Of all values.
 
     Raises
     ------
@@ -119,20 +84,20 @@ def body(matrix: ca.SX, inputs: Mapping[str, FunctionInput], *, to: str) -> Func
         return f"{to}[{places[nonzero]}] = {value};"
 
     try:
-        written = statements(sparse.function, SCALARS, read=read, write=write)
+        written = statements(sparse.function, precision.dialect, read=read, write=write)
     except UnsupportedOperation as error:
         raise ExportError(
             f"an effect uses CasADi's operation {error.operation}, which exported C does not have; "
             "expected arithmetic, comparisons, powers, exponential, trigonometric and hyperbolic "
             "functions"
         ) from None
-    loads = [f"const double {x.name} = {x.text};" for x in written.inputs]
-    zeros = _zeros(to, matrix.shape[0] * columns, places)
+    loads = [f"{precision.dialect.declaration} {x.name} = {x.text};" for x in written.inputs]
+    zeros = _zeros(to, matrix.shape[0] * columns, places, precision)
     used = frozenset(names[x.argument] for x in written.inputs)
     return FunctionBody((*loads, *zeros, *written.lines), used, written.operations)
 
 
-def _zeros(to: str, size: int, places: Sequence[int]) -> list[str]:
+def _zeros(to: str, size: int, places: Sequence[int], precision: Precision) -> list[str]:
     """Return statements that write the structural zeros.
 
     Not as loops: compilers make `memset` or ``rep stos`` of them, which start so slowly that they
@@ -140,6 +105,7 @@ def _zeros(to: str, size: int, places: Sequence[int]) -> list[str]:
     """
     zeros = sorted(set(range(size)) - set(places))
     return [
-        "".join(f"{to}[{k}] = " for k in zeros[first : first + ZEROS_PER_LINE]) + "0.0;"
+        "".join(f"{to}[{k}] = " for k in zeros[first : first + ZEROS_PER_LINE])
+        + f"{precision.number(0.0)};"
         for first in range(0, len(zeros), ZEROS_PER_LINE)
     ]

@@ -9,9 +9,10 @@ import numpy as np
 
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.joint_friction import left_out, negative, simulator_joints
-from lieid_casadi.exporters.mjcf import mjcf_snippet
-from lieid_casadi.exporters.urdf_edit import edited_urdf
-from lieid_casadi.exporters.urdf_write import written_urdf
+from lieid_casadi.exporters.urdf.control import isaac_joints, with_ros2_control
+from lieid_casadi.exporters.urdf.edit import edited_urdf
+from lieid_casadi.exporters.urdf.mujoco_joints import mjcf_snippet
+from lieid_casadi.exporters.urdf.write import written_urdf
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.output_folder import check_folder, write_folder
 from lieid_casadi.robot.joint import STANDARD_GRAVITY
@@ -23,11 +24,12 @@ class UrdfExport:
 
     urdf: Path
     mjcf: Path
+    isaac: Path
     notes: tuple[str, ...]
 
 
 def export_urdf(fit: Fit, folder: str | Path, *, force: bool = False) -> UrdfExport:
-    """Write ``ROBOT.urdf`` and ``ROBOT_joints.xml`` (for MuJoCo) into a folder.
+    """Write ``ROBOT.urdf``, ``ROBOT_joints.xml`` (MuJoCo) and ``ROBOT_joints.yaml`` (Isaac Lab).
 
     The URDF is the one that the robot was read from, with the identified inertias and, where
     the model has them, viscous and Coulomb friction; everything else stays as it was. A robot
@@ -56,16 +58,21 @@ def export_urdf(fit: Fit, folder: str | Path, *, force: bool = False) -> UrdfExp
     """
     check_folder(folder, force=force)
     text, notes = urdf_text(fit)
-    name = _file_name(fit.model.robot.name)
+    name = file_name(fit.model.robot.name)
     snippet = mjcf_snippet(fit, file=f"{name}_joints.xml")
-    files = {f"{name}.urdf": text.encode(), f"{name}_joints.xml": snippet.encode()}
-    urdf, mjcf = write_folder(folder, files, force=force)
-    return UrdfExport(urdf, mjcf, tuple(notes))
+    isaac = isaac_joints(fit.model.robot, simulator_joints(fit))
+    files = {
+        f"{name}.urdf": with_ros2_control(text, fit.model.robot).encode(),
+        f"{name}_joints.xml": snippet.encode(),
+        f"{name}_joints.yaml": isaac.encode(),
+    }
+    urdf, mjcf, yaml_file = write_folder(folder, files, force=force)
+    return UrdfExport(urdf, mjcf, yaml_file, tuple(notes))
 
 
 def urdf_text(fit: Fit) -> tuple[str, list[str]]:
     """Return the URDF and notes on it; raises as `export_urdf`."""
-    _check_possible(fit)
+    check_possible(fit)
     robot = fit.model.robot
     if robot.source is not None and robot.source.kind == "urdf":
         text, notes = edited_urdf(fit, robot.source.text)
@@ -87,7 +94,14 @@ def urdf_text(fit: Fit) -> tuple[str, list[str]]:
     return text, notes
 
 
-def _check_possible(fit: Fit) -> None:
+def check_possible(fit: Fit) -> None:
+    """Refuse a fit whose masses and inertias are not certified to be physically consistent.
+
+    Raises
+    ------
+    ExportError
+        With the command that makes a fit whose are.
+    """
     if fit.certificate is not None and fit.certificate.holds and fit.physically_consistent:
         return
     effects = ",".join(fit.model.effects)
@@ -100,5 +114,6 @@ def _check_possible(fit: Fit) -> None:
     )
 
 
-def _file_name(name: str) -> str:
+def file_name(name: str) -> str:
+    """Return a name of a file for the name of a robot."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in name) or "robot"

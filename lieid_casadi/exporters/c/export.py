@@ -8,18 +8,22 @@ from pathlib import Path
 from typing import Any
 
 from lieid_casadi.codegen_files import codegen_folder
-from lieid_casadi.exporters.c_arm_effects import arm_notes
-from lieid_casadi.exporters.c_functions import (
+from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.c.arm_effects import arm_notes
+from lieid_casadi.exporters.c.functions import (
     RIGID_ARGUMENTS,
+    RUNTIME,
     SAMPLE_ARGUMENTS,
+    WITHOUT_NUMBERS,
     ExportedFunctions,
+    ExportForm,
     exported_functions,
     select,
 )
-from lieid_casadi.exporters.c_prefix import check_prefix
-from lieid_casadi.exporters.c_self_test import self_test_content
-from lieid_casadi.exporters.c_statements import number
-from lieid_casadi.exporters.c_text import comment, numbered, render, wrapped
+from lieid_casadi.exporters.c.numbers import DOUBLE, SINGLE, Precision
+from lieid_casadi.exporters.c.prefix import check_prefix
+from lieid_casadi.exporters.c.self_test import self_test_content
+from lieid_casadi.exporters.c.text import comment, numbered, render, wrapped
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import Parameter
 from lieid_casadi.output_folder import check_folder, write_folder
@@ -39,6 +43,8 @@ def export_c(
     *,
     prefix: str = "arm",
     functions: Sequence[str] | None = None,
+    runtime: Sequence[str] = (),
+    float32: bool = False,
     force: bool = False,
 ) -> CExport:
     """Write the identified model as C99: library, self-test, CMake project and README.
@@ -55,9 +61,15 @@ def export_c(
     prefix : str
         Prefix of all names, so that one program can contain several arms.
     functions : sequence of str, optional
-        Functions to write, of `lieid_casadi.exporters.c_functions.NAMES`; those that they call are
+        Functions to write, of `lieid_casadi.exporters.c.functions.NAMES`; those that they call are
         added. Default: all that the fit has. Forward dynamics are left out, with a note, if the
         mass matrix is not positive definite in a pose within the joint limits.
+    runtime : sequence of str
+        Numbers that are arguments of the functions, so that they may change while the program
+        runs: ``payload`` (ten link parameters of a body at the tool) and ``parameters`` (all link
+        parameters, effect coefficients and shape parameters). All others are constants.
+    float32 : bool
+        Single precision: values of type float, and a self-test with the tolerance of such values.
     force : bool
         Replace what an earlier export wrote into the folder; other files are kept.
 
@@ -68,22 +80,34 @@ def export_c(
     Raises
     ------
     ExportError
-        The prefix is not usable, a function does not exist, an effect has no C form or needs more
-        than one instant, or a number is not finite.
+        The prefix is not usable, a function or a name in ``runtime`` does not exist, an effect has
+        no C form or needs more than one instant, or a number is not finite.
     OutputError
         The folder has other content or cannot be written.
     """
     check_prefix(prefix)
     check_folder(folder, force=force)
     for value in (*fit.parameters, *fit.values, *fit.shapes):
-        number(value)
+        DOUBLE.number(value)
+    unknown = [name for name in runtime if name not in RUNTIME]
+    if unknown:
+        raise ExportError(f"runtime: got {unknown[0]!r}; expected some of {', '.join(RUNTIME)}")
     chosen, left_out = select(fit, functions)
     notes = [*left_out, *_notes(fit)]
-    written = write_folder(folder, c_files(fit, prefix, chosen, notes), force=force)
+    if set(chosen) <= set(WITHOUT_NUMBERS):
+        if runtime:
+            notes.append(f"{', '.join(runtime)}: no function depends on it, so it is no argument")
+        runtime = ()
+    form = ExportForm(
+        SINGLE if float32 else DOUBLE, tuple(name for name in RUNTIME if name in runtime)
+    )
+    written = write_folder(folder, c_files(fit, prefix, chosen, notes, form), force=force)
     return CExport(written, tuple(notes))
 
 
-def c_files(fit: Fit, prefix: str, names: Sequence[str], notes: list[str]) -> dict[str, bytes]:
+def c_files(
+    fit: Fit, prefix: str, names: Sequence[str], notes: list[str], form: ExportForm
+) -> dict[str, bytes]:
     """Return the content of all files by name.
 
     Parameters
@@ -95,9 +119,10 @@ def c_files(fit: Fit, prefix: str, names: Sequence[str], notes: list[str]) -> di
         Functions, in the order of `NAMES`.
     notes : list of str
         What the export leaves out.
+    form : ExportForm
     """
-    made = exported_functions(fit, names)
-    content = _content(fit, prefix, made) | {"notes": [comment(note) for note in notes]}
+    made = exported_functions(fit, names, form)
+    content = _content(fit, prefix, made, form) | {"notes": [comment(note) for note in notes]}
     content["note_lines"] = wrapped(content["notes"])
     templates = {
         f"{prefix}.h": "arm.h.jinja",
@@ -107,13 +132,13 @@ def c_files(fit: Fit, prefix: str, names: Sequence[str], notes: list[str]) -> di
         "CMakeLists.txt": "CMakeLists.txt.jinja",
         "README.md": "README.md.jinja",
     }
-    content |= self_test_content(fit, made.bodies)
+    content |= self_test_content(fit, made.bodies, form)
     files = {name: render(template, content).encode() for name, template in templates.items()}
-    runtime = codegen_folder() / "export" / "lieid_runtime.h"
-    return files | {runtime.name: runtime.read_bytes()}
+    headers = ["lieid_runtime.h", *(["lieid_runtime_float.h"] if form.precision.suffix else [])]
+    return files | {name: (codegen_folder() / "export" / name).read_bytes() for name in headers}
 
 
-def _content(fit: Fit, prefix: str, made: ExportedFunctions) -> dict[str, Any]:
+def _content(fit: Fit, prefix: str, made: ExportedFunctions, form: ExportForm) -> dict[str, Any]:
     """Return the variables of the templates."""
     from lieid_casadi import __version__
 
@@ -124,6 +149,14 @@ def _content(fit: Fit, prefix: str, made: ExportedFunctions) -> dict[str, Any]:
     formulas = {p.effect.label: p.effect.formula for p in model.placements}
     base = [model.base.expression(k) for k in range(model.base.count)]
     return {
+        "precision": form.precision,
+        "real": form.precision.real,
+        "runtime": form.runtime,
+        # the argument of run-time numbers: of a function, of `advance`, in calls of these
+        "N": f"const {prefix}_numbers *numbers, " if form.runtime else "",
+        "M": f", const {prefix}_numbers *numbers" if form.runtime else "",
+        "B": "&numbers, " if form.runtime else "",
+        "C": ", &numbers" if form.runtime else "",
         "p": prefix,
         "P": prefix.upper(),
         "version": __version__,
@@ -141,19 +174,19 @@ def _content(fit: Fit, prefix: str, made: ExportedFunctions) -> dict[str, Any]:
         "effects": comment(", ".join(model.effects)),
         "formulas": [{"label": comment(k), "formula": comment(v)} for k, v in formulas.items()],
         "links": [
-            {"label": parameter.label, "number": _initializer(value)}
+            {"label": parameter.label, "number": _initializer(value, form.precision)}
             for parameter, value in zip(model.link_parameters, fit.link_parameters, strict=True)
         ],
-        "base": _rows(model.base_columns, fit.values, base, fit.std),
-        "coefficients": _rows(model.columns, fit.effect_coefficients),
-        "shapes": _rows(model.shapes, fit.shapes, stds=fit.std[len(fit.values) :]),
+        "base": _rows(form.precision, model.base_columns, fit.values, base, fit.std),
+        "coefficients": _rows(form.precision, model.columns, fit.effect_coefficients),
+        "shapes": _rows(form.precision, model.shapes, fit.shapes, stds=fit.std[len(fit.values) :]),
         "states": [
             {
                 "place": place,
                 "label": comment(state.label),
                 "unit": comment(state.unit),
                 "initial": f"{state.initial:g}",
-                "number": number(state.initial),
+                "number": form.precision.number(state.initial),
             }
             for place, state in enumerate(model.states)
         ],
@@ -171,22 +204,26 @@ def _content(fit: Fit, prefix: str, made: ExportedFunctions) -> dict[str, Any]:
 
 
 def _rows(
-    parameters: tuple[Parameter, ...], values: Any, labels: Any = None, stds: Any = None
+    precision: Precision,
+    parameters: tuple[Parameter, ...],
+    values: Any,
+    labels: Any = None,
+    stds: Any = None,
 ) -> list[dict[str, str]]:
     """Return value, name and unit of parameters, safe in a comment."""
     return [
         {
             "label": comment(parameter.label if labels is None else labels[k]),
             "unit": comment(parameter.unit),
-            "number": _initializer(values[k]),
+            "number": _initializer(values[k], precision),
             "std": "" if stds is None else f"{stds[k]:.3g}",
         }
         for k, parameter in enumerate(parameters)
     ]
 
 
-def _initializer(value: float) -> str:
-    return number(value).strip("()")
+def _initializer(value: float, precision: Precision) -> str:
+    return precision.number(value).strip("()")
 
 
 def _units(kinds: set[bool]) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lieid_casadi.exporters.joint_friction import SimulatorJoint, simulator_joints
-from lieid_casadi.exporters.urdf_bodies import number
+from lieid_casadi.exporters.urdf.bodies import number
 from lieid_casadi.exporters.xml_text import attribute, comment
 from lieid_casadi.identification.fit import Fit
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.codegen_files import codegen_folder
-from lieid_casadi.exporters.c_statements import number
+from lieid_casadi.exporters.c.numbers import Precision
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -45,9 +45,9 @@ def markdown(text: str) -> str:
     return re.sub(r"([\\`*\[\]|~$])", r"\\\1", shown)
 
 
-def numbers(values: NDArray[np.float64]) -> str:
+def numbers(values: NDArray[np.float64], precision: Precision) -> str:
     """Return the initializers of an array, wrapped."""
-    words = ", ".join(number(float(value)).strip("()") for value in np.ravel(values))
+    words = ", ".join(precision.number(float(value)).strip("()") for value in np.ravel(values))
     return textwrap.fill(words, WIDTH, initial_indent="    ", subsequent_indent="    ")
 
 

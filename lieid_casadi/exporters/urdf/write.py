@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.exporters.joint_friction import SimulatorJoint
-from lieid_casadi.exporters.urdf_bodies import inertial_text, number
+from lieid_casadi.exporters.urdf.bodies import inertial_text, number
 from lieid_casadi.exporters.xml_text import attribute
 from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.inertia import parameter_transport

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lieid_casadi.exporters.joint_friction import SimulatorJoint, simulator_joints
-from lieid_casadi.exporters.urdf_bodies import (
+from lieid_casadi.exporters.urdf.bodies import (
     InertiaSplit,
     inertial_text,
     members_of,

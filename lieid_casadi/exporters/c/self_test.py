@@ -10,9 +10,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.exporters.c_expressions import ExportExpressions, ExportSymbols
-from lieid_casadi.exporters.c_functions import RIGID_ARGUMENTS, SAMPLE_ARGUMENTS
+from lieid_casadi.exporters.c.expressions import ExportExpressions, ExportSymbols, ModelNumbers
+from lieid_casadi.exporters.c.functions import (
+    RIGID_ARGUMENTS,
+    SAMPLE_ARGUMENTS,
+    WITHOUT_NUMBERS,
+    ExportForm,
+)
 from lieid_casadi.identification.fit import Fit
+from lieid_casadi.robot.inertia import parameter_transport
 
 Array = NDArray[np.float64]
 PACE = 2.0  # rad/s of the motion q = … cos(PACE·t): it reverses at t = 0, 1.57 and 3.14 s
@@ -25,6 +31,7 @@ _ALSO = {  # results that the test of a function needs besides its own
     "base_regressor": ("rigid_torque", "torque"),
     "forward_dynamics": ("rigid_torque", "torque"),
 }
+PAYLOAD = (0.3, 0.006, -0.009, 0.015, 2e-3, 3e-4, 2.5e-3, -2e-4, 1e-4, 1.8e-3)  # SI, of a test
 SMOOTHING = 0.05  # v0, rad/s, of the smooth sign
 
 
@@ -42,7 +49,32 @@ class SelfTestData:
     acceleration_scale: Array | None
 
 
-def self_test_content(fit: Fit, names: Collection[str]) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class SelfTestNumbers:
+    """Numbers with which the functions are called; others than the fit's where they are inputs."""
+
+    link_parameters: Array
+    effect_coefficients: Array
+    shapes: Array
+    payload: Array
+
+    @classmethod
+    def of(cls, fit: Fit, form: ExportForm) -> SelfTestNumbers:
+        """Return the fit's numbers, changed where they are inputs."""
+        links, coefficients, shapes = fit.link_parameters, fit.effect_coefficients, fit.shapes
+        if "parameters" in form.runtime:
+            links, coefficients, shapes = 1.1 * links, 0.9 * coefficients, 1.05 * shapes
+        payload = np.array(PAYLOAD) if "payload" in form.runtime else np.zeros(10)
+        return cls(*(form.precision.rounded(x) for x in (links, coefficients, shapes, payload)))
+
+    def links(self, fit: Fit) -> Array:
+        """Return link parameters (10 n,) with the payload."""
+        made = self.link_parameters.copy()
+        made[-10:] += parameter_transport(fit.model.robot.tool) @ self.payload
+        return made
+
+
+def self_test_content(fit: Fit, names: Collection[str], form: ExportForm) -> dict[str, Any]:
     """Return the variables of the template of the self-test.
 
     Parameters
@@ -50,8 +82,10 @@ def self_test_content(fit: Fit, names: Collection[str]) -> dict[str, Any]:
     fit : Fit
     names : collection of str
         The exported functions.
+    form : ExportForm
     """
-    stored = self_test_data(fit, names)
+    tested = SelfTestNumbers.of(fit, form)
+    stored = self_test_data(fit, names, form)
     inputs, results = stored.inputs, stored.results
     rigid = [name for name in RIGID_ARGUMENTS if name in names]
     calls = [name for name in SAMPLE_ARGUMENTS if name in names]
@@ -73,6 +107,17 @@ def self_test_content(fit: Fit, names: Collection[str]) -> dict[str, Any]:
     }
     parameters = {name: values for name, values in numbers.items() if len(values)}
     arrays += list(parameters.items())
+    if form.runtime:
+        links = tested.links(fit)
+        every = np.concatenate([links, tested.effect_coefficients])
+        factors = {
+            "regressor": ("link_parameters", links),
+            "base_regressor": ("base_parameters", fit.model.base.combination @ every),
+            "effect_columns": ("effect_coefficients", tested.effect_coefficients),
+        }
+        arrays += [
+            (f"tested_{x}", values) for name, (x, values) in factors.items() if name in names
+        ]
     if stored.acceleration_scale is not None:
         arrays.append(("acceleration_scale", stored.acceleration_scale))
     sizes = {name: values.shape[1] for name, values in results.items()}
@@ -84,7 +129,17 @@ def self_test_content(fit: Fit, names: Collection[str]) -> dict[str, Any]:
         "largest": max(fit.model.n, *sizes.values()),
         "arrays": arrays,
         "parameters": [(name, len(values)) for name, values in parameters.items()],
-        "rigid_calls": [(name, RIGID_ARGUMENTS[name], sizes[name]) for name in rigid],
+        "rigid_calls": [
+            (name, RIGID_ARGUMENTS[name], sizes[name], name not in WITHOUT_NUMBERS)
+            for name in rigid
+        ],
+        "own": "tested" if form.runtime else None,
+        "numbers_given": [
+            (name, getattr(tested, name))
+            for name in ("link_parameters", "effect_coefficients", "shapes", "payload")
+            if len(getattr(tested, name))
+            and ("payload" if name == "payload" else "parameters") in form.runtime
+        ],
         "effect_calls": [(name, SAMPLE_ARGUMENTS[name], sizes[name]) for name in calls],
         "multiplies": bool(products) or "regressor" in names,
         "signs": [("", "NULL"), ("_smooth", "v0")] if calls else [],
@@ -93,7 +148,7 @@ def self_test_content(fit: Fit, names: Collection[str]) -> dict[str, Any]:
     }
 
 
-def self_test_data(fit: Fit, names: Collection[str]) -> SelfTestData:
+def self_test_data(fit: Fit, names: Collection[str], form: ExportForm) -> SelfTestData:
     """Evaluate the model, with numbers as inputs, along a motion through the joints' ranges.
 
     Joints start at rest, so that sgn(0) = 0 occurs. The torque of forward dynamics is that of the
@@ -104,15 +159,16 @@ def self_test_data(fit: Fit, names: Collection[str]) -> SelfTestData:
     fit : Fit
     names : collection of str
         Functions whose results are compared.
+    form : ExportForm
     """
-    inputs = _motion(fit)
-    v0 = np.full(fit.model.n, SMOOTHING)
+    inputs = {name: form.precision.rounded(x) for name, x in _motion(fit).items()}
+    v0 = form.precision.rounded(np.full(fit.model.n, SMOOTHING))
     wanted = {*names, *(further for name in names for further in _ALSO.get(name, ()))}
-    machine = _Evaluator(fit)
+    machine = _Evaluator(fit, SelfTestNumbers.of(fit, form))
     results = machine.rigid(inputs, [name for name in RIGID_ARGUMENTS if name in wanted])
     effects = [name for name in SAMPLE_ARGUMENTS if name in wanted]
     if effects:
-        inputs["load"] = results["rigid_torque"]
+        inputs["load"] = form.precision.rounded(results["rigid_torque"])
         for ending, sign in (("", np.sign(inputs["dq"])), ("_smooth", np.tanh(inputs["dq"] / v0))):
             for name, values in machine.effects(inputs | {"sign": sign}, effects).items():
                 results[name + ending] = values
@@ -146,17 +202,16 @@ def _motion(fit: Fit) -> dict[str, Array]:
 class _Evaluator:
     """Evaluation of the functions of a fit by CasADi, with the numbers as inputs."""
 
-    def __init__(self, fit: Fit) -> None:
+    def __init__(self, fit: Fit, tested: SelfTestNumbers) -> None:
         self._fit, model = fit, fit.model
         self._now, self._before = ExportSymbols.of(fit), ExportSymbols.of(fit, "before_")
-        numbers = [
-            ca.SX.sym("links", 10 * model.n),
-            ca.SX.sym("coefficients", len(model.columns)),
-            ca.SX.sym("shapes", len(model.shapes)),
-        ]
-        self._expressions = ExportExpressions(fit, self._now, *numbers)
-        self._arguments = [*_all(self._now), *_all(self._before), *numbers]
-        self._numbers = [fit.link_parameters, fit.effect_coefficients, fit.shapes]
+        links = ca.SX.sym("links", 10 * model.n)
+        coefficients = ca.SX.sym("coefficients", len(model.columns))
+        shapes = ca.SX.sym("shapes", len(model.shapes))
+        numbers = ModelNumbers(links, links, coefficients, shapes, {})
+        self._expressions = ExportExpressions(fit, self._now, numbers)
+        self._arguments = [*_all(self._now), *_all(self._before), links, coefficients, shapes]
+        self._numbers = [tested.links(fit), tested.effect_coefficients, tested.shapes]
 
     def rigid(self, inputs: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
         """Return results (K, size) of functions of the motion."""

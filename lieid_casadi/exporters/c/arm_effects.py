@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ExportError
@@ -12,10 +10,8 @@ from lieid_casadi.expressions.instant import ArmInstant
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import Model
 
-Array = NDArray[np.float64]
 
-
-def with_arm_effects(columns: ca.SX, model: Model, arm: ArmInstant, values: Array) -> ca.SX:
+def with_arm_effects(columns: ca.SX, model: Model, arm: ArmInstant, values: ca.SX) -> ca.SX:
     """Return the effect columns (n, m) with those of effects on the whole arm filled in.
 
     Parameters
@@ -26,7 +22,7 @@ def with_arm_effects(columns: ca.SX, model: Model, arm: ArmInstant, values: Arra
     arm : ArmInstant
         The arm at the instant.
     values : (m,)
-        Coefficients of the fit, at which these effects are linearized.
+        Coefficients, at which these effects are linearized.
 
     Raises
     ------
@@ -37,7 +33,7 @@ def with_arm_effects(columns: ca.SX, model: Model, arm: ArmInstant, values: Arra
     for p in model.placements:
         last = first + len(p.effect.coefficients)
         if isinstance(p.effect, ArmEffect):
-            now = p.effect.instant_columns(arm, p.joint, ca.SX(ca.DM(values[first:last])))
+            now = p.effect.instant_columns(arm, p.joint, values[first:last])
             if now is None:
                 raise ExportError(
                     f"{p.label} needs the motion over time, and exported C has one instant; "

@@ -1,0 +1,39 @@
+/* The functions of lieid_runtime.h for values of type float.
+ *
+ * Those of a few operations are computed in float, the others in double: they are rare.
+ */
+#ifndef LIEID_RUNTIME_FLOAT_H
+#define LIEID_RUNTIME_FLOAT_H
+
+#include "lieid_runtime.h"
+
+/* -1, 0 or 1; NaN stays NaN */
+static inline float lieid_signf(float x)
+{
+    return x > 0.0f ? 1.0f : (x < 0.0f ? -1.0f : x);
+}
+
+static inline float lieid_directionf(float dq, const float *v0, int j)
+{
+    return v0 != NULL && v0[j] > 0.0f ? tanhf(dq / v0[j]) : lieid_signf(dq);
+}
+
+static inline float lieid_fminf(float a, float b) { return a < b || b != b ? a : b; }
+static inline float lieid_fmaxf(float a, float b) { return a > b || b != b ? a : b; }
+static inline float lieid_copysignf(float a, float b) { return (float)lieid_copysign(a, b); }
+static inline float lieid_expm1f(float x) { return (float)lieid_expm1(x); }
+static inline float lieid_logf(float x) { return (float)lieid_log(x); }
+static inline float lieid_log1pf(float x) { return (float)lieid_log1p(x); }
+static inline float lieid_powf(float x, float y) { return (float)lieid_pow(x, y); }
+static inline float lieid_tanf(float x) { return (float)lieid_tan(x); }
+static inline float lieid_sinhf(float x) { return (float)lieid_sinh(x); }
+static inline float lieid_coshf(float x) { return (float)lieid_cosh(x); }
+static inline float lieid_asinf(float x) { return (float)lieid_asin(x); }
+static inline float lieid_acosf(float x) { return (float)lieid_acos(x); }
+static inline float lieid_atanf(float x) { return (float)lieid_atan(x); }
+static inline float lieid_atan2f(float y, float x) { return (float)lieid_atan2(y, x); }
+static inline float lieid_hypotf(float a, float b) { return (float)lieid_hypot(a, b); }
+static inline float lieid_floorf(float x) { return (float)lieid_floor(x); }
+static inline float lieid_ceilf(float x) { return (float)lieid_ceil(x); }
+
+#endif

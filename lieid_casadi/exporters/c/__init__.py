@@ -1,0 +1,1 @@
+"""C code for a controller."""

@@ -1,0 +1,266 @@
+"""A fit as a MuJoCo model: kinematics, identified inertias, joint friction and actuators."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.mjcf.friction import MujocoFriction, mujoco_friction
+from lieid_casadi.exporters.urdf.bodies import number
+from lieid_casadi.exporters.xml_text import allowed, comment
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.robot import Drive, Joint
+from lieid_casadi.robot.inertia import body_inertia
+
+Array = NDArray[np.float64]
+Element = ElementTree.Element
+STEP = 0.002  # s
+#: Stiffness of the spring that produces a constant torque, in parts of that torque per radian: the
+#: torque changes by this share over a radian.
+WEAK_SPRING = 1e-6
+#: Effects that MuJoCo has itself.
+EXPRESSED = frozenset(
+    [
+        "armature",
+        "command_delay",
+        "coulomb",
+        "offset",
+        "position_spring",
+        "torque_saturation",
+        "viscous",
+    ]
+)
+HEAD = """
+     {robot}, identified by lieid-casadi {version} (method {method}) from {recordings}.
+     Joints and actuators are in the robot's order. ctrl: {control}.
+{notes}"""
+
+
+def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
+    """Return a MuJoCo model and notes on its approximations.
+
+    Parameters
+    ----------
+    fit : Fit
+        With physically consistent inertias.
+
+    Raises
+    ------
+    ExportError
+        A number that is not finite.
+    """
+    from lieid_casadi import __version__
+
+    robot = fit.model.robot
+    if not np.all(np.isfinite(fit.parameters)):
+        raise ExportError("a parameter of the fit is not finite; fit again")
+    friction = mujoco_friction(fit)
+    root = ElementTree.Element("mujoco", model=allowed(robot.name) or "robot")
+    _add(root, "compiler", angle="radian", autolimits="true")
+    gravity = _vector(robot.gravity)
+    _add(root, "option", timestep=number(STEP), integrator="implicitfast", gravity=gravity)
+    world = _add(root, "worldbody")
+    parent, before = world, np.eye(4)
+    names = _unique([joint.link_name or f"{joint.name}_link" for joint in robot.joints])
+    joints = _unique([joint.name for joint in robot.joints])
+    bodies = fit.link_parameters.reshape(-1, 10)
+    for j, joint in enumerate(robot.joints):
+        place = np.asarray(np.linalg.solve(before, joint.home))
+        _add_link(parent, place, j)
+        parent = _add(parent, "body", name=names[j], **_pose(place))
+        _add_inertial(parent, bodies[j])
+        _add_joint(parent, joint, joints[j], fit, j, friction[j])
+        before = joint.home
+    _add_link(parent, robot.tool, robot.n)
+    _add(parent, "site", name="tool", **_pose(robot.tool))
+    actuators = _add(root, "actuator")
+    for j, joint in enumerate(robot.joints):
+        _add_actuator(actuators, joint, joints[j], _of_joint(fit, j))
+    notes = _notes(fit, friction)
+    ElementTree.indent(root)
+    head = HEAD.format(
+        robot=comment(robot.name),
+        version=__version__,
+        method=fit.method,
+        recordings=comment(", ".join(s.name for s in fit.provenance.recordings)) or "no recording",
+        control="commanded position, rad" if robot.drives else "torque, N·m",
+        notes="".join(f"     {comment(note)}\n" for note in notes),
+    )
+    body = ElementTree.tostring(root, encoding="unicode")
+    return f"<!--{head}-->\n{body}\n", notes
+
+
+def _add(parent: Element, tag: str, **attributes: str) -> Element:
+    return ElementTree.SubElement(parent, tag, attributes)
+
+
+def _add_link(parent: Element, place: Array, index: int) -> None:
+    """Draw a link from its origin to the next one; it neither weighs nor collides."""
+    length = float(np.linalg.norm(place[:3, 3]))
+    if index and length > 1e-3:
+        _add(
+            parent, "geom", type="capsule", size=number(0.12 * length), mass="0",
+            contype="0", conaffinity="0", rgba="0.6 0.65 0.7 1",
+            fromto=_vector(np.concatenate([np.zeros(3), place[:3, 3]])),
+        )  # fmt: skip
+
+
+def _add_inertial(parent: Element, parameters: Array) -> None:
+    body = body_inertia(parameters)
+    i = body.inertia
+    six = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+    _add(
+        parent, "inertial", pos=_vector(body.com), mass=number(body.mass), fullinertia=_vector(six)
+    )
+
+
+def _add_joint(
+    parent: Element, joint: Joint, name: str, fit: Fit, index: int, friction: MujocoFriction
+) -> None:
+    """Add a joint with its passive torques.
+
+    Parameters
+    ----------
+    parent : Element
+    joint : Joint
+    name : str
+        Unique.
+    fit : Fit
+    index : int
+        Of the joint, from 0.
+    friction : MujocoFriction
+    """
+    omega, v = joint.axis[:3], joint.axis[3:]
+    own = _of_joint(fit, index)
+    attributes = {"name": name, "type": "hinge" if joint.revolute else "slide"}
+    attributes["axis"] = _vector(omega if joint.revolute else v)
+    if joint.revolute:
+        attributes["pos"] = _vector(np.cross(omega, v))
+    limits = joint.limits
+    if math.isfinite(limits.position_lower) and math.isfinite(limits.position_upper):
+        attributes["range"] = _vector([limits.position_lower, limits.position_upper])
+    damping = friction.damping + (_servo_damping(joint.drive) if joint.drive else 0.0)
+    armature = max(own.get("armature.I_a", 0.0), 0.0)
+    for key, value in (
+        ("armature", armature), ("damping", damping), ("frictionloss", friction.frictionloss),
+    ):  # fmt: skip
+        if value:
+            attributes[key] = number(value)
+    offset, stiffness = own.get("offset.f_b", 0.0), own.get("position_spring.K", 0.0)
+    if offset and not stiffness:
+        stiffness = WEAK_SPRING * abs(offset)
+    if stiffness:
+        attributes["stiffness"] = number(stiffness)
+        attributes["springref"] = number(-offset / stiffness)
+    _add(parent, "joint", **attributes)
+
+
+def _servo_damping(drive: Drive) -> float:
+    """Return the damping of a servo's motor, which its duty's limit does not limit."""
+    return drive.damping if math.isfinite(drive.proportional_limit) else 0.0
+
+
+def _of_joint(fit: Fit, index: int) -> dict[str, float]:
+    """Return the coefficients and shape parameters of a joint (from 0) by name."""
+    columns = (*fit.model.columns, *fit.model.shapes)
+    values = np.concatenate([fit.effect_coefficients, fit.shapes])
+    pairs = zip(columns, values, strict=True)
+    return {column.name: float(value) for column, value in pairs if column.joint == index}
+
+
+def _add_actuator(parent: Element, joint: Joint, name: str, own: dict[str, float]) -> None:
+    """Add a position actuator with the gains of the drive, or a motor.
+
+    Parameters
+    ----------
+    parent : Element
+    joint : Joint
+    name : str
+        Unique.
+    own : dict
+        Coefficients and shape parameters of the joint's effects by name.
+    """
+    limit = joint.limits.torque
+    attributes = {"name": name, "joint": name}
+    if joint.drive is None:
+        if math.isfinite(limit):
+            attributes["ctrlrange"] = _vector([-limit, limit])
+        _add(parent, "motor", **attributes)
+        return
+    drive = joint.drive.limited(limit)
+    attributes["kp"] = number(drive.stiffness)
+    if not math.isfinite(drive.proportional_limit) and drive.damping:
+        attributes["kv"] = number(drive.damping)
+    force = min(drive.proportional_limit, drive.torque_limit)
+    if "torque_saturation.e_s" in own:
+        force = min(force, drive.stiffness * own["torque_saturation.e_s"])
+    delay = own.get("command_delay.delta", 0.0)
+    if delay > 0.0:
+        attributes |= {"delay": number(delay), "nsample": str(math.ceil(delay / STEP) + 1)}
+    if math.isfinite(force):
+        attributes["forcerange"] = _vector([-force, force])
+    _add(parent, "position", **attributes)
+
+
+def _notes(fit: Fit, friction: Sequence[MujocoFriction]) -> list[str]:
+    """Return notes on what the model approximates and leaves out."""
+    robot, notes = fit.model.robot, []
+    names = {p.effect.name for p in fit.model.placements}
+    for j, own in enumerate(friction):
+        if not own.exact:
+            notes.append(
+                f"joint {j + 1}: friction approximated by damping {own.damping:.4g} and "
+                f"frictionloss {own.frictionloss:.4g}; RMS error {own.error:.3g} N·m, "
+                f"{100.0 * own.share:.0f} % of the friction (speeds of 2 to 50 % of the limit, "
+                "loads at rest over the position range)"
+            )
+    if not all(own.exact for own in friction):
+        notes.append("lieid_casadi.simulation.mujoco_callback adds the exact torque of the fit")
+    dry = {label.split(".")[0] for label in (c.name for c in fit.model.columns)}
+    approximated = {
+        p.effect.name
+        for p in fit.model.placements
+        if set(p.effect.signals) & {"dq", "sign"} and p.effect.name in dry
+    }
+    left = sorted(names - EXPRESSED - approximated)
+    if left:
+        notes.append(f"not part of the MuJoCo model: {', '.join(left)}")
+    if "command_delay" in names:
+        notes.append(
+            "command delays are attributes of the actuators, which MuJoCo 4.0 has; if ctrl is held "
+            "for an interval between commands, as in the recordings, subtract half of it"
+        )
+    relative = [drive for drive in robot.drives or () if drive.relative]
+    if relative:
+        notes.append(
+            "the drive stiffness K is unknown: masses, inertias and torques are divided by it, "
+            "and kp is 1; motion under commands is the same, forces are not in N"
+        )
+    if robot.drives is None and any(np.isnan(robot.limit("torque"))):
+        notes.append("no torque limits are stated: the range of the motors is not limited")
+    return notes
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    """Return names that are not empty and occur once."""
+    made: list[str] = []
+    for k, name in enumerate(allowed(name) for name in names):
+        made.append(name if name and name not in made else f"{name}_{k + 1}")
+    return made
+
+
+def _vector(values: Array | Sequence[float]) -> str:
+    return " ".join(number(value) for value in values)
+
+
+def _pose(place: Array) -> dict[str, str]:
+    """Return position and quaternion [w x y z] of a pose (4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(place[:3, :3]).as_quat()
+    return {"pos": _vector(place[:3, 3]), "quat": _vector([w, x, y, z])}

@@ -1,0 +1,1 @@
+"""URDF with identified inertias."""

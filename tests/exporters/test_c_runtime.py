@@ -1,0 +1,184 @@
+"""Exported C with numbers that may change at run time, in single precision, and on ARM."""
+
+import ctypes
+
+import numpy as np
+import pytest
+from exporters.c_arms import ARMS, BUILDS, WARNINGS, library, made_fit, pointer, run, sample_type
+
+import lieid_casadi as lieid
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.c.export import export_c
+
+SOURCES = ["arm.c", "arm_parameters.c", "arm_test.c"]
+BOTH = ("payload", "parameters")
+PAYLOAD = np.array([0.8, 0.01, -0.02, 0.03, 4e-3, 1e-4, 5e-3, -2e-4, 1e-4, 3e-3])
+
+
+def self_test(folder, build, runner=()):
+    run([*build, *WARNINGS, *SOURCES, "-lm", "-o", "selftest"], folder)
+    return run([*runner, str(folder / "selftest")], folder)
+
+
+CASES = [  # arm, run-time numbers, single precision, compiler
+    ("presliding", BOTH, False, "gcc"),
+    ("presliding", BOTH, True, "g++"),
+    ("rigid", ("payload",), False, "gcc"),
+]
+SLOW_CASES = [
+    ("presliding", BOTH, False, "sanitizers"),
+    ("presliding", BOTH, True, "sanitizers"),
+    ("presliding", ("parameters",), True, "clang"),
+    ("rigid", BOTH, True, "clang++"),
+    ("rigid", ("parameters",), False, "clang"),
+    ("panda", BOTH, False, "gcc"),
+    ("panda", BOTH, True, "gcc"),
+]
+
+
+@pytest.mark.parametrize(
+    ("arm", "runtime", "float32", "build"),
+    [*CASES, *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW_CASES)],
+)
+def test_self_test_passes(arm, runtime, float32, build, tmp_path):
+    export_c(ARMS[arm](), tmp_path / "arm", runtime=runtime, float32=float32)
+    shown = self_test(tmp_path / "arm", BUILDS[build])
+    assert shown.endswith(f"0 of the above differ by more than {1e-5 if float32 else 1e-12:.0e}\n")
+    assert "nominal" in shown
+
+
+class Numbers:
+    """Functions of an export with run-time numbers."""
+
+    def __init__(self, fit, folder):
+        export_c(fit, folder, runtime=BOTH)
+        model = fit.model
+        sizes = {
+            "link_parameters": 10 * model.n,
+            "effect_coefficients": len(model.columns),
+            "shapes": len(model.shapes),
+            "payload": 10,
+        }
+        fields = [(name, ctypes.c_double * size) for name, size in sizes.items() if size]
+        self.type = type("Numbers", (ctypes.Structure,), {"_fields_": fields})
+        self.c, self.sample, self.n = library(folder), sample_type(model.n), model.n
+
+    def torque(self, numbers, q, dq, ddq):
+        s, out = self.sample(), np.full(self.n, np.nan)
+        s.q[:], s.dq[:], s.ddq[:] = q.tolist(), dq.tolist(), ddq.tolist()
+        state = ctypes.create_string_buffer(4096)
+        self.c.arm_torque(ctypes.byref(s), state, None, ctypes.byref(numbers), pointer(out))
+        return out
+
+    def acceleration(self, numbers, q, dq, tau):
+        s, out = self.sample(), np.full(self.n, np.nan)
+        s.q[:], s.dq[:] = q.tolist(), dq.tolist()
+        self.c.arm_forward_dynamics(
+            ctypes.byref(s), pointer(tau), None, None, ctypes.byref(numbers), pointer(out)
+        )
+        return out
+
+
+def test_numbers_are_those_of_symbolic(tmp_path):
+    """Nominal and changed link parameters, coefficients, shapes and payload in one build."""
+    fit = made_fit(lieid.robots.two_link(), "coulomb,viscous,armature,stribeck:2")
+    exported, dynamics = (
+        Numbers(fit, tmp_path / "arm"),
+        lieid.symbolic(fit, free_parameters=True, payload=True),
+    )
+    numbers, random = exported.type(), np.random.default_rng(2)
+    exported.c.arm_nominal(ctypes.byref(numbers))
+    assert list(numbers.payload) == [0.0] * 10
+    for scale, payload in ((1.0, np.zeros(10)), (1.3, PAYLOAD)):
+        values = {
+            "parameters": scale * fit.link_parameters,
+            "effects": scale * fit.effect_coefficients,
+            "shapes": scale * fit.shapes,
+            "payload": payload,
+        }
+        for field, name in (
+            ("link_parameters", "parameters"), ("effect_coefficients", "effects"),
+            ("shapes", "shapes"), ("payload", "payload"),
+        ):  # fmt: skip
+            if scale != 1.0:
+                getattr(numbers, field)[:] = values[name].tolist()
+            np.testing.assert_array_equal(getattr(numbers, field), values[name])
+        q, dq, ddq = random.uniform(-1.0, 1.0, (3, 2))
+        tau = dynamics.inverse_dynamics(q=q, dq=dq, ddq=ddq, **values)["tau"].full()[:, 0]
+        np.testing.assert_allclose(exported.torque(numbers, q, dq, ddq), tau, rtol=1e-11)
+        np.testing.assert_allclose(exported.acceleration(numbers, q, dq, tau), ddq, atol=1e-9)
+
+
+def test_a_payload_alone_leaves_the_other_numbers_constant(tmp_path):
+    fit = ARMS["rigid"]()
+    export_c(fit, tmp_path / "arm", runtime=["payload"])
+    header = (tmp_path / "arm" / "arm.h").read_text()
+    struct = header[header.index("typedef struct") : header.index("} arm_numbers;")]
+    assert "payload[10]" in struct
+    assert "link_parameters[" not in struct
+    assert "arm_jacobian(const double q[ARM_JOINTS], double matrix" in header
+
+
+def test_kinematics_alone_have_no_numbers(tmp_path):
+    made = export_c(ARMS["rigid"](), tmp_path / "arm", functions=["jacobian"], runtime=["payload"])
+    assert any("payload: no function depends on it" in note for note in made.notes)
+    assert "arm_numbers" not in (tmp_path / "arm" / "arm.h").read_text()
+    assert "jacobian" in self_test(tmp_path / "arm", BUILDS["gcc"])
+
+
+def test_float_code_has_no_double(tmp_path):
+    export_c(ARMS["rigid"](), tmp_path / "arm", float32=True)
+    for name in ("arm.h", "arm.c", "arm_parameters.c"):
+        assert "double" not in (tmp_path / "arm" / name).read_text().split("*/", 1)[1]
+    promoted = ["gcc", "-std=c99", "-O1", "-Wdouble-promotion", "-Werror", "-c"]
+    text = (tmp_path / "arm" / "arm.c").read_text()
+    assert "lieid_runtime_float.h" in text
+    run([*promoted, "arm_parameters.c", "-o", "p.o"], tmp_path / "arm")
+
+
+def test_an_unknown_name_is_refused(tmp_path, capsys):
+    fit = ARMS["rigid"]()
+    with pytest.raises(ExportError, match="runtime: got 'mass'; expected some of payload, param"):
+        export_c(fit, tmp_path / "arm", runtime=["mass"])
+    fit.save(tmp_path / "fit.json")
+    command = ["export", str(tmp_path / "fit.json"), "-o", str(tmp_path / "out")]
+    for further in (["--to", "c", "--runtime", "mass"], ["--to", "urdf", "--float32"]):
+        assert main([*command, *further]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    assert main([*command, "--to", "c", "--runtime", "payload", "--float32"]) == 0
+    assert "arm_nominal" in (tmp_path / "out" / "arm.h").read_text()
+
+
+ARM_BUILDS = {
+    "aarch64 gcc": (("aarch64-linux-gnu-gcc", "-static"), "qemu-aarch64"),
+    "aarch64 clang": (("clang", "--target=aarch64-linux-gnu", "-static"), "qemu-aarch64"),
+    "32 bit gcc": (("arm-linux-gnueabihf-gcc", "-static"), "qemu-arm"),
+    "32 bit clang": (("clang", "--target=arm-linux-gnueabihf", "-static"), "qemu-arm"),
+}
+
+
+@pytest.mark.parametrize(
+    ("build", "float32"),
+    [
+        ("32 bit gcc", False),
+        ("aarch64 clang", True),
+        *(
+            pytest.param(build, float32, marks=pytest.mark.slow)
+            for build, float32 in (
+                ("32 bit gcc", True),
+                ("32 bit clang", False),
+                ("32 bit clang", True),
+                ("aarch64 gcc", True),
+                ("aarch64 clang", False),
+            )
+        ),
+    ],
+)
+def test_self_test_passes_on_arm(build, float32, tmp_path):
+    """Robot controllers often have ARM processors, whose compilers fuse products and sums."""
+    (compiler, *options), machine = ARM_BUILDS[build]
+    export_c(ARMS["presliding"](), tmp_path / "arm", float32=float32)
+    shown = self_test(tmp_path / "arm", [compiler, "-std=gnu99", "-O2", *options], [machine])
+    assert shown.splitlines()[-1].startswith("0 of the above differ")
