@@ -1,0 +1,201 @@
+"""The web application: pages, their sessions, and the end of the program."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import secrets
+import signal
+import socket
+import threading
+from collections.abc import Callable
+from types import FrameType
+
+import uvicorn
+from fastapi import FastAPI, Response
+from nicegui import Client, ui
+from nicegui import app as nicegui_app
+
+from lieid_casadi.errors import LieidError
+from lieid_casadi.workbench.access import AccessControl
+from lieid_casadi.workbench.computing.results import OpenedInputs, WorkerSetup
+from lieid_casadi.workbench.computing.worker import Worker
+from lieid_casadi.workbench.page import build_page
+from lieid_casadi.workbench.state.inputs import WorkbenchInputs
+from lieid_casadi.workbench.state.session_file import is_name, load_session
+from lieid_casadi.workbench.workbench import Workbench
+
+LAST_SECONDS = 1.2  # from SIGTERM to the end at the latest
+KEPT_SECONDS = 120.0  # that the processes of a session run on after its tab was closed
+
+
+class Sessions:
+    """The sessions that pages of this server show.
+
+    Parameters
+    ----------
+    inputs : WorkbenchInputs
+        Of new sessions.
+    setup : WorkerSetup
+    """
+
+    def __init__(self, inputs: WorkbenchInputs, setup: WorkerSetup) -> None:
+        self.inputs, self._setup = inputs, setup
+        self._open: dict[str, Workbench] = {}
+        self._spare: Worker | None = Worker(setup)
+        self._spare.start()
+
+    def of(self, name: str) -> Workbench:
+        """Return the workbench of a session, which is made if no page shows it."""
+        if name in self._open:
+            return self._open[name]
+        worker, self._spare = self._spare, None
+        made = Workbench(
+            name if is_name(name) else secrets.token_hex(8), self._setup, worker=worker
+        )
+        self._open[made.name] = made
+        return made
+
+    def opened(self, name: str) -> OpenedInputs | None:
+        """Return what a session has open."""
+        return self._open[name].opened if name in self._open else None
+
+    async def close_unused(self, workbench: Workbench) -> None:
+        """End the processes of a session that no page shows; it stays saved."""
+        await asyncio.sleep(KEPT_SECONDS)
+        if not workbench.has_viewers and self._open.get(workbench.name) is workbench:
+            del self._open[workbench.name]
+            workbench.close()
+
+    def close(self) -> None:
+        """End all processes."""
+        for workbench in self._open.values():
+            workbench.close()
+        if self._spare is not None:
+            self._spare.stop()
+
+
+class _Server(uvicorn.Server):
+    """A server that reports when it is ready, and that ends soon after SIGTERM.
+
+    Parameters
+    ----------
+    config : Config
+    ready : callable
+        Called once pages are served.
+    close : callable
+        Ends the worker processes.
+    """
+
+    def __init__(
+        self, config: uvicorn.Config, ready: Callable[[], None], close: Callable[[], None]
+    ) -> None:
+        super().__init__(config)
+        self._ready, self._close = ready, close
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Stop serving; end the process if that takes longer than `LAST_SECONDS`."""
+        if sig == signal.SIGTERM:
+            timer = threading.Timer(LAST_SECONDS, self._end)
+            timer.daemon = True
+            timer.start()
+        super().handle_exit(sig, frame)
+
+    def _end(self) -> None:
+        """End at once; sessions are saved after every change."""
+        self._close()
+        os._exit(0)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, then report."""
+        await super().startup(sockets)
+        self._ready()
+
+
+def run_application(
+    inputs: WorkbenchInputs,
+    setup: WorkerSetup,
+    listener: socket.socket,
+    *,
+    token: str,
+    hosts: set[str],
+    ready: Callable[[], None],
+) -> None:
+    """Serve pages on a socket until the process is asked to end.
+
+    Parameters
+    ----------
+    inputs : WorkbenchInputs
+        Of new pages.
+    setup : WorkerSetup
+    listener : socket
+    token : str
+        Of the URL.
+    hosts : set of str
+        Values of the header ``Host`` that are served.
+    ready : callable
+        Called once pages are served.
+    """
+    sessions = Sessions(inputs, setup)
+
+    @ui.page("/", title="lieid workbench")
+    async def index(client: Client, session: str = "") -> None:
+        workbench = sessions.of(session)
+        view = build_page(workbench, token)
+
+        def left() -> None:
+            workbench.forget(view)
+            if not workbench.has_viewers:
+                workbench.background(sessions.close_unused(workbench))
+
+        client.on_delete(left)
+        await client.connected()  # returns, too, if the page is given up before
+        if not (client.is_deleted or workbench.started):
+            workbench.started = True
+            await _fill(workbench, sessions.inputs, requested=session)
+
+    @nicegui_app.get("/mesh/{name}/{number}.stl")
+    def mesh(name: str, number: int) -> Response:
+        opened = sessions.opened(name)
+        if opened is None or not 0 <= number < len(opened.meshes):
+            return Response(status_code=404)
+        return Response(opened.meshes[number].stl, media_type="model/stl")
+
+    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+    ui.run_with(app, show_welcome_message=False, reconnect_timeout=5.0, tailwind=True)
+    guarded = AccessControl(app, token=token, hosts=hosts, port=int(listener.getsockname()[1]))
+    config = uvicorn.Config(
+        guarded,
+        log_level="error",
+        access_log=False,
+        server_header=False,
+        lifespan="on",
+        timeout_graceful_shutdown=1,
+        ws_ping_interval=None,
+    )
+    signal.signal(signal.SIGTERM, _end_quietly)  # uvicorn has stopped by then
+    try:
+        _Server(config, ready, sessions.close).run(sockets=[listener])
+    finally:
+        sessions.close()
+
+
+def _end_quietly(number: int, frame: FrameType | None) -> None:
+    """Let the command end with status 0."""
+
+
+async def _fill(workbench: Workbench, inputs: WorkbenchInputs, *, requested: str) -> None:
+    """Show the saved session with the requested name, otherwise what the command line opens."""
+    saved = None
+    if requested:
+        try:
+            saved = load_session(requested)
+        except LieidError as error:
+            workbench.error = str(error)
+    if saved is not None:
+        await workbench.open(saved.inputs, saved)
+    elif inputs.robot or inputs.fit:
+        await workbench.open(inputs)
+    else:
+        workbench.computing = False
+        workbench.changed()

@@ -1,0 +1,126 @@
+"""Recordings that are checked and processed once, so that a further fit takes less time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.comparison import Comparison
+from lieid_casadi.comparison.compare import compare_segments
+from lieid_casadi.compiled import compile
+from lieid_casadi.diagnosis import change_torque
+from lieid_casadi.errors import LieidWarning
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.identify import identify_segments
+from lieid_casadi.identification.recording_checks import check_recordings, check_with_model
+from lieid_casadi.identification.regression.fixed_point import Progress, ShapeStart
+from lieid_casadi.identification.regression.motion_columns import FilteredColumns
+from lieid_casadi.identification.temperature import center_temperature
+from lieid_casadi.model import Model
+from lieid_casadi.recording import Processed, Recording, process
+from lieid_casadi.workbench.state.proposals import ProposedEffect
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRecordings:
+    """Recordings with their segments through the filter of a fit.
+
+    Attributes
+    ----------
+    recordings : tuple of Recording
+    segments : tuple of Processed
+        With temperatures relative to the fit's mean.
+    warnings : tuple of LieidWarning
+        Of the checks.
+    """
+
+    recordings: tuple[Recording, ...]
+    segments: tuple[Processed, ...]
+    warnings: tuple[LieidWarning, ...]
+
+    @classmethod
+    def of(cls, fit: Fit, recordings: Sequence[Recording], *, average: bool) -> PreparedRecordings:
+        """Check and process recordings as a fit does.
+
+        Parameters
+        ----------
+        fit : Fit
+        recordings : sequence of Recording
+        average : bool
+            Whether periods are averaged if the fit's options say so; not for a comparison.
+        """
+        check_recordings(fit.model, recordings)
+        options = fit.processing if average else replace(fit.processing, average_periods=False)
+        segments, _ = center_temperature(process(recordings, options), fit.temperature_mean)
+        found = [w for r in recordings for w in check_with_model(fit.compiled, r)]
+        found += [w for segment in segments for w in segment.warnings]
+        return cls(tuple(recordings), segments, tuple(found))
+
+    @cached_property
+    def _known(self) -> tuple[FilteredColumns, ...]:
+        """Filtered columns of each segment, which all fitted models share."""
+        return tuple(FilteredColumns() for _ in self.segments)
+
+    def fitted(
+        self, model: Model, first: Fit, *, start: ShapeStart | None, report: Progress
+    ) -> Fit:
+        """Return the fit of another model with the method and filter of the first one.
+
+        Parameters
+        ----------
+        model : Model
+        first : Fit
+            Of the same recordings.
+        start : ShapeStart or None
+        report : callable
+            Called with the name of a stage and the fraction done.
+        """
+        check_recordings(model, self.recordings)
+        return identify_segments(
+            compile(model),
+            self.segments,
+            method="wls",
+            start=start,
+            temperature_mean=first.temperature_mean,
+            provenance=first.provenance,
+            known=self._known,
+            warnings=self.warnings,
+            report=report,
+        )
+
+    def compared(
+        self, fit: Fit, changes: Sequence[ProposedEffect], *, with_noise: bool
+    ) -> Comparison:
+        """Return the comparison of a fit with these recordings, as `compare_segments`.
+
+        Parameters
+        ----------
+        fit : Fit
+        changes : sequence of ProposedEffect
+            Since the fit; their torque is added.
+        with_noise : bool
+            Whether the noise floor is estimated.
+        """
+        check_recordings(fit.model, self.recordings)
+        return compare_segments(
+            fit,
+            self.recordings,
+            self.segments,
+            added=[_torque_of(changes, fit, segment) for segment in self.segments],
+            warnings=self.warnings,
+            with_noise=with_noise,
+        )
+
+
+def _torque_of(changes: Sequence[ProposedEffect], fit: Fit, segment: Processed) -> Array:
+    """Return the torque (K, n) of changes since a fit on a segment's grid, N·m."""
+    torque = np.zeros_like(segment.q)
+    for change in changes:
+        torque += change_torque(fit, segment, change.label, dict(change.parameters))
+    return torque

@@ -1,0 +1,1 @@
+"""Views of the page, one a file; each shows a `Workbench` and calls its methods."""

@@ -1,0 +1,126 @@
+"""The joints with their errors; a click selects one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from nicegui import ui
+
+from lieid_casadi.workbench.computing.results import SimulationError
+from lieid_casadi.workbench.views.colours import ratio_colour
+from lieid_casadi.workbench.views.elements import UNKNOWN, figures, named
+
+if TYPE_CHECKING:
+    from lieid_casadi.workbench.workbench import Workbench
+
+
+class JointsView:
+    """One row per joint: name, error in motion, noise floor, and their ratio.
+
+    Parameters
+    ----------
+    workbench : Workbench
+    """
+
+    def __init__(self, workbench: Workbench) -> None:
+        self._workbench = workbench
+        self._rows: list[_JointRow] = []
+        with ui.column().classes("panel w-full"):
+            self._title = ui.label("Error of each joint").classes("panel-title")
+            self._list = ui.column().classes("w-full gap-0")
+            self._reason = named(ui.label(""), "not-simulated").classes("muted small w-full")
+            self._reason.classes("ellipsis")
+            with self._reason:
+                self._whole_reason = ui.tooltip("")
+
+    def update(self) -> None:
+        """Show the errors of the current step."""
+        opened = self._workbench.opened
+        names = () if opened is None else opened.joint_names
+        if [row.name for row in self._rows] != list(names):
+            self._list.clear()
+            with self._list:
+                self._rows = [_JointRow(self._workbench, j, name) for j, name in enumerate(names)]
+        self._title.text = self._heading()
+        step = self._workbench.session.step
+        simulation = None if step is None else self._workbench.details.simulation(step)
+        for row in self._rows:
+            row.update(simulation)
+        reason = "" if simulation is None else simulation.reason
+        self._reason.text = reason and f"Not simulated: {reason}."
+        self._whole_reason.text = self._reason.text
+        self._reason.set_visibility(bool(reason))
+
+    def _heading(self) -> str:
+        evaluation, inputs = self._workbench.evaluation, self._workbench.session.inputs
+        if inputs.mode == "changed":
+            return "RMS error in motion on the new recordings"
+        if evaluation is not None and evaluation.test is None:
+            return "RMS error in motion, cross-validated (no test)"
+        return "RMS error in motion on the test"
+
+
+class _JointRow:
+    def __init__(self, workbench: Workbench, joint: int, name: str) -> None:
+        self._workbench, self._joint, self.name = workbench, joint, name
+        number = joint + 1
+        self._row = named(ui.row(), f"joint-{number}").classes("joint-row")
+        self._row.props["role"], self._row.props["tabindex"] = "button", "0"
+        self._row.on("click", self._select)
+        self._row.on("keydown.enter", self._select)
+        with self._row:
+            self._swatch = ui.element("span").classes("swatch")
+            ui.label(f"{number} {name}").classes("joint-name").tooltip(name)
+            self._error = named(ui.label(UNKNOWN), f"error-{number}").classes("number strong")
+            self._other = named(ui.label(""), f"compared-{number}").classes("number compared")
+            self._other.tooltip("error of the step that is compared")
+            self._noise = named(ui.label(UNKNOWN), f"noise-{number}").classes("number muted")
+            self._ratio = ui.label("").classes("number ratio")
+            self._simulated = named(ui.label(""), f"simulated-{number}")
+            self._simulated.classes("muted small simulated")
+
+    def update(self, simulation: SimulationError | None) -> None:
+        """Show the errors of the current step, and the simulation error once it is computed."""
+        workbench, j = self._workbench, self._joint
+        assert workbench.opened is not None
+        step, unit = workbench.session.step, workbench.opened.units[j]
+        errors = None if step is None else step.errors
+        self._row.classes(
+            add="selected" if workbench.session.joint == j else "",
+            remove="" if workbench.session.joint == j else "selected",
+        )
+        # While a changed model is fitted the last errors stay, in grey.
+        self._row.classes(
+            add="outdated" if errors is None else "", remove="" if errors is None else "outdated"
+        )
+        if errors is None:
+            if not workbench.session.can_undo:
+                self._error.text = UNKNOWN
+            return
+        error, floor = errors.shown[j], errors.noise_floor[j]
+        ratio = None if error is None or not floor else error / floor
+        self._error.text = f"{figures(error)} {unit}"
+        self._noise.text = f"noise {figures(floor, digits=2)}"
+        self._ratio.text = "" if ratio is None else f"{ratio:.1f} ×"
+        compared = workbench.compared
+        self._other.text = "" if compared is None else figures(compared.errors.shown[j])
+        self._other.set_visibility(compared is not None)
+        self._swatch.style(f"background: {ratio_colour(ratio)}")
+        self._simulated.text = "" if simulation is None else self._drift(simulation)
+        self._simulated.set_visibility(bool(self._simulated.text))
+
+    def _drift(self, simulation: SimulationError) -> str:
+        """Return the simulation error of the joint as text."""
+        rms, opened = simulation.rms[self._joint], self._workbench.opened
+        if rms is None or opened is None:
+            return ""
+        turns = opened.revolute[self._joint]
+        degrees = turns and self._workbench.session.degrees
+        value, unit = (math.degrees(rms), "°") if degrees else (rms, " rad" if turns else " m")
+        return f"{figures(value, digits=2)}{unit} off after {simulation.window:g} s of simulation"
+
+    def _select(self) -> None:
+        workbench = self._workbench
+        workbench.show(replace(workbench.session, joint=self._joint))

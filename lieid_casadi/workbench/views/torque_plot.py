@@ -1,0 +1,230 @@
+"""Measured and predicted torque, error, and noise band over time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from nicegui import ui
+from nicegui.events import GenericEventArguments, ValueChangeEventArguments
+
+from lieid_casadi.comparison.plot_style import ERROR, MEASURED, PREDICTED
+from lieid_casadi.workbench.plot_data import series_of, torque_lines
+from lieid_casadi.workbench.views.elements import figures, named
+
+if TYPE_CHECKING:
+    from lieid_casadi.workbench.workbench import Workbench
+
+COLUMNS = 900  # pixels of the plot: minimum and maximum are kept for each
+BAND = "#9fb6c6"
+COMPARED = "#009e73"
+# Dragging selects; with shift it moves the plot, for which the brush has to let go.
+_START_BRUSH = """(function start() {
+  const chart = getElement(ID)?.chart;
+  if (!chart) { setTimeout(start, 20); return; }
+  let brushes = null;
+  const brush = (on) => {
+    if (on === brushes) return;
+    brushes = on;
+    const brushOption = { brushType: on ? 'lineX' : false, brushMode: 'single' };
+    chart.dispatchAction({ type: 'takeGlobalCursor', key: 'brush', brushOption });
+  };
+  brush(true);
+  chart.getDom().addEventListener('pointerdown', (event) => brush(!event.shiftKey), true);
+})();"""
+
+
+class TorquePlot:
+    """Torque of the selected joint along a recording; the wheel zooms, dragging selects.
+
+    Parameters
+    ----------
+    workbench : Workbench
+    """
+
+    def __init__(self, workbench: Workbench) -> None:
+        self._workbench = workbench
+        self._shown: object = None
+        self._span = (0.0, 1.0)
+        with ui.column().classes("panel w-full"):
+            with ui.row().classes("w-full items-center gap-2 no-wrap"):
+                self._title = ui.label("Torque").classes("panel-title grow")
+                self._recording = ui.select([], on_change=self._choose_recording)
+                named(self._recording.props("dense borderless options-dense"), "recording")
+                self._exclude = ui.button("Exclude selection", on_click=self._exclude_selection)
+                named(self._exclude.props("dense flat no-caps size=sm"), "exclude-selection")
+                reset = ui.button("Whole recording", on_click=self._reset)
+                named(reset.props("dense flat no-caps size=sm"), "whole-recording")
+            self._selected = ui.label("").classes("muted small")
+            self._chart = named(ui.echart(_empty_options()), "torque-plot").classes("torque-plot")
+        self._chart.on("chart:datazoom", self._zoomed, throttle=0.12, leading_events=False)
+        self._chart.on("chart:brushEnd", self._brushed, ["areas"])
+
+    def update(self) -> None:
+        """Draw the current evaluation; the window of time stays if the recording does."""
+        workbench = self._workbench
+        view = workbench.view
+        self._selected.text = (
+            "drag: select; wheel: zoom; shift and drag: move"
+            if view.selection is None
+            else f"selected {view.selection[0]:.2f} to {view.selection[1]:.2f} s"
+        )
+        self._exclude.set_enabled(
+            view.selection is not None and workbench.session.inputs.mode == "missing"
+        )
+        evaluation, session, opened = workbench.evaluation, workbench.session, workbench.opened
+        if evaluation is None or opened is None:
+            return
+        compared = workbench.compared
+        now = (id(evaluation), id(compared), session.joint, session.recording, view.window)
+        if now == self._shown:
+            return
+        recording = opened.recordings[session.recording]
+        new_recording = self._shown is None or self._span != (recording.start, recording.end)
+        self._shown, self._span = now, (recording.start, recording.end)
+        window = view.window or self._span
+        lines = torque_lines(series_of(evaluation, recording.name), session.joint, window, COLUMNS)
+        joint = session.joint
+        noise = evaluation.errors.noise_floor[joint]
+        self._title.text = (
+            f"Torque of joint {joint + 1} {opened.joint_names[joint]} [{opened.units[joint]}], "
+            f"low-pass {figures(evaluation.cutoff)} Hz"
+        )
+        self._recording.set_options([r.name for r in opened.recordings], value=recording.name)
+        if new_recording:
+            self._chart.options.clear()
+            self._chart.options.update(_options(self._span))
+        for series, data in zip(
+            self._chart.options["series"],
+            (lines.measured, lines.predicted, lines.error),
+            strict=False,
+        ):
+            series["data"] = data
+        other = torque_lines(
+            [] if compared is None else series_of(compared, recording.name), joint, window, COLUMNS
+        )
+        for series, data in zip(
+            self._chart.options["series"][4:], (other.predicted, other.error), strict=True
+        ):
+            series["data"] = data
+        self._chart.options["series"][2]["markArea"] = _band(noise)
+        self._chart.update()
+        if new_recording:
+            self._start_brush()
+
+    def move_cursor(self, time: float) -> None:
+        """Show the time of the arm's pose."""
+        line = {"id": "cursor", "markLine": {"data": [{"xAxis": round(time, 3)}]}}
+        self._chart.run_chart_method("setOption", {"series": [line]})
+
+    def _start_brush(self) -> None:
+        """Make dragging select a range of time, once the browser has drawn the plot."""
+        self._chart.client.run_javascript(_START_BRUSH.replace("ID", str(self._chart.id)))
+
+    def _choose_recording(self, event: ValueChangeEventArguments[str | None]) -> None:
+        workbench = self._workbench
+        if workbench.opened is None:
+            return
+        names = [r.name for r in workbench.opened.recordings]
+        if event.value in names and names.index(event.value) != workbench.session.recording:
+            workbench.show(workbench.session.show_recording(names.index(event.value)))
+
+    def _zoomed(self, event: GenericEventArguments) -> None:
+        changes = event.args.get("batch") or [event.args]
+        start, end = changes[0].get("start"), changes[0].get("end")
+        if start is None or end is None:
+            return
+        first, last = self._span
+        length = last - first
+        whole = start <= 0.0 and end >= 100.0
+        window = (first + 0.01 * start * length, first + 0.01 * end * length)
+        self._workbench.look(replace(self._workbench.view, window=None if whole else window))
+
+    def _brushed(self, event: GenericEventArguments) -> None:
+        areas = event.args.get("areas") or []
+        selection = None
+        if areas:
+            start, end = (float(t) for t in areas[0]["coordRange"])
+            first, last = self._span
+            selection = (max(start, first), min(end, last))
+        self._workbench.look(replace(self._workbench.view, selection=selection))
+
+    async def _exclude_selection(self) -> None:
+        workbench = self._workbench
+        if workbench.view.selection is None:
+            return
+        start, end = workbench.view.selection
+        workbench.look(replace(workbench.view, selection=None))
+        self._chart.run_chart_method("dispatchAction", {"type": "brush", "areas": []})
+        await workbench.apply(workbench.session.excluding(round(start, 3), round(end, 3)))
+
+    def _reset(self) -> None:
+        self._chart.run_chart_method("dispatchAction", {"type": "dataZoom", "start": 0, "end": 100})
+
+
+def _empty_options() -> dict[str, Any]:
+    return _options((0.0, 1.0))
+
+
+def _options(span: tuple[float, float]) -> dict[str, Any]:
+    """Return the options of an empty plot over a range of time, s."""
+    line = {
+        "type": "line", "showSymbol": False, "animation": False, "data": [], "silent": True,
+        "connectNulls": False,
+    }  # fmt: skip
+    axis = {
+        "type": "value",
+        "min": span[0],
+        "max": span[1],
+        "axisLabel": {"hideOverlap": True, "showMaxLabel": False},
+    }
+    return {
+        "animation": False,
+        "textStyle": {"fontFamily": "inherit"},
+        "grid": [
+            {"left": 58, "right": 14, "top": 26, "height": "48%"},
+            {"left": 58, "right": 14, "top": "66%", "bottom": 52},
+        ],
+        "legend": {"top": 0, "right": 10, "itemHeight": 8,
+                   "data": ["measured", "predicted", "error"], "textStyle": {"fontSize": 11}},
+        "xAxis": [
+            {**axis, "gridIndex": 0, "axisLabel": {"show": False}},
+            {**axis, "gridIndex": 1, "name": "time [s]", "nameLocation": "middle", "nameGap": 20},
+        ],
+        "yAxis": [
+            {"type": "value", "gridIndex": 0, "scale": True, "name": "torque"},
+            {"type": "value", "gridIndex": 1, "scale": True, "name": "error", "splitNumber": 3},
+        ],
+        "axisPointer": {"link": [{"xAxisIndex": "all"}]},
+        "dataZoom": [
+            {"type": "inside", "xAxisIndex": [0, 1], "filterMode": "none",
+             "moveOnMouseMove": "shift", "zoomOnMouseWheel": True},
+            {"type": "slider", "xAxisIndex": [0, 1], "filterMode": "none", "height": 16,
+             "bottom": 4, "showDataShadow": False, "brushSelect": False},
+        ],
+        "brush": {"xAxisIndex": "all", "brushLink": "all", "toolbox": [],
+                  "throttleType": "debounce", "throttleDelay": 100,
+                  "outOfBrush": {"colorAlpha": 1.0}},
+        "toolbox": {"show": False},
+        "series": [
+            {**line, "id": "measured", "name": "measured", "color": MEASURED,
+             "lineStyle": {"width": 2.4}},
+            {**line, "id": "predicted", "name": "predicted", "color": PREDICTED,
+             "lineStyle": {"width": 1.3}},
+            {**line, "id": "error", "name": "error", "color": ERROR, "lineStyle": {"width": 1.1},
+             "xAxisIndex": 1, "yAxisIndex": 1, "markArea": _band(None)},
+            {**line, "id": "cursor", "xAxisIndex": 1, "yAxisIndex": 1,
+             "markLine": {"symbol": "none", "animation": False, "label": {"show": False},
+                          "lineStyle": {"color": "#333333", "type": "solid"}, "data": []}},
+            {**line, "id": "other", "name": "predicted (compared)", "color": COMPARED,
+             "lineStyle": {"width": 1.3, "type": "dashed"}},
+            {**line, "id": "other error", "name": "error (compared)", "color": COMPARED,
+             "lineStyle": {"width": 1.1, "type": "dashed"}, "xAxisIndex": 1, "yAxisIndex": 1},
+        ],
+    }  # fmt: skip
+
+
+def _band(noise: float | None) -> dict[str, Any]:
+    """Return the noise floor as a band around zero."""
+    ends = [] if noise is None else [[{"yAxis": -noise}, {"yAxis": noise}]]
+    return {"silent": True, "itemStyle": {"color": BAND, "opacity": 0.35}, "data": ends}

@@ -1,0 +1,296 @@
+"""One page's session, its computations, and who is informed of changes."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import replace
+
+from lieid_casadi.errors import LieidError
+from lieid_casadi.workbench.change_notifier import ChangeNotifier
+from lieid_casadi.workbench.computing.results import (
+    ArmMotion,
+    Evaluation,
+    OpenedInputs,
+    WorkerSetup,
+)
+from lieid_casadi.workbench.computing.worker import Worker, WorkerError, WorkerStopped
+from lieid_casadi.workbench.computing.worker_process import Failure
+from lieid_casadi.workbench.effect_search import EffectSearch
+from lieid_casadi.workbench.state.inputs import WorkbenchInputs
+from lieid_casadi.workbench.state.plot_view import PlotView
+from lieid_casadi.workbench.state.session import ModelStep, Session
+from lieid_casadi.workbench.state.session_file import save_session
+from lieid_casadi.workbench.step_details import StepDetails
+
+KEPT_EVALUATIONS = 24
+
+
+class Workbench(ChangeNotifier):
+    """A session with its two worker processes.
+
+    Fits that the user waits for run in one; the search for missing effects and exact fits after
+    quick ones run in the other, which can be stopped.
+
+    Parameters
+    ----------
+    name : str
+        Under which the session is saved.
+    setup : WorkerSetup
+    worker : Worker, optional
+        A process that runs already.
+
+    Attributes
+    ----------
+    session : Session
+    opened : OpenedInputs or None
+    error : str
+        Of the last action, one line; empty if it succeeded.
+    failure : Failure or None
+        Why the last opening failed.
+    started : bool
+        Whether something was opened, or the form was shown.
+    computing : bool
+        Whether a fit that the user waits for is computed.
+    search : EffectSearch
+    details : StepDetails
+    view : PlotView
+    motion : ArmMotion or None
+        Of the arm along the recording that is shown.
+    """
+
+    def __init__(self, name: str, setup: WorkerSetup, *, worker: Worker | None = None) -> None:
+        super().__init__()
+        self.name = name
+        self.session = Session()
+        self.opened: OpenedInputs | None = None
+        self.error = ""
+        self.failure: Failure | None = None
+        self.started = False
+        self.computing = True  # until `open` has ended
+        self.view = PlotView()
+        self.motion: ArmMotion | None = None
+        self._evaluations: dict[object, Evaluation] = {}
+        self._front = worker or Worker(setup)
+        self._back = Worker(setup)
+        self._closed = False
+        self.search = EffectSearch(self._back, self.changed)
+        self.details = StepDetails(self.changed)
+
+    @property
+    def evaluation(self) -> Evaluation | None:
+        """Of the step that is shown; None while it is computed."""
+        step = self.session.step
+        return None if step is None else self._evaluations.get(step.key)
+
+    @property
+    def compared(self) -> Evaluation | None:
+        """Of the step that the current one is compared with; None without, or while computed."""
+        position, history = self.view.compared, self.session.history
+        if position is None or position >= len(history) or position == self.session.position:
+            return None
+        return self._evaluations.get(history[position].key)
+
+    async def open(self, inputs: WorkbenchInputs, saved: Session | None = None) -> bool:
+        """Open a robot or fit and recordings; return whether it succeeded.
+
+        With a saved session of these inputs, its history is restored.
+        """
+        self.stop()
+        opened = await self._opened(inputs)
+        if opened is None:
+            return False
+        self.opened, self.motion = opened, None
+        self._evaluations = {}
+        self.details.reset(inputs)
+        self.view = PlotView()
+        self.session = saved or self.session.opened(inputs, opened.effects)
+        await self._evaluate()
+        if saved is None:
+            self.show(self.session.at_worst_joint())
+        self._back.start()  # before it is needed
+        await self._load_motion()
+        return True
+
+    async def apply(self, session: Session) -> None:
+        """Show a session with another step, and fit it."""
+        if session is self.session:
+            return
+        self.session, self.error = session, ""
+        await self._evaluate()
+
+    def show(self, session: Session) -> None:
+        """Show a session whose model is the same: another joint, recording or unit."""
+        moved = session.recording != self.session.recording
+        self.session = session
+        if moved:
+            self.view, self.motion = PlotView(), None
+        self._save()
+        self.changed()
+        if moved:
+            self.background(self._load_motion())
+
+    def look(self, view: PlotView) -> None:
+        """Show another range or instant of time."""
+        self.view = view
+        self.changed()
+
+    async def compare_with(self, position: int | None) -> None:
+        """Show a step of the history beside the current one; None ends the comparison."""
+        self.look(replace(self.view, compared=position))
+        if position is None or self.compared is not None:
+            return
+        step = self.session.history[position]
+        made = await self._evaluated(self._front, step, quick=True, shapes={})
+        if made is not None:
+            self._evaluations[step.key] = made
+            self.changed()
+
+    async def find_missing(self) -> None:
+        """Search for missing effects, or for changes since the fit."""
+        step = self.session.step
+        if step is None or self.search.activity is not None:
+            return
+        self.error = ""
+        try:
+            found = await self.search.run(self.session.inputs, step)
+            self.session = replace(self.session, found=found)
+            self._save()
+        except WorkerStopped:
+            pass
+        except LieidError as error:
+            self.error = str(error)
+        self.changed()
+        await self.details.simulate(self._back, self._exact_step)
+
+    def stop(self) -> None:
+        """Stop the search for missing effects and fits in the background."""
+        if self._back.busy:
+            self._back.stop()
+
+    async def save(self, kind: str) -> tuple[str, bytes] | None:
+        """Return the name and content of a file: ``fit``, ``report``, ``c``, ``urdf``."""
+        step = self.session.step
+        if step is None:
+            return None
+        self.error, self.computing = "", True
+        self.changed()
+        made: tuple[str, bytes] | None = None
+        try:
+            made = await self._front.request("save", self.session.inputs, step, kind=kind)
+        except LieidError as error:
+            self.error = str(error)
+        self.computing = False
+        self.changed()
+        return made
+
+    def close(self) -> None:
+        """End both processes."""
+        self._closed = True
+        self._front.stop()
+        self._back.stop()
+
+    async def _opened(self, inputs: WorkbenchInputs) -> OpenedInputs | None:
+        """Return what was opened; None, with ``failure``, if it cannot be."""
+        self.computing, self.error, self.failure = True, "", None
+        self.changed()
+        opened: OpenedInputs | None = None
+        try:
+            if inputs.lacking is not None:
+                raise WorkerError(Failure(*inputs.lacking))
+            opened = await self._front.request("open", inputs)
+        except WorkerError as error:
+            self.failure = error.failure
+        except WorkerStopped:
+            pass
+        self.computing = opened is not None
+        self.changed()
+        return opened
+
+    async def _evaluate(self) -> None:
+        """Fit the step that is shown, quickly first; then exactly in the background."""
+        step, inputs = self.session.step, self.session.inputs
+        assert step is not None
+        self._save()
+        made: Evaluation | None = None
+        if step.key not in self._evaluations:
+            self.computing = True
+            self.changed()
+            shapes = {} if self.session.found is None else dict(self.session.found.shapes)
+            made = await self._evaluated(self._front, step, quick=True, shapes=shapes)
+            if made is None or self.session.inputs is not inputs:
+                return
+            self._keep(step, made)
+        self.computing = False
+        self.changed()
+        if not self._evaluations[step.key].exact:
+            self.background(self._evaluate_exactly(step))
+        elif made is not None:  # the same process has the fit
+            self.background(self._load_details(step, self._front))
+
+    async def _evaluated(
+        self, worker: Worker, step: ModelStep, *, quick: bool, shapes: dict[str, float]
+    ) -> Evaluation | None:
+        """Return the evaluation of a step; None, with ``error``, if it failed.
+
+        Parameters
+        ----------
+        worker : Worker
+        step : ModelStep
+        quick, shapes
+            As for `Computation.evaluate`.
+        """
+        try:
+            made: Evaluation = await worker.request(
+                "evaluate", self.session.inputs, step, quick=quick, shapes=shapes
+            )
+        except LieidError as error:
+            if not isinstance(error, WorkerStopped):
+                self.error, self.computing = str(error), False
+                self.changed()
+            return None
+        return made
+
+    async def _evaluate_exactly(self, step: ModelStep) -> None:
+        """Fit a step exactly after a quick fit; again if the process was stopped meanwhile."""
+        inputs, made = self.session.inputs, None
+        while made is None and not self._closed:
+            made = await self._evaluated(self._back, step, quick=False, shapes={})
+            shown = self.session.step
+            left = self.session.inputs is not inputs or shown is None or shown.key != step.key
+            if self.error or left:
+                break
+        if made is not None and self.session.inputs is inputs:
+            self._keep(step, made)
+            self.changed()
+            await self._load_details(step, self._back)
+
+    async def _load_details(self, step: ModelStep, worker: Worker) -> None:
+        """Compute what follows the exact fit of a step, which a worker has."""
+        await self.details.load_curves(worker, step, self.session.recording)
+        await self.details.simulate(self._back, self._exact_step)
+
+    def _exact_step(self) -> ModelStep | None:
+        """Return the step that is shown, None before its exact fit."""
+        evaluation = self.evaluation
+        return None if evaluation is None or not evaluation.exact else self.session.step
+
+    def _keep(self, step: ModelStep, evaluation: Evaluation) -> None:
+        self._evaluations[step.key] = evaluation
+        self.session = self.session.with_errors(step, evaluation.errors)
+        while len(self._evaluations) > KEPT_EVALUATIONS:
+            del self._evaluations[next(iter(self._evaluations))]
+        self._save()
+
+    async def _load_motion(self) -> None:
+        inputs = self.session.inputs
+        with contextlib.suppress(WorkerStopped):
+            motion = await self._front.request("motion", inputs, recording=self.session.recording)
+            if self.session.inputs is inputs:
+                self.motion = motion
+                self.changed()
+
+    def _save(self) -> None:
+        try:
+            save_session(self.name, self.session)
+        except LieidError as error:
+            self.error = str(error)

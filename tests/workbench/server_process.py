@@ -1,0 +1,202 @@
+"""A running ``lieid workbench``, and a browser that shows it."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
+PICTURES = os.environ.get("LIEID_SCREENSHOTS")  # folder to keep pictures of the page in
+PATIENCE = 300.0  # s until a wait fails: longer than anything takes on a busy machine
+AGAIN = 5.0  # s after which a click is repeated whose effect is not seen
+PORTS = 5  # tried one after the other: another program may take a free one first
+
+
+class Server:
+    """``lieid workbench`` with its own folder of sessions.
+
+    Parameters
+    ----------
+    words : sequence of str
+        Of the command line, without the port.
+    folder : Path
+        Of saved sessions.
+    """
+
+    def __init__(self, *words: str, folder: Path) -> None:
+        for _ in range(PORTS):
+            self.port = free_port()
+            self._start(*words, folder=folder)
+            if self.url:
+                return
+            errors = self.process.communicate()[1]
+            if "is in use" not in errors:
+                break
+        pytest.fail(f"no URL: {errors}")
+
+    def _start(self, *words: str, folder: Path) -> None:
+        """Start the process, and read its URL; it is empty if the process ended."""
+        environment = os.environ | {"LIEID_WORKBENCH_DIR": str(folder)}
+        command = [sys.executable, "-m", "lieid_casadi.cli.main", "workbench", *words]
+        command += ["--no-browser", "--port", str(self.port)]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, text=True
+        )
+        assert self.process.stdout is not None
+        self.url = self.process.stdout.readline().strip()
+
+    def stop(self, number: int = signal.SIGTERM) -> tuple[int, str]:
+        """End it; return its exit status, and what it wrote to stderr."""
+        self.process.send_signal(number)
+        errors = self.process.communicate(timeout=PATIENCE)[1]
+        return self.process.returncode, errors
+
+
+def free_port() -> int:
+    """Return a port that nothing listens on now."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+class Page:
+    """A browser tab on the page.
+
+    Parameters
+    ----------
+    width, height : int
+        Pixels of the window.
+    downloads : Path, optional
+        Folder of saved files.
+    """
+
+    def __init__(self, width: int = 1300, height: int = 1000, downloads: Path | None = None):
+        from selenium import webdriver
+        from selenium.webdriver.chrome.service import Service
+
+        options = webdriver.ChromeOptions()
+        for word in (
+            "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
+            "--disable-dev-shm-usage", f"--window-size={width},{height}",
+        ):  # fmt: skip
+            options.add_argument(word)
+        options.binary_location = str(CHROMIUM)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+        if downloads is not None:
+            options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
+        self.downloads = downloads
+        self.driver = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
+        self.driver.set_page_load_timeout(PATIENCE)
+
+    def element(self, test_id: str):
+        """Return the element with a ``data-testid``."""
+        return self.driver.find_element("css selector", f'[data-testid="{test_id}"]')
+
+    def elements(self, test_id: str):
+        """Return all elements with a ``data-testid``."""
+        return self.driver.find_elements("css selector", f'[data-testid="{test_id}"]')
+
+    def click(self, test_id: str, done: Callable[[], object] | None = None) -> None:
+        """Click an element once it can be clicked: shown, and behind no dialog that fades.
+
+        Parameters
+        ----------
+        test_id : str
+        done : callable, optional
+            Whether its effect is seen. The click is repeated until it is: the element may have
+            moved or been drawn again under the pointer. Not for what a second click undoes.
+        """
+
+        def clicked():
+            self.element(test_id).click()
+            return True
+
+        if done is None:
+            self.wait(clicked, f"{test_id} cannot be clicked")
+        else:
+            self.repeat(clicked, done, f"effect of a click on {test_id}")
+
+    def repeat(self, act: Callable[[], object], done: Callable[[], object], what: str) -> None:
+        """Act, and act again after some seconds, until the effect is seen.
+
+        Parameters
+        ----------
+        act, done : callable
+        what : str
+            The effect, for the message of a failure.
+        """
+
+        def seen():
+            if not done():  # what was clicked may be gone once it is
+                act()
+            end = time.monotonic() + AGAIN
+            while time.monotonic() < end:
+                if done():
+                    return True
+                time.sleep(0.05)
+            return False
+
+        self.wait(seen, what)
+
+    def shown(self, test_id: str) -> bool:
+        """Return whether an element with a ``data-testid`` can be seen."""
+        return any(element.is_displayed() for element in self.elements(test_id))
+
+    def text(self, test_id: str) -> str:
+        """Return the text of an element, empty while there is none."""
+        from selenium.common.exceptions import WebDriverException
+
+        try:
+            return self.element(test_id).text
+        except WebDriverException:
+            return ""
+
+    def number(self, test_id: str) -> float:
+        """Return the number at the start of an element's text, NaN if there is none."""
+        try:
+            return float(self.text(test_id).split()[0])
+        except (ValueError, IndexError):
+            return float("nan")
+
+    def wait(self, condition, what: str = "", timeout: float = PATIENCE):
+        """Return the first true value of a condition; while elements come and go it is not met."""
+        from selenium.common.exceptions import WebDriverException
+
+        last, end = None, time.monotonic() + timeout
+        while time.monotonic() < end:
+            try:
+                if value := condition():
+                    return value
+            except WebDriverException as error:
+                last = error.msg
+            time.sleep(0.05)
+        shown = [self.text(name) for name in ("error", "open-error")]
+        return pytest.fail(f"{what or 'condition'} not met in {timeout:.0f} s; {last}; {shown}")
+
+    def downloaded(self, name: str) -> Path:
+        """Return a saved file once it is complete."""
+        assert self.downloads is not None
+        file = self.downloads / name
+
+        def complete():
+            unfinished = [*self.downloads.glob("*.crdownload"), *self.downloads.glob(".com.*")]
+            return file.is_file() and file.stat().st_size > 0 and not unfinished
+
+        self.wait(complete, name)
+        return file
+
+    def picture(self, name: str) -> None:
+        """Keep a picture of the page where the environment asks for it."""
+        if PICTURES:
+            Path(PICTURES).mkdir(parents=True, exist_ok=True)
+            self.driver.save_screenshot(str(Path(PICTURES) / f"{name}.png"))
+
+    def script_errors(self) -> list[str]:
+        """Return what the browser reported as errors of the page."""
+        return [e["message"] for e in self.driver.get_log("browser") if e["level"] == "SEVERE"]

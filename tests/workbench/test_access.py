@@ -1,0 +1,108 @@
+"""Who may use the page: token, host name, origin, port, address."""
+
+import asyncio
+import socket
+
+import pytest
+
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import UsageError
+from lieid_casadi.workbench.access import AccessControl
+from lieid_casadi.workbench.server import ServerOptions, listening_socket
+
+TOKEN, HOST = "secret-token", "127.0.0.1:8765"
+COOKIE = f"lieid-workbench-8765={TOKEN}"
+
+
+def answer(kind="http", query="", **headers):
+    """Return the status or close code of a request, and its headers."""
+    sent = []
+
+    async def application(scope, receive, send):
+        start = {"type": "http.response.start", "status": 200, "headers": []}
+        accept = {"type": "websocket.accept", "headers": []}
+        await send(accept if kind == "websocket" else start)
+
+    async def send(message):
+        sent.append(message)
+
+    guarded = AccessControl(application, token=TOKEN, hosts={HOST}, port=8765)
+    pairs = [(k.encode(), v.encode()) for k, v in {"host": HOST, **headers}.items()]
+    scope = {"type": kind, "path": "/", "query_string": query.encode(), "headers": pairs}
+    asyncio.run(guarded(scope, None, send))
+    first = sent[0]
+    status = first.get("status", first.get("code", first["type"]))
+    return status, dict(first.get("headers", []))
+
+
+def test_the_printed_url_opens_the_page_and_sets_a_cookie():
+    status, headers = answer(query=f"token={TOKEN}")
+    assert status == 200
+    assert headers[b"set-cookie"].startswith(COOKIE.encode())
+    assert b"HttpOnly" in headers[b"set-cookie"]
+
+
+@pytest.mark.parametrize("query", ["", "token=", "token=guess", "token=secret-toke%C3%A9"])
+def test_without_the_token_nothing_is_served(query):
+    assert answer(query=query)[0] == 403
+    assert answer("websocket", query=query)[0] == 1008
+
+
+def test_the_cookie_is_enough_for_what_the_page_loads():
+    assert answer(cookie=COOKIE)[0] == 200
+    assert answer("websocket", cookie=COOKIE)[0] == "websocket.accept"
+    assert answer(cookie="lieid-workbench-9999=" + TOKEN)[0] == 403
+
+
+@pytest.mark.parametrize("host", ["evil.example:8765", "127.0.0.1", "127.0.0.1:80", ""])
+def test_another_host_name_is_refused(host):
+    assert answer(query=f"token={TOKEN}", host=host)[0] == 403
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:9999"])
+def test_pages_of_other_origins_are_refused(origin):
+    assert answer(cookie=COOKIE, origin=origin)[0] == 403
+    assert answer("websocket", cookie=COOKIE, origin=origin)[0] == 1008
+    assert answer("websocket", cookie=COOKIE, origin=f"http://{HOST}")[0] == "websocket.accept"
+
+
+def test_a_busy_port_is_an_error_that_names_another(capsys):
+    with socket.socket() as busy:
+        busy.bind(("127.0.0.1", 0))
+        busy.listen()
+        port = busy.getsockname()[1]
+        status = main(["workbench", "two_link", "--no-browser", "--port", str(port)])
+    out, err = capsys.readouterr()
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1
+    other = int(err.rpartition("--port ")[2].rstrip(")\n"))
+    assert other != port
+    listening_socket(ServerOptions(port=other)).close()
+
+
+def test_an_address_that_others_reach_needs_a_confirmation(capsys):
+    assert main(["workbench", "two_link", "--no-browser", "--host", "0.0.0.0"]) == 2
+    assert "--yes-expose" in capsys.readouterr().err
+    with pytest.raises(UsageError, match="ssh"):
+        listening_socket(ServerOptions("0.0.0.0"))
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["no_such.urdf"], "no_such.urdf"),
+        (["two_link", "--effects", "wings"], "wings"),
+        (["two_link", "a.csv", "--train", "b.csv"], "a.csv"),
+        (["--train", "b.csv"], "without a robot"),
+        (["two_link", "--port", "0"], "port"),
+        (["two_link", "--effects-file", "missing.py"], "missing.py"),
+    ],
+)
+def test_a_wrong_command_line_is_one_line(words, found, capsys):
+    try:
+        status = main(["workbench", *words, "--no-browser"])
+    except SystemExit as stop:
+        status = stop.code
+    out, err = capsys.readouterr()
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert found in err

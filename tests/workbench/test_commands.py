@@ -1,0 +1,88 @@
+"""The copied commands and Python lines give the fit that the page shows."""
+
+import functools
+import shlex
+
+import numpy as np
+import pytest
+from comparison.two_link_data import motion, torque
+from workbench.two_link_files import write_recordings
+
+import lieid_casadi as lieid
+from lieid_casadi.cli.main import build_parser, main
+from lieid_casadi.cli.workbench import inputs_of, load_robot, read_recordings
+from lieid_casadi.workbench.computing.computation import Computation
+from lieid_casadi.workbench.computing.results import WorkerSetup
+from lieid_casadi.workbench.state.commands import python_lines, shell_lines
+from lieid_casadi.workbench.state.session import Session
+
+STIFFNESS, DAMPING = np.array([300.0, 200.0]), np.array([4.0, 2.5])
+
+
+def ignored(stage, fraction):
+    """Take no notice of progress."""
+
+
+@pytest.fixture
+def commanded(tmp_path):
+    """Return two recordings of positions and commanded positions."""
+    paths = []
+    for seed, name in ((3, "a b.csv"), (8, "c.csv")):
+        t, q, dq, ddq = motion(12.0, seed=seed)
+        command = q + (torque(q, dq, ddq) + DAMPING * dq) / STIFFNESS
+        names = "t,q1,q2,dq1,dq2,qcmd1,qcmd2"
+        rows = np.column_stack([t, q, dq, command])
+        paths.append(tmp_path / name)
+        np.savetxt(paths[-1], rows, "%.9g", ",", header=names, comments="")
+    return paths
+
+
+def shown(words):
+    """Return the session of a command line, its computation, and the exact fit after a step."""
+    args = build_parser().parse_args(["workbench", *words])
+    setup = WorkerSetup(
+        prepare=functools.partial(int),
+        robot=functools.partial(load_robot, args),
+        read=functools.partial(read_recordings, args),
+    )
+    inputs = inputs_of(args)
+    computation = Computation(setup, inputs)
+    session = Session().opened(inputs, computation.opened().effects)
+    computation.evaluate(session.step, quick=True, shapes={}, report=ignored)
+    session = session.with_effect("load_friction:1").show_recording(0).excluding(3.123, 4.5)
+    evaluation = computation.evaluate(session.step, quick=False, shapes={}, report=ignored)
+    return session, evaluation, computation.fit(session.step, ignored)
+
+
+def check(session, evaluation, fit, tmp_path, monkeypatch):
+    """Check that the first command and the Python lines give the fit and its errors."""
+    monkeypatch.chdir(tmp_path)
+    words = shlex.split(shell_lines(session, evaluation.cutoff).splitlines()[0])
+    words[words.index("-o") + 1] = "copied.json"
+    assert main(words[1:]) == 0
+    made: dict[str, object] = {}
+    lines = python_lines(session, evaluation.cutoff).splitlines()
+    exec("\n".join(line for line in lines if not line.startswith("diagnosis")), made)
+    for copied in (lieid.Fit.load("copied.json"), made["fit"]):
+        assert copied.model.effects == fit.model.effects
+        assert copied.processing.cutoff == fit.processing.cutoff
+        assert copied.model.robot.drives == fit.model.robot.drives
+        np.testing.assert_allclose(copied.values, fit.values, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(made["comparison"].rms_moving, evaluation.errors.shown, rtol=1e-9)
+
+
+def test_with_a_drive_law(commanded, tmp_path, monkeypatch, capsys):
+    words = ["two_link", *map(str, commanded), "--stiffness", "300,200", "--damping", "4,2.5"]
+    session, evaluation, fit = shown(words)
+    assert [d.stiffness for d in fit.model.robot.drives] == [300.0, 200.0]
+    check(session, evaluation, fit, tmp_path, monkeypatch)
+
+
+def test_with_a_fit_in_place_of_the_robot(two_link_files, tmp_path, monkeypatch, capsys):
+    old, _ = write_recordings(tmp_path, load_friction=0.0)
+    robot = lieid.robots.two_link()
+    fit = lieid.identify(lieid.Model(robot, "coulomb,viscous"), lieid.Recording.load(old))
+    fit.save(tmp_path / "old.json")
+    train, test = map(str, two_link_files)
+    shown_now = shown([str(tmp_path / "old.json"), "--train", train, "--test", test])
+    check(*shown_now, tmp_path, monkeypatch)

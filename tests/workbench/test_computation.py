@@ -1,0 +1,242 @@
+"""What the worker process computes is what the public functions return."""
+
+import functools
+import io
+import zipfile
+
+import numpy as np
+import pytest
+from workbench.two_link_files import write_recordings
+
+import lieid_casadi as lieid
+from lieid_casadi.errors import UsageError
+from lieid_casadi.simulation import window_drift
+from lieid_casadi.workbench.computing import recording_parts
+from lieid_casadi.workbench.computing.arm_meshes import TRIANGLE, arm_meshes, stl_bytes
+from lieid_casadi.workbench.computing.arm_motion import arm_motion
+from lieid_casadi.workbench.computing.computation import Computation
+from lieid_casadi.workbench.computing.results import WorkerSetup
+from lieid_casadi.workbench.computing.saved_files import saved_file
+from lieid_casadi.workbench.plot_data import errors_over_signals, series_of, torque_lines
+from lieid_casadi.workbench.state.inputs import RecordingInput, WorkbenchInputs
+from lieid_casadi.workbench.state.proposals import ProposedEffect
+from lieid_casadi.workbench.state.session import Session
+
+
+def robot(inputs):
+    return lieid.Robot.load(inputs.robot)
+
+
+def read(inputs, source):
+    return [lieid.Recording.load(r.path, units=inputs.units) for r in inputs.recordings]
+
+
+def ignored(stage, fraction):
+    """Take no notice of progress."""
+
+
+SETUP = WorkerSetup(prepare=functools.partial(int), robot=robot, read=read)
+
+
+@pytest.fixture(scope="module")
+def inputs(two_link_files):
+    train, test = map(str, two_link_files)
+    return WorkbenchInputs(
+        robot="two_link",
+        recordings=(RecordingInput(train, "train"), RecordingInput(test, "test")),
+    )
+
+
+@pytest.fixture(scope="module")
+def computation(inputs):
+    return Computation(SETUP, inputs)
+
+
+@pytest.fixture(scope="module")
+def first(computation, inputs):
+    return Session().opened(inputs, computation.opened().effects)
+
+
+def evaluate(computation, session, *, quick=False):
+    return computation.evaluate(session.step, quick=quick, shapes={}, report=ignored)
+
+
+def test_errors_are_those_of_identify_and_compare(computation, first, two_link_files):
+    train, test = map(lieid.Recording.load, two_link_files)
+    model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset")
+    fit = lieid.identify(model, train)
+    shown = evaluate(computation, first)
+    np.testing.assert_allclose(shown.errors.shown, lieid.compare(fit, test).rms_moving)
+    np.testing.assert_allclose(shown.errors.train, lieid.compare(fit, train).rms_moving)
+    np.testing.assert_allclose(shown.errors.noise_floor, lieid.compare(fit, test).noise_floor)
+    larger = lieid.identify(model.with_effect("load_friction:1"), train, processing=fit.processing)
+    shown = evaluate(computation, first.with_effect("load_friction:1"))
+    np.testing.assert_allclose(shown.errors.shown, lieid.compare(larger, test).rms_moving)
+
+
+def test_a_quick_fit_holds_shapes_and_the_exact_one_replaces_it(inputs, first):
+    computation = Computation(SETUP, inputs)
+    evaluate(computation, first)
+    session = first.with_effect("stribeck:1")
+    quick = evaluate(computation, session, quick=True)
+    exact = evaluate(computation, session)
+    assert not quick.exact
+    assert exact.exact
+    assert exact.errors.train[0] <= quick.errors.train[0] * (1 + 1e-9)
+    assert evaluate(computation, session, quick=True) is exact
+
+
+def test_long_recordings_are_fitted_in_part_first(inputs, first, monkeypatch):
+    monkeypatch.setattr("lieid_casadi.workbench.computing.computation.QUICK_ROWS", 4000)
+    computation = Computation(SETUP, inputs)
+    part = evaluate(computation, first, quick=True)
+    whole = evaluate(computation, first)
+    assert not part.exact
+    np.testing.assert_allclose(part.errors.shown, whole.errors.shown, rtol=0.5)
+
+
+def test_stretches_are_spread_over_the_recording(two_link_files):
+    recording = lieid.Recording.load(two_link_files[0])
+    parts = recording_parts.evenly_spread(recording, 0.6)
+    assert len(parts) == 2
+    assert sum(map(len, parts)) == pytest.approx(0.6 * len(recording), rel=0.02)
+    assert parts[0].t[0] == recording.t[0]
+    assert parts[1].t[0] == pytest.approx(0.5 * recording.t[-1], rel=0.02)
+
+
+def test_an_excluded_stretch_is_not_fitted(computation, first, two_link_files):
+    session = first.show_recording(0).excluding(4.0, 7.0)
+    shown = evaluate(computation, session)
+    file = two_link_files[0]
+    parts = [lieid.Recording.load(f"{file}@:4"), lieid.Recording.load(f"{file}@7:")]
+    model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset")
+    cutoff = evaluate(computation, first).cutoff
+    fit = lieid.identify(model, parts, processing=lieid.Processing(cutoff=cutoff))
+    comparison = lieid.compare(fit, lieid.Recording.load(two_link_files[1]))
+    np.testing.assert_allclose(shown.errors.shown, comparison.rms_moving)
+    with pytest.raises(UsageError, match="no training recording"):
+        evaluate(computation, first.show_recording(0).excluding(-1.0, 99.0))
+
+
+def test_the_search_proposes_what_diagnose_finds(computation, first):
+    arrived = []
+    found = computation.find(first.step, report=ignored, found=arrived.append)
+    assert [p.label for p in found.proposed] == ["load_friction:1"]
+    assert [p.label for p in arrived] == ["load_friction:1"]
+    assert found.proposed[0].after < 0.6 * found.proposed[0].before
+    assert found.effects == first.step.effects
+
+
+def test_a_change_since_a_fit_is_in_the_torque(two_link_files, tmp_path):
+    old, _ = write_recordings(tmp_path, load_friction=0.0)
+    model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset")
+    lieid.identify(model, lieid.Recording.load(old)).save(tmp_path / "fit.json")
+    new = RecordingInput(str(two_link_files[1]), "test")
+    inputs = WorkbenchInputs(fit=str(tmp_path / "fit.json"), mode="changed", recordings=(new,))
+    computation = Computation(SETUP, inputs)
+    session = Session().opened(inputs, computation.opened().effects)
+    kept = evaluate(computation, session)
+    change = ProposedEffect(
+        "load_friction:1", "load_friction", (1,), 0, None, None, parameters=(("f_tau", 0.1),)
+    )  # 0.1 was simulated
+    changed = evaluate(computation, session.with_change(change))
+    assert kept.errors.shown[0] > 5.0 * changed.errors.shown[0]
+    assert changed.errors.shown[1] == kept.errors.shown[1]
+    before, after = (series_of(e, new.path.rpartition("/")[2])[0] for e in (kept, changed))
+    np.testing.assert_array_equal(before.measured, after.measured)
+    error = after.error[after.moving[:, 0], 0]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(changed.errors.shown[0])
+    assert [row.label for row in changed.effects][-1] == "load_friction:1"
+
+
+def test_the_simulation_error_is_that_of_the_test(computation, first, two_link_files):
+    found = computation.simulate(first.step, report=ignored)
+    fit = computation.fit(first.step, ignored)
+    drift = window_drift(fit, lieid.Recording.load(two_link_files[1]))
+    np.testing.assert_allclose(found.rms, drift.drift.rms)
+    assert (found.window, found.reason) == (1.0, "")
+    change = ProposedEffect("viscous:1", "viscous", (1,), 0, None, None)
+    kept = computation.simulate(first.with_change(change).step, report=ignored)
+    assert kept.rms == (None, None)
+    assert "changes" in kept.reason
+
+
+def test_lines_keep_the_extremes_of_every_pixel(computation, first, inputs):
+    title = recording_parts.recording_titles(inputs)[1]
+    series = series_of(evaluate(computation, first), title)
+    lines = torque_lines(series, 0, (0.0, 18.0), 40)
+    assert len(lines.measured) <= 2 * 41
+    values = [y for _, y in lines.measured]
+    assert max(values) == pytest.approx(series[0].measured[:, 0].max(), abs=1e-5)
+    assert min(values) == pytest.approx(series[0].measured[:, 0].min(), abs=1e-5)
+    panels = errors_over_signals(series, 0, (2.0, 5.0), degrees=True)
+    assert [(p.title, p.unit) for p in panels][:3] == [
+        ("angle", "°"), ("speed", "°/s"), ("load", "N·m")
+    ]  # fmt: skip
+    assert all(2.0 <= x <= 5.0 for x, _ in panels[3].forward)
+    assert all(x > 0.0 for x, _ in panels[1].forward)
+
+
+def test_poses_are_the_forward_kinematics(two_link_files):
+    robot, recording = lieid.robots.two_link(), lieid.Recording.load(two_link_files[0])
+    motion = arm_motion(robot, recording)
+    row = int(np.searchsorted(recording.t, motion.times[17]))
+    for link in (1, 2):
+        frame = lieid.symbolic(robot).frame(f"link{link}").forward_kinematics(recording.q[row])
+        np.testing.assert_allclose(motion.poses[17, link], frame, atol=1e-12)
+
+
+def test_the_saved_fit_is_loaded_again(computation, first, tmp_path):
+    name, content = saved_file(computation, first.step, kind="fit", report=ignored)
+    (tmp_path / name).write_bytes(content)
+    assert lieid.Fit.load(tmp_path / name).model.effects == ["coulomb", "viscous", "offset"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        ("c", ["c/CMakeLists.txt"]),
+        ("urdf", ["urdf/two_link.urdf", "urdf/two_link_joints.xml"]),
+        ("mjcf", ["mjcf/two_link.xml"]),
+    ],
+)
+def test_exports_are_zip_files(computation, first, kind, names):
+    name, content = saved_file(computation, first.step, kind=kind, report=ignored)
+    assert name == f"two_link_{kind}.zip"
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert set(names) <= set(archive.namelist())
+
+
+@pytest.mark.slow
+def test_the_report_is_a_page(computation, first):
+    name, content = saved_file(computation, first.step, kind="report", report=ignored)
+    assert name == "report.html"
+    assert content.startswith(b"<!DOCTYPE html>")
+
+
+def test_meshes_of_a_urdf_are_found_beside_it(tmp_path):
+    folder = tmp_path / "arm_description"
+    (folder / "meshes").mkdir(parents=True)
+    (folder / "urdf").mkdir()
+    corners = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]])
+    (folder / "meshes" / "link.stl").write_bytes(stl_bytes(0.1 * corners))
+    text = """<robot name="arm"><link name="base"/><link name="one"><visual>
+      <origin xyz="0 0 0.5"/><geometry><mesh filename="package://arm_description/meshes/link.stl"
+      scale="2 2 2"/></geometry></visual><inertial><mass value="1"/>
+      <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="a" type="revolute"><parent link="base"/><child link="one"/><axis xyz="0 0 1"/>
+      <limit lower="-1" upper="1" effort="10" velocity="1"/></joint></robot>"""
+    file = folder / "urdf" / "arm.urdf"
+    file.write_text(text)
+    robot = lieid.Robot.load(file)
+    (mesh,) = arm_meshes(robot, str(file))
+    rows = np.frombuffer(mesh.stl[84:], TRIANGLE)
+    assert mesh.link == 1
+    np.testing.assert_allclose(
+        np.sort(rows["corners"].reshape(-1, 3), axis=0),
+        np.sort((0.2 * corners + [0, 0, 0.5]).reshape(-1, 3), axis=0),
+        atol=1e-6,
+    )
+    (folder / "meshes" / "link.stl").unlink()
+    assert arm_meshes(robot, str(file)) == ()

@@ -1,0 +1,56 @@
+"""The page in a browser: see where the model fails, find what is missing, add it."""
+
+import lieid_casadi as lieid
+from lieid_casadi.workbench.views.elements import figures
+
+
+def test_the_missing_effect_is_found_and_added(start, browse, two_link_files):
+    server = start("two_link", *map(str, two_link_files))
+    page = browse(server.url)
+    page.wait(lambda: page.number("error-1") > 0.0, "the first errors")
+    before = page.number("error-1")
+    page.wait(lambda: before > 5.0 * float(page.text("noise-1").split()[-1]), "the noise floor")
+    assert page.number("error-2") < before
+    assert not page.elements("candidate-load_friction-1")
+    page.click("find-missing")
+    page.wait(lambda: page.text("candidate-load_friction-1"), "the proposal")
+    assert page.number("error-1") == before  # the search adds nothing by itself
+    page.picture("two_link_proposal")
+    label = page.text("candidate-load_friction-1").splitlines()[0]
+    page.click("candidate-load_friction-1")
+    after = float(figures(error_with(label, *two_link_files)))
+    page.wait(lambda: page.number("error-1") == after, "the error with the effect")
+    assert after < 0.5 * before
+    page.wait(lambda: page.elements("effect-load_friction-1"), "the effect")
+    page.click("undo")
+    page.wait(lambda: page.number("error-1") == before, "undo")
+    page.click("redo")
+    page.wait(lambda: page.number("error-1") == after, "redo")
+    page.picture("two_link_added")
+    _only_own_requests(page, server)
+    assert page.script_errors() == []
+    assert server.stop() == (0, "")
+
+
+def error_with(label, train, test):
+    """Return the error of joint 1 with an effect, by the public functions."""
+    model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset")
+    train, test = lieid.Recording.load(train), lieid.Recording.load(test)
+    first = lieid.identify(model, train)
+    fit = lieid.identify(model.with_effect(label), train, processing=first.processing)
+    return lieid.compare(fit, test).rms_moving[0]
+
+
+def _only_own_requests(page, server):
+    """Check that the browser asked no other machine for anything."""
+    import json
+
+    own = (f"http://127.0.0.1:{server.port}/", f"ws://127.0.0.1:{server.port}/", "data:", "blob:")
+    log = [json.loads(e["message"])["message"] for e in page.driver.get_log("performance")]
+    urls = [
+        m["params"].get("request", m["params"]).get("url", "")
+        for m in log
+        if m["method"] in ("Network.requestWillBeSent", "Network.webSocketCreated")
+    ]
+    assert len(urls) > 5
+    assert [url for url in urls if not url.startswith((*own, "chrome:"))] == []

@@ -1,0 +1,245 @@
+"""The page in a browser: selecting and excluding time, files, tabs, reloads, and changes."""
+
+import math
+import signal
+import urllib.error
+import urllib.request
+import zipfile
+
+import pytest
+
+import lieid_casadi as lieid
+
+pytestmark = pytest.mark.slow
+
+
+def brush(page):
+    """Drag over a part of the torque plot."""
+    from selenium.webdriver import ActionChains
+
+    def dragged():
+        plot = page.element("torque-plot")
+        page.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", plot)
+        drag = ActionChains(page.driver).move_to_element_with_offset(plot, -100, -50)
+        drag.click_and_hold().move_by_offset(50, 0).move_by_offset(50, 0).release().perform()
+
+    page.repeat(dragged, lambda: page.element("exclude-selection").is_enabled(), "the selection")
+
+
+def opened(page, joint=1):
+    page.wait(lambda: page.number(f"error-{joint}") > 0.0, "the first errors")
+    return page.number(f"error-{joint}")
+
+
+def test_the_demo_names_the_hidden_effect(start, browse):
+    server = start()
+    page = browse(server.url)
+    assert opened(page, 2) > 0.5
+    page.wait(lambda: noise(page, 7) > 0.0, "the noise floor")
+    worst = max(range(1, 8), key=lambda j: page.number(f"error-{j}") / noise(page, j))
+    assert worst == 2
+    page.click("find-missing")  # the first click
+    page.wait(lambda: page.text("candidate-load_friction-2"), "the proposal")
+    page.picture("demo_proposal")
+    page.click("candidate-load_friction-2")  # the second
+    page.wait(lambda: page.number("error-2") < 0.2, "an error below 0.2 N·m")
+    page.wait(lambda: "τ_load" in page.text("effect-load_friction-2"), "the formula")
+    page.picture("demo_added")
+    assert page.script_errors() == []
+    assert server.stop() == (0, "")
+
+
+def noise(page, joint):
+    """Return the noise floor of a joint, NaN while it is not shown."""
+    try:
+        return float(page.text(f"noise-{joint}").split()[-1])
+    except (ValueError, IndexError):
+        return math.nan
+
+
+def test_a_selected_range_is_excluded_and_the_files_are_saved(start, browse, two_link_files):
+    server = start("two_link", *map(str, two_link_files))
+    page = browse(server.url)
+    before = opened(page)
+    brush(page)
+    page.click("exclude-selection")
+
+    def another():
+        error = page.number("error-1")
+        return error > 0.0 and error != before
+
+    page.wait(another, "the error without the range")
+    page.click("copy-command")
+    page.wait(lambda: "lieid identify two_link" in page.text("command-shell"), "the command")
+    assert "test.npz@" in page.text("command-shell")
+    assert "lieid.Model(" in page.text("command-python")
+    page.click("close-commands", done=lambda: not page.shown("command-shell"))
+    page.click("save-fit")
+    fit = page.downloaded("fit.json")
+    assert lieid.Fit.load(fit).model.robot.name == "two_link"
+    for kind in ("c", "urdf"):
+        page.click("export", done=lambda kind=kind: page.shown(f"save-{kind}"))
+        page.click(f"save-{kind}")
+        page.downloaded(f"two_link_{kind}.zip")
+        page.wait(lambda kind=kind: not page.shown(f"save-{kind}"), "the end of the menu")
+    with zipfile.ZipFile(page.downloaded("two_link_urdf.zip")) as archive:
+        assert "urdf/two_link.urdf" in archive.namelist()
+    page.click("compare-1")
+    page.wait(lambda: page.number("compared-1") == before, "the compared error")
+    page.click("undo")
+    page.wait(lambda: page.number("error-1") == before, "undo")
+
+
+def test_tabs_reload_and_a_killed_server(start, browse, two_link_files):
+    server = start("two_link", *map(str, two_link_files))
+    first, second = browse(server.url), browse(server.url)
+    before = opened(first)
+    assert opened(second) == before
+    first.click("remove-viscous-1", done=lambda: first.number("error-1") > 1.2 * before)
+    larger = first.number("error-1")
+    assert second.number("error-1") == before
+    assert second.elements("effect-viscous-1")
+    first.driver.refresh()
+    first.wait(lambda: first.number("error-1") == larger, "the session after a reload")
+    name = first.driver.current_url.partition("session=")[2]
+    server.stop(signal.SIGKILL)
+    again = start("two_link", *map(str, two_link_files))
+    first.driver.get(f"{again.url}&session={name}")
+    first.wait(lambda: first.number("error-1") == larger, "the session after the server was killed")
+    first.wait(lambda: first.elements("effect-coulomb-1"), "the effects")
+    assert not first.elements("effect-viscous-1")
+
+
+def test_bad_files_are_one_line_beside_the_field(start, browse, two_link_files, tmp_path):
+    server = start("two_link", *map(str, two_link_files))
+    page = browse(server.url)
+    before = opened(page)
+    bad = tmp_path / "bad.csv"
+    bad.write_text("t,q1,q2\n0,1,nan\n1,2,3\n")
+    page.click("open-files-panel")
+    page.wait(lambda: page.element("open-recording").is_displayed(), "the form")
+    for path, found in ((str(bad), "bad.csv"), ("/no/such.csv", "/no/such.csv")):
+        page.element("open-recording").send_keys(path)
+        page.click("add-recording")
+        page.click("open")
+        page.wait(lambda found=found: found in page.text("open-error"), "the error")
+        assert "\n" not in page.text("open-error")
+        page.click("remove-recording-3")
+        page.wait(lambda: not page.elements("remove-recording-3"), "the shorter list")
+    page.picture("bad_file")
+    assert page.number("error-1") == before  # what was open stays
+    robot = page.element("open-robot")
+    robot.clear()
+    robot.send_keys("/etc/passwd")
+    page.click("open")
+    page.wait(lambda: "/etc/passwd" in page.text("open-error"), "the error")
+
+
+def test_files_are_opened_on_the_page_and_the_arm_replays(start, browse, two_link_files):
+    server = start("panda")
+    page = browse(server.url)
+    page.wait(lambda: "no recordings" in page.text("open-error"), "the form")
+    robot = page.element("open-robot")
+    robot.clear()
+    robot.send_keys("two_link")
+    for k, file in enumerate(two_link_files, start=1):
+        upload = page.element("open-files").find_element("css selector", "input[type=file]")
+        upload.send_keys(str(file))
+        page.wait(lambda k=k: page.elements(f"role-{k}"), "the recording")
+    page.click("open")
+    opened(page)
+    names = "train.npz (fitted), test.npz (test)"
+    page.wait(lambda: names in page.driver.page_source, "the names")
+    page.click("joint-2", done=lambda: "on joint 2" in page.text("effects-title"))
+    page.click("play")
+    page.wait(lambda: page.number("instant") > 0.0, "the replay")
+    assert page.script_errors() == []
+
+
+def test_what_has_changed_since_a_fit(start, browse, two_link_files, tmp_path):
+    from workbench.two_link_files import write_recordings
+
+    old, _ = write_recordings(tmp_path, load_friction=0.0)
+    fit = lieid.identify(
+        lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset"), lieid.Recording.load(old)
+    )
+    fit.save(tmp_path / "fit.json")
+    server = start(str(tmp_path / "fit.json"), str(two_link_files[1]))
+    page = browse(server.url)
+    before = opened(page)
+    page.click("find-missing")
+    page.wait(lambda: "load_friction" in page.text("verdict"), "the sentence")
+    largest = largest_error(page)
+    page.click("candidate-load_friction-1", done=lambda: page.number("error-1") < 0.2 * before)
+    page.wait(lambda: largest_error(page) < 0.5 * largest, "the torque of the changed model")
+    page.wait(lambda: "change: f_tau" in page.text("effect-load_friction-1"), "the change")
+
+
+def largest_error(page):
+    """Return the largest error that the torque plot shows, N·m."""
+    return page.driver.execute_script(
+        """
+        const plot = document.querySelector('[data-testid="torque-plot"]');
+        const chart = getElement(plot.id.replace(/^c/, '')).chart;
+        const error = chart.getOption().series.find((s) => s.id === 'error');
+        return Math.max(...error.data.map(([t, y]) => Math.abs(y ?? 0)));
+        """
+    )
+
+
+def test_a_search_can_be_stopped(start, browse):
+    server = start()
+    page = browse(server.url)
+    before = opened(page, 2)
+    page.click("find-missing")
+    page.click("stop")
+    page.wait(lambda: page.shown("find-missing"), "the end of the search")
+    assert not page.elements("candidate-load_friction-2")
+    page.click("find-missing")
+    page.wait(lambda: page.text("candidate-load_friction-2"), "the proposal")
+    assert page.number("error-2") == before
+
+
+def test_requests_without_the_token_or_of_another_host_get_nothing(start, two_link_files):
+    server = start("two_link", *map(str, two_link_files))
+    base = server.url.partition("?")[0]
+
+    def status(url, **headers):
+        try:
+            with urllib.request.urlopen(urllib.request.Request(url, headers=headers)) as answer:
+                return answer.status
+        except urllib.error.HTTPError as error:
+            return error.code
+
+    assert status(server.url) == 200
+    assert status(base) == 403
+    assert status(base + "?token=guess") == 403
+    assert status(server.url, Host="evil.example") == 403
+    assert status(server.url, Origin="http://evil.example") == 403
+    for path in ("_nicegui_ws/socket.io/?EIO=4&transport=polling", "etc/passwd", "../etc/passwd"):
+        assert status(base + path) == 403
+    _, _, token = server.url.partition("token=")
+    assert status(f"{base}etc/passwd?token={token}") == 404
+
+
+@pytest.mark.parametrize("width", [1300, 1920])
+def test_nothing_is_cut_off(start, browse, width):
+    server = start()
+    page = browse(server.url, width=width, height=1100)
+    opened(page, 2)
+    page.wait(lambda: page.text("effect-coulomb-2"), "the effects of joint 2")
+    page.picture(f"layout_{width}")
+    wide = page.driver.execute_script("return document.documentElement.scrollWidth")
+    assert wide <= page.driver.execute_script("return window.innerWidth")
+    for name in (
+        "arm-view",
+        "torque-plot",
+        "residual-plot",
+        "waterfall",
+        "error-7",
+        "undo",
+        "redo",
+    ):
+        box = page.element(name).rect
+        assert box["width"] > 10
+        assert box["x"] + box["width"] <= width

@@ -1,0 +1,127 @@
+"""The page under the pointer: clicks on the arm, wheel and dragging on the plot, dropped files."""
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+CENTRE = """
+const view = document.querySelector('[data-testid="arm-view"]');
+const arm = getElement(view.id.slice(1)), canvas = view.querySelector('canvas');
+let link = null;
+arm.scene.traverse((part) => {
+  if (part.name === arguments[0] && part.visible && part.geometry?.type === 'CylinderGeometry')
+    link = part;
+});
+if (!link || canvas.getBoundingClientRect().width < 10) return null;
+const at = link.getWorldPosition(link.position.clone()).project(arm.camera);
+return [0.5 * at.x * canvas.clientWidth, -0.5 * at.y * canvas.clientHeight];
+"""
+SAME = 20  # equal values one after the other
+CURSOR = """
+const chart = getElement(document.querySelector('[data-testid="torque-plot"]').id.slice(1)).chart;
+return chart.getOption().series.find((s) => s.id === 'cursor').markLine.data[0]?.xAxis ?? null;
+"""
+
+
+def opened(page):
+    page.wait(lambda: page.number("error-1") > 0.0, "the first errors")
+    page.wait(lambda: "joint 1" in page.text("effects-title"), "the effects")
+
+
+def span(page):
+    """Return the ends of the scrubber's range, s."""
+    slider = page.element("scrubber")
+    ends = [slider.get_attribute(f"aria-value{end}") for end in ("min", "max")]
+    if None in ends:
+        slider = slider.find_element("css selector", "[role=slider]")
+        ends = [slider.get_attribute(f"aria-value{end}") for end in ("min", "max")]
+    return tuple(map(float, ends))
+
+
+def test_a_click_on_the_arm_and_the_wheel_on_the_plot(start, browse, two_link_files):
+    server = start("two_link", *map(str, two_link_files))
+    page = browse(server.url)
+    opened(page)
+    a_click_on_a_link_selects_its_joint(page)
+    the_wheel_zooms_and_the_replay_follows(page)
+    page.wait(lambda: "rad off after 1 s" in page.text("simulated-2"), "the simulation error")
+    assert page.script_errors() == []
+
+
+def a_click_on_a_link_selects_its_joint(page):
+    from selenium.webdriver import ActionChains
+
+    def clicked():
+        view = page.element("arm-view")
+        x, y = page.driver.execute_script(CENTRE, "joint2")
+        ActionChains(page.driver).move_to_element_with_offset(view, x, y).click().perform()
+
+    page.repeat(clicked, lambda: "joint 2" in page.text("effects-title"), "the selection")
+    page.wait(lambda: "selected" in page.element("joint-2").get_attribute("class"), "the row")
+
+
+def the_wheel_zooms_and_the_replay_follows(page):
+    from selenium.webdriver import ActionChains, Keys
+    from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
+
+    plot = page.element("torque-plot")
+    page.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", plot)
+    whole = span(page)
+
+    def turned():
+        origin = ScrollOrigin.from_element(page.element("torque-plot"), 0, -60)
+        ActionChains(page.driver).scroll_from_origin(origin, 0, -240).perform()
+
+    page.repeat(turned, lambda: width(span(page)) < 0.99 * width(whole), "zoom")
+    page.wait(lambda: whole[0] <= page.driver.execute_script(CURSOR) > 0.0, "the cursor")
+
+    def dragged():
+        plot = page.element("torque-plot")
+        drag = ActionChains(page.driver).key_down(Keys.SHIFT)
+        drag.move_to_element_with_offset(plot, 0, -60).click_and_hold()
+        drag.move_by_offset(-60, 0).move_by_offset(-60, 0).release().key_up(Keys.SHIFT).perform()
+
+    zoomed = settled(page)
+    page.repeat(dragged, lambda: span(page)[0] > zoomed[0] + 0.01, "the moved plot")
+    moved = settled(page)
+    assert width(moved) == pytest.approx(width(zoomed), rel=0.01)
+    assert not page.element("exclude-selection").is_enabled()  # nothing is selected
+    start_of_pose = page.number("instant")
+    assert moved[0] - 0.01 <= start_of_pose <= moved[1]
+    page.click("whole-recording", done=lambda: span(page) == whole)
+
+
+def width(ends):
+    return ends[1] - ends[0]
+
+
+def settled(page):
+    """Return the range of the scrubber once no further event of the wheel or a drag changes it."""
+    last = []
+
+    def same():
+        last.append(span(page))
+        return len(last) > SAME and len(set(last[-SAME:])) == 1
+
+    page.wait(same, "the end of the events")
+    return last[-1]
+
+
+def test_dropped_files_are_opened(start, browse, two_link_files):
+    server = start("panda")
+    page = browse(server.url)
+    page.wait(lambda: "no recordings" in page.text("open-error"), "the form")
+    page.click("close-form", done=lambda: not page.shown("open-robot"))
+    for k, file in enumerate(two_link_files, start=1):
+        for kind in ("dragEnter", "dragOver", "drop"):
+            data = {"items": [], "files": [str(file)], "dragOperationsMask": 1}
+            page.driver.execute_cdp_cmd(
+                "Input.dispatchDragEvent", {"type": kind, "x": 600, "y": 500, "data": data}
+            )
+        page.wait(lambda k=k: page.elements(f"role-{k}"), "the recording")
+    robot = page.element("open-robot")
+    robot.clear()
+    robot.send_keys("two_link")
+    page.click("open")
+    opened(page)
+    assert page.driver.current_url.startswith(server.url.partition("?")[0])

@@ -1,0 +1,135 @@
+"""The state of the page: transitions, what is saved, and the commands that reproduce it."""
+
+import ast
+import shlex
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lieid_casadi.cli.main import build_parser
+from lieid_casadi.workbench.state.commands import python_lines, shell_lines
+from lieid_casadi.workbench.state.inputs import (
+    ExcludedRange,
+    RecordingInput,
+    WorkbenchInputs,
+    kept_parts,
+)
+from lieid_casadi.workbench.state.proposals import ProposedEffect
+from lieid_casadi.workbench.state.session import Session, StepErrors
+from lieid_casadi.workbench.state.session_file import (
+    SessionFileError,
+    load_session,
+    save_session,
+    saved_sessions,
+)
+
+INPUTS = WorkbenchInputs(
+    robot="two_link",
+    recordings=(RecordingInput("a b.csv", "train"), RecordingInput("c.csv@:9", "test")),
+)
+FIRST = Session().opened(INPUTS, ["coulomb:1", "coulomb:2"])
+NAME = "0123456789abcdef"
+
+
+def test_a_step_back_and_forward_restores_the_model():
+    added = FIRST.with_effect("stribeck:2")
+    assert added.step.effects == ("coulomb:1", "coulomb:2", "stribeck:2")
+    assert added.can_undo
+    assert not added.can_redo
+    assert added.undone().step == FIRST.step
+    assert added.undone().redone() == added
+    assert added.with_effect("stribeck:2") is added
+
+
+def test_a_new_step_replaces_those_that_were_undone():
+    other = FIRST.with_effect("stribeck:2").undone().without_effect("coulomb:1")
+    assert [step.title for step in other.history] == ["first model", "− coulomb:1"]
+
+
+def test_errors_belong_to_every_step_with_the_same_fit():
+    back = FIRST.with_effect("stribeck:2").without_effect("stribeck:2")
+    errors = StepErrors((0.1, 0.2), (0.3, None), (0.1, 0.1))
+    both = back.with_errors(FIRST.step, errors)
+    assert [step.errors for step in both.history] == [errors, None, errors]
+    assert both.at_worst_joint().joint == 0
+
+
+def test_a_change_since_a_fit_is_a_step():
+    change = ProposedEffect("payload", "payload", (), 0, 1.0, 0.1, parameters=(("m", 0.4),))
+    session = FIRST.with_change(change)
+    assert session.step.effects_and_changes == (*FIRST.step.effects, "payload")
+    assert session.step.key != FIRST.step.key
+    assert session.undone().step == FIRST.step
+    assert session.with_change(change) is session
+    own = replace(change, label="coulomb:1")  # the model has this effect; its coefficient changed
+    assert FIRST.with_change(own).step.changes == (own,)
+
+
+def test_the_test_recording_is_shown_first():
+    assert FIRST.recording == 1
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(0.0, 10.0), st.floats(0.0, 10.0))
+        .map(sorted)
+        .filter(lambda r: r[0] < r[1]),
+        max_size=5,
+    ),
+    st.floats(0.001, 9.999),
+)
+def test_kept_parts_are_what_is_not_excluded(ranges, t):
+    parts = kept_parts([ExcludedRange(0, *r) for r in ranges], 0)
+    inside = any((a is None or a <= t) and (b is None or t < b) for a, b in parts)
+    assert inside == (not any(a <= t < b for a, b in ranges))
+
+
+def test_commands_parse_and_leave_out_what_is_excluded():
+    session = FIRST.with_effect("stribeck:2").excluding(3.0, 4.5)
+    lines = shell_lines(session).splitlines()
+    for line in lines:
+        build_parser().parse_args(shlex.split(line)[1:])
+    first = shlex.split(lines[0])
+    assert first[:4] == ["lieid", "identify", "two_link", "a b.csv"]
+    assert first[first.index("--test") + 1 :][:2] == ["c.csv@:3", "c.csv@4.5:9"]
+    assert first[first.index("--effects") + 1] == "coulomb,stribeck:2"
+    ast.parse(python_lines(session))
+
+
+def test_commands_of_a_kept_fit():
+    inputs = WorkbenchInputs(
+        fit="fit.json", mode="changed", recordings=(RecordingInput("new.csv", "test"),)
+    )
+    session = Session().opened(inputs, ["coulomb:1"])
+    assert shell_lines(session) == "lieid compare fit.json new.csv\nlieid diagnose fit.json new.csv"
+    ast.parse(python_lines(session))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("LIEID_WORKBENCH_DIR", str(tmp_path))
+    return tmp_path
+
+
+def test_a_saved_session_is_read_back(folder):
+    errors = StepErrors((0.1, None), (0.3, None), (0.1, 0.1))
+    session = FIRST.with_effect("stribeck:2").with_errors(FIRST.step, errors).excluding(1.0, 2.0)
+    save_session(NAME, session)
+    assert load_session(NAME) == session
+    assert [saved.session for saved in saved_sessions()] == [session]
+    assert load_session("f" * 16) is None
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b'{"schema": 1, "session": 3}', b"\xff"])
+def test_a_damaged_session_is_one_error(folder, content):
+    (folder / f"{NAME}.json").write_bytes(content)
+    with pytest.raises(SessionFileError, match="not a saved session"):
+        load_session(NAME)
+    assert saved_sessions() == []
+
+
+def test_names_that_leave_the_folder_are_not_read(folder):
+    (folder.parent / "secret.json").write_text("{}")
+    assert load_session("../secret") is None
