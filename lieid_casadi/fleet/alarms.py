@@ -1,0 +1,302 @@
+"""Alarms: one per cause, with its name, size, beginning and, for a drift, the date of a limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from typing import Any
+
+import numpy as np
+
+from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, FoundEffect
+from lieid_casadi.fleet.judging import ChangedQuantity, JudgedArm
+
+UNEXPLAINED = "unexplained"
+LATEST_NIGHTS = 5  # since the change, in which an effect must be found to name it
+NAMING_PART = 0.5  # of these nights
+STANDING_PART = 0.25  # of the nights before the change: found more often, it is no news
+SAME_BEGINNING = 2  # nights between the beginnings of one change in several quantities
+SEVERITY_NIGHTS = 3  # latest nights over which the severity is taken
+FARTHEST_DATE = date(9999, 1, 1).toordinal()
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """An alarm as in the history.
+
+    Attributes
+    ----------
+    serial : str
+    joint : int or None
+        From 1; None for the whole arm.
+    quantity : str
+        Name of an effect, ``error`` or ``unexplained``.
+    since, last : date
+        First and last night of the change.
+    change, std : float or None
+    unit, sentence : str
+    raised : date
+        Night on which it became significant.
+    closed : date or None
+    note : str
+        Of the acknowledgement.
+    severity : float
+        Part of a joint's torque that the fit no longer predicts.
+    slope : float or None
+        Of a drift, per day.
+    limit_date : date or None
+        When a drift reaches the limit of the fleet file.
+    series : str
+        Labels of the quantities that the alarm is about, separated by commas.
+    slope_low, slope_high : float or None
+        Bounds of the slope of 95 % confidence.
+    """
+
+    serial: str
+    joint: int | None
+    quantity: str
+    since: date
+    last: date
+    change: float | None
+    std: float | None
+    unit: str
+    sentence: str
+    raised: date
+    closed: date | None = None
+    note: str = ""
+    severity: float = 0.0
+    slope: float | None = None
+    limit_date: date | None = None
+    series: str = ""
+    slope_low: float | None = None
+    slope_high: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the alarm for JSON; dates as ISO 8601."""
+        return {
+            key: value.isoformat() if isinstance(value, date) else value
+            for key, value in vars(self).items()
+        }
+
+    @property
+    def labels(self) -> frozenset[str]:
+        """Labels of the quantities that the alarm is about."""
+        return frozenset(self.series.split(",")) - {""}
+
+
+def updated_alarms(open_alarms: Sequence[Alarm], judged: JudgedArm) -> list[Alarm]:
+    """Return the open alarms of an arm after a night: those before it, and at most one new one.
+
+    Quantities that belong to an open alarm raise no other. All further significant quantities
+    together raise one alarm, with the beginning of the most significant.
+
+    Parameters
+    ----------
+    open_alarms : sequence of Alarm
+        Of the arm, not closed.
+    judged : JudgedArm
+    """
+    alarms = [_continued(alarm, judged) for alarm in open_alarms]
+    owned = frozenset[str]().union(*(alarm.labels for alarm in alarms))
+    new = _new_alarm(judged, owned)
+    if new is None:
+        return alarms
+    for k, alarm in enumerate(alarms):
+        if _is_same(alarm, new, judged.arm):
+            alarms[k] = replace(alarm, series=",".join(sorted(alarm.labels | new.labels)))
+            return alarms
+    return [*alarms, new]
+
+
+def _is_same(alarm: Alarm, new: Alarm, arm: ArmHistory) -> bool:
+    """Whether what became significant later has the cause of an open alarm.
+
+    An arm with an open alarm is not described by its fit, so that its coefficients depend on the
+    motion: only an effect of another joint that the diagnoses name is another cause.
+    """
+    if alarm.joint == new.joint:
+        return True
+    nights = sum(min(alarm.since, new.since) < d <= max(alarm.since, new.since) for d in arm.dates)
+    return nights <= SAME_BEGINNING or (new.quantity, new.joint) not in _named(arm, new.since)
+
+
+def _continued(alarm: Alarm, judged: JudgedArm) -> Alarm:
+    """Return an open alarm with the size, beginning and name that this night gives."""
+    own = [c for c in judged.changed if c.quantity.label in alarm.labels]
+    repeated = [r for r in judged.repeated if _label(r.effect, r.joint) in alarm.labels]
+    if not own and not repeated:
+        return alarm
+    since = own[0].since if own else alarm.since
+    fresh = _described(judged.arm, own, since, alarm)
+    return replace(
+        fresh, raised=alarm.raised, note=alarm.note, series=alarm.series, last=judged.arm.dates[-1]
+    )
+
+
+def _new_alarm(judged: JudgedArm, owned: frozenset[str]) -> Alarm | None:
+    changed = [c for c in judged.changed if c.quantity.label not in owned]
+    repeated = [r for r in judged.repeated if _label(r.effect, r.joint) not in owned]
+    if not changed and not repeated:
+        return None
+    since = changed[0].since if changed else repeated[0].since
+    if not changed and not _named(judged.arm, since):
+        return None
+    labels = {c.quantity.label for c in changed} | {_label(r.effect, r.joint) for r in repeated}
+    alarm = _described(judged.arm, changed, since, None)
+    return replace(alarm, series=",".join(sorted(labels | {_label(alarm.quantity, alarm.joint)})))
+
+
+def _described(
+    arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date, before: Alarm | None
+) -> Alarm:
+    """Return the alarm of changed quantities, the most significant first.
+
+    It is named after the effect that the diagnoses since then have found. If they have found
+    none, it is named after the coefficient that has changed most significantly.
+    """
+    named = _named(arm, since)
+    coefficients = [c for c in changed if c.quantity.name != ERROR]
+    own = next((c for c in coefficients if (c.quantity.effect, c.quantity.joint) in named), None)
+    if own is None and named:
+        return _of_finding(arm, since, named)
+    if own is None and coefficients and _may_name(arm, coefficients[0]):
+        own = coefficients[0]
+    if own is not None:
+        return _of_coefficient(arm, own, since, named)
+    if before is not None and not changed:
+        return before
+    return _of_error(arm, changed, since)
+
+
+def _may_name(arm: ArmHistory, item: ChangedQuantity) -> bool:
+    """Whether a coefficient may name a change: not if its joint's residual is unexplained."""
+    return (UNEXPLAINED, item.quantity.joint) not in arm.found[-1]
+
+
+def _named(arm: ArmHistory, since: date) -> dict[tuple[str, int | None], list[FoundEffect]]:
+    """Return the effects that the diagnoses since a night have found, the largest first."""
+    first = sum(night < since for night in arm.dates)
+    after = arm.found[first:][-LATEST_NIGHTS:]
+    found: dict[tuple[str, int | None], list[FoundEffect]] = {}
+    for key in {key for night in after for key in night if key[0] != UNEXPLAINED}:
+        own = [night[key] for night in after if key in night]
+        before = arm.found[arm.baseline_of(key[1]) : first]
+        standing = sum(key in night for night in before) > STANDING_PART * len(before)
+        if len(own) >= NAMING_PART * len(after) and not standing:
+            found[key] = own
+    size = {key: len(own) * float(np.mean([f.severity for f in own])) for key, own in found.items()}
+    return {key: found[key] for key in sorted(found, key=lambda k: (-size[k], k[0], k[1] or 0))}
+
+
+def _of_finding(
+    arm: ArmHistory, since: date, named: dict[tuple[str, int | None], list[FoundEffect]]
+) -> Alarm:
+    (effect, joint), own = next(iter(named.items()))
+    changes = [f.change for f in own]
+    change = float(np.median(changes))
+    stds = [f.std for f in own if f.std is not None]
+    std = float(np.mean(stds)) if stds else None
+    if len(changes) > 2:
+        std = max(std or 0.0, float(np.std(changes, ddof=1)) / float(np.sqrt(len(changes))))
+    text = f"{_where(effect, joint)} since {since}: {_amount(change, std, own[-1].unit)}"
+    return _alarm(
+        arm, effect, joint, since, change, std, own[-1].unit, text + _further(named, effect, joint)
+    )
+
+
+def _of_coefficient(
+    arm: ArmHistory,
+    item: ChangedQuantity,
+    since: date,
+    named: dict[tuple[str, int | None], list[FoundEffect]],
+) -> Alarm:
+    change, quantity = item.change, item.quantity
+    unit = arm.units[quantity]
+    now = change.level + change.size
+    text = (
+        f"{quantity.name} of joint {quantity.joint} since {since}: "
+        f"{_amount(change.size, change.std, unit)}, from {change.level:.4g} to {now:.4g} {unit}"
+    )
+    limit_date = None
+    if change.kind == "drift":
+        text += (
+            f"; drift of {change.slope_low:.3g} to {change.slope_high:.3g} {unit} per day (95 %)"
+        )
+        limit_date = _limit_date(arm, item)
+        if limit_date is not None:
+            text += f"; reaches its limit on {limit_date}"
+    alarm = _alarm(
+        arm, quantity.effect, quantity.joint, since, change.size, change.std, unit,
+        text + _further(named, quantity.effect, quantity.joint),
+    )  # fmt: skip
+    if change.kind == "drift":
+        alarm = replace(
+            alarm,
+            slope=change.slope,
+            slope_low=change.slope_low,
+            slope_high=change.slope_high,
+        )
+    return replace(alarm, limit_date=limit_date)
+
+
+def _of_error(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date) -> Alarm:
+    """Return the alarm of errors that no effect of the library explains."""
+    item = next((c for c in changed if c.quantity.name == ERROR), changed[0])
+    joint, factor = item.quantity.joint, float(np.exp(item.change.size))
+    quantity = UNEXPLAINED if (UNEXPLAINED, joint) in arm.found[-1] else ERROR
+    text = f"error of joint {joint} since {since}: {factor:.3g} times as large as before"
+    if quantity == UNEXPLAINED:
+        text += f"; not explained by one effect: {arm.found[-1][UNEXPLAINED, joint].sentence}"
+    return _alarm(arm, quantity, joint, since, factor - 1.0, factor * item.change.std, "1", text)
+
+
+def _alarm(
+    arm: ArmHistory,
+    quantity: str,
+    joint: int | None,
+    since: date,
+    change: float,
+    std: float | None,
+    unit: str,
+    text: str,
+) -> Alarm:
+    last = arm.dates[-1]
+    severity = float(np.median(arm.shares[-SEVERITY_NIGHTS:]))
+    return Alarm(
+        arm.serial, joint, quantity, since, last, change, std, unit, text, last, severity=severity
+    )
+
+
+def _limit_date(arm: ArmHistory, item: ChangedQuantity) -> date | None:
+    quantity = item.quantity
+    limits = arm.limits.get(quantity.name) or arm.limits.get(quantity.effect)
+    if not limits:
+        return None
+    limit = limits[quantity.joint - 1] if len(limits) > 1 else limits[0]
+    day = item.change.day_of_limit(float(arm.dates[-1].toordinal()), limit)
+    return None if day is None or day >= FARTHEST_DATE else date.fromordinal(int(np.ceil(day)))
+
+
+def _further(
+    named: dict[tuple[str, int | None], list[FoundEffect]], effect: str, joint: int | None
+) -> str:
+    """Return rivals of the named effect, and other effects that are found."""
+    own = named.get((effect, joint))
+    rivals = own[-1].sentence.partition("; fits as well: ")[2] if own else ""
+    text = f"; fits as well: {rivals}" if rivals else ""
+    others = [_label(e, j) for e, j in named if (e, j) != (effect, joint)]
+    return text + (f"; also found: {', '.join(others[:3])}" if others else "")
+
+
+def _where(effect: str, joint: int | None) -> str:
+    return f"{effect} of the arm" if joint is None else f"{effect} of joint {joint}"
+
+
+def _amount(change: float, std: float | None, unit: str) -> str:
+    shown = "" if unit == "1" else f" {unit}"
+    return f"{change:+.3g}{shown}" if std is None else f"{change:+.3g} ± {std:.2g}{shown}"
+
+
+def _label(name: str, joint: int | None) -> str:
+    return name if joint is None else f"{name}:{joint}"

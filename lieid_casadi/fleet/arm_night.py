@@ -1,0 +1,217 @@
+"""One arm-night: read the recording, check it, diagnose it against the arm's fit."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.diagnosis import Diagnosis, DiagnosisStep, diagnose
+from lieid_casadi.errors import FleetError, LieidError, MissingDependency, RecordingError
+from lieid_casadi.fleet.night_estimate import NightEstimate, night_estimate
+from lieid_casadi.fleet.night_result import (
+    ArmNight,
+    Finding,
+    JointError,
+    NightResult,
+    ParameterEstimate,
+)
+from lieid_casadi.fleet.recordings import local_copy
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.recording_checks import check_recordings
+from lieid_casadi.json_numbers import number_or_none
+from lieid_casadi.recording import Recording, require_plausible_units
+from lieid_casadi.recording.readers.registry import hash_of_file
+from lieid_casadi.robot.inertia import parameter_transport
+
+Array = NDArray[np.float64]
+FITS_KEPT = 16  # per worker, with their compiled models
+# A recording is of another arm if, for at least half of the joints, this part of the torque and
+# this multiple of the noise is not explained by the robot's regressor with any parameters.
+# Simulated changes of an arm (tilted base, encoder offset of 0.1 rad) stay below on most joints.
+OTHER_ARM_PART, OTHER_ARM_NOISE = 0.2, 5.0
+
+
+def run_arm_night(night: ArmNight, fit_content: bytes) -> NightResult:
+    """Return the result of an arm-night; errors of the recording are part of it.
+
+    Parameters
+    ----------
+    night : ArmNight
+    fit_content : bytes
+        Of the arm's fit file. The loaded fit with its compiled model is kept for further nights.
+    """
+    from lieid_casadi import __version__
+
+    start, sha = time.perf_counter(), ""
+    try:
+        with local_copy(night.recording) as path:
+            sha = hash_of_file(path)
+            if night.run_id(sha, __version__) in night.done:
+                return NightResult("done", recording_sha256=sha, repeated=True)
+            result = _diagnosed(night, fit_content, path)
+    except (FleetError, MissingDependency) as error:
+        result = NightResult("failed", str(error))
+    except LieidError as error:
+        result = NightResult("refused", str(error).replace(f"{path}", night.recording))
+    seconds = time.perf_counter() - start
+    return replace(result, recording_sha256=sha, seconds=seconds)
+
+
+def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
+    fit = _fit(fit_content, None, None)
+    robot = fit.model.robot
+    recording = Recording.load(
+        path,
+        torque_constants=night.torque_constants,
+        n=robot.n,
+        joint_names=[joint.name for joint in robot.joints],
+        revolute=np.array([joint.revolute for joint in robot.joints]),
+    )
+    payload = _payload(night, recording)
+    if payload is not None:
+        fit = _fit(fit_content, payload, night.tool)
+    check_recordings(fit.model, [recording])
+    require_plausible_units(recording, robot)
+    estimate = night_estimate(fit, recording, np.fmax(fit.rms_cv, fit.noise))
+    _require_same_arm(fit, recording, estimate)
+    diagnosis = diagnose(fit, recording)
+    return NightResult(
+        "done",
+        payload=(recording.payload_label or ("",))[0],
+        findings=tuple(_finding(diagnosis, step) for step in diagnosis.steps)
+        + _unexplained(diagnosis),
+        parameters=tuple(
+            ParameterEstimate(p.name, p.joint + 1, float(value), float(std), p.unit)
+            for p, value, std in zip(
+                estimate.parameters, estimate.values, estimate.std, strict=True
+            )
+        ),
+        errors=_errors(diagnosis, estimate, recording),
+        checks=tuple((type(w).__name__, str(w)) for w in diagnosis.warnings),
+    )
+
+
+@lru_cache(maxsize=FITS_KEPT)
+def _fit(content: bytes, payload: tuple[float, ...] | None, tool: tuple[float, ...] | None) -> Fit:
+    """Return the fit of a file's content, with a known payload added to the last link."""
+    if payload is None:
+        handle, name = tempfile.mkstemp(suffix=".json", prefix="lieid-fleet-")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(content)
+            return Fit.load(name)
+        finally:
+            os.unlink(name)
+    fit = _fit(content, None, None)
+    robot, base = fit.model.robot, fit.model.base
+    pose = robot.tool if tool is None else np.reshape(tool, (4, 4))
+    change = np.zeros(len(fit.parameters))
+    change[10 * (robot.n - 1) : 10 * robot.n] = parameter_transport(pose) @ np.array(payload)
+    return replace(
+        fit, parameters=fit.parameters + change, values=fit.values + base.combination @ change
+    )
+
+
+def _payload(night: ArmNight, recording: Recording) -> tuple[float, ...] | None:
+    """Return the parameters (10,) of the recording's known payload."""
+    if not night.payloads:
+        return None
+    labels = sorted(set(recording.payload_label or ("",)))
+    if len(labels) > 1:
+        raise RecordingError(
+            f"{recording.title}: payloads {', '.join(map(repr, labels))} in one recording; "
+            "expected one recording per payload"
+        )
+    known = dict(night.payloads)
+    if labels[0] not in known and labels[0]:
+        raise RecordingError(
+            f"{recording.title}: payload {labels[0]!r} is not in the fleet file; expected one of "
+            f"{', '.join(map(repr, known))}"
+        )
+    return known.get(labels[0])
+
+
+def _require_same_arm(fit: Fit, recording: Recording, estimate: NightEstimate) -> None:
+    """Refuse a recording whose torque the robot's kinematics cannot explain."""
+    other = (estimate.unexplained > OTHER_ARM_PART) & (
+        estimate.unexplained_over_noise > OTHER_ARM_NOISE
+    )
+    if 2 * other.sum() >= len(other) and other.sum() > 1:
+        joints = ", ".join(str(j + 1) for j in np.flatnonzero(other))
+        raise RecordingError(
+            f"{recording.title}: the kinematics do not fit: with any inertias and friction, robot "
+            f"{fit.model.robot.name!r} leaves more than {100 * OTHER_ARM_PART:.0f} % of the torque "
+            f"of joints {joints} unexplained; check that the recording is of this arm"
+        )
+
+
+def _finding(diagnosis: Diagnosis, step: DiagnosisStep) -> Finding:
+    """Return a step as a row; its change is that of the parameters in the first one's unit.
+
+    The standard deviation follows from the size of the effect over the error that remains on
+    the joint where the error falls most, and the number of independent rows.
+    """
+    first, unit = next(iter(step.units.items()), ("", ""))
+    same = [v for name, v in step.parameters.items() if step.units[name] == unit]
+    change = same[0] if len(same) == 1 else float(np.linalg.norm(same))
+    evidence = step.evidence
+    ratio = evidence.effect_size / max(evidence.held_out_after, 1e-300)
+    rows = max(evidence.significance.rows / len(diagnosis.joint_names), 1.0)
+    std = abs(change) / (ratio * np.sqrt(rows)) if ratio > 0.0 else float("nan")
+    rivals = ", ".join(candidate.placement.label for candidate, _ in step.indistinguishable)
+    sentence = f"{step.label}: {first} = {step.parameters[first]:.4g} {unit}" if first else ""
+    return Finding(
+        step.effect,
+        step.joints[0] + 1 if step.joints else None,
+        float(change),
+        number_or_none(std),
+        unit,
+        float(np.nan_to_num(step.share)),
+        sentence + (f"; fits as well: {rivals}" if rivals else ""),
+    )
+
+
+def _unexplained(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+    """Return the unexplained parts of the residual as rows; their change is in N·m RMS."""
+    assert diagnosis.baseline_moving is not None
+    rows = []
+    for part in diagnosis.unexplained:
+        size = float(diagnosis.baseline_moving[part.joint]) * float(np.sqrt(part.fraction))
+        rows.append(
+            Finding(
+                "unexplained", part.joint + 1, size, None, "N·m", 0.0, part.relation,
+            )
+        )  # fmt: skip
+    return tuple(rows)
+
+
+def _errors(
+    diagnosis: Diagnosis, estimate: NightEstimate, recording: Recording
+) -> tuple[JointError, ...]:
+    moving = diagnosis.baseline_moving
+    expected = diagnosis.expected
+    assert moving is not None
+    assert expected is not None
+    temperature = None if recording.temperature is None else recording.temperature.mean(axis=0)
+    return tuple(
+        JointError(
+            j + 1,
+            number_or_none(moving[j]),
+            number_or_none(diagnosis.noise_floor[j]),
+            number_or_none(expected[j]),
+            number_or_none(estimate.torque_rms[j]),
+            None if temperature is None else float(temperature[j]),
+            float(recording.q[:, j].min()),
+            float(recording.q[:, j].max()),
+            float(recording.q[:, j].mean()),
+            float(recording.q[:, j].std()),
+        )
+        for j in range(len(moving))
+    )

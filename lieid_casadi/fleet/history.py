@@ -1,0 +1,221 @@
+"""The history of a fleet: one DuckDB file with all runs, written by one process at a time."""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from datetime import UTC, date, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.atomic_file import check_file, reported
+from lieid_casadi.errors import FleetError, MissingDependency
+from lieid_casadi.fleet.history_schema import SCHEMA, TABLES, prepare, schema_of
+from lieid_casadi.fleet.night_result import ArmNight, NightResult
+from lieid_casadi.recording.readers.registry import reason_of
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
+
+#: Tables with rows of a run.
+RUN_TABLES = ("findings", "parameters", "errors", "checks")
+
+
+class History(AbstractContextManager["History"]):
+    """A history file, open for writing or for reading only.
+
+    Parameters
+    ----------
+    path : str or Path
+    read_only : bool
+        The file must exist. DuckDB permits any number of readers, or one writer.
+
+    Raises
+    ------
+    FleetError
+        Another process has the file open, or it is not a history.
+    """
+
+    def __init__(self, path: str | Path, *, read_only: bool = False) -> None:
+        self.path = str(path)
+        if read_only and not Path(path).exists():
+            raise FleetError(f"{path}: no such file; expected a history that lieid fleet wrote")
+        if not read_only:
+            check_file(path)
+            with reported(path):
+                Path(path).absolute().parent.mkdir(parents=True, exist_ok=True)
+        self.connection = _connect(self.path, read_only=read_only)
+        try:
+            if not read_only:
+                prepare(self.connection, self.path)
+            elif schema_of(self.connection, self.path) < SCHEMA:
+                raise FleetError(f"{path}: an older schema; run lieid fleet once to migrate it")
+        except BaseException:
+            self.connection.close()
+            raise
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file; what was committed is in it."""
+        self.connection.close()
+
+    def rows(self, query: str, values: Sequence[object] = ()) -> list[tuple[Any, ...]]:
+        """Return the rows of an SQL query."""
+        return self.connection.execute(query, list(values)).fetchall()
+
+    def record(self, night: ArmNight, result: NightResult, started: datetime) -> None:
+        """Add a run with all its rows, in one transaction; a run that is there is not repeated.
+
+        Parameters
+        ----------
+        night : ArmNight
+        result : NightResult
+        started : datetime
+            UTC.
+        """
+        from lieid_casadi import __version__
+
+        run_id = night.run_id(result.recording_sha256, __version__)
+        if result.repeated:
+            self.insert("repeats", [(night.serial, night.recording, night.stamp, run_id)])
+            return
+        if result.status == "failed":
+            run_id = secrets.token_hex(16)
+        key = (run_id, night.serial, night.date)
+        with self.transaction():
+            if self.rows("SELECT 1 FROM runs WHERE run_id = ?", [run_id]):
+                return
+            self.insert(
+                "runs",
+                [
+                    (
+                        run_id, night.serial, night.recording, result.recording_sha256,
+                        night.fit_sha256, __version__, started.astimezone(UTC).replace(tzinfo=None),
+                        result.seconds, result.status, result.reason, night.date, night.stamp,
+                        night.condition, result.payload,
+                    )
+                ],
+            )  # fmt: skip
+            for table in RUN_TABLES:
+                self.insert(table, [key + _values(row) for row in getattr(result, table)])
+
+    def insert(self, table: str, rows: Sequence[Sequence[object]]) -> None:
+        """Add rows to a table, in the order of its columns."""
+        if rows:
+            one = "(" + ", ".join("?" * len(rows[0])) + ")"
+            every = ", ".join([one] * len(rows))
+            self.connection.execute(
+                f"INSERT INTO {table} VALUES {every}", [value for row in rows for value in row]
+            )
+
+    def transaction(self) -> AbstractContextManager[None]:
+        """Return a context whose changes are committed together, or not at all."""
+        return _Transaction(self.connection)
+
+    def finished(self, version: str) -> tuple[set[tuple[str, ...]], dict[str, set[str]]]:
+        """Return the files that are in the history, and the identities of the runs of each arm.
+
+        Files are (serial, recording, stamp, fit_sha256, condition); failed runs are left out,
+        since they are tried again.
+        """
+        files = self.rows(
+            "SELECT serial, recording, stamp, fit_sha256, condition FROM runs "
+            "WHERE status <> 'failed' AND version = ? UNION ALL "
+            "SELECT p.serial, p.recording, p.stamp, r.fit_sha256, r.condition "
+            "FROM repeats p JOIN runs r USING (run_id) WHERE r.version = ?",
+            [version, version],
+        )
+        runs: dict[str, set[str]] = {}
+        for serial, run_id in self.rows(
+            "SELECT serial, run_id FROM runs WHERE status <> 'failed' AND version = ?", [version]
+        ):
+            runs.setdefault(serial, set()).add(run_id)
+        return set(files), runs
+
+    def set_arms(self, arms: Iterable[tuple[str, str, int, str, Mapping[str, Any]]]) -> None:
+        """Store serial, robot, number of joints, fit and limits of each arm."""
+        with self.transaction():
+            for serial, robot, joints, fit_sha256, limits in arms:
+                self.connection.execute(
+                    "INSERT OR REPLACE INTO arms VALUES (?, ?, ?, ?, ?)",
+                    [serial, robot, joints, fit_sha256, json.dumps(dict(limits))],
+                )
+
+    @property
+    def kept_from(self) -> date | None:
+        """First night that retention has kept; None if nothing was removed."""
+        ((kept,),) = self.rows("SELECT kept_from FROM history")
+        return kept  # type: ignore[no-any-return]
+
+    def remove_before(self, first: date) -> int:
+        """Remove runs of nights before a date, and their rows; return the number of runs."""
+        with self.transaction():
+            old = self.rows("SELECT run_id FROM runs WHERE date < ?", [first])
+            for table in (*RUN_TABLES, "repeats", "runs"):
+                self.connection.execute(
+                    f"DELETE FROM {table} WHERE run_id IN (SELECT run_id FROM runs WHERE date < ?)",
+                    [first],
+                )
+            self.connection.execute("UPDATE history SET kept_from = ?", [first])
+        return len(old)
+
+    def export_parquet(self, folder: Path) -> tuple[Path, ...]:
+        """Write every table as a Parquet file into a folder that exists."""
+        written = []
+        for table in TABLES:
+            path = folder / f"{table}.parquet"
+            self.connection.execute(f"COPY {table} TO '{_quoted(path)}' (FORMAT parquet)")
+            written.append(path)
+        return tuple(written)
+
+
+class _Transaction(AbstractContextManager[None]):
+    def __init__(self, connection: DuckDBPyConnection) -> None:
+        self._connection = connection
+
+    def __enter__(self) -> None:
+        self._connection.execute("BEGIN")
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._connection.execute("COMMIT" if kind is None else "ROLLBACK")
+
+
+def _connect(path: str, *, read_only: bool) -> DuckDBPyConnection:
+    try:
+        import duckdb
+    except ImportError:
+        raise MissingDependency(
+            "fleets need duckdb; install it with: pip install 'lieid-casadi[fleet]'"
+        ) from None
+    try:
+        return duckdb.connect(path, read_only=read_only)
+    except duckdb.Error as error:
+        text = str(error)
+        process = re.search(r"PID (\d+)", text)
+        if "lock" in text:
+            holder = f"process {process[1]}" if process else "another process"
+            raise FleetError(
+                f"{path}: in use by {holder}; run this command again when that has finished"
+            ) from None
+        raise FleetError(f"{path}: not a DuckDB file ({reason_of(error)})") from None
+
+
+def _values(row: object) -> tuple[object, ...]:
+    return row if isinstance(row, tuple) else tuple(vars(row).values())
+
+
+def _quoted(path: Path) -> str:
+    return str(path).replace("'", "''")

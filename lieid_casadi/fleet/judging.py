@@ -1,0 +1,215 @@
+"""Which quantities of which arms have changed by a night, over the whole fleet."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from datetime import date
+
+import numpy as np
+from scipy.stats import false_discovery_control
+
+from lieid_casadi.blas_threads import blas_on_one_thread
+from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, Quantity
+from lieid_casadi.fleet.statistics.changes import FEWEST_NIGHTS, Change, strongest_change
+from lieid_casadi.fleet.statistics.repeated_findings import repeated_finding
+from lieid_casadi.fleet.statistics.scatter import (
+    EXPECTED_SLOW,
+    NightSeries,
+    ScatterPrior,
+    TemperaturePrior,
+    scatter_prior,
+    temperature_prior,
+)
+
+FALSE_ALARMS = 5e-4  # per arm and night, at most
+DISCOVERY_RATE = 0.05  # false discoveries among the arms with a new change, at most
+LEAST_SIZE = 3.0  # of a change, in units of the night-to-night scatter
+SEEN_WITHOUT_NIGHT = 0.01  # p-value at which nights show a change without any one of them
+RARE_FINDING = 0.002  # least rate of a finding, per night
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedQuantity:
+    """A quantity of an arm whose change is significant."""
+
+    quantity: Quantity
+    change: Change
+    since: date
+
+
+@dataclass(frozen=True)
+class RepeatedEffect:
+    """An effect that diagnoses find on an arm since a night."""
+
+    effect: str
+    joint: int | None
+    since: date
+
+
+#: What may have changed, and the p-value.
+Test = tuple[ChangedQuantity | RepeatedEffect, float]
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedArm:
+    """Changes of one arm by a night, the most significant first."""
+
+    arm: ArmHistory
+    changed: tuple[ChangedQuantity, ...]
+    repeated: tuple[RepeatedEffect, ...]
+
+
+@blas_on_one_thread
+def judge_night(
+    arms: Sequence[ArmHistory], last: date, *, alarmed: Collection[str] = ()
+) -> list[JudgedArm]:
+    """Return the significant changes of all arms with a recording of a night.
+
+    Every change is judged against the scatter of its own arm. The p-values of an arm are adjusted
+    for their number (Benjamini and Hochberg); the smallest is the p-value of the arm (Simes). Arms
+    have changed if it is at most `FALSE_ALARMS`, and if they are discoveries among the arms
+    without an open alarm at the rate `DISCOVERY_RATE`. The quantities of other arms, and changes
+    that are known already, therefore do not raise the limit of an arm.
+
+    Parameters
+    ----------
+    arms : sequence of ArmHistory
+    last : date
+        Later nights are not used.
+    alarmed : collection of str
+        Serials of arms with an open alarm, which are no discoveries of this night.
+    """
+    known = [arm for arm in (each.until(last) for each in arms) if arm.dates]
+    tonight = [arm for arm in known if arm.dates[-1] == last]
+    tests = _adjusted_tests(tonight, known)
+    quiet = [k for k, arm in enumerate(tonight) if arm.serial not in alarmed]
+    chosen = set(range(len(tonight)))
+    if quiet:
+        smallest = [min((p for _, p in tests[k]), default=1.0) for k in quiet]
+        rates = false_discovery_control(smallest)
+        chosen -= {k for k, rate in zip(quiet, rates, strict=True) if rate > DISCOVERY_RATE}
+    return [_judged(arm, tests[k] if k in chosen else []) for k, arm in enumerate(tonight)]
+
+
+def _adjusted_tests(tonight: Sequence[ArmHistory], known: Sequence[ArmHistory]) -> list[list[Test]]:
+    """Return, for each arm, what may have changed, with p-values adjusted for their number."""
+    scatter, warmth = _priors(known)
+    counts = _finding_counts(known)
+    nights = sum(len(arm.dates) for arm in known)
+    adjusted = []
+    for arm in tonight:
+        tests: list[Test] = []
+        for quantity, series, first in _judged_series(arm):
+            change = strongest_change(
+                series,
+                scatter[arm.robot, quantity.name, series.has_temperature],
+                warmth.get((arm.robot, quantity)),
+                rises_only=quantity.name == ERROR,
+            )
+            if change is not None:
+                item = ChangedQuantity(quantity, change, arm.dates[first + change.first])
+                tests.append((item, change.p_value))
+        others = max(nights - len(arm.dates), 1)
+        rates = {e: (counts[e] - 1) / others for night in arm.found for e, _ in night}
+        tests += _repeated(arm, rates)
+        if tests:
+            p_values = false_discovery_control([p for _, p in tests])
+            tests = [(item, float(p)) for (item, _), p in zip(tests, p_values, strict=True)]
+        adjusted.append(tests)
+    return adjusted
+
+
+def _judged(arm: ArmHistory, tests: Sequence[Test]) -> JudgedArm:
+    found = [test for test in tests if test[1] <= FALSE_ALARMS and _is_relevant(arm, test[0])]
+    items = [item for item, _ in sorted(found, key=lambda test: test[1])]
+    return JudgedArm(
+        arm,
+        tuple(item for item in items if isinstance(item, ChangedQuantity)),
+        tuple(item for item in items if isinstance(item, RepeatedEffect)),
+    )
+
+
+def _judged_series(arm: ArmHistory) -> list[tuple[Quantity, NightSeries, int]]:
+    """Return the series of an arm since their baselines, and the position of the first night."""
+    found = []
+    for quantity, series in arm.series.items():
+        first = arm.baseline_of(quantity.joint)
+        if len(series) - first >= FEWEST_NIGHTS:
+            found.append((quantity, series.part(first), first))
+    return found
+
+
+def _priors(
+    arms: Sequence[ArmHistory],
+) -> tuple[dict[tuple[str, str, bool], ScatterPrior], dict[tuple[str, Quantity], TemperaturePrior]]:
+    """Return the priors of scatter and of the slope over temperature.
+
+    Scatter is pooled over the joints of all arms with the same robot, apart for series with and
+    without temperatures; slopes over arms with the same robot. Temperatures that are not recorded
+    are expected to vary like those of the other arms, and to act like on their strongest joint.
+    """
+    by_joint: dict[tuple[str, Quantity], list[NightSeries]] = defaultdict(list)
+    for arm in arms:
+        for quantity, series, _ in _judged_series(arm):
+            by_joint[arm.robot, quantity].append(series)
+    warmth: dict[tuple[str, Quantity], TemperaturePrior] = {}
+    pools: dict[tuple[str, str, bool], list[NightSeries]] = defaultdict(list)
+    slow: dict[tuple[str, str, bool], float] = defaultdict(lambda: EXPECTED_SLOW)
+    for (robot, quantity), every in by_joint.items():
+        prior = temperature_prior(every)
+        if prior is not None:
+            warmth[robot, quantity] = prior
+            unknown = robot, quantity.name, False
+            slow[unknown] = max(slow[unknown], prior.variance(every))
+        for series in every:
+            known = prior is not None and series.has_temperature
+            corrected = series.at_mean_temperature(prior.slope) if known and prior else series
+            pools[robot, quantity.name, series.has_temperature].append(corrected)
+    scatter = {k: scatter_prior(each, expected_slow=slow[k]) for k, each in pools.items()}
+    return scatter, warmth
+
+
+def _finding_counts(arms: Sequence[ArmHistory]) -> Counter[str]:
+    """Return, for each effect, on how many arms it was found.
+
+    On an arm that has changed an effect is found every night; each arm is therefore counted once.
+    """
+    counts: Counter[str] = Counter()
+    for arm in arms:
+        counts.update({effect for night in arm.found for effect, _ in night})
+    return counts
+
+
+def _repeated(arm: ArmHistory, rates: dict[str, float]) -> list[tuple[RepeatedEffect, float]]:
+    """Return effects that were found this night and before, and their p-values."""
+    if len(arm.dates) < FEWEST_NIGHTS:
+        return []
+    found = []
+    for effect, joint in arm.found[-1]:
+        if effect == "unexplained":
+            continue
+        first = arm.baseline_of(joint)
+        nights = np.array([(effect, joint) in night for night in arm.found[first:]])
+        if nights.sum() >= 2 and len(nights) >= FEWEST_NIGHTS:
+            p, start = repeated_finding(nights, max(rates[effect], RARE_FINDING))
+            found.append((RepeatedEffect(effect, joint, arm.dates[first + start]), p))
+    return found
+
+
+def _is_relevant(arm: ArmHistory, item: ChangedQuantity | RepeatedEffect) -> bool:
+    """Whether a change exceeds the scatter, and is more than one unusual night.
+
+    A change that only one night shows counts if this night is the last one, and its diagnosis
+    found an effect of the joint or of the arm.
+    """
+    if isinstance(item, RepeatedEffect):
+        return True
+    change = item.change
+    if abs(change.size) < LEAST_SIZE * change.scatter:
+        return False
+    if change.p_without_night <= SEEN_WITHOUT_NIGHT:
+        return True
+    joints = {joint for _, joint in arm.found[-1]}
+    return item.since == arm.dates[-1] and bool(joints & {None, item.quantity.joint})

@@ -1,0 +1,178 @@
+"""Recordings of a fleet: listed and read through fsspec, from paths or URLs."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from pathlib import Path
+from re import Pattern
+from typing import Any, TypeVar
+
+from lieid_casadi.errors import FleetError, MissingDependency
+from lieid_casadi.recording.readers.registry import reason_of
+
+T = TypeVar("T")
+ATTEMPTS, FIRST_WAIT = 3, 0.5  # at a store that cannot be reached; seconds, doubled each time
+FOLDER_FILES = ("metadata.yaml", "meta/info.json")  # of recordings that are folders
+MODIFIED_KEYS = ("LastModified", "last_modified", "mtime", "updated", "modified", "created")
+VERSION_KEYS = ("ETag", "etag", "md5Hash", "VersionId")
+
+
+@dataclass(frozen=True)
+class RecordingFile:
+    """A recording in a store.
+
+    Attributes
+    ----------
+    location : str
+        Path or URL.
+    stamp : str
+        Changes when the file changes: size, and the store's hash or the time of change.
+    modified : datetime or None
+        UTC.
+    """
+
+    location: str
+    stamp: str
+    modified: datetime | None
+
+
+def list_recordings(pattern: str) -> list[RecordingFile]:
+    """Return the files of a path pattern or URL, sorted by name.
+
+    Raises
+    ------
+    FleetError
+        The store cannot be reached, or no file matches.
+    """
+    system, path = _file_system(pattern)
+    local = "://" not in pattern and "::" not in pattern
+
+    def listed() -> Mapping[str, Mapping[str, Any]]:
+        if any(c in path for c in "*?["):
+            return dict(system.glob(path, detail=True))
+        return {path: system.info(path)}
+
+    found = []
+    for name, info in sorted(_attempt(listed, pattern).items()):
+        if info.get("type") == "directory" and not (local and _is_recording(Path(name))):
+            continue
+        location = name if local else _url(pattern, system, name)
+        found.append(RecordingFile(location, _stamp(info), _modified(info)))
+    if not found:
+        raise FleetError(f"{pattern}: no file matches")
+    return found
+
+
+@contextlib.contextmanager
+def local_copy(location: str) -> Iterator[Path]:
+    """Path of a recording on this machine; of a remote one a copy that is removed afterwards.
+
+    Raises
+    ------
+    FleetError
+        The file cannot be read.
+    """
+    if "://" not in location and "::" not in location:
+        if not Path(location).exists():
+            raise FleetError(f"{location}: no such file")
+        yield Path(location)
+        return
+    system, path = _file_system(location)
+    with tempfile.TemporaryDirectory(prefix="lieid-fleet-") as folder:
+        copy = Path(folder) / path.rpartition("/")[2]
+        _attempt(lambda: system.get_file(path, str(copy)), location)
+        yield copy
+
+
+def night_of(file: RecordingFile, pattern: Pattern[str] | None) -> date:
+    """Return the date of a recording: that in its path, or that of the file's last change (UTC).
+
+    Raises
+    ------
+    FleetError
+        The path does not contain a date, or the store states no time.
+    """
+    if pattern is None:
+        if file.modified is None:
+            raise FleetError(
+                f"{file.location}: the store states no time of change; expected a date in the "
+                "path and the key 'night' in the fleet file"
+            )
+        return file.modified.date()
+    match = pattern.search(file.location)
+    if match is None:
+        raise FleetError(f"{file.location}: 'night' ({pattern.pattern}) does not match this path")
+    text = match["date"]
+    try:
+        stated = datetime.fromisoformat(text)
+    except ValueError:
+        raise FleetError(
+            f"{file.location}: found {text!r} as date, expected ISO 8601 such as 2026-11-20"
+        ) from None
+    return (stated.astimezone(UTC) if stated.tzinfo else stated).date()
+
+
+def _file_system(location: str) -> tuple[Any, str]:
+    try:
+        import fsspec
+    except ImportError:
+        raise MissingDependency(
+            "fleets need fsspec; install it with: pip install 'lieid-casadi[fleet]'"
+        ) from None
+    try:
+        system, path = fsspec.core.url_to_fs(location)
+    except ImportError as error:  # such as s3fs for s3://
+        raise MissingDependency(f"{location}: {reason_of(error)}") from None
+    except Exception as error:
+        raise FleetError(f"{location}: {reason_of(error)}") from error
+    return system, str(path)
+
+
+def _attempt(action: Callable[[], T], location: str) -> T:
+    """Return the result of an action on a store; one that cannot be reached is tried again."""
+    for wait in (*(FIRST_WAIT * 2**k for k in range(ATTEMPTS - 1)), None):
+        try:
+            return action()
+        except FileNotFoundError:
+            raise FleetError(f"{location}: no such file") from None
+        except Exception as error:
+            if wait is None or isinstance(error, PermissionError):
+                raise FleetError(f"{location}: cannot be read ({reason_of(error)})") from error
+        time.sleep(wait)
+    raise AssertionError  # the last attempt returns or raises
+
+
+def _is_recording(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in FOLDER_FILES)
+
+
+def _url(pattern: str, system: Any, name: str) -> str:
+    if "::" in pattern:
+        return (
+            f"{pattern.partition('::')[0].partition('://')[0]}://{name}::"
+            + (pattern.partition("::")[2])
+        )
+    return str(system.unstrip_protocol(name))
+
+
+def _stamp(info: Mapping[str, Any]) -> str:
+    version = next((str(info[key]) for key in VERSION_KEYS if info.get(key)), "")
+    return f"{info.get('size')}:{version or _modified(info)}"
+
+
+def _modified(info: Mapping[str, Any]) -> datetime | None:
+    for key in MODIFIED_KEYS:
+        value = info.get(key)
+        if isinstance(value, datetime):
+            return value.astimezone(UTC)
+        if isinstance(value, int | float):
+            return datetime.fromtimestamp(value, UTC)
+        if isinstance(value, str):
+            with contextlib.suppress(ValueError):
+                return datetime.fromisoformat(value).astimezone(UTC)
+    return None

@@ -1,0 +1,1 @@
+"""Statistics over nights: scatter, changes, repeated findings."""

@@ -1,0 +1,248 @@
+"""Scatter and dependence on temperature of comparable quantities, pooled over the arms.
+
+The variance of one arm is regarded as drawn from a distribution over all arms, whose parameters
+are estimated from medians (Smyth, Statistical Applications in Genetics and Molecular Biology 3,
+2004, with robust moments): arms that have changed do not enlarge the scatter of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import digamma, polygamma
+from scipy.stats import chi2
+
+Array = NDArray[np.float64]
+
+FEWEST_FREEDOM, MOST_FREEDOM = 4.0, 15.0  # of the prior of the scatter
+LEAST_SCATTER = 0.3  # in units of the nominal standard deviation
+MAD_TO_STD = 1.4826
+LEAST_TEMPERATURE_RANGE = 0.5  # °C
+#: Variance between motions relative to that between nights, before it is estimated, the number
+#: of pairs of nights that this counts as, and the largest value.
+EXPECTED_BETWEEN, KNOWN_PAIRS, MOST_BETWEEN = 1.0, 5, 20.0
+#: The same for slow variations, their correlation time, and the distance of nights from which
+#: they are estimated.
+EXPECTED_SLOW, MOST_SLOW, SLOW_DAYS, FAR_NIGHTS = 0.5, 20.0, 5.0, 6
+
+
+@dataclass(frozen=True, eq=False)
+class NightSeries:
+    """A quantity of one arm over its nights.
+
+    Attributes
+    ----------
+    days : (N,)
+        Number of each night, increasing.
+    values : (N,)
+    scales : (N,)
+        Nominal standard deviations.
+    temperature : (N,)
+        °C; NaN where it is not recorded.
+    motions : (N,) int
+        Number of the motion: nights with the same motion and payload have the same number.
+    """
+
+    days: Array
+    values: Array
+    scales: Array
+    temperature: Array
+    motions: NDArray[np.intp]
+
+    def __len__(self) -> int:
+        return len(self.days)
+
+    def part(self, first: int, last: int | None = None) -> NightSeries:
+        """Return nights first … last − 1."""
+        at = slice(first, last)
+        return NightSeries(
+            self.days[at],
+            self.values[at],
+            self.scales[at],
+            self.temperature[at],
+            self.motions[at],
+        )
+
+    def at_mean_temperature(self, slope: float) -> NightSeries:
+        """Return the series without the dependence on temperature, slope in scales per °C."""
+        warmer = self.temperature - self.temperature.mean()
+        return replace(self, values=self.values - slope * np.median(self.scales) * warmer)
+
+    @property
+    def has_temperature(self) -> bool:
+        """Whether temperatures of all nights are recorded, and vary."""
+        t = self.temperature
+        return bool(np.isfinite(t).all() and len(t) and np.ptp(t) >= LEAST_TEMPERATURE_RANGE)
+
+
+@dataclass(frozen=True)
+class ScatterPrior:
+    """Distribution of the scatter's variance over arms.
+
+    Attributes
+    ----------
+    variance, freedom : float
+        s0², of nights with one motion, in units of the nominal variance, and its degrees of
+        freedom.
+    between : float
+        Variance between motions relative to that between nights with one motion.
+    slow : float
+        Relative variance of what varies slowly, such as a temperature that is not recorded.
+    """
+
+    variance: float
+    freedom: float
+    between: float = 0.0
+    slow: float = 0.0
+
+
+@dataclass(frozen=True)
+class TemperaturePrior:
+    """Slope over temperature, in nominal standard deviations per °C, and its spread over arms."""
+
+    slope: float
+    spread: float
+
+    def variance(self, series: Sequence[NightSeries]) -> float:
+        """Return the variance that the recorded temperatures cause, in nominal variances."""
+        recorded = [each.temperature for each in series if each.has_temperature]
+        return self.slope**2 * float(np.var(np.concatenate(recorded))) if recorded else 0.0
+
+
+def scatter_prior(
+    series: Sequence[NightSeries], *, expected_slow: float = EXPECTED_SLOW
+) -> ScatterPrior:
+    """Return the distribution of the scatter's variance over series of comparable quantities.
+
+    Medians are used, so that arms that have changed do not enlarge the scatter of the others.
+
+    Parameters
+    ----------
+    series : sequence of NightSeries
+    expected_slow : float
+        Relative variance of slow variations before it is estimated from the series.
+    """
+    slow = _slow_part(series, min(expected_slow, MOST_SLOW))
+    nights = ScatterPrior(1.0, FEWEST_FREEDOM, _between_motions(series), slow)
+    pairs = [_own_variance(each, nights) for each in series if len(each) >= 3]
+    if not pairs:
+        return nights
+    variances, freedoms = np.array(pairs).T
+    variances = np.maximum(variances, 1e-12)
+    half = 0.5 * freedoms
+    shifted = np.log(variances) - digamma(half) + np.log(half)
+    middle = float(np.median(shifted))
+    spread = (MAD_TO_STD * float(np.median(np.abs(shifted - middle)))) ** 2
+    excess = spread - float(np.mean(polygamma(1, half)))
+    freedom = _inverse_trigamma(excess) if len(pairs) >= 5 and excess > 0.0 else None
+    if freedom is None:
+        freedom = MOST_FREEDOM if len(pairs) >= 5 else FEWEST_FREEDOM
+    freedom = float(np.clip(freedom, FEWEST_FREEDOM, MOST_FREEDOM))
+    typical = float(np.median(variances * freedoms / chi2.median(freedoms)))
+    return replace(nights, variance=max(typical, LEAST_SCATTER**2), freedom=freedom)
+
+
+def whitening(series: NightSeries, prior: ScatterPrior) -> Array:
+    """Return the matrix (N, N) that makes nights, in nominal standard deviations, independent.
+
+    Parameters
+    ----------
+    series : NightSeries
+    prior : ScatterPrior
+    """
+    covariance = np.eye(len(series)) + prior.between * (series.motions[:, None] == series.motions)
+    covariance += prior.slow * np.exp(-np.abs(series.days[:, None] - series.days) / SLOW_DAYS)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def _between_motions(series: Sequence[NightSeries]) -> float:
+    """Return the variance between motions relative to that between nights with one motion.
+
+    It follows from the differences of successive nights with and without a change of motion.
+    """
+    within: list[float] = []
+    across: list[float] = []
+    for each in series:
+        differences = np.diff(each.values) / np.median(each.scales)
+        same = np.diff(each.motions) == 0
+        within += (differences[same] ** 2).tolist()
+        across += (differences[~same] ** 2).tolist()
+    if len(within) < KNOWN_PAIRS or not across:
+        return 0.0  # one motion, or one per night, whose variance is in that between nights
+    ratio = float(np.median(across)) / max(float(np.median(within)), 1e-12) - 1.0
+    ratio = float(np.clip(ratio, 0.0, MOST_BETWEEN))
+    return (len(across) * ratio + KNOWN_PAIRS * EXPECTED_BETWEEN) / (len(across) + KNOWN_PAIRS)
+
+
+def temperature_prior(series: Sequence[NightSeries]) -> TemperaturePrior | None:
+    """Return the slope over temperature of comparable series; None without temperatures.
+
+    Slopes are estimated from differences of successive nights, on which a change has little
+    influence.
+
+    Parameters
+    ----------
+    series : sequence of NightSeries
+        Of one joint of arms of one kind.
+    """
+    slopes, errors = [], []
+    for each in series:
+        if len(each) < 3 or not each.has_temperature:
+            continue
+        x = np.diff(each.values) / np.median(each.scales)
+        warmer = np.diff(each.temperature)
+        total = float(warmer @ warmer)
+        slope = float(warmer @ x) / total
+        slopes.append(slope)
+        rest = x - slope * warmer
+        errors.append(float(np.sqrt(np.mean(rest**2) / total)))
+    if not slopes:
+        return None
+    middle = float(np.median(slopes))
+    spread = MAD_TO_STD * float(np.median(np.abs(np.array(slopes) - middle)))
+    return TemperaturePrior(middle, max(spread, float(np.median(errors)), 1e-9))
+
+
+def _slow_part(series: Sequence[NightSeries], expected: float) -> float:
+    """Return the relative variance of slow variations, from differences over one and more nights.
+
+    The variance of a difference over k days is 2·σ²·(1 + slow·(1 − exp(−k/SLOW_DAYS))).
+    """
+    near: list[float] = []
+    far: list[float] = []
+    for each in series:
+        x = each.values / np.median(each.scales)
+        near += (np.diff(x) ** 2).tolist()
+        far += ((x[FAR_NIGHTS:] - x[:-FAR_NIGHTS]) ** 2).tolist()
+    if not near:
+        return expected
+    at_near, at_far = 1.0 - np.exp(-1.0 / SLOW_DAYS), 1.0 - np.exp(-FAR_NIGHTS / SLOW_DAYS)
+    ratio = float(np.median(far)) / max(float(np.median(near)), 1e-12) if far else 1.0
+    rest = at_far - at_near * ratio
+    slow = MOST_SLOW if rest <= 0.0 else float(np.clip((ratio - 1.0) / rest, 0.0, MOST_SLOW))
+    return (len(far) * slow + KNOWN_PAIRS * expected) / (len(far) + KNOWN_PAIRS)
+
+
+def _own_variance(series: NightSeries, prior: ScatterPrior) -> tuple[float, float]:
+    """Return variance around the mean, in scales, and its degrees of freedom."""
+    columns = [1.0 / series.scales]
+    if series.has_temperature and len(series) >= 5:
+        columns.append((series.temperature - series.temperature.mean()) / series.scales)
+    white = whitening(series, prior)
+    matrix, target = white @ np.column_stack(columns), white @ (series.values / series.scales)
+    rest = target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
+    freedom = len(series) - len(columns)
+    return float(rest @ rest) / freedom, float(freedom)
+
+
+def _inverse_trigamma(value: float) -> float:
+    """Return d for which trigamma(d/2) is the value."""
+    return float(
+        2.0 * brentq(lambda half: float(polygamma(1, half)) - value, 1e-3, 1e4)
+        if polygamma(1, 1e4) < value < polygamma(1, 1e-3)
+        else 2e4
+    )

@@ -1,0 +1,184 @@
+"""Alarms: raised once per cause, named, dated, acknowledged."""
+
+import shutil
+from datetime import date, timedelta
+
+import pytest
+from fleet.synthetic_history import FIRST, write_history
+
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import FleetError
+from lieid_casadi.fleet.alarm_history import acknowledge, judge_new_nights, read_alarms
+from lieid_casadi.fleet.history import History
+from lieid_casadi.fleet.history_schema import SCHEMA
+
+ARMS = [f"A{k}" for k in range(6)]
+WORN_FROM, LOADED_FROM = 6, 8
+
+
+def changed(serial, k):
+    """Return wear of A1 by 1 % per night, a body on the tool of A2, an unknown change of A3."""
+    if serial == "A1" and k >= WORN_FROM:
+        return {"grown": {("coulomb.f_c", 2): 0.02 * (k - WORN_FROM + 1)}}
+    if serial == "A2" and k >= LOADED_FROM:
+        return {
+            "errors": {1: 3.0, 2: 2.0},
+            "grown": {("coulomb.f_c", 1): 0.2},
+            "findings": [("payload", None, 0.8), ("coulomb", 1, 0.2)][: 1 + (k == LOADED_FROM)],
+        }
+    if serial == "A3" and k >= LOADED_FROM:
+        return {"errors": {2: 1.5}, "findings": [("unexplained", 2, 0.1)]}
+    if serial == "A4" and k == 7:  # one odd night
+        return {"errors": {1: 2.0, 2: 2.0}}
+    return {}
+
+
+@pytest.fixture(scope="module")
+def judged_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("judged") / "h.duckdb"
+    write_history(path, 14, ARMS, changed, limits={"coulomb": [9.0, 2.5]})
+    with History(path) as history:
+        return path, judge_new_nights(history)
+
+
+@pytest.fixture
+def judged(judged_file, tmp_path):
+    """A copy of a history with all its alarms, open, and the new alarms."""
+    path, new = judged_file
+    with History(shutil.copy(path, tmp_path / "h.duckdb")) as history:
+        yield history, new
+
+
+def test_one_alarm_per_cause_with_name_and_beginning(judged):
+    history, new = judged
+    alarms = {alarm.serial: alarm for alarm in read_alarms(history)}
+    assert len(new) == 3
+    assert set(alarms) == {"A1", "A2", "A3"}
+    wear, load, other = alarms["A1"], alarms["A2"], alarms["A3"]
+    assert (wear.quantity, wear.joint, wear.unit) == ("coulomb", 2, "N·m")
+    assert abs((wear.since - FIRST).days - WORN_FROM) <= 2
+    assert abs(wear.change - 0.16) < 4.0 * wear.std
+    assert wear.slope_low < wear.slope < wear.slope_high
+    assert 0.012 < wear.slope_low < 0.02 < wear.slope_high < 0.028
+    assert abs((wear.limit_date - (FIRST + timedelta(days=30))).days) <= 3
+    assert "per day (95 %)" in wear.sentence
+    assert wear.raised - wear.since <= timedelta(days=6)
+    assert (load.quantity, load.joint, load.change) == ("payload", None, 0.8)
+    assert load.since == load.raised == FIRST + timedelta(days=LOADED_FROM)
+    assert (other.quantity, other.joint) == ("unexplained", 2)
+    assert other.since == FIRST + timedelta(days=LOADED_FROM)
+    assert all(alarm.last == FIRST + timedelta(days=13) for alarm in alarms.values())
+    assert alarms["A2"].severity > alarms["A1"].severity > 0.0
+
+
+def test_nothing_is_judged_twice(judged):
+    history, _ = judged
+    before = read_alarms(history)
+    assert judge_new_nights(history) == []
+    assert read_alarms(history) == before
+
+
+def test_an_acknowledged_alarm_starts_a_new_baseline(tmp_path):
+    path = write_history(tmp_path / "h.duckdb", 12, ARMS, changed)
+    with History(path) as history:
+        judge_new_nights(history)
+        assert acknowledge(history, "A2", note="gripper taken off") == 1
+        with pytest.raises(FleetError, match="no arm 'B9'"):
+            acknowledge(history, "B9", note="x")
+        with pytest.raises(FleetError, match="no joint 3; expected 1 to 2"):
+            acknowledge(history, "A2", joint=3, note="x")
+        (closed,) = [a for a in read_alarms(history) if a.serial == "A2"]
+        assert closed.note == "gripper taken off"
+        assert closed.closed == FIRST + timedelta(days=11)
+    # the body stays, which is now the normal state of the arm
+    write_history(path, 20, ARMS, changed)
+    with History(path) as history:
+        assert judge_new_nights(history) == []
+        open_alarms = {a.serial for a in read_alarms(history, open_only=True)}
+        assert open_alarms == {"A1", "A3"}
+        assert acknowledge(history, "A1", joint=1, note="another joint") == 0
+        assert acknowledge(history, "A1", joint=2, note="greased") == 1
+
+
+def test_the_first_alarm_is_possible_on_the_fourth_night(tmp_path):
+    def loaded(serial, k):
+        loaded = serial == "A0" and k >= 2
+        return {"errors": {1: 4.0}, "findings": [("payload", None, 1.0)]} if loaded else {}
+
+    path = tmp_path / "h.duckdb"
+    for nights in (3, 4):
+        write_history(path, nights, ARMS, loaded)
+        with History(path) as history:
+            new = judge_new_nights(history)
+        assert [a.serial for a in new] == (["A0"] if nights == 4 else [])
+
+
+def test_report_export_and_acknowledge_by_command(judged, tmp_path, capsys):
+    history, _ = judged
+    history.connection.close()
+    path, page, metrics = (str(tmp_path / name) for name in ("h.duckdb", "r.html", "fleet.prom"))
+    assert main(["fleet", "report", path, "--html", page, "--json", str(tmp_path / "a.json")]) == 0
+    shown = capsys.readouterr().out
+    assert "A2: payload of the arm since 2026-01-09" in shown
+    text = (tmp_path / "r.html").read_text("utf-8")
+    assert "3 of them have changed" in text
+    assert text.index(">A2<") < text.index(">A3<")  # sorted by severity
+    assert "check what is mounted on the tool" in text
+    for arm in ARMS:
+        assert f"{arm} (robot)" in text
+    assert main(["fleet", "export", path, "--prometheus", metrics]) == 0
+    lines = (tmp_path / "fleet.prom").read_text("utf-8").splitlines()
+    samples = [line for line in lines if not line.startswith("#")]
+    assert any(
+        line.startswith('lieid_fleet_alarm{serial="A1",joint="2",quantity="coulomb"')
+        for line in samples
+    )
+    assert all(float(line.rpartition(" ")[2]) >= 0.0 for line in samples)
+    assert main(["fleet", "export", path, "--parquet", str(tmp_path / "tables")]) == 0
+    import pyarrow.parquet as pq
+
+    assert pq.read_table(tmp_path / "tables" / "alarms.parquet").num_rows == 3
+    assert main(["fleet", "acknowledge", path, "A1", "--joint", "2", "--note", "greased"]) == 0
+    assert "1 alarm of joint 2 closed" in capsys.readouterr().out
+    for words in (
+        ["report", "none"],
+        ["acknowledge", "none", "A1", "--note", "x"],
+        ["export", path],
+    ):
+        assert main(["fleet", *words]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_retention_removes_old_nights_and_keeps_alarms(judged):
+    history, _ = judged
+    assert history.remove_before(date(2026, 1, 11)) == 6 * 10
+    assert history.rows("SELECT count(*), min(date) FROM runs") == [(24, date(2026, 1, 11))]
+    for table in ("parameters", "errors"):
+        assert history.rows(f"SELECT min(date) FROM {table}") == [(date(2026, 1, 11),)]
+    assert history.kept_from == date(2026, 1, 11)
+    assert len(read_alarms(history)) == 3
+
+
+def test_a_history_of_schema_1_is_migrated(judged, tmp_path):
+    history, _ = judged
+    history.connection.execute("ALTER TABLE alarms DROP COLUMN slope_low")
+    history.connection.execute("ALTER TABLE alarms DROP COLUMN slope_high")
+    history.connection.execute("ALTER TABLE alarms ADD COLUMN slope_std DOUBLE")
+    history.connection.execute("ALTER TABLE runs DROP COLUMN payload")
+    for name in ("q_low", "q_high", "q_mean", "q_std"):
+        history.connection.execute(f"ALTER TABLE errors DROP COLUMN {name}")
+    history.connection.execute("UPDATE history SET schema = 1")
+    history.connection.close()
+    with pytest.raises(FleetError, match="older schema"):
+        History(history.path, read_only=True)
+    with History(history.path) as migrated:
+        assert len(read_alarms(migrated)) == 3
+        assert migrated.rows("SELECT schema FROM history") == [(SCHEMA,)]
+
+
+def test_a_history_of_a_newer_schema_is_refused(tmp_path):
+    path = tmp_path / "h.duckdb"
+    with History(path) as history:
+        history.connection.execute("UPDATE history SET schema = 99")
+    with pytest.raises(FleetError, match="schema 99 is newer"):
+        History(path)

@@ -1,0 +1,142 @@
+"""Worker, scheduler and client are killed: no arm-night is lost, none is recorded twice."""
+
+import signal
+import time
+
+import numpy as np
+import pytest
+from fleet.faults import ClusterProcesses, killed_run, lost_or_repeated, run_client
+from fleet.synthetic_history import drawn_result
+
+from lieid_casadi.cli.main import main
+from lieid_casadi.fleet import scheduling
+from lieid_casadi.fleet.history import History
+from lieid_casadi.fleet.night_result import ArmNight, NightResult
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("victim", ["worker", "scheduler", "client"])
+def test_a_killed_process_loses_nothing(fleet_folder, tmp_path, victim):
+    cluster = ClusterProcesses(tmp_path)
+    try:
+        killed_run(fleet_folder, cluster, victim, delay=5.0)
+    finally:
+        cluster.stop()
+    assert lost_or_repeated(fleet_folder, 8) == []
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_what_is_finished(fleet_folder):
+    client = run_client(fleet_folder, "--workers", "1")
+    path = fleet_folder / "history.duckdb"
+    deadline = time.monotonic() + 120.0
+    while time.monotonic() < deadline and client.poll() is None:
+        if path.exists() and path.stat().st_size > 0:
+            time.sleep(3.0)
+            client.send_signal(signal.SIGINT)
+            break
+        time.sleep(0.1)
+    # 0: it had finished; -SIGINT: while Python exited, for which a shell reports 130 as well
+    assert client.wait(120.0) in (130, 0, -signal.SIGINT)
+    assert main(["fleet", str(fleet_folder / "fleet.yaml"), "-o", str(path), "--workers", "1"]) == 0
+    assert lost_or_repeated(fleet_folder, 8) == []
+
+
+@pytest.mark.slow
+def test_an_arm_night_beyond_the_memory_of_a_worker_fails_alone(monkeypatch):
+    """Nights that wait on the same worker are not given up with it."""
+
+    def greedy(night, fit_content, key):
+        from distributed import get_worker
+
+        worker = get_worker()
+        worker.log_event(scheduling.TOPIC, {"key": key, "worker": worker.address})
+        if night.date == "2026-01-02":
+            kept = np.ones(10**8)
+            time.sleep(60.0 + kept[0])
+        return NightResult("done")
+
+    monkeypatch.setattr(scheduling, "reporting_arm_night", greedy)
+    nights = [ArmNight("A1", f"2026-01-0{k}", f"{k}.csv", "", "f") for k in (1, 2, 3)]
+    options, found = scheduling.RunOptions(workers=1, memory="500MB"), {}
+    with scheduling.dask_client(options) as client:
+        limits = {w["memory_limit"] for w in client.scheduler_info()["workers"].values()}
+        assert limits == {500_000_000}
+        scheduling.run_on_cluster(
+            client, nights, {"f": b""}, options,
+            finished=lambda night, result: found.update({night.date[-1]: result}),
+        )  # fmt: skip
+    assert {key: result.status for key, result in found.items()} == {
+        "1": "done", "2": "failed", "3": "done",
+    }  # fmt: skip
+    assert "out of memory" in found["2"].reason
+
+
+def run(folder, scheduler, *options):
+    words = ["fleet", str(folder / "fleet.yaml"), "-o", str(folder / "history.duckdb")]
+    return main([*words, "--scheduler", scheduler, *options])
+
+
+def reasons(folder):
+    with History(folder / "history.duckdb", read_only=True) as history:
+        return history.rows("SELECT status, reason FROM runs WHERE status <> 'done'")
+
+
+def test_an_exception_in_one_arm_night_fails_its_row_only(fleet_folder, scheduler, monkeypatch):
+    def broken(night, content):
+        if night.date == "2026-01-02":
+            raise ZeroDivisionError("in a library")
+        return NightResult("done", recording_sha256=f"{night.serial}{night.date}")
+
+    monkeypatch.setattr(scheduling, "run_arm_night", broken)
+    assert run(fleet_folder, scheduler) == 0
+    assert reasons(fleet_folder) == [("failed", "ZeroDivisionError: in a library")] * 2
+
+
+def test_an_arm_night_that_takes_too_long_fails(fleet_folder, scheduler, monkeypatch):
+    def slow(night, content):
+        time.sleep(2.5 if night.date == "2026-01-02" and night.serial == "A1" else 0.0)
+        return NightResult("done", recording_sha256=f"{night.serial}{night.date}")
+
+    monkeypatch.setattr(scheduling, "run_arm_night", slow)
+    monkeypatch.setattr(scheduling, "CHECK_EVERY", 0.1)
+    assert run(fleet_folder, scheduler, "--timeout", "0.8") == 0
+    assert ("failed", "not finished after 0.8 s (--timeout)") in reasons(fleet_folder)
+
+
+def test_a_cluster_without_workers_ends_with_status_3(fleet_folder, monkeypatch, capsys):
+    from distributed import LocalCluster
+
+    monkeypatch.setattr(scheduling, "WORKERS_WAIT", 0.3)
+    monkeypatch.setattr(scheduling, "CHECK_EVERY", 0.1)
+    with LocalCluster(
+        n_workers=0,
+        processes=False,
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+    ) as cluster:
+        assert run(fleet_folder, cluster.scheduler_address) == 3
+    assert "has had no workers for 0.3 s" in capsys.readouterr().err
+
+
+def test_exit_code_5_if_an_alarm_was_raised_in_this_call(
+    fleet_folder, scheduler, monkeypatch, capsys
+):
+    def synthetic(night, content):
+        k = int(night.date[-2:])
+        loaded = night.serial == "A1" and k >= 3
+        changes = {"errors": {1: 5.0}, "findings": [("payload", None, 1.0)]} if loaded else {}
+        random = np.random.default_rng([k, ord(night.serial[-1])])
+        return drawn_result(random, night.serial, k, **changes)
+
+    monkeypatch.setattr(scheduling, "run_arm_night", synthetic)
+    for status, text in ((5, "New alarm: A1: payload of the arm since 2026-01-03"), (0, "none;")):
+        assert run(fleet_folder, scheduler, "--exit-code") == status
+        shown = capsys.readouterr().out
+        assert text in shown
+        assert "Open alarms: 1." in shown
+    assert run(fleet_folder, scheduler, "--keep", "1") == 0
+    assert "8 runs of nights more than 1 days ago were removed" in capsys.readouterr().out
+    assert run(fleet_folder, scheduler) == 0  # nights before those that are kept are not run again
+    assert "Arm-nights of this call: none" in capsys.readouterr().out
