@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import Comparison, compare
+from lieid_casadi.compiled.cache import cache_folder
 from lieid_casadi.diagnosis import Diagnosis, diagnose
+from lieid_casadi.errors import RecordingError
 from lieid_casadi.excitation import Excitation, Torque, excite
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.model import Model
@@ -22,9 +25,7 @@ from lieid_casadi.plant import (
     simulate,
 )
 from lieid_casadi.recording import Recording
-
-if TYPE_CHECKING:
-    from lieid_casadi.robot import Robot
+from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -88,8 +89,13 @@ def run_demo(robot: Robot, *, seed: int = 0, progress: Progress | None = None) -
     model = Model(robot, EFFECTS)
     report("design the excitation", 0.0)
     excitation = excite(
-        model, duration=DURATION, starts=STARTS, seed=seed, margin=1.0, constraints=(Torque(),)
-    )  # the simulated arm has no floor
+        model,
+        duration=DURATION,
+        starts=STARTS,
+        seed=seed,
+        margin=1.0,
+        limits=(Torque(dry=0.0, viscous=0.0),),
+    )  # the simulated arm has no floor, and torque to spare for friction
     if excitation.interrupted:
         raise KeyboardInterrupt  # `excite` returns its best motion; the steps after it need time
     other = FourierTrajectory(robot, base_frequency=1.0 / DURATION, seed=seed + 1000)
@@ -143,3 +149,54 @@ def _measured(
         name=name,
         progress=lambda done: report(f"measure {name}", begun + 0.2 * done),
     )
+
+
+DEMO_ROBOT = "panda"
+VERSION = 1  # of the recordings below; a new one when arm, sensors or motion change
+CONTROL_RATE = 500.0  # Hz
+RUNS = {"train": 0, "test": 1000}  # seeds of the motions
+
+
+def demo_recordings(progress: Progress | None = None) -> tuple[Path, Path]:
+    """Return files with recordings of the demo's simulated arm along fixed motions.
+
+    They are simulated on the first call, which takes a few seconds, and kept in the package's
+    cache, or in a temporary folder where there is none.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Called with the stage and the completed fraction.
+
+    Returns
+    -------
+    train, test : Path
+    """
+    report = progress or (lambda stage, fraction: None)
+    folder = cache_folder() or Path(tempfile.mkdtemp(prefix="lieid-demo-"))
+    files = {name: folder / f"demo-{VERSION}" / f"demo_{name}.npz" for name in RUNS}
+    robot = Robot.load(DEMO_ROBOT)
+    for k, (name, file) in enumerate(files.items()):
+        if not _is_recording(file):
+            recording = simulate(
+                demo_arm(robot, seed=0, hidden=HIDDEN, joint=HIDDEN_JOINT),
+                FourierTrajectory(robot, base_frequency=1.0 / DURATION, seed=RUNS[name]),
+                rate=CONTROL_RATE,
+                sensors=demo_sensors(robot),
+                seed=k,
+                name=name,
+                progress=lambda done, k=k, name=name: report(  # type: ignore[misc]
+                    f"measure {name}", (k + done) / len(RUNS)
+                ),
+            )
+            recording.save(file)
+    return files["train"], files["test"]
+
+
+def _is_recording(file: Path) -> bool:
+    """Whether a file has a recording; one that was cut short has none."""
+    try:
+        Recording.load(file)
+    except RecordingError:
+        return False
+    return True

@@ -61,7 +61,7 @@ def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
     force : bool
         Replace what an earlier demo wrote into it; other files are kept.
     """
-    from lieid_casadi.exporters.c_export import export_c
+    from lieid_casadi.exporters.c.export import export_c
     from lieid_casadi.output_folder import output_folder
     from lieid_casadi.report import diagnosis_report
 

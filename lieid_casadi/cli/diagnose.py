@@ -8,12 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options
-from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile, seed
+from lieid_casadi.cli import output, shared_options, torque_options
+from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile, part, seed
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
-    from lieid_casadi.diagnosis import Diagnosis, Proposal
+    from lieid_casadi.diagnosis import Diagnosis, DiagnosisOptions, Proposal
 
 
 def add_parser(commands: Any) -> None:
@@ -51,6 +51,13 @@ def add_parser(commands: Any) -> None:
         "--seed", type=seed, default=0, metavar="N", help="seed of the bootstrap; default: 0"
     )
     parser.add_argument(
+        "--worth",
+        type=part,
+        metavar="PART",
+        help="least relative fall of a joint's held-out error that is a finding; default: 0.03 for "
+        "missing effects, 0.1 of the error for changes since a fit",
+    )
+    parser.add_argument(
         "--interactive", action="store_true", help="ask before each effect is added"
     )
     parser.add_argument(
@@ -63,7 +70,8 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--plot", type=PictureFile, metavar="FILE", help="draw the error after each step"
     )
-    shared_options.add_effects(parser)
+    shared_options.add_effects(parser, default=None)
+    torque_options.add_motor_side(parser)
     shared_options.add_recording_options(parser)
     shared_options.add_processing(parser)
     shared_options.add_outputs(parser, html=True)
@@ -98,9 +106,11 @@ def _missing(args: argparse.Namespace) -> Diagnosis:
             f"{args.recordings[0]}: expected recordings after --train and --test, "
             "or a FIT (.json) in place of ROBOT"
         )
-    model = shared_options.model_of(args)
-    train = shared_options.recordings_of(args.train, args, model.robot)
-    test = shared_options.recordings_of(args.test, args, model.robot)
+    shared_options.load_effects_file(args.effects_file)
+    robot = shared_options.robot_of(args)
+    train = shared_options.recordings_of(args.train, args, robot)
+    test = shared_options.recordings_of(args.test, args, robot)
+    model = torque_options.model_for(args, robot, train)
     with output.progress("diagnose") as report:
         return diagnose(
             model,
@@ -109,6 +119,7 @@ def _missing(args: argparse.Namespace) -> Diagnosis:
             method=args.method,
             processing=shared_options.processing_of(args),
             seed=args.seed,
+            options=_options(args),
             ask=_asker() if args.interactive else None,
             progress=None if args.interactive else report,
         )
@@ -124,9 +135,18 @@ def _changed(args: argparse.Namespace) -> Diagnosis:
         )
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.robot)
-    recordings = shared_options.recordings_of(args.recordings, args, fit.model.robot)
+    recordings = shared_options.recordings_of(args.recordings, args, fit)
     with output.progress("diagnose") as report:
-        return diagnose(fit, recordings, seed=args.seed, progress=report)
+        return diagnose(fit, recordings, options=_options(args), seed=args.seed, progress=report)
+
+
+def _options(args: argparse.Namespace) -> DiagnosisOptions:
+    """Return the thresholds, with the least fall of the error if it is stated."""
+    from lieid_casadi.diagnosis import DiagnosisOptions
+
+    if args.worth is None:
+        return DiagnosisOptions()
+    return DiagnosisOptions(worth=args.worth, least_change_improvement=args.worth)
 
 
 def _asker() -> Callable[[Proposal], bool]:
@@ -152,12 +172,17 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         error_table,
         evidence_table,
         rejected_table,
+        sentences,
     )
 
-    output.say(diagnosis.sentence)
+    for line in sentences(diagnosis):
+        output.say(line)
     output.show(error_table(diagnosis), evidence_table(diagnosis))
     if diagnosis.steps:
         output.say("lieid effects NAME describes an effect and what it is confused with.")
+        if diagnosis.mode == "missing":
+            effects = ",".join(diagnosis.fit.model.effects)
+            output.say(f"The model with these effects: --effects '{effects}'")
     _print_unexplained(diagnosis)
     output.show(rejected_table(diagnosis))
     output.say(f"{diagnosis.tried} candidates were tried. {diagnosis.aliases.sentence}".rstrip())
@@ -172,8 +197,9 @@ def _print_unexplained(diagnosis: Diagnosis) -> None:
     own = own_effects(diagnosis.unexplained)
     if own.labels:
         output.say(
-            "The unexplained residual as a user-defined effect: save these lines as F.py and run "
-            f"again with the options {rerun_options(diagnosis, own.labels)}\n"
+            "The unexplained residual as a user-defined effect, which reduced the error of "
+            "training data that its fit left out. Save these lines as F.py and run again with the "
+            f"options {rerun_options(diagnosis, own.labels)}\n"
         )
         lines = ["    " + line if line else "" for line in own.code.splitlines()]
         output.say("\n".join([*lines, ""]))

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import motion_limits, output, shared_options
 from lieid_casadi.cli.excite import INTERRUPTED
 from lieid_casadi.cli.option_types import InputPath, number, seed
 from lieid_casadi.errors import UsageError
@@ -54,19 +54,10 @@ def add_parser(commands: Any) -> None:
         "--harmonics", type=int, default=5, metavar="N", help="harmonics of each joint; default: 5"
     )
     parser.add_argument(
-        "--start-pose",
-        type=number,
-        nargs="+",
-        metavar="Q",
-        help="pose at the start and the end, rad",
-    )
-    parser.add_argument(
-        "--acceleration",
-        type=number,
-        nargs="+",
-        metavar="A",
-        help="acceleration limits, rad/s²; one for all joints or one per joint",
-    )
+        "--start-pose", type=number, nargs="+", metavar="Q",
+        help="pose at the start and the end, rad; default: a pose found within all limits",
+    )  # fmt: skip
+    motion_limits.add_limits(parser)
     parser.add_argument(
         "--rate",
         type=number,
@@ -103,9 +94,10 @@ def run(args: argparse.Namespace) -> int:
     with output.progress("discriminate") as report:
         result = discriminate(
             fit, args.effects, sizes=sizes,
-            recordings=shared_options.recordings_of(args.recordings, args, fit.model.robot),
+            recordings=shared_options.recordings_of(args.recordings, args, fit),
             level=args.level, duration=args.duration, harmonics=args.harmonics,
-            start_pose=args.start_pose, acceleration=args.acceleration, rate=args.rate,
+            start_pose=args.start_pose, acceleration=args.acceleration, margin=args.margin,
+            limits=motion_limits.limits_of(args, fit.model.robot), rate=args.rate,
             evaluations=args.evaluations, seed=args.seed, progress=report,
         )  # fmt: skip
     files = output.Files()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from math import isnan
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
@@ -10,7 +11,12 @@ from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile
 from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from lieid_casadi.diagnosis.extend import Extension
+
+    Array = NDArray[np.float64]
 
 
 def add_parser(commands: Any) -> None:
@@ -53,8 +59,8 @@ def run(args: argparse.Namespace) -> None:
 
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
-    train = shared_options.recordings_of(args.train, args, fit.model.robot)
-    test = shared_options.recordings_of(args.test, args, fit.model.robot)
+    train = shared_options.recordings_of(args.train, args, fit)
+    test = shared_options.recordings_of(args.test, args, fit)
     with output.progress("extend") as report:
         extension = extend(fit, args.add, train, test or None, progress=report)
     files = output.Files()
@@ -67,16 +73,20 @@ def run(args: argparse.Namespace) -> None:
 
 def print_extension(extension: Extension) -> None:
     """Print errors per joint before and after, and the new parameters."""
-    tested = extension.rms_test is not None
-    columns = ["joint", "train before", "after", "%"]
-    columns += ["test before", "after", "%"] if tested else []
+    held_out = "cross-validated" if extension.rms_test is None else "test"
+    columns = ["joint", f"{held_out} in motion", "after", "%"]
+    pairs: list[Array] = [extension.held_out, extension.rms_train]
+    if extension.rms_test_at_rest is not None:
+        columns += ["at rest", "after", "%"]
+        pairs.insert(1, extension.rms_test_at_rest)
+    columns += ["train", "after", "%"]
     rows: list[list[object]] = []
     for j, joint in enumerate(extension.after.model.robot.joints):
         row: list[object] = [f"{j + 1} {joint.name}"]
-        for pair in (extension.rms_train, extension.rms_test):
-            if pair is not None:
-                before, after = float(pair[0][j]), float(pair[1][j])
-                row += [before, after, f"{100.0 * (after / before - 1.0):+.1f}"]
+        for pair in pairs:
+            before, after = float(pair[0][j]), float(pair[1][j])
+            change = 100.0 * (after / before - 1.0)
+            row += [before, after, None if isnan(change) else f"{change:+.1f}"]
         rows.append(row)
     added = ", ".join(extension.added)
     output.show(make_table(f"RMS error, N·m, with {added}", columns, rows))

@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> None:
     files.write()
     output.show(curve_table(curve), *([ranking_table(ranked)] if ranked else []))
     for model in (c.model for c in ranked if c.model.note):
-        output.say(f"  * {model.name}: {model.note}.")
+        output.say(f"  * {model.form} ({model.name}): {model.note}.")
     output.show(parameter_table(fit))
     if agreement is not None:
         output.say(f"Friction curve and {args.fit}: {agreement}.")
@@ -124,6 +124,8 @@ def result(
         "models": [
             {
                 "name": c.model.name,
+                "form": c.model.form,
+                "reconstructed": c.model.reconstructed,
                 "effects": list(c.model.effects),
                 "source": c.model.source,
                 "note": c.model.note,

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import output, shared_options, torque_options
+from lieid_casadi.cli.drive_options import known_mass
 from lieid_casadi.cli.option_types import FrictionRun, InputPath, OutputFile
 from lieid_casadi.errors import UsageError
 from lieid_casadi.tables import make_table
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from lieid_casadi.friction_curves import StagedFit
     from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
+    from lieid_casadi.recording import Recording
 
 METHODS = ("ols", "wls", "robust", "feasible")
 
@@ -44,9 +47,18 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--method", choices=METHODS, default="wls", help="estimator; default: wls")
     parser.add_argument("-o", "--output", type=OutputFile, metavar="fit.json", help="write the fit")
-    shared_options.add_effects(parser)
+    shared_options.add_effects(parser, default=None)
+    torque_options.add_motor_side(parser)
     _add_stages(parser)
     shared_options.add_recording_options(parser)
+    parser.add_argument(
+        "--known-mass",
+        nargs="+",
+        type=known_mass,
+        default=[],
+        metavar="LINK=KG",
+        help="masses of links that determine an unknown stiffness (--stiffness unknown)",
+    )
     shared_options.add_processing(parser)
     shared_options.add_outputs(parser, html=True)
     shared_options.add_threads(parser)
@@ -91,13 +103,21 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.identification import identify
     from lieid_casadi.report import comparison_report, fit_report
 
-    model = shared_options.model_of(args)
-    test = shared_options.recordings_of(args.test, args, model.robot)
-    stages = _in_stages(model, args) if args.friction_runs else None
+    shared_options.load_effects_file(args.effects_file)
+    robot = shared_options.robot_of(args)
+    in_memory = bool(args.friction_runs or args.known_mass)
+    recordings = shared_options.recordings_of(args.train, args, robot) if in_memory else []
+    train = recordings or shared_options.training_of(args.train, args, robot)
+    model = torque_options.model_for(args, robot, train)
+    test = shared_options.recordings_of(args.test, args, robot)
+    stages = _in_stages(model, recordings, args) if args.friction_runs else None
     if stages is not None:
         fit = stages.fit
+    elif args.known_mass:
+        fit = _with_known_masses(model, recordings, args)
+        if laws := fit.model.robot.drives:
+            test = [recording.with_drives(laws) for recording in test]
     else:
-        train = shared_options.training_of(args.train, args, model.robot)
         with output.progress("identify") as report:
             fit = identify(
                 model,
@@ -123,7 +143,25 @@ def run(args: argparse.Namespace) -> None:
     print_fit(fit, comparison)
 
 
-def _in_stages(model: Model, args: argparse.Namespace) -> StagedFit:
+def _with_known_masses(
+    model: Model, recordings: Sequence[Recording], args: argparse.Namespace
+) -> Fit:
+    from lieid_casadi.identification.known_mass import identify_with_known_masses
+
+    with output.progress("identify") as report:
+        return identify_with_known_masses(
+            model,
+            recordings,
+            dict(args.known_mass),
+            method=args.method,
+            processing=shared_options.processing_of(args),
+            progress=report,
+        )
+
+
+def _in_stages(
+    model: Model, recordings: Sequence[Recording], args: argparse.Namespace
+) -> StagedFit:
     from lieid_casadi.friction_curves import identify_in_stages
     from lieid_casadi.recording import Processing
 
@@ -137,7 +175,7 @@ def _in_stages(model: Model, args: argparse.Namespace) -> StagedFit:
         paths.setdefault(run.joint, []).append(run)
     return identify_in_stages(
         model,
-        shared_options.recordings_of(args.train, args, model.robot),
+        recordings,
         {
             joint: shared_options.recordings_of(paths[joint], args, model.robot)
             for joint in sorted(paths)
@@ -185,6 +223,8 @@ def result(fit: Fit, comparison: Comparison | None) -> dict[str, Any]:
     tested = comparison.to_dict() if comparison is not None else None
     for key, name in (
         ("rms_test", "rms"),
+        ("rms_test_moving", "rms_moving"),
+        ("rms_test_at_rest", "rms_at_rest"),
         ("rms_test_raw", "rms_raw"),
         ("correlation_test", "correlation"),
     ):
@@ -201,31 +241,21 @@ def print_fit(fit: Fit, comparison: Comparison | None) -> None:
     """Print errors per joint, parameters and warnings."""
     from lieid_casadi.identification.fit_view import parameter_table
 
-    columns = ["joint", "train", "train raw"]
-    columns += (
-        ["test", "test raw", "% of torque", "in motion", "at rest", "correlation"]
-        if comparison
-        else ["cross-validated"]
-    )
-    rows: list[list[object]] = []
-    for j, joint in enumerate(fit.model.robot.joints):
-        row: list[object] = [
-            f"{j + 1} {joint.name}",
-            float(fit.rms_train[j]),
-            float(fit.rms_train_raw[j]),
-        ]
-        if comparison is not None:
-            row += [
-                float(comparison.rms[j]),
-                float(comparison.rms_raw[j]),
-                100.0 * float(comparison.relative_rms[j]),
-                float(comparison.rms_moving[j]),
-                float(comparison.rms_at_rest[j]),
-                f"{comparison.correlation[j]:.5f}",
-            ]
-        else:
-            row.append(float(fit.rms_cv[j]))
-        rows.append(row)
+    columns, values = ["joint"], list[tuple[float, ...]]()
+    if comparison is None:
+        columns += ["cross-validated, in motion", "train", "train raw"]
+        values += zip(fit.rms_cv, fit.rms_train, fit.rms_train_raw, strict=True)
+    else:
+        test = comparison
+        columns += ["test in motion", "% of torque", "at rest", "test", "test raw", "correlation"]
+        columns += ["train", "train raw"]
+        relative = 100.0 * test.relative_rms_moving
+        tested = (test.rms_moving, relative, test.rms_at_rest, test.rms, test.rms_raw)
+        values += zip(*tested, test.correlation, fit.rms_train, fit.rms_train_raw, strict=True)
+    rows = [
+        [f"{j + 1} {joint.name}", *map(float, own)]
+        for j, (joint, own) in enumerate(zip(fit.model.robot.joints, values, strict=True))
+    ]
     filter_ = f"low-pass {fit.processing.cutoff:.3g} Hz on measured and predicted torque"
     output.show(make_table(f"RMS error, N·m ({filter_})", columns, rows))
     output.show(parameter_table(fit))

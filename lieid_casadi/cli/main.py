@@ -20,7 +20,8 @@ from lieid_casadi.cli.output import visible
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
 COMMANDS = (
     "demo", "show", "excite", "identify", "predict", "compare", "friction", "diagnose", "extend",
-    "discriminate", "payload", "gains", "export", "effects",
+    "discriminate", "payload", "gains", "simulate", "export", "effects", "workbench", "fleet",
+    "fleet_report", "fleet_export", "fleet_acknowledge",
 )  # fmt: skip
 
 
@@ -50,7 +51,8 @@ def build_parser() -> Parser:
 def main(words: Sequence[str] | None = None) -> int:
     """Run ``lieid`` and return its exit status (DESIGN: 0, 1, 2, 3 or 130)."""
     try:
-        args = build_parser().parse_args(words)  # imports modules, which takes a moment
+        given = _joined(sys.argv[1:] if words is None else words)
+        args = build_parser().parse_args(given)  # imports modules, which takes a moment
     except KeyboardInterrupt:
         _say("lieid: interrupted")
         return INTERRUPTED
@@ -78,6 +80,15 @@ def main(words: Sequence[str] | None = None) -> int:
         if args.debug:
             raise
         return _status(args, error)
+
+
+def _joined(words: Sequence[str]) -> list[str]:
+    """Return the words with the name of a command of two words, ``fleet report``, as one."""
+    first = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
+    name = "_".join(words[first : first + 2])
+    if name not in COMMANDS:
+        return list(words)
+    return [*words[:first], " ".join(words[first : first + 2]), *words[first + 2 :]]
 
 
 def _status(args: argparse.Namespace, error: Exception) -> int:

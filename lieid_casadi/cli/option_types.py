@@ -77,6 +77,14 @@ def number(text: str) -> float:
     return value
 
 
+def part(text: str) -> float:
+    """Read a number of at least 0 and less than 1."""
+    value = number(text)
+    if not 0.0 <= value < 1.0:
+        raise argparse.ArgumentTypeError(f"expected a number from 0 to less than 1, found {text!r}")
+    return value
+
+
 def check_paths(args: argparse.Namespace) -> None:
     """Refuse outputs that cannot be written or that are inputs, before any work is done.
 

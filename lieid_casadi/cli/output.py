@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 SCHEMA = 1  # of results as JSON
 WIDTH = 120  # of tables that do not go to a terminal
+LONGEST_WORD = 24  # characters of a table's cell that are not broken: labels, not paths
 
 
 def console() -> Console:
@@ -68,12 +69,22 @@ def show(*tables: Table) -> None:
             box=box.SIMPLE_HEAD,
             title_style="bold",
         )
-        for k, name in enumerate(table.headings):
+        widths = _word_widths(table)
+        fits = sum(widths) + 2 * len(widths) <= console().width
+        for k, (name, width) in enumerate(zip(table.headings, widths, strict=True)):
             justify: Literal["left", "right"] = "left" if k == 0 else "right"
-            shown.add_column(Text(visible(name)), justify=justify, overflow="fold")
+            least = width if fits else None
+            shown.add_column(Text(visible(name)), justify=justify, overflow="fold", min_width=least)
         for row in table.cells:
             shown.add_row(*(Text(visible(cell)) for cell in row))
         console().print(shown)
+
+
+def _word_widths(table: Table) -> list[int]:
+    """Return the length of the longest word of each column, at most `LONGEST_WORD`."""
+    columns = zip(table.headings, *table.cells, strict=True)
+    longest = (max(map(len, visible(" ".join(cells)).split()), default=0) for cells in columns)
+    return [min(width, LONGEST_WORD) for width in longest]
 
 
 def say(text: str) -> None:

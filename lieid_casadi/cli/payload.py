@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
 from lieid_casadi.cli.option_types import InputPath, PictureFile, number
+from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.payload import PayloadEstimate
@@ -43,6 +44,12 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--plot", type=PictureFile, metavar="FILE", help="draw the errors before and after"
     )
+    parser.add_argument(
+        "--torque-constants-std",
+        metavar="PERCENT[,…]",
+        help="standard deviation of the torque constants, %%: one number for an error that all "
+        "joints share, or one per joint; default: 0",
+    )
     shared_options.add_effects_file(parser)
     shared_options.add_recording_options(parser)
     shared_options.add_outputs(parser, html=True)
@@ -58,13 +65,14 @@ def run(args: argparse.Namespace) -> None:
 
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
-    recordings = shared_options.recordings_of(args.recordings, args, fit.model.robot)
+    recordings = shared_options.recordings_of(args.recordings, args, fit)
     with output.progress("payload") as report:
         payload = identify_payload(
             fit,
             recordings,
             cutoff=args.cutoff,
             refit_friction=args.refit_friction,
+            torque_constant_std=_percent(args.torque_constants_std),
             progress=report,
         )
     files = output.Files()
@@ -73,6 +81,14 @@ def run(args: argparse.Namespace) -> None:
     files.add_picture(args.plot, payload.plot)
     files.write()
     print_payload(payload)
+
+
+def _percent(text: str | None) -> list[float]:
+    """Return numbers in percent as fractions."""
+    try:
+        return [0.01 * number(part) for part in (text or "0").split(",")]
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(f"--torque-constants-std {text}: {error}") from None
 
 
 def print_payload(payload: PayloadEstimate) -> None:

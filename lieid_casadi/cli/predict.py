@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> None:
 
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.fit)
-    (recording,) = shared_options.recordings_of([args.recording], args, fit.model.robot)
+    (recording,) = shared_options.recordings_of([args.recording], args, fit)
     torque = fit.predict(recording)
     header = ",".join(["t", *(f"tau{j}" for j in range(1, fit.model.n + 1))])
     text = io.StringIO()

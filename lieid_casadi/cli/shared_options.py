@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lieid_casadi.cli.drive_options import (
+    add_dataset_options,
+    add_drive_options,
+    dataset_options_of,
+    drives_of,
+    require_drive_law,
+)
 from lieid_casadi.cli.option_types import InputPath, OutputFile, OutputFolder, number
+from lieid_casadi.cli.torque_options import as_in_training, torque_constants_of
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
+    from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
     from lieid_casadi.recording import Processing, Recording, RecordingStream
     from lieid_casadi.robot import Robot
@@ -17,10 +27,14 @@ if TYPE_CHECKING:
 DEFAULT_EFFECTS = "coulomb,viscous,offset"
 
 
-def add_robot(parser: argparse.ArgumentParser) -> None:
-    """Add ROBOT with --tip and --lock."""
+def add_robot(parser: argparse.ArgumentParser, *, fit: bool = False) -> None:
+    """Add ROBOT, or ROBOT|FIT, with --tip and --lock."""
     parser.add_argument(
-        "robot", type=InputPath, metavar="ROBOT", help="URDF or YAML file, or a bundled name"
+        "robot",
+        type=InputPath,
+        metavar="ROBOT|FIT" if fit else "ROBOT",
+        help="URDF or YAML file, or a bundled name"
+        + (", or a fit (JSON)" if fit else "; the robot of a fit (JSON)"),
     )
     parser.add_argument("--tip", metavar="LINK", help="last link of the chain (URDF)")
     parser.add_argument("--lock", nargs="+", default=[], metavar="JOINT", help="joints to lock")
@@ -33,11 +47,12 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
         metavar="K1,…,Kn",
         help="torque constants, N·m/A, for recordings with currents i1…in",
     )
+    add_drive_options(parser)
     add_reading_options(parser)
 
 
 def add_reading_options(parser: argparse.ArgumentParser) -> None:
-    """Add --units and --inflate-limit."""
+    """Add --units and --inflate-limit, and options of datasets."""
     parser.add_argument(
         "--units",
         default="",
@@ -50,6 +65,7 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
         metavar="MIB",
         help="size that a compressed recording may inflate to; default: 1024",
     )
+    add_dataset_options(parser)
 
 
 def add_processing(parser: argparse.ArgumentParser) -> None:
@@ -71,13 +87,14 @@ def add_processing(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_effects(parser: argparse.ArgumentParser, *, default: str = DEFAULT_EFFECTS) -> None:
-    """Add --effects and --effects-file."""
+def add_effects(parser: argparse.ArgumentParser, *, default: str | None = DEFAULT_EFFECTS) -> None:
+    """Add --effects and --effects-file; None stands for defaults that depend on the recordings."""
+    stated = DEFAULT_EFFECTS if default is None else default or "none"
     parser.add_argument(
         "--effects",
         default=default,
         metavar="A,B:2+3,…",
-        help=f"effects of the model; B:2+3 is B on joints 2 and 3; default: {default or 'none'}",
+        help=f"effects of the model; B:2+3 is B on joints 2 and 3; default: {stated}",
     )
     add_effects_file(parser)
 
@@ -138,10 +155,19 @@ def use_threads(args: argparse.Namespace) -> None:
 
 
 def robot_of(args: argparse.Namespace) -> Robot:
-    """Return the robot that ROBOT, --tip and --lock name."""
+    """Return the robot that ROBOT, --tip and --lock name, with the drive laws of the options.
+
+    A fit in place of ROBOT gives the robot that it contains.
+    """
+    from lieid_casadi.identification import Fit
     from lieid_casadi.robot import Robot
 
-    return Robot.load(args.robot, tip=args.tip, lock=args.lock)
+    if Path(args.robot).suffix.lower() == ".json":
+        robot = Fit.load(args.robot).model.robot
+    else:
+        robot = Robot.load(args.robot, tip=args.tip, lock=args.lock)
+    drives = drives_of(args, robot)
+    return robot if drives is None else robot.with_drives(drives)
 
 
 def model_of(args: argparse.Namespace) -> Model:
@@ -152,14 +178,30 @@ def model_of(args: argparse.Namespace) -> Model:
     return Model(robot_of(args), args.effects)
 
 
-def recordings_of(paths: Sequence[str], args: argparse.Namespace, robot: Robot) -> list[Recording]:
-    """Load recordings; currents become torques by --torque-constants or the robot's own."""
+def recordings_of(
+    paths: Sequence[str], args: argparse.Namespace, source: Robot | Fit
+) -> list[Recording]:
+    """Load recordings.
+
+    Currents become torques by --torque-constants, the constants of a fit, or the robot's own.
+    Without --units, those of a fit's training recordings are used.
+
+    Parameters
+    ----------
+    paths : sequence of str
+    args : argparse.Namespace
+    source : Robot or Fit
+    """
+    from lieid_casadi.identification import Fit
     from lieid_casadi.recording import Recording, require_plausible_units
 
-    constants = _torque_constants(args, robot)
-    options = reading_options_of(args, robot)
-    recordings = [Recording.load(path, torque_constants=constants, **options) for path in paths]
+    robot = source.model.robot if isinstance(source, Fit) else source
+    options = torque_options_of(args, robot)
+    if isinstance(source, Fit):
+        options |= as_in_training(args, source)
+    recordings = [Recording.load(path, **options) for path in paths]
     for recording in recordings:
+        require_drive_law(recording)
         require_plausible_units(recording, robot)
     return recordings
 
@@ -170,9 +212,19 @@ def training_of(
     """Load recordings, or open those that are too large for the memory."""
     from lieid_casadi.recording import load_or_stream
 
-    constants = _torque_constants(args, robot)
-    options = reading_options_of(args, robot)
-    return [load_or_stream(path, torque_constants=constants, **options) for path in paths]
+    options = torque_options_of(args, robot)
+    recordings = [load_or_stream(path, **options) for path in paths]
+    for recording in recordings:
+        require_drive_law(recording)
+    return recordings
+
+
+def torque_options_of(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
+    """Return the arguments of `Recording.load`, with the sources of torque."""
+    return reading_options_of(args, robot) | {
+        "torque_constants": torque_constants_of(args, robot),
+        "drives": drives_of(args, robot),
+    }
 
 
 def reading_options_of(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
@@ -184,6 +236,7 @@ def reading_options_of(args: argparse.Namespace, robot: Robot) -> dict[str, Any]
         "joint_names": [joint.name for joint in robot.joints],  # bags name theirs
         "units": args.units,
         "revolute": np.array([joint.revolute for joint in robot.joints]),
+        **dataset_options_of(args, robot),
     }
     if args.inflate_limit is not None:
         if not args.inflate_limit > 0.0:
@@ -212,7 +265,6 @@ def load_effects_file(path: str | None) -> None:
     if path is None:
         return
     import runpy
-    from pathlib import Path
 
     if not Path(path).is_file():
         raise UsageError(f"{path}: no such file; --effects-file expects your own Python file")
@@ -246,26 +298,3 @@ def exception_in_file(path: str, error: BaseException) -> str | None:
     if not lines:
         return None
     return f"{path}, line {lines[-1]}: {type(error).__name__}: {error}"
-
-
-def _torque_constants(args: argparse.Namespace, robot: Robot) -> list[float] | None:
-    import numpy as np
-
-    if args.torque_constants is not None:
-        try:
-            constants = [float(text) for text in args.torque_constants.split(",")]
-        except ValueError:
-            constants = []
-        if not constants or not all(np.isfinite(k) and k != 0.0 for k in constants):
-            raise UsageError(
-                f"--torque-constants {args.torque_constants}: expected numbers K1,…,K{robot.n} "
-                "other than 0, N·m/A"
-            )
-        if len(constants) != robot.n:
-            raise UsageError(
-                f"--torque-constants: {len(constants)} numbers; expected {robot.n}, one per joint"
-            )
-        return constants
-    if np.all(np.isfinite(robot.torque_constants)):
-        return [float(k) for k in robot.torque_constants]
-    return None

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+import math
+from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
 from lieid_casadi.tables import make_table
+
+if TYPE_CHECKING:
+    from lieid_casadi.model import Model
+    from lieid_casadi.robot import Robot
 
 
 def add_parser(commands: Any) -> None:
@@ -18,6 +23,11 @@ def add_parser(commands: Any) -> None:
     )
     shared_options.add_robot(parser)
     shared_options.add_effects(parser, default="")
+    parser.add_argument(
+        "--symbolic",
+        action="store_true",
+        help="base parameters with symbols for the lengths between link frames",
+    )
     shared_options.add_outputs(parser)
     parser.set_defaults(run=run)
 
@@ -26,7 +36,52 @@ def run(args: argparse.Namespace) -> None:
     """Print the tables."""
     model = shared_options.model_of(args)
     robot = model.robot
-    joints = [
+    joints = _joints(robot)
+    lengths: list[dict[str, Any]] = []
+    shown = model
+    if args.symbolic:
+        shown, lengths = _with_symbols(model)
+    base = shown.base
+    parameters = [
+        {"name": base.names[k], "expression": base.expression(i), "unit": column.unit}
+        for i, (k, column) in enumerate(zip(base.kept, shown.base_columns, strict=True))
+    ]
+    _print_joints(robot, joints)
+    output.show(
+        make_table(
+            f"{base.count} base parameters (of {len(base.names)} parameters, "
+            f"{len(base.invisible)} of them without effect on the torque)",
+            ["base parameter", "unit"],
+            [[p["expression"], p["unit"]] for p in parameters],
+        ),
+        make_table(
+            "lengths",
+            ["symbol", "value, m", "length"],
+            [[x["name"], x["value"], x["meaning"]] for x in lengths],
+        ),
+    )
+    if not robot.has_inertia:
+        output.say(f"No inertia stated for: {', '.join(robot.links_without_inertia)}")
+    output.show_warnings(robot.warnings)
+    content = {
+        "robot": robot.name,
+        "tip": robot.tool_name,
+        "gravity": robot.gravity.tolist(),
+        "joints": joints,
+        "base_parameter_count": base.count,
+        "base_parameters": parameters,
+        "dropped": [base.names[k] for k in base.dropped],
+        "warnings": [{"name": type(w).__name__, "message": str(w)} for w in robot.warnings],
+    }
+    if args.symbolic:
+        content["lengths"] = lengths
+    files = output.Files()
+    files.add_json(args.json, _null_for_nan(content))
+    files.write()
+
+
+def _joints(robot: Robot) -> list[dict[str, Any]]:
+    return [
         {
             "name": joint.name,
             "kind": "revolute" if joint.revolute else "prismatic",
@@ -41,49 +96,40 @@ def run(args: argparse.Namespace) -> None:
         }
         for joint in robot.joints
     ]
-    base = model.base
-    _print(robot.name, joints)
-    parameters = [
-        {"name": base.names[k], "expression": base.expression(i), "unit": column.unit}
-        for i, (k, column) in enumerate(zip(base.kept, model.base_columns, strict=True))
-    ]
-    output.show(
-        make_table(
-            f"{base.count} base parameters (of {len(base.names)} parameters, "
-            f"{len(base.invisible)} of them without effect on the torque)",
-            ["base parameter", "unit"],
-            [[p["expression"], p["unit"]] for p in parameters],
+
+
+def _with_symbols(model: Model) -> tuple[Model, list[dict[str, Any]]]:
+    """Return the model with symbols for the robot's lengths, and those lengths that appear."""
+    from lieid_casadi.dynamics.symbolic_lengths import symbolic_lengths
+    from lieid_casadi.errors import ModelError
+    from lieid_casadi.model import Model
+
+    made = symbolic_lengths(model.robot)
+    general = Model.of_placements(made.robot, model.placements)
+    if list(general.base.kept) != list(model.base.kept):
+        raise ModelError(
+            f"robot {model.robot.name!r}: with its own lengths, other base parameters are "
+            "identifiable than with lengths in general; expected lieid show without --symbolic"
         )
-    )
-    if not robot.has_inertia:
-        output.say(f"No inertia stated for: {', '.join(robot.links_without_inertia)}")
-    output.show_warnings(robot.warnings)
-    content = {
-        "robot": robot.name,
-        "gravity": robot.gravity.tolist(),
-        "joints": joints,
-        "base_parameter_count": base.count,
-        "base_parameters": parameters,
-        "dropped": [base.names[k] for k in base.dropped],
-        "warnings": [{"name": type(w).__name__, "message": str(w)} for w in robot.warnings],
-    }
-    files = output.Files()
-    files.add_json(args.json, _null_for_nan(content))
-    files.write()
+    lengths = [
+        {"name": name, "value": float(f"{value:.9g}"), "meaning": made.places[name]}
+        for name, value in made.values.items()
+        if name in general.base.symbols
+    ]
+    return general, lengths
 
 
-def _print(name: str, joints: list[dict[str, Any]]) -> None:
+def _print_joints(robot: Robot, joints: list[dict[str, Any]]) -> None:
     rows = []
     for i, joint in enumerate(joints, start=1):
-        screw = " ".join(f"{x:.4g}" for x in joint["screw"])
-        low, high = joint["limits"]["position"]
+        screw = " ".join(f"{round(x, 12) + 0.0:.4g}" for x in joint["screw"])
         limits = joint["limits"]
         rows.append(
             [
                 f"{i} {joint['name']}",
                 joint["kind"],
                 f"[{screw}]",
-                f"{low:.4g} … {high:.4g}",
+                _range(*limits["position"]),
                 limits["velocity"],
                 limits["acceleration"],
                 limits["torque"],
@@ -91,11 +137,19 @@ def _print(name: str, joints: list[dict[str, Any]]) -> None:
         )
     output.show(
         make_table(
-            f"{name}: {len(joints)} joints, screws [ω; v] in the base frame at the zero pose",
+            f"{robot.name}: {len(joints)} joints, tip {robot.tool_name}, "
+            "screws [ω; v] in the base frame at the zero pose",
             ["joint", "kind", "screw", "position", "velocity", "acceleration", "torque"],
             rows,
         )
     )
+
+
+def _range(low: float, high: float) -> str:
+    """Return limits of the position as text."""
+    if math.isnan(low) and math.isnan(high):
+        return "unlimited"
+    return " … ".join("unlimited" if math.isnan(x) else f"{x:.4g}" for x in (low, high))
 
 
 def _null_for_nan(value: Any) -> Any:

@@ -25,6 +25,7 @@ from lieid_casadi.report.sections.payload import (
 )
 from lieid_casadi.report.sections.pictures import dependence_section, torques_section
 from lieid_casadi.report.sections.provenance import provenance_section
+from lieid_casadi.report.sections.simulation import simulation_section
 from lieid_casadi.report.sections.training import training_section
 from lieid_casadi.report.sections.verdict import verdict_section
 from lieid_casadi.report.sections.warnings import warnings_section
@@ -32,17 +33,25 @@ from lieid_casadi.report.sections.warnings import warnings_section
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis import Diagnosis
     from lieid_casadi.payload import PayloadEstimate
+    from lieid_casadi.simulation import WindowDrift
 
 
-def comparison_report(fit: Fit, comparison: Comparison) -> str:
+def comparison_report(fit: Fit, comparison: Comparison, drift: WindowDrift | None = None) -> str:
     """Return the HTML report of a fit on test recordings.
 
     The verdict comes first, then warnings, errors and figures, then the details of the fit.
+
+    Parameters
+    ----------
+    fit : Fit
+    comparison : Comparison
+    drift : WindowDrift, optional
+        Errors of a simulation, shown beside the torque errors.
     """
     return render(
         f"{fit.model.robot.name}: model and measurement",
         [
-            *comparison_sections(fit, comparison),
+            *comparison_sections(fit, comparison, drift),
             *fit_sections(fit),
             provenance_section(fit, comparison),
         ],
@@ -93,12 +102,23 @@ def payload_report(fit: Fit, payload: PayloadEstimate) -> str:
     )
 
 
-def comparison_sections(fit: Fit, comparison: Comparison) -> list[Section]:
-    """Return the sections of a comparison."""
+def comparison_sections(
+    fit: Fit, comparison: Comparison, drift: WindowDrift | None = None
+) -> list[Section]:
+    """Return the sections of a comparison.
+
+    Parameters
+    ----------
+    fit : Fit
+    comparison : Comparison
+    drift : WindowDrift, optional
+        Errors of a simulation.
+    """
     return [
         verdict_section(comparison),
         warnings_section(comparison.warnings, fit.warnings),
         errors_section(comparison),
+        *([] if drift is None else [simulation_section(drift)]),
         torques_section(comparison),
         dependence_section(comparison),
         largest_errors_section(comparison),

@@ -98,7 +98,7 @@ def test_currents_become_torques(tmp_path):
     assert main([*arguments, "--json", str(out)]) == 0
     with_torque = tmp_path / "b.json"
     path = write(tmp_path / "b.csv", columns())
-    assert main(["identify", "two_link", path, "--json", str(with_torque)]) == 0
+    assert main(["identify", "two_link", path, "--motor-side", "--json", str(with_torque)]) == 0
     values = [
         [p["value"] for p in json.loads(file.read_text())["parameters"]]
         for file in (out, with_torque)
@@ -115,6 +115,20 @@ def test_show_names_the_base_parameters(tmp_path, capsys):
     content = json.loads(out.read_text())
     assert content["base_parameter_count"] == 43
     assert content["schema"] == 1
+
+
+def test_show_with_symbols_for_lengths(tmp_path, capsys):
+    out = tmp_path / "a.json"
+    assert (
+        main(["show", "two_link", "--symbolic", "--effects", "armature", "--json", str(out)]) == 0
+    )
+    text = " ".join(capsys.readouterr().out.split())
+    assert "mcx1 + d2 m2" in text
+    assert "d2 0.5 x of the frame of link 2 in that of link 1" in text
+    content = json.loads(out.read_text())
+    (length,) = content["lengths"]
+    assert (length["name"], length["value"]) == ("d2", 0.5)
+    assert "Izz1 + d2² m2 + armature.I_a:1" in [p["expression"] for p in content["base_parameters"]]
 
 
 def test_effects_lists_the_library_and_describes_one_effect(tmp_path, capsys):

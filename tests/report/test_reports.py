@@ -88,7 +88,7 @@ def test_pictures_are_inside(page):
 
 def test_verdict_comes_first_and_numbers_follow(page, comparison):
     text = " ".join(" ".join(page.text).split())
-    verdict = text.index("monday.csv (11 s): the error is")
+    verdict = text.index("monday.csv (11 s): the error in motion is")
     assert verdict < text.index("Warnings") < text.index("Error per joint")
     for rms in comparison.rms:
         assert f"{rms:.3g}" in text

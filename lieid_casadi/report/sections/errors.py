@@ -12,7 +12,7 @@ from lieid_casadi.report.section import Section, table_section
 def errors_section(comparison: Comparison) -> Section:
     """Return the errors, one row per joint, with bars in proportion to the relative error."""
     table = error_table(comparison)
-    parts = np.nan_to_num(np.clip(comparison.relative_rms, 0.0, 1.0))
+    parts = np.nan_to_num(np.clip(comparison.relative_rms_moving, 0.0, 1.0))
     longest = max(float(parts.max()), 1e-12)
     data = {
         "table": table,

@@ -10,10 +10,10 @@ from lieid_casadi.tables import make_table
 
 def training_section(fit: Fit) -> Section:
     """Return the errors of training and cross-validation, and the conditioning of the fit."""
-    columns = (fit.rms_train, fit.rms_cv, fit.rms_train_raw)
+    columns = (fit.rms_cv, fit.rms_train, fit.rms_train_raw)
     table = make_table(
         "",
-        ("joint", "RMS", "cross-validated", "raw", "unit"),
+        ("joint", "cross-validated, in motion", "all", "raw", "unit"),
         [
             (
                 f"{j + 1} {joint.name}",
@@ -22,7 +22,8 @@ def training_section(fit: Fit) -> Section:
             )
             for j, joint in enumerate(fit.model.robot.joints)
         ],
-        note="Cross-validated: on blocks left out of the fit, joints in motion.",
+        note="Cross-validated: on blocks left out of the fit, joints in motion. "
+        "All, raw: errors of training.",
     )
     facts = [
         ("effects", ", ".join(fit.model.effects) or "none"),
