@@ -9,7 +9,6 @@ TX40's size, without the last joint, on a horizontal rail: its first joint slide
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 
@@ -72,13 +71,6 @@ def robot_text(name: str) -> tuple[str, str]:
     if name == "ur10e":
         return "robot.urdf", _urdf()
     return "robot.yaml", _RAIL
-
-
-def write_robot(name: str, folder: Path) -> Robot:
-    """Write the file of an arm into a folder and return the arm read from it."""
-    file, text = robot_text(name)
-    (folder / file).write_text(text, encoding="utf-8")
-    return Robot.load(folder / file)
 
 
 def load_arm(name: str) -> Robot:

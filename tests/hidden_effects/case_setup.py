@@ -9,8 +9,10 @@ import numpy as np
 from hidden_effects.arms import ARMS, load_arm
 from hidden_effects.effect_library import CHANGED, MISSING
 from hidden_effects.foreign import FOREIGN
+from hidden_effects.forms import FORMS
 from hidden_effects.motions import draw_motion
 from hidden_effects.scalable_effect import ReferenceMotion, ScalableEffect
+from hidden_effects.worlds import WORLDS, World
 from numpy.typing import NDArray
 
 from lieid_casadi.plant import (
@@ -27,7 +29,9 @@ from lieid_casadi.plant.trajectories import Envelope
 
 Array = NDArray[np.float64]
 LEAST_NOISE, MOST_NOISE = 1e-4, 1.5e-2  # relative to the torque that the drives can deliver
+TRAININGS = {"tilted_run": 2}  # recordings for training that a world needs
 SIZES = (5.0, 2.0, 1.0, 0.5)
+DURATIONS, DURATIONS_OF_SEVERAL = (15.0, 60.0), (15.0, 30.0)  # s, of one and of each of several
 
 
 @dataclass(frozen=True)
@@ -37,13 +41,17 @@ class Case:
     Attributes
     ----------
     kind
-        ``none``, ``single``, ``pair``, ``triple``, ``foreign``.
+        ``none``, ``single``, ``pair``, ``triple``, ``foreign``, ``form``, ``world``.
+    draw
+        Even draws are for setting thresholds (``tune``), odd ones for the published table
+        (``sealed``).
     changed
         Whether effects changed since a fit; otherwise the model lacks them.
     effect
-        For single and foreign effects; otherwise drawn.
+        For single, foreign and form: the effect; for a world: its violated assumption; otherwise
+        drawn.
     size
-        For single and foreign effects; otherwise drawn from 5, 2, 1. In multiples of the noise.
+        For single, foreign and form; otherwise drawn from 5, 2, 1. In multiples of the noise.
     """
 
     kind: str
@@ -56,33 +64,45 @@ class Case:
     def name(self) -> str:
         parts = ["changed" if self.changed else "missing", self.kind]
         if self.effect:
-            parts += [self.effect, f"{self.size:g}x"]
+            parts.append(self.effect)
+        if self.size:
+            parts.append(f"{self.size:g}x")
         return "-".join([*parts, str(self.draw)])
 
     @classmethod
     def parse(cls, name: str) -> Case:
         mode, kind, *where, draw = name.split("-")
-        effect, size = (where[0], float(where[1].removesuffix("x"))) if where else ("", 0.0)
+        effect = where[0] if where else ""
+        size = float(where[1].removesuffix("x")) if len(where) > 1 else 0.0
         return cls(kind, int(draw), mode == "changed", effect, size)
+
+    @property
+    def half(self) -> str:
+        return "sealed" if self.draw % 2 else "tune"
 
 
 @dataclass(frozen=True, eq=False)
 class CaseSetup:
-    """An arm without hidden effects, its motions and its sensors."""
+    """An arm without hidden effects, its motions and its sensors.
+
+    There is one plan for each recording: before and after a change, else those for training and,
+    last, one that is the test of a case with a test.
+    """
 
     arm_name: str
     arm: Arm
-    plans: tuple[ReferenceTrajectory, ReferenceTrajectory]
-    kinds: tuple[str, str]
-    thermal: tuple[Thermal, Thermal]
+    plans: tuple[ReferenceTrajectory, ...]
+    kinds: tuple[str, ...]
+    thermal: tuple[Thermal, ...]
     sensors: Sensors
     noise: Array
     simulated: bool
     changed: bool
+    tested: bool = True
 
     @property
     def counts(self) -> int:
-        """The run on which sizes are defined: training, or after the change."""
+        """The run on which sizes are defined: the first for training, or after the change."""
         return 1 if self.changed else 0
 
     def plausible(self, factor: float) -> bool:
@@ -125,31 +145,42 @@ def draw_setup(case: Case, random: np.random.Generator, noise_factor: float) -> 
         offset=scale * random.uniform(-0.01, 0.01, robot.n),
     )
     parameters = perturbed_inertias(robot, seed=int(random.integers(2**31)))
-    duration = float(random.uniform(28.0, 36.0))
-    kinds = (
-        str(random.choice(["fourier", "fourier", "mixture", "poses"])),
-        str(random.choice(["fourier", "mixture", "poses"])),
+    runs = 2 if case.changed else 1 + _trainings(case, random)
+    shortest, longest = DURATIONS if runs == 2 else DURATIONS_OF_SEVERAL
+    kinds = tuple(
+        str(random.choice(["fourier", "fourier", "mixture", "poses"])) for _ in range(runs)
     )
-    plans = tuple(draw_motion(robot, kind, duration, random) for kind in kinds)
+    plans = tuple(
+        draw_motion(
+            robot, kind, float(np.exp(random.uniform(np.log(shortest), np.log(longest)))), random
+        )
+        for kind in kinds
+    )
     sensors, noise = _sensors(robot, scale * noise_factor, speed, random)
     return CaseSetup(
-        arm_name, Arm(robot, parameters, friction), (plans[0], plans[1]), kinds,
-        _thermal(case, random), sensors, noise, bool(random.random() < 0.2), case.changed,
+        arm_name, Arm(robot, parameters, friction), plans, kinds, _thermal(case, runs, random),
+        sensors, noise, bool(random.random() < 0.2), case.changed, bool(random.random() < 0.5),
     )  # fmt: skip
 
 
-def _thermal(case: Case, random: np.random.Generator) -> tuple[Thermal, Thermal]:
-    def thermal() -> Thermal:
-        return Thermal(
+def _trainings(case: Case, random: np.random.Generator) -> int:
+    """Return the number of recordings for training."""
+    drawn = int(random.choice([1, 1, 3]))
+    return TRAININGS.get(case.effect, drawn) if case.kind == "world" else drawn
+
+
+def _thermal(case: Case, runs: int, random: np.random.Generator) -> tuple[Thermal, ...]:
+    thermal = [
+        Thermal(
             start=25.0 + random.uniform(0.0, 6.0),
             rise=random.uniform(6.0, 15.0),
             time_constant=random.uniform(8.0, 30.0),
         )
-
-    first, second = thermal(), thermal()
+        for _ in range(runs)
+    ]
     if case.changed:  # before the change the temperature is nearly constant
-        first = Thermal(start=25.0, rise=random.uniform(0.0, 0.5), time_constant=20.0)
-    return first, second
+        thermal[0] = Thermal(start=25.0, rise=random.uniform(0.0, 0.5), time_constant=20.0)
+    return tuple(thermal)
 
 
 def _sensors(
@@ -180,19 +211,43 @@ def choose_effects(
     case: Case, setup: CaseSetup, random: np.random.Generator
 ) -> tuple[list[ScalableEffect] | None, list[float]]:
     """Return the effects and their target sizes; None if one cannot be placed."""
-    library = CHANGED if case.changed else MISSING
-    count = {"none": 0, "single": 1, "foreign": 1, "pair": 2, "triple": 3}[case.kind]
-    if case.kind in ("single", "foreign"):
+    if case.kind == "world":
+        return [], []
+    library = {"foreign": FOREIGN, "form": FORMS}.get(
+        case.kind, CHANGED if case.changed else MISSING
+    )
+    if case.effect:
         names, targets = [case.effect], [case.size]
     else:
+        count = {"none": 0, "pair": 2, "triple": 3}[case.kind]
         names = [str(x) for x in random.choice(list(library), count, replace=False)]
         targets = [float(x) for x in random.choice(SIZES[:3], count)]
     if {"temperature_friction", "warm_up"} <= set(names):
         return None, []
+    motion = reference_motion(setup, random)
+    hidden = []
+    for name in names:
+        one = library[name](motion, int(random.integers(setup.arm.n)))
+        if one is None:
+            return None, []
+        hidden.append(one)
+    return hidden, targets
+
+
+def choose_world(case: Case, setup: CaseSetup, random: np.random.Generator) -> World:
+    """Return the violated assumption of a case; one that violates nothing for other kinds."""
+    if case.kind != "world":
+        return World("")
+    motion = reference_motion(setup, random)
+    return WORLDS[case.effect](motion, int(random.integers(setup.arm.n)))
+
+
+def reference_motion(setup: CaseSetup, random: np.random.Generator) -> ReferenceMotion:
+    """Return the motion of the run on which sizes are defined."""
     plan = setup.plans[setup.counts]
     t = np.arange(0.0, plan.duration, 0.01)
     motion = move_along(setup.arm, t, *plan.at(t))
-    ground = ReferenceMotion(
+    return ReferenceMotion(
         setup.arm,
         torque_scale(setup.arm.robot),
         np.abs(motion.dq).max(axis=0),
@@ -205,11 +260,3 @@ def choose_effects(
         setup.thermal,
         random,
     )
-    hidden = []
-    for name in names:
-        make = FOREIGN[name] if case.kind == "foreign" else library[name]
-        one = make(ground, int(random.integers(setup.arm.n)))
-        if one is None:
-            return None, []
-        hidden.append(one)
-    return hidden, targets

@@ -10,12 +10,17 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from hidden_effects.scalable_effect import ReferenceMotion, ScalableEffect, with_effect
+from hidden_effects.scalable_effect import (
+    EffectFactory,
+    ReferenceMotion,
+    ScalableEffect,
+    with_effect,
+)
 
 from lieid_casadi import plant
 from lieid_casadi.plant import Arm, HiddenEffect
 
-EffectFactory = Callable[[ReferenceMotion, int], ScalableEffect | None]
+MOST_RUNS = 4  # recordings of a case
 
 
 def _one(
@@ -160,11 +165,25 @@ def _torque_delay(g: ReferenceMotion, j: int) -> ScalableEffect:
     return _one("torque_delay", j, 0.08, lambda s: plant.TorqueDelay(j, delay=s), least=least)
 
 
+def _torque_lowpass(g: ReferenceMotion, j: int) -> ScalableEffect:
+    least = 0.3 / g.rate
+    return _one(
+        "torque_lowpass", j, 0.08, lambda s: plant.TorqueLowpass(j, time_constant=s), least=least
+    )
+
+
+def _time_shift(g: ReferenceMotion, j: int) -> ScalableEffect:
+    least = 0.3 / g.rate
+    return ScalableEffect(
+        "time_shift", (), with_effect(lambda s: plant.TimeShift(delay=s)), 0.08, least=least
+    )
+
+
 def _bias_drift(g: ReferenceMotion, j: int) -> ScalableEffect:
-    rates = g.sign() / g.duration, float(g.random.uniform(-1.0, 1.0)) / g.duration
+    rates = np.array([g.sign(), *g.random.uniform(-1.0, 1.0, MOST_RUNS - 1)]) / g.duration
     return ScalableEffect(
         "bias_drift", (j,),
-        # on the training run, or on the run after the change
+        # of another rate in every recording
         lambda arm, s, run: arm.with_effects(plant.BiasDrift(j, rate=s * rates[run])),
         0.2 * g.torque[j],
     )  # fmt: skip
@@ -244,6 +263,8 @@ MISSING: dict[str, EffectFactory] = {
     "transmission_coupling": _transmission_coupling,
     "torque_gain": _torque_gain,
     "torque_delay": _torque_delay,
+    "torque_lowpass": _torque_lowpass,
+    "time_shift": _time_shift,
     "bias_drift": _bias_drift,
     "encoder_offset": _encoder_offset,
     "base_tilt": _base_tilt,

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Torque = Callable[[JointState], Array]
 
 
-def _foreign(
+def foreign(
     name: str, j: int, signals: tuple[str, ...], torque: Torque, *, simulated: bool = True
 ) -> ScalableEffect:
     def make(strength: float) -> ForeignTorque:
@@ -32,7 +32,7 @@ def _bump(g: ReferenceMotion, j: int) -> ScalableEffect:
     span = float(g.upper[j] - g.lower[j])
     centre = float(g.lower[j]) + span * float(g.random.uniform(0.3, 0.7))
     width = span * g.log(0.03, 0.1)
-    return _foreign(
+    return foreign(
         "bump", j, (f"q{j + 1}",), lambda s: 1.0 / (1.0 + ((s.q[..., j] - centre) / width) ** 2)
     )
 
@@ -41,7 +41,7 @@ def _end_stop(g: ReferenceMotion, j: int) -> ScalableEffect:
     """A bumper that is compressed near one end of the range."""
     span, up = float(g.upper[j] - g.lower[j]), g.sign()
     start = float(g.upper[j]) - 0.15 * span if up > 0 else float(g.lower[j]) + 0.15 * span
-    return _foreign(
+    return foreign(
         "end_stop", j, (f"q{j + 1}",),
         lambda s: up * np.maximum(up * (s.q[..., j] - start), 0.0) / span,
     )  # fmt: skip
@@ -50,15 +50,13 @@ def _end_stop(g: ReferenceMotion, j: int) -> ScalableEffect:
 def _cogging_of_other(g: ReferenceMotion, j: int) -> ScalableEffect:
     """Cogging that depends on the angle of another joint."""
     i, k, phase = _other(g, j), float(g.random.integers(2, 6)), g.angle()
-    return _foreign(
-        "cogging_of_other", j, (f"q{i + 1}",), lambda s: np.sin(k * s.q[..., i] + phase)
-    )
+    return foreign("cogging_of_other", j, (f"q{i + 1}",), lambda s: np.sin(k * s.q[..., i] + phase))
 
 
 def _spring_from_other(g: ReferenceMotion, j: int) -> ScalableEffect:
     """The torque of a hose between two joints."""
     i = _other(g, j)
-    return _foreign(
+    return foreign(
         "spring_from_other", j, (f"q{i + 1}",), lambda s: np.maximum(s.q[..., i] - 0.3, 0.0) ** 2
     )
 
@@ -69,7 +67,7 @@ def _rough_spot(g: ReferenceMotion, j: int) -> ScalableEffect:
     span = float(g.upper[i] - g.lower[i])
     centre = float(g.lower[i]) + span * float(g.random.uniform(0.3, 0.7))
     width = span * g.log(0.05, 0.1)
-    return _foreign(
+    return foreign(
         "rough_spot", i, (f"dq{i + 1}", f"q{i + 1}"),
         lambda s: s.sign[..., i] / (1.0 + ((s.q[..., i] - centre) / width) ** 2),
     )  # fmt: skip
@@ -78,7 +76,7 @@ def _rough_spot(g: ReferenceMotion, j: int) -> ScalableEffect:
 def _friction_by_other_angle(g: ReferenceMotion, j: int) -> ScalableEffect:
     """Dry friction that varies with another joint's angle."""
     i, phase = _other(g, j), g.angle()
-    return _foreign(
+    return foreign(
         "friction_by_other_angle", j, (f"dq{j + 1}", f"q{i + 1}"),
         lambda s: np.sin(s.q[..., i] + phase) * s.sign[..., j],
     )  # fmt: skip
@@ -87,7 +85,7 @@ def _friction_by_other_angle(g: ReferenceMotion, j: int) -> ScalableEffect:
 def _viscous_by_angle(g: ReferenceMotion, j: int) -> ScalableEffect:
     """Viscous friction that varies along the turn."""
     i, phase, v = _revolute(g, j), g.angle(), float(g.speed[_revolute(g, j)])
-    return _foreign(
+    return foreign(
         "viscous_by_angle", i, (f"dq{i + 1}", f"q{i + 1}"),
         lambda s: np.sin(2.0 * s.q[..., i] + phase) * s.dq[..., i] / v,
     )  # fmt: skip
@@ -96,7 +94,7 @@ def _viscous_by_angle(g: ReferenceMotion, j: int) -> ScalableEffect:
 def _friction_peak(g: ReferenceMotion, j: int) -> ScalableEffect:
     """Friction with a peak at one speed, as of a resonance."""
     v = float(g.speed[j]) * float(g.random.uniform(0.3, 0.5))
-    return _foreign(
+    return foreign(
         "friction_peak", j, (f"dq{j + 1}",),
         lambda s: np.exp(-(((np.abs(s.dq[..., j]) - v) / (0.25 * v)) ** 2)) * s.sign[..., j],
     )  # fmt: skip
@@ -105,7 +103,7 @@ def _friction_peak(g: ReferenceMotion, j: int) -> ScalableEffect:
 def _product_of_velocities(g: ReferenceMotion, j: int) -> ScalableEffect:
     """Torque in proportion to the product of two joint velocities."""
     i = _other(g, j)
-    return _foreign(
+    return foreign(
         "product_of_velocities", j, (f"dq{i + 1}", f"dq{j + 1}"),
         lambda s: s.dq[..., i] * s.dq[..., j] / float(g.speed[i] * g.speed[j]),
     )  # fmt: skip
@@ -114,7 +112,7 @@ def _product_of_velocities(g: ReferenceMotion, j: int) -> ScalableEffect:
 def _drag_of_other(g: ReferenceMotion, j: int) -> ScalableEffect:
     """|q̇| of another joint."""
     i = _other(g, j)
-    return _foreign(
+    return foreign(
         "drag_of_other", j, (f"dq{i + 1}",), lambda s: np.abs(s.dq[..., i]) / float(g.speed[i])
     )
 
@@ -123,9 +121,7 @@ def _load_backlash(g: ReferenceMotion, j: int) -> ScalableEffect:
     """A step where the load changes its sign."""
     i = _loaded(g)
     width = 0.05 * float(g.load[i])
-    return _foreign(
-        "load_backlash", i, (f"load{i + 1}",), lambda s: np.tanh(s.load[..., i] / width)
-    )
+    return foreign("load_backlash", i, (f"load{i + 1}",), lambda s: np.tanh(s.load[..., i] / width))
 
 
 def _load_hysteresis(g: ReferenceMotion, j: int) -> ScalableEffect:
@@ -140,13 +136,13 @@ def _load_hysteresis(g: ReferenceMotion, j: int) -> ScalableEffect:
             behind[k] = min(max(behind[k - 1], load[k] - width), load[k] + width)
         return (load - behind) / width
 
-    return _foreign("load_hysteresis", i, (f"load{i + 1}",), lag, simulated=False)
+    return foreign("load_hysteresis", i, (f"load{i + 1}",), lag, simulated=False)
 
 
 def _slow_hum(g: ReferenceMotion, j: int) -> ScalableEffect:
     """A torque that oscillates slowly with time."""
     cycles, phase = float(g.random.uniform(1.3, 2.5)), g.angle()
-    return _foreign(
+    return foreign(
         "slow_hum", j, ("t",), lambda s: np.sin(2.0 * np.pi * cycles * s.t / g.duration + phase)
         * np.ones(s.q.shape[:-1]),
     )  # fmt: skip

@@ -15,15 +15,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hidden_effects.arms import write_robot
-from hidden_effects.case_setup import Case, CaseSetup, choose_effects, draw_setup, with_hidden
+from hidden_effects.arms import robot_text
+from hidden_effects.case_setup import (
+    Case,
+    CaseSetup,
+    choose_effects,
+    choose_world,
+    draw_setup,
+    with_hidden,
+)
 from hidden_effects.effect_sizes import EffectSizes, find_strengths, planned
 from hidden_effects.motions import Smoothed
 from hidden_effects.scalable_effect import ScalableEffect
 from hidden_effects.similar_effects import most_similar
+from hidden_effects.worlds import Measured, World
 from numpy.typing import NDArray
 
+from lieid_casadi import LieidError
 from lieid_casadi.plant import Arm, Sensors, TrueMotion, measure, move, move_along
+from lieid_casadi.robot import Robot
+from lieid_casadi.robot.yaml_writer import write_yaml
 
 Array = NDArray[np.float64]
 ATTEMPTS = 80
@@ -42,10 +53,11 @@ class Drawn:
     """A case; ``truth`` is used by the score only."""
 
     arm_name: str
-    arms: tuple[Arm, Arm]
-    motions: tuple[TrueMotion, TrueMotion]
+    arms: tuple[Arm, ...]
+    motions: tuple[TrueMotion, ...]
     sensors: Sensors
     noise: Array
+    world: World
     truth: dict[str, Any]
 
 
@@ -66,14 +78,13 @@ def draw(case: Case) -> Drawn:
         if not all(h.simulated for h in hidden):
             setup = replace(setup, simulated=False)
         if any(h.elastic for h in hidden):
-            first, second = map(Smoothed, setup.plans)
-            setup = replace(setup, plans=(first, second), simulated=False)
+            setup = replace(setup, plans=tuple(map(Smoothed, setup.plans)), simulated=False)
         found = find_strengths(setup, hidden, targets)
         if found is not None:
             strengths, noise_factor = found
-            drawn = _finish(
-                case, setup.with_noise(noise_factor), hidden, targets, strengths, attempt
-            )
+            setup = setup.with_noise(noise_factor)
+            world = choose_world(case, setup, random)
+            drawn = _finish(case, setup, hidden, targets, strengths, world, attempt)
             if _is_valid(case, drawn.truth):
                 return drawn
     raise Unreachable(f"{case.name}: no realistic arm in {ATTEMPTS} attempts")
@@ -88,18 +99,45 @@ def _is_valid(case: Case, truth: dict[str, Any]) -> bool:
 
 
 def write(case: Case, folder: Path, truth: Path | None = None) -> dict[str, Any]:
-    """Write the files of a case into a folder and its truth to another file; return the truth."""
+    """Write the files of a case into a folder and its truth to another file; return the truth.
+
+    Raises
+    ------
+    Unreachable
+        If there is no such arm, or its simulated motion diverges.
+    """
     drawn = draw(case)
     folder.mkdir(parents=True, exist_ok=True)
-    write_robot(drawn.arm_name, folder)
-    names = ("before.csv", "after.csv") if case.changed else ("train.csv", "test.csv")
+    _write_robot(drawn, folder)
     seed = zlib.crc32(case.name.encode())
-    for k, file in enumerate(names):
-        measure(drawn.arms[k], drawn.motions[k], drawn.sensors, seed=seed + k).save(folder / file)
+    for k, name in enumerate(_recording_names(drawn)):
+        arm, motion = drawn.arms[k], drawn.motions[k]
+        try:
+            recording = measure(arm, motion, drawn.sensors, seed=seed + k)
+        except LieidError as error:
+            raise Unreachable(f"{case.name}: {error}") from None
+        run = Measured(recording, arm, motion, drawn.noise, np.random.default_rng([seed, k, 9]))
+        drawn.world.record(run).save(folder / f"{name}.csv")
     if truth is not None:
         truth.parent.mkdir(parents=True, exist_ok=True)
         truth.write_text(json.dumps(drawn.truth, indent=1) + "\n", encoding="utf-8")
     return drawn.truth
+
+
+def _write_robot(drawn: Drawn, folder: Path) -> None:
+    file, text = robot_text(drawn.arm_name)
+    if drawn.world.name:  # worlds describe a robot as YAML
+        robot = Robot.parse_yaml(text) if file.endswith(".yaml") else Robot.parse_urdf(text)
+        file, text = "robot.yaml", drawn.world.describe(write_yaml(robot))
+    (folder / file).write_text(text, encoding="utf-8")
+
+
+def _recording_names(drawn: Drawn) -> list[str]:
+    """Return the file names; ``unseen`` is for the score alone."""
+    if drawn.truth["mode"] == "changed":
+        return ["before", "after"]
+    trainings = [f"train{k + 1}" for k in range(len(drawn.motions) - 1)]
+    return [*trainings, "test" if drawn.truth["tested"] else "unseen"]
 
 
 def _finish(
@@ -108,11 +146,13 @@ def _finish(
     hidden: list[ScalableEffect],
     targets: list[float],
     strengths: list[float],
+    world: World,
     attempt: int,
 ) -> Drawn:
-    """Run both motions; with a controller, correct the strengths for the simulated motion."""
+    """Run all motions; with a controller, correct the strengths for the simulated motion."""
+    runs = range(len(setup.plans))
     for attempts_left in (3, 2, 1, 0):
-        arms = with_hidden(setup, hidden, strengths, 0), with_hidden(setup, hidden, strengths, 1)
+        arms = [world.hide(with_hidden(setup, hidden, strengths, k), k) for k in runs]
         counted = _moved(setup, arms, setup.counts)
         sized = _sized(setup, hidden, strengths, counted)
         ratios = [target / s["size"] for target, s in zip(targets, sized, strict=True)]
@@ -123,8 +163,7 @@ def _finish(
                 setup = setup.with_noise(1.0 / ratio)
                 ratios = [r / ratio for r in ratios]
         strengths = [min(s * r, h.most) for s, r, h in zip(strengths, ratios, hidden, strict=True)]
-    other = _moved(setup, arms, 1 - setup.counts)
-    motions = (other, counted) if setup.changed else (counted, other)
+    motions = [counted if k == setup.counts else _moved(setup, arms, k) for k in runs]
     names = {h.effect for h in hidden}
     random = np.random.default_rng([zlib.crc32(case.name.encode()), 7])
     column = bool(random.random() < 0.35) and "warm_up" not in names
@@ -136,22 +175,25 @@ def _finish(
         "arm": setup.arm_name,
         "effects": [
             {"effect": h.effect, "joints": [j + 1 for j in h.joints], "details": h.details,
-             "signals": list(h.signals), "target": target, "strength": strength,
+             "signals": list(h.signals), "accepted": list(h.accepted),
+             "target": target, "strength": strength,
              "most": h.most if np.isfinite(h.most) else None, **size}
             for h, target, strength, size in zip(hidden, targets, strengths, sized, strict=True)
         ],
         "noise": setup.noise.tolist(),
         "motions": list(setup.kinds),
+        "tested": setup.tested,
+        "allowed": [[name, list(joints)] for name, joints in world.allowed],
         "simulated": setup.simulated,
         "temperature_column": sensors.temperature,
         "rate": sensors.rate,
         "velocity": sensors.velocity,
         "attempt": attempt,
     }  # fmt: skip
-    return Drawn(setup.arm_name, arms, motions, sensors, setup.noise, truth)
+    return Drawn(setup.arm_name, tuple(arms), tuple(motions), sensors, setup.noise, world, truth)
 
 
-def _moved(setup: CaseSetup, arms: tuple[Arm, Arm], run: int) -> TrueMotion:
+def _moved(setup: CaseSetup, arms: list[Arm], run: int) -> TrueMotion:
     if setup.simulated:
         return move(arms[run], setup.plans[run], rate=CONTROL_RATE)
     t, path = planned(setup, run, FINE_RATE)

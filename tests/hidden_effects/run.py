@@ -1,8 +1,10 @@
 """The benchmark of hidden effects: ``python tests/hidden_effects/run.py [--jobs N] …``.
 
-Every case is drawn from its name, diagnosed from its files alone, and scored. Results are kept
-in a JSON Lines file; an interrupted run continues with the cases that this version of the code has
-not diagnosed.
+Cases with an even draw are for setting thresholds (``--half tune``); those with an odd draw are run
+once, for the published table (``--half sealed``; with ``--skip K``, those after the first K of a
+fixed shuffle). Every case is drawn from its name, diagnosed from
+its files alone, and scored. Results are kept in a JSON Lines file; an interrupted run continues
+with the cases that this version of the code has not diagnosed.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ import json
 import os
 import sys
 import warnings
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -23,7 +27,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
 from hidden_effects.case_setup import Case  # noqa: E402
-from hidden_effects.schedule import KINDS, chosen  # noqa: E402
+from hidden_effects.schedule import HALVES, KINDS, chosen  # noqa: E402
 from hidden_effects.score import run_case  # noqa: E402
 from hidden_effects.table import confusion_picture, show  # noqa: E402
 
@@ -74,11 +78,23 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--jobs", type=int, default=max(1, (os.cpu_count() or 2) - 1))
+    parser.add_argument(
+        "--half",
+        choices=HALVES,
+        default="tune",
+        help="thresholds are set on 'tune' only; 'sealed' is run once for the published table",
+    )
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="run on this Dask cluster, as lieid fleet does"
+    )
     parser.add_argument("--modes", nargs="+", choices=("missing", "changed"), default=[])
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=[])
     parser.add_argument("--effects", nargs="+", default=[], help="of single and foreign cases")
     parser.add_argument("--sizes", nargs="+", type=float, default=[], help="5 2 1 0.5")
-    parser.add_argument("--limit", type=int, help="the first K of a fixed shuffle")
+    parser.add_argument(
+        "--skip", type=int, default=0, metavar="K", help="leave out the first K of a fixed shuffle"
+    )
+    parser.add_argument("--limit", type=int, metavar="K", help="the first K of those that follow")
     parser.add_argument(
         "--case", nargs="+", default=[], metavar="NAME", help="run these cases only"
     )
@@ -99,8 +115,8 @@ def main() -> int:
         wanted = [Case.parse(name) for name in args.case]
     else:
         wanted = chosen(
-            modes=args.modes, kinds=args.kinds, effects=args.effects, sizes=args.sizes,
-            limit=args.limit,
+            half=args.half, modes=args.modes, kinds=args.kinds, effects=args.effects,
+            sizes=args.sizes, skip=args.skip, limit=args.limit,
         )  # fmt: skip
     if args.keep is not None:
         result = run_case(wanted[0], true_model=not args.no_true_model, keep=args.keep)
@@ -123,6 +139,26 @@ def main() -> int:
     return 0
 
 
+@contextmanager
+def executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
+    """Processes of this machine, or a Dask cluster that has the same folder of the repository."""
+    if scheduler is None:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            yield pool
+        return
+    from lieid_casadi.fleet.scheduling import RunOptions, dask_client
+
+    with dask_client(RunOptions(scheduler=scheduler)) as client:
+        client.run_on_scheduler(find_modules, sys.path[:2])
+        client.run(find_modules, sys.path[:2])
+        yield client.get_executor(pure=False)
+
+
+def find_modules(folders: list[str]) -> None:
+    """Let a process of the cluster import the benchmark's modules."""
+    sys.path[:0] = [folder for folder in folders if folder not in sys.path]
+
+
 def _run(todo: list[Case], args: argparse.Namespace, code: str) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     if not todo:
@@ -130,7 +166,7 @@ def _run(todo: list[Case], args: argparse.Namespace, code: str) -> dict[str, dic
     args.results.parent.mkdir(parents=True, exist_ok=True)
     with (
         args.results.open("a", encoding="utf-8") as out,
-        ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool,
+        executor(args.jobs, args.scheduler) as pool,
     ):
         jobs = [pool.submit(work, c.name, not args.no_true_model, args.by_command) for c in todo]
         for k, job in enumerate(as_completed(jobs), start=1):

@@ -26,7 +26,7 @@ class ReferenceMotion:
     upper: Array
     duration: float
     rate: float
-    thermal: tuple[Thermal, Thermal]
+    thermal: tuple[Thermal, ...]
     random: np.random.Generator
 
     @property
@@ -69,6 +69,8 @@ class ScalableEffect:
         the noise is scaled instead of the strength.
     signals
         For effects that no library has: the signals that the unexplained part depends on.
+    accepted
+        For forms that no library has: the effects of the same class, any of which is right.
     simulated
         Whether it can be simulated with a controller; not if it needs the whole path.
     elastic
@@ -84,11 +86,15 @@ class ScalableEffect:
     details: str = ""
     least: float = 0.0
     elastic: bool = False
+    accepted: tuple[str, ...] = ()
 
     @property
     def fixed(self) -> bool:
         """Whether the strength is given and the noise is scaled."""
         return self.least == self.most
+
+
+EffectFactory = Callable[[ReferenceMotion, int], ScalableEffect | None]
 
 
 def with_effect(make: Callable[[float], HiddenEffect]) -> Callable[[Arm, float, int], Arm]:

@@ -31,8 +31,8 @@ def _by_python(folder: Path) -> tuple[dict[str, Any], Any]:
         fit = identify(model, Recording.load(folder / "before.csv"))
         diagnosis = diagnose(fit, Recording.load(folder / "after.csv"))
     else:
-        train, test = (Recording.load(folder / f"{name}.csv") for name in ("train", "test"))
-        diagnosis = diagnose(model, train, test)
+        train, tests = (list(map(Recording.load, files)) for files in recordings(folder))
+        diagnosis = diagnose(model, train, *tests)
     return json.loads(json.dumps(diagnosis.to_dict())), diagnosis.fit
 
 
@@ -46,9 +46,15 @@ def _by_command(folder: Path) -> tuple[dict[str, Any], Any]:
         _run(main, ["identify", robot, folder / "before.csv", "-o", base])
         _run(main, ["diagnose", base, folder / "after.csv", "--json", found, "-o", fit])
     else:
-        files = ["--train", folder / "train.csv", "--test", folder / "test.csv"]
-        _run(main, ["diagnose", robot, *files, "--json", found, "-o", fit])
+        train, tests = recordings(folder)
+        test = ["--test", *tests] if tests else []
+        _run(main, ["diagnose", robot, "--train", *train, *test, "--json", found, "-o", fit])
     return json.loads(found.read_text("utf-8")), Fit.load(fit)
+
+
+def recordings(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Return the files for training and, if the case has one, for the test."""
+    return sorted(folder.glob("train*.csv")), sorted(folder.glob("test.csv"))
 
 
 def _run(main: Any, command: Sequence[object]) -> None:
@@ -80,19 +86,20 @@ def run_case(
             }
         seconds = time.perf_counter() - begin
         result = score_result(case, truth, found) | {"seconds": round(seconds, 2)}
-        if true_model and truth["effects"] and case.kind != "foreign" and not case.changed:
+        if true_model and case.kind in ("single", "pair", "triple") and not case.changed:
             result |= {"rms_ratio": rms_against_true_model(folder, truth, fit)}
     return result
 
 
 def rms_against_true_model(folder: Path, truth: dict[str, Any], fit: Any) -> float | None:
-    """Return the test RMS on the affected joints relative to that of the true model; the largest.
+    """Return the RMS on the affected joints relative to that of the true model; the largest.
 
-    Both are of moving samples, through the same filter.
+    Both are of moving samples of a recording that no fit used, through the same filter.
     """
     from lieid_casadi import LieidError, Model, Recording, Robot, compare, identify
 
-    train, test = (Recording.load(folder / f"{name}.csv") for name in ("train", "test"))
+    train = list(map(Recording.load, recordings(folder)[0]))
+    (test,) = (Recording.load(f) for f in folder.glob("*.csv") if f.stem in ("test", "unseen"))
     specs = ["coulomb", "viscous", "offset", *(_spec(e) for e in truth["effects"])]
     try:
         model = Model(Robot.load(_robot(folder)), effects=specs)
@@ -112,7 +119,8 @@ def _spec(effect: dict[str, Any]) -> str:
 def score_result(case: Case, truth: dict[str, Any], found: dict[str, Any] | None) -> dict[str, Any]:
     """Return the score of a result; None stands for a failure."""
     steps = [] if found is None else found["steps"]
-    wanted = [] if case.kind == "foreign" else [_named(e) for e in truth["effects"]]
+    foreign = case.kind in ("foreign", "form")
+    wanted = [] if foreign else [_named(e) for e in truth["effects"]]
     strict, _, _ = _matched(steps, wanted, sets=False)
     within, extra, missed = _matched(steps, wanted, sets=True)
     unexplained = [] if found is None else found["unexplained"]
@@ -124,8 +132,8 @@ def score_result(case: Case, truth: dict[str, Any], found: dict[str, Any] | None
         "simulated": truth["simulated"],
         "truth": [
             {key: e[key] for key in
-             ("effect", "joints", "target", "size", "left_part", "joint", "signals", "nearest",
-              "nearest_part")}
+             ("effect", "joints", "target", "size", "left_part", "joint", "signals", "accepted",
+              "nearest", "nearest_part")}
             for e in truth["effects"]
         ],
         "completed": found is not None,
@@ -149,12 +157,56 @@ def _points(
 ) -> dict[str, bool]:
     """Return the entries on which the goals are defined."""
     completed = bool(result["completed"])
+    if case.kind == "world":
+        names = [_named(step) for step in result_steps(result)]
+        wrong = [one for one in names if not _is_allowed(one, truth["allowed"])]
+        return {"right": completed and not wrong, "named": bool(names)}
+    if case.kind == "form":
+        return _form_points(truth["effects"][0], result)
     if case.kind == "none":
         alarm = bool(result["steps"]) or result["verdict"] != "sufficient"
         return {"right": completed and not alarm, "named": bool(result["steps"])}
     if case.kind == "foreign":
         return _foreign_points(truth["effects"][0], result)
-    return {"right": completed and complete[0], "right_in_set": completed and complete[1]}
+    first = result_steps(result)[:1]
+    wanted = [_named(e) for e in truth["effects"]]
+    return {
+        "right": completed and complete[0],
+        "right_in_set": completed and complete[1],
+        "right_first": completed and bool(first) and _named(first[0]) in wanted,
+    }
+
+
+def result_steps(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the steps of a score, as those of a diagnosis."""
+    return [{"effect": name, "joints": joints} for name, joints in result["steps"]]
+
+
+def _is_allowed(named: Named, allowed: list[list[Any]]) -> bool:
+    return any(name == named[0] and tuple(joints) in ((), named[1]) for name, joints in allowed)
+
+
+def _form_points(effect: dict[str, Any], result: dict[str, Any]) -> dict[str, bool]:
+    """Return whether the class was named on its joint, or the residual honestly described."""
+    here = tuple(effect["joints"])
+    accepted = [(name, here) for name in effect["accepted"]]
+    names = [_named(step) for step in result_steps(result)]
+    rivals = [(str(name), tuple(joints)) for one in result["rivals"] for name, joints in one]
+    class_named = any(one in accepted for one in names + rivals)
+    others = [one for one in names if one[1] != here]
+    first = result["unexplained"][0] if result["unexplained"] else None
+    described = (
+        not names
+        and first is not None
+        and first["joint"] == effect["joint"]
+        and first["depends_on"][0] in effect["signals"]
+    )
+    completed = bool(result["completed"])
+    return {
+        "right": completed and not others and (class_named or described),
+        "class_named": completed and class_named,
+        "first_named": completed and names[:1] != [] and names[0] in accepted,
+    }
 
 
 def _foreign_points(effect: dict[str, Any], result: dict[str, Any]) -> dict[str, bool]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hidden_effects.case_setup import Case
 from hidden_effects.score import CLOSE_TO_TRUE_MODEL
 from rich.console import Console
 from rich.table import Table
@@ -84,33 +85,43 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     """Return all goals with the measured rates."""
     right: Callable[[Row], bool] = lambda r: r["right"]  # noqa: E731
     in_set: Callable[[Row], bool] = lambda r: r["right_in_set"]  # noqa: E731
+    wrong: Callable[[Row], bool] = lambda r: not r["right"]  # noqa: E731
     single, pair = (counted(rows, "missing", kind) for kind in ("single", "pair"))
     triple, none = (counted(rows, "missing", kind) for kind in ("triple", "none"))
-    foreign = counted(rows, "missing", "foreign")
+    foreign, form = (counted(rows, "missing", kind) for kind in ("foreign", "form"))
+    world = [r for r in rows if r["kind"] == "world"]
     compared = [r for r in single + pair if r.get("rms_ratio") is not None]
     lines = [
+        Goal("single: right effect first", Rate.of(single, lambda r: r["right_first"]), 0.95),
         Goal("single: right and nothing else", Rate.of(single, right), 0.95),
         Goal("single: right or in the stated set, nothing else", Rate.of(single, in_set), 0.99),
         Goal("pair: both and nothing else", Rate.of(pair, right), 0.85),
         Goal("pair: the same, stated sets allowed", Rate.of(pair, in_set), 0.85),
         Goal("triple: all and nothing else", Rate.of(triple, right), 0.0),
-        Goal("none: false alarm", Rate.of(none, lambda r: not r["right"]), 0.05, at_most=True),
-        Goal("none: an effect named", Rate.of(none, lambda r: r["named"]), 0.05, at_most=True),
+        Goal("none: false alarm", Rate.of(none, wrong), 0.05, at_most=True),
+        Goal("none: an effect named", Rate.of(none, lambda r: r["named"]), 0.03, at_most=True),
+        Goal("violated assumptions: a wrong name", Rate.of(world, wrong), 0.05, at_most=True),
         Goal(
             f"test RMS within {CLOSE_TO_TRUE_MODEL:g} of a fit of the true model",
             Rate.of(compared, lambda r: r["rms_ratio"] <= CLOSE_TO_TRUE_MODEL), 0.95,
         ),
         Goal("foreign: no step, right joint and signals first", Rate.of(foreign, right), 0.90),
+        Goal("foreign form: class named or signal first", Rate.of(form, right), 0.90),
+        Goal("foreign form: class named first", Rate.of(form, lambda r: r["first_named"]), 0.0),
         Goal("foreign: no step", Rate.of(foreign, lambda r: r["no_step"]), 0.90),
     ]  # fmt: skip
     changed = {kind: counted(rows, "changed", kind) for kind in ("single", "none", "foreign")}
     return [
         *lines,
-        Goal("changed: right cause", Rate.of(changed["single"], right), 0.95),
+        Goal(
+            "changed: right cause first",
+            Rate.of(changed["single"], lambda r: r["right_first"]), 0.95,
+        ),
+        Goal("changed: right cause and nothing else", Rate.of(changed["single"], right), 0.95),
         Goal("changed: right cause or in the set", Rate.of(changed["single"], in_set), 0.95),
-        Goal("changed: pair", Rate.of(counted(rows, "changed", "pair"), right), 0.85),
+        Goal("changed: pair", Rate.of(counted(rows, "changed", "pair"), right), 0.90),
         Goal("changed: triple", Rate.of(counted(rows, "changed", "triple"), right), 0.0),
-        Goal("changed: nothing, false alarm", Rate.of(changed["none"], lambda r: not r["right"]),
+        Goal("changed: nothing, false alarm", Rate.of(changed["none"], wrong),
             0.05, at_most=True),
         Goal("changed: foreign", Rate.of(changed["foreign"], right), 0.90),
     ]  # fmt: skip
@@ -131,6 +142,8 @@ def show(rows: Sequence[Row], console: Console | None = None) -> None:
     for mode in ("missing", "changed"):
         for kind in ("single", "foreign"):
             _by_effect(console, [r for r in rows if r["mode"] == mode and r["kind"] == kind], mode)
+    _by_effect(console, [r for r in rows if r["kind"] == "form"], "missing")
+    _by_world(console, [r for r in rows if r["kind"] == "world"])
     seconds = [r["seconds"] for r in rows if "seconds" in r]
     if seconds:
         console.print(
@@ -158,6 +171,20 @@ def _by_effect(console: Console, rows: list[Row], mode: str) -> None:
         large = [r for r in own if size_of(r) >= COUNTED]
         in_set = Rate.of(large, lambda r: r.get("right_in_set", r["right"]))
         table.add_row(effect, *cells, str(in_set))
+    console.print(table)
+
+
+def _by_world(console: Console, rows: list[Row]) -> None:
+    if not rows:
+        return
+    table = Table(title="violated assumptions: wrong names", title_justify="left")
+    for heading in ("assumption", "a wrong name", "names, wrong or right"):
+        table.add_column(heading)
+    world = {r["case"]: Case.parse(r["case"]).effect for r in rows}
+    for name in sorted(set(world.values())):
+        own = [r for r in rows if world[r["case"]] == name]
+        names = sorted({str(step[0]) for r in own for step in r["steps"]})
+        table.add_row(name, str(Rate.of(own, lambda r: not r["right"])), ", ".join(names))
     console.print(table)
 
 

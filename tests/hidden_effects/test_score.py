@@ -20,12 +20,14 @@ def result_with(*steps, unexplained=(), verdict="effect_found"):
     }
 
 
-def truth_of(*effects, signals=()):
+def truth_of(*effects, signals=(), accepted=(), allowed=()):
     return {
         "mode": "missing", "kind": "", "arm": "panda", "simulated": False,
+        "allowed": [[name, list(joints)] for name, joints in allowed],
         "effects": [
             {"effect": name, "joints": [joint], "target": 5.0, "size": 5.0, "left_part": 1.0,
-             "joint": joint, "signals": list(signals), "nearest": "", "nearest_part": 0.0}
+             "joint": joint, "signals": list(signals),
+             "accepted": list(accepted), "nearest": "", "nearest_part": 0.0}
             for name, joint in effects
         ],
     }  # fmt: skip
@@ -86,3 +88,48 @@ def test_score_of_a_foreign_effect(result, right):
     truth = truth_of(("friction_by_other_angle", 2), signals=("dq2", "q3"))
     case = Case("foreign", 0, effect="friction_by_other_angle", size=5.0)
     assert score_result(case, truth, result)["right"] == right
+
+
+@pytest.mark.parametrize(
+    ("result", "right"),
+    [
+        (result_with(verdict="sufficient"), True),
+        (result_with(unexplained=[(1, "q1")], verdict="unexplained"), True),
+        (result_with("torque_ripple:2"), True),
+        (result_with("torque_ripple:3"), False),
+        (result_with("torque_ripple:2", "stribeck:2"), False),
+        (result_with("time_shift"), True),
+        (None, False),
+    ],
+)
+def test_score_of_a_violated_assumption(result, right):
+    truth = truth_of(allowed=[("torque_ripple", (2,)), ("time_shift", ())])
+    assert score_result(Case("world", 0, effect="cogging"), truth, result)["right"] == right
+
+
+@pytest.mark.parametrize(
+    ("result", "right", "first"),
+    [
+        (result_with("stribeck:2"), True, True),
+        (result_with(("viscous_polynomial:2", ["stribeck:2"])), True, False),
+        (result_with("viscous_polynomial:2"), False, False),
+        (result_with("stribeck:2", "stribeck:3"), False, True),
+        (result_with(unexplained=[(2, "dq2")], verdict="unexplained"), True, False),
+        (result_with(unexplained=[(3, "dq2")], verdict="unexplained"), False, False),
+        (None, False, False),
+    ],
+)
+def test_score_of_a_foreign_form(result, right, first):
+    truth = truth_of(("stribeck_lorentzian", 2), signals=("dq2",), accepted=("stribeck",))
+    score = score_result(Case("form", 0, effect="stribeck_lorentzian", size=5.0), truth, result)
+    assert (score["right"], score["first_named"]) == (right, first)
+
+
+@pytest.mark.parametrize(
+    ("steps", "right_first"),
+    [(["stribeck:2", "armature:1"], True), (["armature:1", "stribeck:2"], False), ([], False)],
+)
+def test_the_first_step_counts(steps, right_first):
+    case = Case("single", 0, effect="stribeck", size=5.0)
+    score = score_result(case, truth_of(("stribeck", 2)), result_with(*steps))
+    assert score["right_first"] == right_first
