@@ -27,11 +27,11 @@ SPEED = 1.0  # m/s
 LEVEL = 12.75
 
 
-def panda_problem(solver="ipopt"):
+def panda_problem():
     """43 inertial columns, 5 harmonics at 0.05 Hz, 5 rad/s², free start, 100 samples."""
     design = make_design(
-        lieid.Model(lieid.robots.panda()), basis=make(), criterion="condition", constraints=(),
-        acceleration=5.0, free_start=True, margin=1.0, solver=solver,
+        lieid.Model(lieid.robots.panda()), basis=make(), criterion="condition", limits=(),
+        acceleration=5.0, free_start=True, margin=1.0,
     )  # fmt: skip
     return ExcitationProblem(design)
 
@@ -81,16 +81,15 @@ def panda(starts=10, peers=4):
     say(f"  cond {LEVEL}, medians: {own:.3f} s here, {other:.3f} s SLSQP: {other / own:.1f} x")
 
 
-def limits_problem(solver="ipopt"):
+def limits_problem():
     """The same with torque, Cartesian speed, floor and self-collision, at rest at the middle."""
     robot = lieid.robots.panda()
     links = capsules_of(robot)
     design = make_design(
         lieid.Model(robot), basis=make(), criterion="condition", acceleration=5.0, margin=1.0,
-        constraints=(
+        limits=(
             Torque(), CartesianSpeed(SPEED), floor(capsules=links), SelfCollision(0.02, links),
         ),
-        solver=solver,
     )  # fmt: skip
     return ExcitationProblem(design)
 
@@ -116,13 +115,13 @@ def report(problem, starts):
         )
 
 
-def ur10e_problem(solver="ipopt", duration=20.0):
+def ur10e_problem(duration=20.0):
     """Inertial, Coulomb, viscous and offset columns, torque limits and self-collision."""
     robot = lieid.Robot.from_urdf(UR10E)
     design = make_design(
         lieid.Model(robot, effects=["coulomb", "viscous", "offset"]),
         basis=make(duration=duration), criterion="condition", acceleration=5.0, margin=1.0,
-        constraints=(Torque(), SelfCollision(0.02, capsules_of(robot))), solver=solver,
+        limits=(Torque(), SelfCollision(0.02, capsules_of(robot))),
     )  # fmt: skip
     return ExcitationProblem(design)
 

@@ -35,13 +35,13 @@ def three_joints():
     return replace(arm, joints=arm.joints[:3], tool=np.eye(4))
 
 
-def row(label, robot, *, family="fourier", harmonics=5, samples=100, duration=20.0):
-    basis = make(family, harmonics=harmonics, duration=duration)
+def row(label, robot, *, basis="fourier", harmonics=5, samples=100, duration=20.0):
+    chosen = make(basis, harmonics=harmonics, duration=duration)
     design = make_design(
         lieid.Model(robot),
-        basis=basis,
+        basis=chosen,
         criterion="condition",
-        constraints=(),
+        limits=(),
         samples=samples,
         margin=1.0,
     )
@@ -83,15 +83,15 @@ def samples():
         row(f"{count} samples", panda(), samples=count)
 
 
-def families():
+def bases():
     """Equal freedom and equal duration."""
     header()
     for duration in (10.0, 20.0):
-        for family in ("fourier", "modified_fourier", "spline"):
-            row(f"{family}, {duration:g} s", panda(), family=family, duration=duration)
+        for basis in ("fourier", "modified_fourier", "bspline"):
+            row(f"{basis}, {duration:g} s", panda(), basis=basis, duration=duration)
         for count in (4, 3):
             row(f"modified_fourier, {count} harmonics, {duration:g} s", panda(),
-                family="modified_fourier", harmonics=count, duration=duration)  # fmt: skip
+                basis="modified_fourier", harmonics=count, duration=duration)  # fmt: skip
 
 
 def say(text):
@@ -100,5 +100,5 @@ def say(text):
 
 
 if __name__ == "__main__":
-    for name in sys.argv[1:] or ["joints", "harmonics", "samples", "families"]:
+    for name in sys.argv[1:] or ["joints", "harmonics", "samples", "bases"]:
         globals()[name]()

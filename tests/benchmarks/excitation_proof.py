@@ -54,7 +54,7 @@ def main(seeds=50):
     robot = lieid.robots.panda()
     model = lieid.Model(robot, effects=EFFECTS)
     arm = demo_arm(robot, seed=1, hidden=None)
-    best = excite(model, duration=DURATION, acceleration=5.0, margin=1.0, constraints=(Torque(),))
+    best = excite(model, duration=DURATION, acceleration=5.0, margin=1.0, limits=(Torque(),))
     optimal = best.motion()
     t = np.arange(0.0, DURATION + 1e-9, 1e-3)
     random = FourierTrajectory(robot, base_frequency=1.0 / DURATION, seed=5)

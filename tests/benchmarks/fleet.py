@@ -1,0 +1,254 @@
+"""Benchmarks of ``lieid fleet``: ``python tests/benchmarks/fleet.py WHAT``, WHAT one of
+
+``changes``: a simulated fleet in which six arms change; what was found, when, and how it is named.
+``null``: false alarms of fleets in which nothing changes, resampled from the runs of ``changes``.
+``throughput``: arm-nights per hour against a loop over ``diagnose``, with one and two workers.
+``faults``: worker, scheduler and client killed at random moments.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:1] = [str(ROOT / "tests"), str(ROOT)]  # tests/fleet, not this file
+
+from fleet.changing_fleet import FIRST_NIGHT, arms_of, write_simulated_fleet  # noqa: E402
+
+from lieid_casadi.fleet.alarm_history import alarms_after  # noqa: E402
+from lieid_casadi.fleet.arm_history import read_arms  # noqa: E402
+from lieid_casadi.fleet.config import read_fleet  # noqa: E402
+from lieid_casadi.fleet.history import History  # noqa: E402
+from lieid_casadi.fleet.run import run_fleet  # noqa: E402
+from lieid_casadi.fleet.scheduling import RunOptions  # noqa: E402
+from lieid_casadi.fleet.statistics.scatter import NightSeries  # noqa: E402
+
+#: Arms and nights unless stated otherwise; ``null`` uses the history of ``changes``.
+SIZES = {"changes": (40, 30), "null": (40, 30), "throughput": (12, 12), "faults": (2, 4)}
+FOLDERS = {"null": "changes"}
+
+
+def say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def changes(args: argparse.Namespace) -> None:
+    """Print what was found on the simulated fleet."""
+    arms = arms_of(args.arms, args.nights, seed=args.seed)
+    start = time.monotonic()
+    path = write_simulated_fleet(args.folder, arms, args.nights, args.duration)
+    say(f"simulated in {time.monotonic() - start:.0f} s")
+    with History(args.folder / "history.duckdb") as history:
+        result = run_fleet(
+            read_fleet(path),
+            history,
+            options=RunOptions(workers=args.workers),
+            progress=lambda p: (
+                say(f"{p.finished}/{p.total}, {p.left:.0f} s left")
+                if p.finished % 100 == 0
+                else None
+            ),
+        )
+        say(f"{result.counts}, {result.seconds:.0f} s")
+        alarms, _ = judged_again(read_arms(history))
+    print_changes(arms, alarms, args.arms * args.nights)
+
+
+def judged_again(arms):
+    """Return the alarms of arms, judged night after night by this code, and as they were raised."""
+    alarms, raised = [], []
+    for night in sorted({night for arm in arms for night in arm.dates}):
+        alarms, new = alarms_after(alarms, arms, night)
+        raised += new
+    return alarms, raised
+
+
+def print_changes(arms, alarms, nights: int) -> None:
+    """Print a line per change, and the false alarms."""
+    say(f"{'arm':6} {'change':22} {'since':10}   {'raised':10} {'named':24} {'since':10} nights")
+    false = []
+    for arm in arms:
+        own = [a for a in alarms if a.serial == arm.serial]
+        if arm.change is None:
+            false += own
+            continue
+        truth = FIRST_NIGHT + timedelta(days=arm.first_changed)
+        change = f"{arm.change.effect}:{arm.change.joint or 'arm'}"
+        right = [a for a in own if a.raised >= truth]
+        false += [a for a in own if a.raised < truth] + right[1:]
+        if not right:
+            say(f"{arm.serial:6} {change:22} {truth}   not found")
+        for a in right[:1]:
+            named = f"{a.quantity}:{a.joint or 'arm'}"
+            late = (a.since - truth).days
+            say(f"{arm.serial:6} {change:22} {truth}   {a.raised} {named:24} {a.since} {late:+d}")
+            say(f"       {a.sentence}")
+    say(f"false alarms: {len(false)} in {nights} arm-nights")
+    for a in false:
+        say(f"       {a.serial} {a.quantity}:{a.joint} raised {a.raised}: {a.sentence}")
+
+
+def null(args: argparse.Namespace) -> None:
+    """Print the false alarms of fleets that are resampled from runs in which nothing changes.
+
+    The runs are those of the arms that do not change in the fleet of ``changes``.
+    """
+    arms = arms_of(args.arms, args.nights, seed=args.seed)
+    healthy = {arm.serial for arm in arms if arm.change is None}
+    with History(args.folder / "history.duckdb") as history:
+        measured = [arm for arm in read_arms(history) if arm.serial in healthy]
+    print_false_alarms(measured, args.repetitions)
+
+
+def exact_interval(count: int, total: int) -> tuple[float, float]:
+    """Return the interval of 95 % confidence of a rate (Poisson; one-sided if the count is 0)."""
+    from scipy.stats import chi2
+
+    tail = 0.05 if count == 0 else 0.025
+    low = 0.5 * float(chi2.ppf(tail, 2 * count)) if count else 0.0
+    return low / total, 0.5 * float(chi2.isf(tail, 2 * count + 2)) / total
+
+
+def print_false_alarms(measured, repetitions: int, *, size: int = 40, nights: int = 30) -> None:
+    """Print the alarms of resampled fleets.
+
+    Each arm of a fleet takes its nights, with replacement, from the runs of one measured arm.
+    """
+    random = np.random.default_rng(7)
+    runs = sum(len(arm.dates) for arm in measured)
+    raised, total = [], 0
+    for k in range(repetitions):
+        fleet = [resampled(measured, random, f"{k}-{j}", nights) for j in range(size)]
+        raised += judged_again(fleet)[1]
+        total += size * nights
+        say(f"{total} arm-nights from {runs} runs: {len(raised)} false alarms")
+    low, high = exact_interval(len(raised), total)
+    say(f"rate {len(raised) / total:.2g} per arm-night, 95 %: {low:.2g} to {high:.2g}")
+    for alarm in raised:
+        say(f"       {alarm.serial}: {alarm.sentence}")
+
+
+def resampled(measured, random, serial, nights):
+    """Return an arm whose nights are drawn from those of a measured arm."""
+    arm = measured[int(random.integers(len(measured)))]
+    drawn = random.integers(len(arm.dates), size=nights)
+    dates = tuple(FIRST_NIGHT + timedelta(days=k) for k in range(nights))
+    days = np.array([date.toordinal() for date in dates], dtype=float)
+    series = {
+        q: NightSeries(
+            days, s.values[drawn], s.scales[drawn], s.temperature[drawn], s.motions[drawn]
+        )
+        for q, s in arm.series.items()
+    }
+    found = tuple(arm.found[k] for k in drawn)
+    return replace(
+        arm, serial=serial, dates=dates, series=series, found=found, shares=arm.shares[drawn]
+    )
+
+
+def throughput(args: argparse.Namespace) -> None:
+    """Print arm-nights per hour of a loop over ``diagnose`` and of ``lieid fleet``."""
+    import shutil
+
+    import lieid_casadi as lieid
+
+    arms = [replace(arm, change=None) for arm in arms_of(args.arms, args.nights, seed=args.seed)]
+    path = write_simulated_fleet(args.folder, arms, args.nights, args.duration)
+    fleet = read_fleet(path)
+    first = fleet.arms[0]
+    lieid.diagnose(
+        lieid.Fit.load(first.fit),
+        lieid.Recording.load(sorted((args.folder / "nights" / first.serial).iterdir())[0]),
+    )  # compiled libraries are in the cache, as after the first night
+    start, count = time.perf_counter(), 0
+    for arm in fleet.arms:
+        fit = lieid.Fit.load(arm.fit)
+        for file in sorted((args.folder / "nights" / arm.serial).iterdir()):
+            lieid.diagnose(fit, lieid.Recording.load(file))
+            count += 1
+    loop = time.perf_counter() - start
+    say(f"loop: {count} arm-nights in {loop:.1f} s, {3600 * count / loop:.0f} per hour")
+    for workers in (1, 2):
+        history = args.folder / f"throughput-{workers}.duckdb"
+        history.unlink(missing_ok=True)
+        shutil.rmtree(f"{history}.wal", ignore_errors=True)
+        begun: list[float] = []
+        with History(history) as opened:
+            finished: list[float] = []
+            result = run_fleet(
+                fleet,
+                opened,
+                options=RunOptions(workers=workers),
+                connected=lambda address, begun=begun: begun.append(time.perf_counter()),
+                progress=lambda p, finished=finished: finished.append(time.perf_counter()),
+            )
+        whole, steady = result.seconds, finished[-1] - finished[workers - 1]
+        rate = (len(finished) - workers) / steady
+        say(
+            f"{workers} workers: {count} arm-nights in {whole:.1f} s with start and judging, "
+            f"{loop / whole / workers:.2f} of the loop per worker; {3600 * rate:.0f} per hour "
+            f"after the first, {rate * loop / count / workers:.2f} of the loop per worker"
+        )
+
+
+def faults(args: argparse.Namespace) -> None:
+    """Kill worker, scheduler and client at random moments and print what was lost or repeated."""
+    import random
+    import shutil
+
+    from fleet.faults import ClusterProcesses, killed_run, lost_or_repeated
+
+    arms = [replace(arm, change=None) for arm in arms_of(args.arms, args.nights, seed=args.seed)]
+    write_simulated_fleet(args.folder, arms, args.nights, args.duration)
+    chosen, wrong = random.Random(args.seed), 0
+    cluster = ClusterProcesses(args.folder)
+    try:
+        for k in range(args.repetitions):
+            for file in args.folder.glob("history.duckdb*"):
+                file.unlink()
+            victim = ("worker", "scheduler", "client")[k % 3]
+            delay = chosen.uniform(1.0, args.latest)
+            killed_run(args.folder, cluster, victim, delay)
+            found = lost_or_repeated(args.folder, args.arms * args.nights)
+            wrong += bool(found)
+            say(f"{k + 1}: {victim} killed after {delay:.1f} s: {found or 'nothing wrong'}")
+    finally:
+        cluster.stop()
+        shutil.rmtree(args.folder / "dask-worker-space", ignore_errors=True)
+    say(f"{args.repetitions} kills, {wrong} with arm-nights lost or recorded twice")
+
+
+def main() -> int:
+    """Run one of the benchmarks."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("what", choices=("changes", "null", "throughput", "faults"))
+    parser.add_argument("--folder", type=Path, help="default: build/fleet/WHAT")
+    parser.add_argument("--arms", type=int)
+    parser.add_argument("--nights", type=int)
+    parser.add_argument("--duration", type=float, default=20.0, help="s, of a night")
+    parser.add_argument("--workers", type=int, default=None)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--repetitions", type=int, default=9, help="resampled fleets, or kills")
+    parser.add_argument("--latest", type=float, default=20.0, help="s, of a kill")
+    args = parser.parse_args()
+    arms, nights = SIZES[args.what]
+    args.arms, args.nights = args.arms or arms, args.nights or nights
+    args.folder = args.folder or Path("build/fleet") / FOLDERS.get(args.what, args.what)
+    {"changes": changes, "null": null, "throughput": throughput, "faults": faults}[args.what](args)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

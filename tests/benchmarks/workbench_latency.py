@@ -1,0 +1,171 @@
+"""Time from a click in the workbench to updated figures: p50 and p95, server and browser apart.
+
+    python tests/benchmarks/workbench_latency.py [--samples 1000000] [--json FILE]
+
+Without ``--samples`` on the UR10e recordings (80 s to fit, LIEID_RECORDINGS), otherwise on
+simulated recordings of that many samples. Each click adds one effect of the library to the first
+model, so that every click needs a fit. "server" is the fit and the comparisons in the worker
+process; "page" is the time from the click to the new number and figures in the page, in a browser
+that renders in software on the same cores; "browser" is the difference. The CPU time of the server
+does not depend much on what else runs on the machine.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from real_arms import UR10E
+from workbench.server_process import Page, Server
+
+import lieid_casadi as lieid
+from lieid_casadi.workbench.state.inputs import RecordingInput, WorkbenchInputs
+from lieid_casadi.workbench.state.proposals import FoundEffects, ProposedEffect
+from lieid_casadi.workbench.state.session import Session
+from lieid_casadi.workbench.state.session_file import SessionContent
+
+EFFECTS = (
+    "load_friction:2", "stribeck:3", "viscous_polynomial:1", "presliding:4", "position_friction:2",
+    "transmission_coupling:5<6", "armature:6", "load_friction:3", "stribeck:1", "torque_delay:3",
+    "viscous_asymmetric:2", "presliding:6",
+)  # fmt: skip
+EXACT = '[data-testid="verdict"][data-exact="true"]'
+CLICK = """
+const [name, done] = arguments;
+const joint = () => document.querySelector('[data-testid="joint-1"]');
+const begun = performance.now();
+document.querySelector(`[data-testid="${name}"]`).click();
+let fitting = false;
+function look() {
+  const waiting = joint().classList.contains("outdated");
+  fitting = fitting || waiting;
+  if (fitting && !waiting) { requestAnimationFrame(() => done(performance.now() - begun)); return; }
+  if (performance.now() - begun > 60000) { done(-1); return; }
+  setTimeout(look, 4);
+}
+look();
+"""
+
+
+def ur10e():
+    """Return the inputs of the UR10e recordings."""
+    roles = {
+        "excitation_30s": "train",
+        "excitation_50s": "train",
+        "excitation_14_harmonics": "test",
+    }
+    return WorkbenchInputs(
+        robot=str(UR10E / "ur10e.urdf"),
+        recordings=tuple(
+            RecordingInput(str(UR10E / f"{name}.csv.gz"), role) for name, role in roles.items()
+        ),
+    )
+
+
+def simulated(samples: int, folder: Path):
+    """Return inputs of recordings of the UR10e's model at 1 kHz with this number of rows."""
+    robot = lieid.Robot.load(UR10E / "ur10e.urdf")
+    rigid = lieid.compile(lieid.Model(robot)).inverse_dynamics
+    recordings = []
+    for seed, (role, share) in enumerate((("train", 0.7), ("test", 0.3))):
+        random = np.random.default_rng(seed)
+        t = np.arange(int(share * samples)) * 1e-3
+        q, dq, ddq = (np.zeros((len(t), robot.n)) for _ in range(3))
+        for joint in range(robot.n):
+            for k in range(1, 6):
+                w = 2 * np.pi * k / 20 * (1 + 0.05 * random.standard_normal())
+                a, phase = random.uniform(0.2, 0.6) / k, random.uniform(0.0, 6.0)
+                q[:, joint] += a * np.sin(w * t + phase)
+                dq[:, joint] += a * w * np.cos(w * t + phase)
+                ddq[:, joint] -= a * w * w * np.sin(w * t + phase)
+        tau = rigid(q, dq, ddq, robot.link_parameters)
+        tau += np.sign(dq) * [8, 8, 5, 1, 1, 1] + dq * [5, 5, 3, 0.5, 0.5, 0.5]
+        tau += random.standard_normal(tau.shape) * [1, 1, 1, 0.2, 0.2, 0.2]
+        file = folder / f"{role}.npz"
+        lieid.Recording.from_arrays(t, q, dq, tau, name=role).save(file)
+        recordings.append(RecordingInput(str(file), role))
+    return WorkbenchInputs(robot=str(UR10E / "ur10e.urdf"), recordings=tuple(recordings))
+
+
+def measure(inputs: WorkbenchInputs, folder: Path):
+    """Return the times of the page and of the server, s, one per click."""
+    words = [inputs.robot]
+    for role in ("train", "test"):
+        words += [f"--{role}", *inputs.paths(role)]
+    server = Server(*words, folder=folder / "sessions")
+    page = Page(1300, 1000)
+    page.driver.set_script_timeout(90)
+    try:
+        page.driver.get(server.url)
+        page.wait(lambda: page.number("error-1") > 0.0, "the first fit", 300.0)
+        name = page.driver.current_url.partition("session=")[2]
+        file = folder / "sessions" / f"{name}.json"
+        content = msgspec.json.decode(file.read_bytes(), type=SessionContent)
+        session: Session = content.session
+        proposed = tuple(
+            ProposedEffect(label, label.partition(":")[0], (1,), 0, 1.0, 0.5) for label in EFFECTS
+        )
+        found = FoundEffects("effect_found", "", proposed, session.history[0].effects)
+        content.session = replace(session, found=found)
+        other = "f" * 16
+        (folder / "sessions" / f"{other}.json").write_bytes(
+            msgspec.json.encode(msgspec.to_builtins(content))
+        )
+        page.driver.get(f"{server.url}&session={other}")
+        page.wait(lambda: page.elements("candidate-load_friction-2"), "the proposals", 300.0)
+        page.wait(lambda: page.number("error-1") > 0.0, "the first fit", 300.0)
+        time.sleep(5.0)  # the second process has started, curves are computed
+        times = []
+        for label in EFFECTS:
+            spot = label.replace(":", "-").partition("<")[0]
+            took = page.driver.execute_async_script(CLICK, f"candidate-{spot}") / 1000.0
+            verdict = page.element("verdict")
+            wall, cpu = map(float, verdict.get_attribute("data-seconds").split())
+            times.append((label, took, wall, cpu))
+            sys.stdout.write(
+                f"{label:28} page {took:.2f} s, server {wall:.2f} s, CPU {cpu:.2f} s\n"
+            )
+            sys.stdout.flush()
+            page.wait(lambda: page.driver.find_elements("css selector", EXACT), "exact fit", 300.0)
+            time.sleep(0.5)
+            page.click("undo")
+            page.wait(lambda: "in the model" not in page.driver.page_source, "undo")
+            time.sleep(1.0)
+        return times
+    finally:
+        page.driver.quit()
+        server.stop()
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--samples", type=int)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        inputs = ur10e() if args.samples is None else simulated(args.samples, folder)
+        times = measure(inputs, folder)
+    both = np.array([row[1:] for row in times])
+    result = {
+        name: {f"p{p}": round(float(np.percentile(values, p)), 3) for p in (50, 95)}
+        for name, values in (
+            ("page", both[:, 0]), ("server", both[:, 1]), ("server CPU", both[:, 2]),
+            ("browser", both[:, 0] - both[:, 1]),
+        )
+    }  # fmt: skip
+    sys.stdout.write(f"{result}\n")
+    if args.json:
+        args.json.write_text(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()
