@@ -20,7 +20,7 @@ import numpy as np
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.codegen_files import codegen_folder
-from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.c.export import export_c
 from lieid_casadi.plant.stepper import DriveCommand, Stepper
 
 EFFECTS = "coulomb,viscous,offset,load_friction:2"

@@ -50,7 +50,7 @@ def run(criterion, seeds, **thresholds):
     model = lieid.Model(lieid.robots.panda_luo2024(), effects=FRICTION)
     design = make_design(
         model, basis=make("fourier", duration=20.0, harmonics=5), criterion=criterion,
-        constraints=(CartesianSpeed(V_C),), start_pose=np.zeros(7), scaling="unit_norm",
+        limits=(CartesianSpeed(V_C),), start_pose=np.zeros(7), scaling="unit_norm",
         margin=1.0, **thresholds,
     )  # fmt: skip
     problem, rows = ExcitationProblem(design), []

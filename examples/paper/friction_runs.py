@@ -30,7 +30,7 @@ def friction_runs(
             seconds=SECONDS,
             start_pose=start,
             margin=1.0,
-            constraints=[],  # a simulated arm without surroundings
+            limits=[],  # a simulated arm without surroundings
             rate=SWEEP_RATE,
         ).motion
         runs.append((sweep.t, sweep.q, sweep.dq, sweep.ddq))

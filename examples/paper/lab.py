@@ -102,7 +102,7 @@ class Lab:
                 starts=self.starts,
                 seed=seed,
                 margin=1.0,
-                constraints=(Torque(),),
+                limits=(Torque(dry=0.0, viscous=0.0),),
             )
             for seed in (0, 1)
         )

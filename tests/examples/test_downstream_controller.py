@@ -10,7 +10,7 @@ import pytest
 from exporters.c_arms import ARMS, WARNINGS, run
 
 from lieid_casadi.codegen_files import codegen_folder
-from lieid_casadi.exporters.c_export import export_c
+from lieid_casadi.exporters.c.export import export_c
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "downstream_controller.py"
 
