@@ -180,11 +180,18 @@ def page(kind, joint, trial):
     for each in registered(kind):
         meaning = kind.options.get(each.option, "none")
         lines.append(f"| `{each.label}` | {cell(each.formula)} | {cell(meaning)} |")
-    lines += ["", *parameters(kind), *facts(kind())]
-    lines += ["## Torque and residual", "", picture_text(kind, joint, trial), ""]
-    lines += [f"![Torque of {kind.name} and residual without it](pictures/{kind.name}.png)", ""]
+    lines += ["", *parameters(kind), *facts(kind()), *trial_section(kind, joint, trial)]
     lines += ["## Use", "", *use(kind()), ""]
     return "\n".join(lines)
+
+
+def trial_section(kind, joint, trial):
+    """Return the section with the picture; a link for effects of position-controlled drives."""
+    if trial is None:
+        text = "Recordings with commanded positions show it: see [position control](%s)."
+        return ["## Torque and residual", "", text % "../guides/position_control.md", ""]
+    picture = f"![Torque of {kind.name} and residual without it](pictures/{kind.name}.png)"
+    return ["## Torque and residual", "", picture_text(kind, joint, trial), "", picture, ""]
 
 
 def docstring(kind):
@@ -302,8 +309,9 @@ def write(app):
     pictures = folder / "pictures"
     pictures.mkdir(parents=True, exist_ok=True)
     for kind in LIBRARY:
-        joint, trial = run(kind())
-        draw(trial, joint, pictures / f"{kind.name}.png")
+        joint, trial = (JOINT, None) if kind.commanded else run(kind())
+        if trial is not None:
+            draw(trial, joint, pictures / f"{kind.name}.png")
         (folder / f"{kind.name}.md").write_text(page(kind, joint, trial), "utf-8")
     (folder / "index.md").write_text(index(), "utf-8")
 
