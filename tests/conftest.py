@@ -1,7 +1,11 @@
+import os
 from pathlib import Path
 
 import pytest
 from real_arms import FOLDER
+
+# On a busy machine a compiler may exceed the default; tests would go on without compiled code.
+os.environ.setdefault("LIEID_COMPILER_TIMEOUT", "600")
 
 
 @pytest.fixture

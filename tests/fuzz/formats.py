@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from fuzz import container_mutations, seeds, text_mutations
 from fuzz.byte_mutations import mutate_bytes
 from fuzz.parquet_mutations import mutate_parquet
@@ -28,13 +29,15 @@ class Format:
     name
         Of the format, for tables and ``--format``.
     file_name
-        Name that a file of this format has; empty for the folder of a ROS 2 bag.
+        Name that a file of this format has.
     seeds
         Returns valid files.
     mutate
         Structure-aware mutation.
     use
         Loads a file and does with it what every command does.
+    folder
+        Returns the other files of a format whose recordings are folders; ``file_name`` is inside.
     """
 
     name: str
@@ -42,6 +45,7 @@ class Format:
     seeds: Callable[[], list[bytes]]
     mutate: Mutation
     use: Callable[[Path], None]
+    folder: Callable[[], dict[str, bytes]] | None = None
 
     def mutation(self, index: int, seed: int) -> bytes:
         """Return the mutation of a number; the same for the same seed on any machine."""
@@ -56,18 +60,35 @@ class Format:
         return data[:LONGEST]
 
     def write(self, data: bytes, folder: Path) -> Path:
-        """Write a file of this format into a folder."""
-        if not self.file_name:
-            return seeds.directory_seed(data, folder)
-        file = folder / self.file_name
-        file.write_bytes(data)
-        return file
+        """Write a file of this format into a folder; return what is loaded."""
+        if self.folder is None:
+            file = folder / self.file_name
+            file.write_bytes(data)
+            return file
+        whole = folder / "recording"
+        for name, content in (self.folder() | {self.file_name: data}).items():
+            (whole / name).parent.mkdir(parents=True, exist_ok=True)
+            (whole / name).write_bytes(content)
+        return whole
 
 
 def _use_recording(path: Path) -> None:
     from lieid_casadi.recording import Recording, check, process
 
     recording = Recording.load(path)
+    check(recording)
+    process(recording)
+
+
+def _use_dataset(path: Path) -> None:
+    from drives.lerobot_files import JOINTS, SO101
+
+    from lieid_casadi.recording import Recording, check, process
+
+    limits = np.column_stack([SO101.limit("position_lower"), SO101.limit("position_upper")])
+    recording = Recording.load(
+        path, joint_names=JOINTS, calibration="limits", position_limits=limits
+    )
     check(recording)
     process(recording)
 
@@ -106,7 +127,12 @@ FORMATS = {
         Format("bag", "run.bag", seeds.ros1_bag, container_mutations.mutate_bag, _use_recording),
         Format("db3", "run.db3", seeds.ros2_database, container_mutations.mutate_sqlite,
                _use_recording),
-        Format("ros2", "", seeds.ros2_metadata, text_mutations.mutate_yaml, _use_recording),
+        Format("ros2", "metadata.yaml", seeds.ros2_metadata, text_mutations.mutate_yaml,
+               _use_recording, seeds.ros2_bag),
+        Format("lerobot", "meta/info.json", seeds.lerobot_info, text_mutations.mutate_json,
+               _use_dataset, seeds.lerobot_dataset),
+        Format("episodes", "data/chunk-000/file-000.parquet", seeds.lerobot_data, mutate_parquet,
+               _use_dataset, seeds.lerobot_dataset),
         Format("yaml", "robot.yaml", seeds.robot_yaml, text_mutations.mutate_yaml, _use_robot),
         Format("urdf", "robot.urdf", seeds.urdf, text_mutations.mutate_xml, _use_robot),
         Format("fit", "fit.json", seeds.fit_json, text_mutations.mutate_json, _use_fit),

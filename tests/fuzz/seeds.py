@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pyarrow
 import pyarrow.parquet
+from drives import lerobot_files
 from fuzz.container_mutations import zip_members, zipped
 from recording import bag_files
 from recording.planar_arm import measured
@@ -145,17 +146,18 @@ def ros1_bag() -> list[bytes]:
 @cache
 def ros2_database() -> list[bytes]:
     """The SQLite database of a ROS 2 bag."""
-    return [_ros2_bag()["bag.db3"]]
+    return [ros2_bag()["bag.db3"]]
 
 
 @cache
 def ros2_metadata() -> list[bytes]:
     """The file ``metadata.yaml`` of a ROS 2 bag."""
-    return [_ros2_bag()["metadata.yaml"]]
+    return [ros2_bag()["metadata.yaml"]]
 
 
 @cache
-def _ros2_bag() -> dict[str, bytes]:
+def ros2_bag() -> dict[str, bytes]:
+    """The files of a ROS 2 bag."""
     with tempfile.TemporaryDirectory() as folder:
         bag = bag_files.write(Path(folder) / "bag", bag_files.arm_messages(plain_recording()))
         return {file.name: file.read_bytes() for file in bag.iterdir()}
@@ -193,10 +195,22 @@ def fit_json() -> list[bytes]:
     return made
 
 
-def directory_seed(data: bytes, folder: Path) -> Path:
-    """Write a ROS 2 bag with another ``metadata.yaml`` and return its folder."""
-    bag = folder / "bag"
-    bag.mkdir(exist_ok=True)
-    (bag / "bag.db3").write_bytes(_ros2_bag()["bag.db3"])
-    (bag / "metadata.yaml").write_bytes(data)
-    return bag
+@cache
+def lerobot_dataset() -> dict[str, bytes]:
+    """The files of a LeRobot dataset."""
+    with tempfile.TemporaryDirectory() as folder:
+        made = lerobot_files.write(Path(folder) / "set")
+        files = [file for file in made.rglob("*") if file.is_file()]
+        return {str(file.relative_to(made)): file.read_bytes() for file in files}
+
+
+@cache
+def lerobot_info() -> list[bytes]:
+    """The description of a LeRobot dataset."""
+    return [lerobot_dataset()["meta/info.json"]]
+
+
+@cache
+def lerobot_data() -> list[bytes]:
+    """The data file of a LeRobot dataset."""
+    return [lerobot_dataset()["data/chunk-000/file-000.parquet"]]

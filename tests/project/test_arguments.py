@@ -74,25 +74,31 @@ def test_export_writes_each_format(tmp_path):
     made = lieid.export(fit, tmp_path / "c", to="c", prefix="scara", functions=["gravity"])
     assert {path.name for path in made.files} >= {"scara.h", "scara.c"}
     made = lieid.export(fitted(ROBOT), tmp_path / "urdf", to="urdf")
-    assert [path.name for path in made.files] == ["two_link.urdf", "two_link_joints.xml"]
-    with pytest.raises(ExportError, match="format 'matlab'; expected 'c' or 'urdf'"):
+    assert made.files[0].name == "two_link.urdf"
+    assert {path.suffix for path in made.files} == {".urdf", ".xml", ".yaml"}
+    with pytest.raises(ExportError, match="format 'matlab'; expected 'c', 'urdf' or 'mjcf'"):
         lieid.export(fit, tmp_path / "other", to="matlab")
-    with pytest.raises(ExportError, match="prefix and functions apply to C code"):
+    with pytest.raises(ExportError, match=r"prefix, .*apply to C code"):
         lieid.export(fit, tmp_path / "other", to="urdf", prefix="scara")
     assert not (tmp_path / "other").exists()
 
 
 def test_methods_and_criteria_have_literal_types():
     """A type checker refuses other names, and the command line has the same ones."""
+    from lieid_casadi.cli import excite as excite_command
     from lieid_casadi.cli.identify import METHODS
+    from lieid_casadi.excitation.basis import families
     from lieid_casadi.excitation.criteria import criterion
     from lieid_casadi.identification.identify import Method
 
     assert set(get_args(Method)) == set(METHODS)
-    assert get_args(criterion.CriterionName) == criterion.NAMES
+    assert get_args(criterion.CriterionName) == criterion.NAMES == excite_command.CRITERIA
+    assert get_args(families.BasisName) == excite_command.BASES
     for function, name, annotation in (
         (lieid.identify, "method", "Method"),
         (lieid.diagnose, "method", "Method"),
-        (lieid.excite, "criterion", "CriterionName"),
+        (lieid.excite, "criterion", "CriterionName | CriterionExpression"),
+        (lieid.excite, "scaling", "ScalingName | Sequence[float] | Array"),
+        (lieid.excite, "basis", "BasisName | Basis"),
     ):
         assert signature(function).parameters[name].annotation == annotation

@@ -6,13 +6,16 @@ import sys
 import lieid_casadi as lieid
 
 PUBLIC = {
-    "Bootstrap", "Coefficient", "Comparison", "Compiled", "Diagnosis", "Discrimination",
-    "DriveGains", "Effect", "Excitation", "Export", "Fit", "FrictionFit", "Joint", "LieidError",
-    "LieidWarning", "Limits", "Model", "PayloadEstimate", "Processing", "Recording", "Robot",
-    "Shape", "Signals", "StagedFit", "SymbolicDynamics", "__version__", "bootstrap", "compare",
-    "compile", "diagnose", "discriminate", "drive_gains", "effect", "excite", "export", "extend",
-    "friction", "identify", "identify_in_stages", "identify_payload", "predict", "register",
-    "robots", "symbolic",
+    "BSpline", "Basis", "Bootstrap", "CartesianSpeed", "Coefficient", "Comparison", "Compiled",
+    "Diagnosis", "Discrimination", "Drive", "DriveGains", "Effect", "Excitation", "Export",
+    "ExpressionLimit", "Fit", "Fourier", "FrictionFit", "Joint", "LieidError", "LieidWarning",
+    "Limits", "Model", "ModifiedFourier", "Obstacle", "PayloadEstimate", "Processing",
+    "Recording", "Robot", "SelfCollision", "Shape", "Signals", "Simulation", "StagedFit",
+    "SymbolicDynamics", "Symbols", "Torque", "Wall", "__version__", "bootstrap", "compare",
+    "compile", "default_limits", "diagnose", "discriminate", "drive_gains", "effect", "excite",
+    "export", "extend", "floor", "friction", "identify", "identify_in_stages", "identify_payload",
+    "jerk_limit", "predict", "register", "robots", "servo_drive", "simulate", "symbolic",
+    "workspace_box",
 }  # fmt: skip
 
 
