@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -162,8 +163,8 @@ class Diagnosis:
     @property
     def model_names(self) -> tuple[str, ...]:
         """The effects of the first model, and what each further model of `shown` adds."""
-        added = [" ".join(f"+ {step.label}" for step in steps) for steps in self.additions]
-        return ("+".join(self.baseline_effects) or "rigid", *added)
+        first = " + ".join(self.baseline_effects) or "rigid"
+        return (first, *(_added(steps) for steps in self.additions))
 
     @property
     def groups(self) -> tuple[int, ...]:
@@ -195,3 +196,12 @@ class Diagnosis:
         from lieid_casadi.diagnosis.text_summary import html
 
         return html(self)
+
+
+def _added(steps: Sequence[DiagnosisStep]) -> str:
+    """Return the effects of steps in the notation of ``--effects``: ``+ stribeck:4+5``."""
+    joints: dict[str, list[str]] = {}
+    for step in sorted(steps, key=lambda step: step.joints):
+        name, _, where = step.label.partition(":")
+        joints.setdefault(name, []).append(where)
+    return " ".join(f"+ {name}:{'+'.join(at)}".removesuffix(":") for name, at in joints.items())

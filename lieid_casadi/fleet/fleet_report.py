@@ -40,7 +40,7 @@ def fleet_report(history: History, *, since: date | None = None) -> str:
     nights = history.rows("SELECT min(date), max(date) FROM runs WHERE status = 'done'")[0]
     sections = [
         table_section(
-            "", alarm_table(active), sentence=_sentence(arms, active, nights), links=links
+            "", alarm_table(active), sentences=[_sentence(arms, active, nights)], links=links
         ),
         table_section("All arms", arm_table(arms, active), links=links),
         table_section(

@@ -35,7 +35,7 @@ class Section:
 def table_section(
     title: str,
     *tables: Table,
-    sentence: str = "",
+    sentences: Sequence[str] = (),
     facts: Sequence[tuple[str, str]] = (),
     titles: bool = False,
     links: Mapping[str, str] | None = None,
@@ -49,8 +49,8 @@ def table_section(
         Heading; empty for none.
     tables : Table
         Those without rows are left out.
-    sentence : str
-        Shown first, emphasized.
+    sentences : sequence of str
+        Shown first, emphasized; several as a list.
     facts : sequence of (name, value)
         Shown before the tables.
     titles : bool
@@ -62,7 +62,7 @@ def table_section(
     """
     data = {
         "tables": tables,
-        "sentence": sentence,
+        "sentences": sentences,
         "facts": facts,
         "titles": titles,
         "links": links or {},

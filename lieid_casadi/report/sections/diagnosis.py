@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 def finding_section(diagnosis: Diagnosis) -> Section:
     """Return the verdict and the error of each model."""
     errors = text_summary.error_table(diagnosis)
-    return table_section("Verdict", errors, sentence=diagnosis.sentence, titles=True)
+    sentences = text_summary.sentences(diagnosis)
+    return table_section("Verdict", errors, sentences=sentences, titles=True)
 
 
 def waterfall_section(diagnosis: Diagnosis) -> Section:

@@ -9,5 +9,5 @@ from lieid_casadi.simulation.view import window_table
 
 def simulation_section(drift: WindowDrift) -> Section:
     """Return how far the simulated motion leaves the measured one, or why it is not simulated."""
-    sentence = f"Not simulated: {drift.reason}." if drift.reason else ""
-    return table_section("Simulation error per joint", window_table(drift), sentence=sentence)
+    sentences = [f"Not simulated: {drift.reason}."] if drift.reason else []
+    return table_section("Simulation error per joint", window_table(drift), sentences=sentences)
