@@ -52,7 +52,7 @@ class Backlash(ArmEffect):
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns of the formula."""
         play = max(float(values[1]), LEAST)
-        place = place_in_play(arm.load[:, joint] / _inertia(arm, joint), arm.t, play)
+        place = motor_in_play(arm, joint, play)
         moved = [x.copy() for x in arm.motion]
         for signal, offset in zip(moved, _derivatives(place, arm.t), strict=True):
             signal[:, joint] -= offset
@@ -65,6 +65,20 @@ class Backlash(ArmEffect):
         offset = ca.SX(arm.load.shape[0], 1)
         offset[joint] = -0.5 * play * ca.sign(arm.load[joint])
         return (arm.rigid_beside(offset) - arm.load) / play
+
+
+def motor_in_play(arm: SegmentModel, joint: int, play: float) -> Array:
+    """Return the position (K,) of a motor relative to its link along a segment, rad.
+
+    Parameters
+    ----------
+    arm : SegmentModel
+    joint : int
+        From 0.
+    play : float
+        rad.
+    """
+    return place_in_play(arm.load[:, joint] / _inertia(arm, joint), arm.t, play)
 
 
 def place_in_play(acceleration: Array, t: Array, play: float) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.identification.fit import Fit
+from lieid_casadi.simulation.play import Coordinates
 from lieid_casadi.simulation.runs import Input, Run
 from lieid_casadi.simulation.step import initial_state, step_function
 
@@ -38,6 +39,7 @@ class Integrator:
 
     def __init__(self, fit: Fit, under: Input) -> None:
         self._fit = fit
+        self._coordinates = Coordinates.of(fit)
         self._step = step_function(fit, fit.model.robot.drives if under == "command" else None)
 
     def windows(self, run: Run, *, every: int = 1) -> Simulated:
@@ -47,9 +49,10 @@ class Integrator:
         starts = np.arange(0, run.windows, every) * length
         path = self._paths(run, starts, length)  # (length + 1, W, d)
         ends = path[-1, :, :n] - segment.q[starts + length]
+        d = self._coordinates.size
         inside = path[:-1].transpose(1, 0, 2).reshape(len(starts) * length, -1)
         rows = (starts[:, None] + np.arange(length)).ravel()
-        return Simulated(segment.t[rows], inside[:, :n], inside[:, n : 2 * n], ends)
+        return Simulated(segment.t[rows], inside[:, :n], inside[:, d : d + n], ends)
 
     def whole(self, run: Run) -> Array:
         """Return the errors (K, n) of the motion from the first state of the segment."""
@@ -69,7 +72,8 @@ class Integrator:
         """Return states (length + 1, W, d) from the measured states at the starts (W,)."""
         segment, m, windows = run.segment, run.substeps, len(starts)
         chunk = self._step.mapaccum("chunk", m).map(windows) if windows else None
-        state = initial_state(self._fit, segment.q[starts], segment.dq[starts])
+        x, dx = self._coordinates.along(self._fit, segment)
+        state = initial_state(self._fit, x[starts], dx[starts])
         path = np.empty((length + 1, windows, len(state)))
         path[0] = state.T
         if chunk is None:
@@ -82,7 +86,7 @@ class Integrator:
             warm = np.repeat(run.temperature[:, starts + k], m, axis=1)
             found = chunk(state, inputs[:, columns.ravel()], warm, time[None], steps).full()
             state = found[:, m - 1 :: m]
-            lost = ~(np.abs(state[: 2 * self._fit.model.n]) < FARTHEST).all(axis=0)
+            lost = ~(np.abs(state[: 2 * self._coordinates.size]) < FARTHEST).all(axis=0)
             state[:, lost] = np.nan
             path[k + 1] = state.T
         return path

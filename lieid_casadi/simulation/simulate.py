@@ -25,10 +25,9 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.given_recordings import listed
 from lieid_casadi.simulation.integrator import Integrator
+from lieid_casadi.simulation.play import plays_of
 from lieid_casadi.simulation.runs import Input, Run, input_of, require_positive_mass_matrix, runs_of
 from lieid_casadi.simulation.simulation import Drift, Simulation
-
-LINK_EFFECTS = (Backlash, JointElasticity)
 
 
 def simulate(
@@ -46,7 +45,8 @@ def simulate(
     Windows follow one another without overlap; each starts at the measured position and
     velocity. The whole of every segment is also simulated from its start. The integrator treats
     drives and viscous friction implicitly and dry friction as a set-valued force that can hold a
-    joint (`lieid_casadi.simulation.step`).
+    joint (`lieid_casadi.simulation.step`). Links with backlash move apart from their motors, whose
+    inertia is the armature, and hit the sides of the play without rebound.
 
     Parameters
     ----------
@@ -125,13 +125,19 @@ def _sources(recordings: Sequence[Recording]) -> tuple[Source, ...]:
 
 def _not_simulated(fit: Fit) -> list[LieidWarning]:
     """Report effects by which links move differently from their motors."""
-    left = [p.label for p in fit.model.placements if isinstance(p.effect, LINK_EFFECTS)]
-    if not left:
-        return []
+    placements, simulated = fit.model.placements, {play.joint for play in plays_of(fit)}
+    elastic = [p.label for p in placements if isinstance(p.effect, JointElasticity)]
+    massless = [
+        p.label for p in placements if isinstance(p.effect, Backlash) and p.joint not in simulated
+    ]
+    reasons = (
+        (elastic, "links move with their motors there"),
+        (massless, "it needs a play above 0 and the motor's inertia (effect armature)"),
+    )
     return [
-        NotSimulatedWarning(
-            f"{', '.join(left)}: not part of the simulation, in which links move with their motors"
-        )
+        NotSimulatedWarning(f"{', '.join(labels)}: not part of the simulation; {why}")
+        for labels, why in reasons
+        if labels
     ]
 
 

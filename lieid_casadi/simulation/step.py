@@ -1,4 +1,4 @@
-"""One time step of an arm: implicit in drives and viscous friction, with sticking joints."""
+"""One time step of an arm: implicit in drives and viscous friction, with set-valued forces."""
 
 from __future__ import annotations
 
@@ -14,31 +14,37 @@ from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot import Drive
+from lieid_casadi.simulation.play import Coordinates
+from lieid_casadi.simulation.set_valued_forces import allowed_velocities, clip, set_valued_forces
 
-SWEEPS = 30  # of the projected Gauss-Seidel iteration, which starts from the step before
 IMPLICIT = 0.55  # share of the velocity at the end of the step: 0.5 is second order, 1 damps most
-STATE = ("q", "dq", "ddq", "dry", "states")
 
 
 @dataclass(frozen=True, eq=False)
 class _Forces:
-    """Expressions at an instant: forces without dry friction, its level, and their derivatives."""
+    """Expressions of q and dq at an instant.
 
-    force: ca.SX
+    ``motor`` (n,) is the torque of drives minus friction without its dry part, ``level`` (n,) that
+    part's size, ``by_q`` and ``by_dq`` (n, n) the derivatives of ``motor``; ``bias`` (n,) is the
+    torque of the links without acceleration.
+    """
+
+    motor: ca.SX
     level: ca.SX
     by_q: ca.SX
     by_dq: ca.SX
+    bias: ca.SX
 
 
 def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
     """Return the step ``(state, input, temperature, time, h) -> state``.
 
-    The scheme is drift-kick-drift: forces act at q + h/2·q̇. Drives and viscous friction are
-    linearly implicit, M − θ·h·∂f/∂q̇ − θ²·h²·∂f/∂q being the matrix of the change of velocity. Dry
-    friction λ satisfies |λ_i| ≤ level_i, with −λ_i opposing the velocity at the end of the step,
-    or holding the joint: a box-constrained complementarity problem, solved by projected
-    Gauss-Seidel sweeps (Moreau, "Unilateral contact and dry friction", 1988). Its level follows
-    from the load at the acceleration of the step before.
+    The scheme is drift-kick-drift: forces act at x + h/2·ẋ, x being the angles of the motors and
+    those of the links with play. Drives and viscous friction act on motors and are linearly
+    implicit, M − θ·h·∂f/∂ẋ − θ²·h²·∂f/∂x being the matrix of the change of velocity. Dry friction
+    and the contact at the sides of a play are set-valued forces
+    (`lieid_casadi.simulation.set_valued_forces`). The level of dry friction follows from the load
+    at the acceleration of the step before.
 
     Parameters
     ----------
@@ -49,9 +55,9 @@ def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
     Returns
     -------
     ca.Function
-        ``state`` is [q; dq; ddq; dry; states].
+        ``state`` is [x; ẋ; ẍ; set-valued forces; states of effects with memory].
     """
-    model, n = fit.model, fit.model.n
+    model, n, x = fit.model, fit.model.n, Coordinates.of(fit)
     numbers = (fit.link_parameters, fit.effect_coefficients, fit.shapes)
     links, effects, shapes = (ca.SX(ca.DM(x)) for x in numbers)
     values = Values(links, effects, shapes, False, fit.temperature_mean)
@@ -61,28 +67,47 @@ def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
         model, values, None, as_measured=False, payload=False, sign=sign, command_error=error
     )
     m = torque.motion
-    before = ca.SX.sym("before", n)  # acceleration of the last step
-    dry = ca.SX.sym("dry", n)
+    to_motors, to_links, to_twists = (_sparse(a) for a in (x.motors, x.links, x.twists))
+    half_plays = ca.DM([0.5 * play.width for play in x.plays])
+    start, speed = ca.SX.sym("position", x.size), ca.SX.sym("speed", x.size)
+    before = ca.SX.sym("before", x.size)  # acceleration of the last step
+    held = ca.SX.sym("held", n + len(x.plays))
     given, h = ca.SX.sym("input", n), ca.SX.sym("h")
-    start = ca.SX.sym("q", n)
-    at = _forces(torque, sign, error, given, drives)
-    mass = ca.substitute(torque.mass_matrix, m.ddq, ca.SX.zeros(n))
-    matrix = mass - IMPLICIT * h * at.by_dq - (IMPLICIT * h) ** 2 * at.by_q
-    inverse = ca.solve(ca.densify(matrix), ca.SX.eye(n))
-    free = m.dq + ca.mtimes(inverse, h * at.force)
-    velocity, level = _with_dry_friction(free, h * inverse, at.level, dry)
-    half = start + 0.5 * h * m.dq
+    half = start + 0.5 * h * speed
+
+    def at(angles: ca.DM, *expressions: ca.SX) -> list[ca.SX]:
+        """Return expressions of q, dq and ddq at angles (n, d) of the coordinates."""
+        own = [ca.mtimes(angles, y) for y in (half, speed, before)]
+        found: list[ca.SX] = ca.substitute(list(expressions), [m.q, m.dq, m.ddq], own)
+        return found
+
+    f = _forces(torque, sign, error, given, drives)
+    rigid = ca.substitute(torque.mass_matrix - torque.armature, m.ddq, ca.SX.zeros(n))
+    implicit = torque.armature - IMPLICIT * h * f.by_dq - (IMPLICIT * h) ** 2 * f.by_q
+    motor, level, implicit = at(to_motors, f.motor, f.level, implicit)
+    bias, rigid, load = at(to_links, f.bias, rigid, torque.rigid_torque)
+    matrix = to_links.T @ rigid @ to_links + to_motors.T @ implicit @ to_motors
+    inverse = ca.solve(ca.densify(matrix), ca.SX.eye(x.size))
+    free = speed + h * (inverse @ (to_motors.T @ motor - to_links.T @ bias))
+    rows = ca.vertcat(to_motors, to_twists)
+    bounds = allowed_velocities(to_twists @ half, half_plays, h)
+    forces = set_valued_forces(rows @ free, h * (rows @ inverse @ rows.T), level, bounds, held)
+    velocity = free - h * (inverse @ (rows.T @ forces))
+    end = half + 0.5 * h * velocity
     after = [
-        half + 0.5 * h * velocity, velocity, (velocity - m.dq) / h, level,
-        _states(torque, values, start, half, velocity, h),
+        end, velocity, (velocity - speed) / h, forces,
+        _states(torque, values, (to_motors @ start, to_motors @ speed),
+                (to_motors @ end, to_motors @ velocity), h),
     ]  # fmt: skip
-    load = ca.substitute(torque.rigid_torque, m.ddq, before)
     result = ca.substitute(ca.vertcat(*after), torque.load, load)
-    result = ca.substitute(result, m.q, half)
-    state = ca.vertcat(start, m.dq, before, dry, torque.states)
+    state = ca.vertcat(start, speed, before, held, torque.states)
     inputs = [state, given, torque.temperature, torque.time, h]
     names = ["state", "input", "temperature", "time", "h"]
     return ca.Function("step", inputs, [ca.densify(result)], names, ["after"], {"cse": True})
+
+
+def _sparse(matrix: np.ndarray[Any, Any]) -> ca.DM:
+    return ca.sparsify(ca.DM(matrix))
 
 
 def _forces(
@@ -92,7 +117,7 @@ def _forces(
     given: ca.SX,
     drives: Sequence[Drive] | None,
 ) -> _Forces:
-    """Return the forces of drives, links and friction at q, dq.
+    """Return the forces of drives, links and friction as expressions of q and dq.
 
     Parameters
     ----------
@@ -124,15 +149,10 @@ def _forces(
     if drives is not None:
         errors = _beyond_deadband(torque, given - m.q)
         laws = zip(drives, errors, ca.vertsplit(m.dq), strict=True)
-        driven = ca.vertcat(*(law.torque(e, v, clip=_clip) for law, e, v in laws))
+        driven = ca.vertcat(*(law.torque(e, v, clip=clip) for law, e, v in laws))
     bias = ca.substitute(torque.rigid_torque + torque.arm_torque, m.ddq, zero)
-    implicit = driven - smooth
-    return _Forces(
-        force=driven - smooth - bias,
-        level=level,
-        by_q=ca.jacobian(implicit, m.q),
-        by_dq=ca.jacobian(implicit, m.dq),
-    )
+    motor = driven - smooth
+    return _Forces(motor, level, ca.jacobian(motor, m.q), ca.jacobian(motor, m.dq), bias)
 
 
 def _beyond_deadband(torque: TorqueExpressions, error: ca.SX) -> list[ca.SX]:
@@ -141,39 +161,16 @@ def _beyond_deadband(torque: TorqueExpressions, error: ca.SX) -> list[ca.SX]:
     for k, column in enumerate(torque.model.columns):
         if column.name == f"{Deadband.name}.d":
             band, own = torque.values.effects[k], errors[column.joint]
-            errors[column.joint] = own - _clip(own, -band, band)
+            errors[column.joint] = own - clip(own, -band, band)
     return list(errors)
 
 
-def _clip(x: Any, lower: Any, upper: Any) -> Any:
-    return ca.fmin(ca.fmax(x, lower), upper)
-
-
-def _with_dry_friction(free: ca.SX, gain: ca.SX, level: ca.SX, start: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the velocity with dry friction, and that friction (n,) each.
-
-    Parameters
-    ----------
-    free : (n,)
-        Velocity at the end of the step without dry friction.
-    gain : (n, n)
-        Change of velocity per torque.
-    level : (n,)
-        Largest friction, N·m.
-    start : (n,)
-        Friction of the step before.
-    """
-    n = free.size1()
-    dry = ca.fmin(ca.fmax(start, -level), level)
-    for _ in range(SWEEPS):
-        for i in range(n):
-            velocity = free[i] - ca.mtimes(gain[i, :], dry)
-            dry[i] = _clip(dry[i] + velocity / gain[i, i], -level[i], level[i])
-    return free - ca.mtimes(gain, dry), dry
-
-
 def _states(
-    torque: TorqueExpressions, values: Values, start: ca.SX, half: ca.SX, velocity: ca.SX, h: ca.SX
+    torque: TorqueExpressions,
+    values: Values,
+    start: tuple[ca.SX, ca.SX],
+    end: tuple[ca.SX, ca.SX],
+    h: ca.SX,
 ) -> ca.SX:
     """Return the states of effects with memory at the end of the step.
 
@@ -181,36 +178,33 @@ def _states(
     ----------
     torque : TorqueExpressions
     values : Values
-    start, half : (n,)
-        Positions at the start and in the middle of the step.
-    velocity : (n,)
-        At its end.
+    start, end : tuple of (n,)
+        Positions and velocities of the motors at the start and at the end of the step.
     h : scalar
         Length of the step, s.
     """
     if not torque.states.size1():
         return torque.states
-    m, t = torque.motion, torque.time
-    zero = ca.SX.zeros(torque.n)
+    t, zero = torque.time, ca.SX.zeros(torque.n)
 
     def signals(q: ca.SX, dq: ca.SX, time: ca.SX) -> EffectSignals:
         return EffectSignals(q, dq, zero, ca.sign(dq), torque.load, torque.temperature, time)
 
-    end = half + 0.5 * h * velocity
     return torque.model.advance(
-        signals(start, m.dq, t), signals(end, velocity, t + h), values.shapes, torque.states
+        signals(*start, t), signals(*end, t + h), values.shapes, torque.states
     )
 
 
-def initial_state(fit: Fit, q: np.ndarray[Any, Any], dq: np.ndarray[Any, Any]) -> Any:
-    """Return the states (d, W) at the start of W windows, without friction and memory.
+def initial_state(fit: Fit, x: np.ndarray[Any, Any], dx: np.ndarray[Any, Any]) -> Any:
+    """Return the states (·, W) at the start of W windows, without friction and memory.
 
     Parameters
     ----------
     fit : Fit
-    q, dq : (W, n)
-        Measured position and velocity, rad and rad/s.
+    x, dx : (W, d)
+        Angles of motors and links with play, rad, and their velocities, rad/s.
     """
-    windows = len(q)
+    windows, d = x.shape
+    rest = np.zeros((2 * d, windows))
     states = np.repeat(fit.model.initial_states[:, None], windows, axis=1)
-    return np.concatenate([q.T, dq.T, np.zeros((2 * fit.model.n, windows)), states])
+    return np.concatenate([x.T, dx.T, rest, states])
