@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Cell = str | float | int
-INK, PALE = "#1f2933", "#8b98a5"
+INK = "#1f2933"
 COLOURS = ("#1b6ca8", "#d1495b", "#edae49", "#66a182", "#6d597a")
 
 

@@ -21,17 +21,17 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "diagnose",
         help="which effects are missing, or what has changed since a fit",
-        usage="lieid diagnose ROBOT --train A… [--test B…] [-o fit.json] | FIT REC…",
-        description="Find the effects that a model lacks or, with a fit in place of a robot, what "
-        "has changed since.",
+        usage="lieid diagnose ROBOT|FIT --train A… [--test B…] [-o fit.json] | FIT REC…",
+        description="Find the effects that a model lacks (--train; with a FIT, the search starts "
+        "from the effects of its model) or what has changed since a fit (FIT REC…).",
     )
-    shared_options.add_robot(parser)
+    shared_options.add_robot(parser, fit=True)
     parser.add_argument(
         "recordings",
         nargs="*",
         type=InputPath,
         metavar="REC",
-        help="with a FIT in place of ROBOT: recordings measured since the fit",
+        help="with a FIT and without --train: recordings measured since the fit",
     )
     parser.add_argument(
         "--train", nargs="+", type=InputPath, default=[], metavar="A", help="recordings to fit"
@@ -83,7 +83,12 @@ def run(args: argparse.Namespace) -> None:
     """Diagnose, print and write."""
     from lieid_casadi.report import diagnosis_report
 
-    if Path(args.robot).suffix == ".json":
+    if args.train and args.recordings:
+        raise UsageError(
+            f"{args.recordings[0]}: expected all recordings after --train and --test (effects that "
+            "the model lacks), or none (what has changed since a FIT)"
+        )
+    if _is_fit(args) and not args.train:
         diagnosis = _changed(args)
     else:
         diagnosis = _missing(args)
@@ -96,21 +101,31 @@ def run(args: argparse.Namespace) -> None:
     print_diagnosis(diagnosis)
 
 
+def _is_fit(args: argparse.Namespace) -> bool:
+    return Path(args.robot).suffix.lower() == ".json"
+
+
 def _missing(args: argparse.Namespace) -> Diagnosis:
     from lieid_casadi.diagnosis import diagnose
+    from lieid_casadi.identification import Fit
+    from lieid_casadi.model import Model
 
-    if not args.train:
-        raise UsageError("no recordings to fit; expected lieid diagnose ROBOT --train A… --test B…")
     if args.recordings:
         raise UsageError(
             f"{args.recordings[0]}: expected recordings after --train and --test, "
             "or a FIT (.json) in place of ROBOT"
         )
+    if not args.train:
+        raise UsageError("no recordings to fit; expected lieid diagnose ROBOT --train A… --test B…")
     shared_options.load_effects_file(args.effects_file)
     robot = shared_options.robot_of(args)
-    train = shared_options.recordings_of(args.train, args, robot)
-    test = shared_options.recordings_of(args.test, args, robot)
-    model = torque_options.model_for(args, robot, train)
+    fit = Fit.load(args.robot) if _is_fit(args) else None
+    train = shared_options.recordings_of(args.train, args, fit or robot)
+    test = shared_options.recordings_of(args.test, args, fit or robot)
+    if fit is not None and args.effects is None:
+        model = Model(robot, fit.model.effects)
+    else:
+        model = torque_options.model_for(args, robot, train)
     with output.progress("diagnose") as report:
         return diagnose(
             model,
@@ -129,9 +144,10 @@ def _changed(args: argparse.Namespace) -> Diagnosis:
     from lieid_casadi.diagnosis import diagnose
     from lieid_casadi.identification import Fit
 
-    if not args.recordings or args.train or args.test:
+    if not args.recordings or args.test:
         raise UsageError(
-            "with a FIT, expected the recordings measured since: lieid diagnose FIT REC…"
+            f"{args.robot}: a fit; expected the recordings measured since (lieid diagnose FIT "
+            "REC…), or --train A… for the effects that its model lacks"
         )
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.robot)

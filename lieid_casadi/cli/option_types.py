@@ -73,7 +73,8 @@ def number(text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text}: expected a number")
+        several = ", several are separated by spaces" if "," in text else ""
+        raise argparse.ArgumentTypeError(f"{text}: expected a number{several}")
     return value
 
 

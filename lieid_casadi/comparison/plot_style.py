@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 MEASURED, PREDICTED, ERROR = "#a3a9ae", "#0b4f8a", "#c44e00"
 FORWARD, BACKWARD, REST = "#0072b2", "#d55e00", "#8a8a8a"
 NOISE, GRID, TEXT = "#cfd8dc", "#e3e6e8", "#333333"
-SMALL, NORMAL, LARGE = 8.0, 9.0, 11.0  # pt
+SMALL, NORMAL = 8.0, 9.0  # pt
 
 MOST_COLUMNS = 1500  # of a line, pixels
 MOST_POINTS = 2500  # of one colour in a scatter plot

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 import casadi as ca
 
@@ -100,12 +101,13 @@ def make(label: str) -> Effect:
     Raises
     ------
     EffectError
-        If no effect has that name; the message lists those that exist.
+        If no effect has that name; the message states similar names.
     """
     if label not in REGISTER:
-        names = ", ".join(sorted(REGISTER))
+        similar = get_close_matches(label, sorted(REGISTER), n=3)
+        name = f"{', '.join(similar)} or another name" if similar else "a name"
         raise EffectError(
-            f"unknown effect {label!r}; expected the file of a user-defined effect "
-            f"(--effects-file), or one of {names}"
+            f"unknown effect {label!r}; expected {name} that lieid effects lists, or the file of a "
+            "user-defined effect (--effects-file)"
         )
     return REGISTER[label]()

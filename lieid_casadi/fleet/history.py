@@ -210,7 +210,10 @@ def _connect(path: str, *, read_only: bool) -> DuckDBPyConnection:
             raise FleetError(
                 f"{path}: in use by {holder}; run this command again when that has finished"
             ) from None
-        raise FleetError(f"{path}: not a DuckDB file ({reason_of(error)})") from None
+        raise FleetError(
+            f"{path}: not a DuckDB file; expected a history that lieid fleet wrote "
+            f"({reason_of(error)})"
+        ) from None
 
 
 def _values(row: object) -> tuple[object, ...]:

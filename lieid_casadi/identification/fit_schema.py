@@ -179,6 +179,8 @@ def _bytes(path: Path) -> bytes:
 
 def _not_json(data: bytes, error: Exception) -> str:
     """Return what is wrong with a text that is not JSON, and where."""
+    if data and not data.lstrip().startswith((b"{", b"[")):
+        return "not JSON; expected a fit, the output of lieid identify -o"
     if isinstance(error, UnicodeDecodeError):
         return "not a fit: expected JSON text in UTF-8"
     at = re.search(r"\(byte (\d+)\)", str(error))

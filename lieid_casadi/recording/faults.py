@@ -58,7 +58,7 @@ def _out_of_range(measurement: Measurement) -> Fault | None:
 def _expected(value: float, largest: float) -> str:
     if np.isfinite(value):
         return f"found {value:g}, expected a magnitude of at most {largest:g} (SI units)"
-    return f"found {value:g}, expected a finite number"
+    return f"found {value:g}, expected a finite number; delete rows without a measurement"
 
 
 def _not_increasing(t: Array) -> Fault | None:
@@ -68,7 +68,11 @@ def _not_increasing(t: Array) -> Fault | None:
     row = int(rows[0]) + 1
     before, here = t[row - 1], t[row]
     if before == here:
-        return Fault(f"found the time {here:.9g} s twice, expected increasing time", row, "t")
+        return Fault(
+            f"found the time {here:.9g} s twice, expected increasing time; delete repeated rows",
+            row,
+            "t",
+        )
     return Fault(
         f"found {here:.9g} s after {before:.9g} s (time goes back), expected increasing time",
         row,

@@ -38,6 +38,11 @@ def check_tree(
                 f"{parents[joint.child].name!r} and {joint.name!r}; expected a tree"
             )
         parents[joint.child] = joint
+    if not links:
+        raise RobotError(
+            f"{origin}: no links; expected a URDF (a xacro file must be expanded first: "
+            "xacro arm.urdf.xacro > arm.urdf)"
+        )
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
         what = "a loop without a root" if not roots else f"{len(roots)} roots: {', '.join(roots)}"

@@ -50,7 +50,6 @@ from lieid_casadi.robot.yaml_fields import FARTHEST, Field
 # Accepts seven printed digits of a unit vector, but no wrong axis.
 SCREW_TOLERANCE = 1e-6
 MOST_JOINTS = 100
-OPTIONAL_KEYS = ("home", "limits", "torque_constant", "drive", "link")  # of a joint
 
 Array = NDArray[np.float64]
 

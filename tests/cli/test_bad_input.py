@@ -6,188 +6,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
+from cli.two_link_files import refused
 
-import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
-
-URDF = """<robot name="arm">
-  <link name="base"/><link name="upper">{inertial}</link><link name="fore">{inertial}</link>
-  <joint name="shoulder" type="{kind}"><parent link="base"/><child link="upper"/>
-    <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="50" velocity="3"/></joint>
-  <joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/>
-    <origin xyz="0.5 0 0"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="50" velocity="3"/></joint>{more}
-</robot>"""
-INERTIAL = (
-    '<inertial><origin xyz="0.2 0 0"/><mass value="3"/>'
-    '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial>'
-)
-
-
-def urdf(*, kind="revolute", inertial=INERTIAL, more=""):
-    return URDF.format(kind=kind, inertial=inertial, more=more)
-
-
-def columns(n=2, seconds=8.0, rate=100.0):
-    """A motion of the two-link arm with the torques of Pinocchio's plant, as named columns."""
-    from lieid_casadi.plant import Arm, JointFriction, measure_along
-
-    robot = lieid.robots.two_link()
-    t = np.arange(0, seconds, 1 / rate)
-    phase = 2 * np.pi * np.outer(t, [0.31, 0.47])
-    w = 2 * np.pi * np.array([0.31, 0.47])
-    q, dq, ddq = np.sin(phase), w * np.cos(phase), -(w**2) * np.sin(phase)
-    friction = JointFriction(np.array([1.0, 0.5]), np.array([0.3, 0.2]), np.zeros(2))
-    recording = measure_along(Arm(robot, robot.link_parameters, friction), t, q, dq, ddq)
-    table = {"t": recording.t}
-    for name, values in (("q", recording.q), ("dq", recording.dq), ("tau", recording.tau)):
-        for j in range(n):
-            table[f"{name}{j + 1}"] = values[:, j]
-    return table
-
-
-def write(path, table):
-    data = np.column_stack(list(table.values()))
-    np.savetxt(path, data, delimiter=",", header=",".join(table), comments="", fmt="%.10g")
-    return str(path)
-
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory):
-    return write(tmp_path_factory.mktemp("good") / "run.csv", columns())
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*arguments):
-        try:
-            status = main([str(a) for a in arguments])
-        except SystemExit as stop:
-            status = stop.code
-        output = capsys.readouterr()
-        return status, output.out, output.err
-
-    return call
-
-
-def refused(outcome, *words):
-    """The outcome is status 2 with one line on stderr that has these words."""
-    status, _, err = outcome
-    assert status == 2, err
-    assert err.count("\n") == 1
-    assert err.endswith("\n")
-    for word in words:
-        assert word in err
-
-
-def test_missing_file(run, tmp_path):
-    refused(run("identify", "two_link", tmp_path / "no.csv"), "no.csv", "no such file")
-
-
-def test_missing_robot(run, good):
-    refused(run("identify", "no.urdf", good), "no.urdf", "no such file")
-    refused(run("identify", "armadillo", good), "armadillo", "two_link")
-
-
-def test_not_a_csv(run, tmp_path):
-    path = tmp_path / "picture.csv"
-    path.write_bytes(bytes(range(256)) * 20)
-    refused(run("identify", "two_link", path), "picture.csv")
-
-
-def test_header_without_a_torque(run, tmp_path):
-    table = columns()
-    del table["tau2"]
-    refused(run("identify", "two_link", write(tmp_path / "a.csv", table)), "a.csv", "tau2")
-
-
-def test_wrong_number_of_joints(run, good):
-    refused(run("identify", "panda", good), "run.csv", "2", "7")
-
-
-def test_text_in_a_number(run, tmp_path, good):
-    path = tmp_path / "a.csv"
-    lines = Path(good).read_text().splitlines()
-    lines[10] = lines[10].replace(lines[10].split(",")[3], "fast", 1)
-    path.write_text("\n".join(lines))
-    refused(run("identify", "two_link", path), "a.csv", "fast", "11")
-
-
-def test_empty_file(run, tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("")
-    refused(run("identify", "two_link", path), "a.csv", "empty")
-
-
-def test_one_row(run, tmp_path):
-    table = {k: v[:1] for k, v in columns().items()}
-    refused(run("identify", "two_link", write(tmp_path / "a.csv", table)), "a.csv")
-
-
-def test_nan(run, tmp_path):
-    table = columns()
-    table["dq2"] = table["dq2"].copy()
-    table["dq2"][20] = np.nan
-    refused(run("identify", "two_link", write(tmp_path / "a.csv", table)), "a.csv", "dq2")
-
-
-def test_time_going_back(run, tmp_path):
-    table = columns()
-    table["t"] = table["t"].copy()
-    table["t"][30] = table["t"][10]
-    refused(run("identify", "two_link", write(tmp_path / "a.csv", table)), "a.csv", "t")
-
-
-def test_degrees(run, tmp_path):
-    table = {k: np.degrees(v) if "q" in k else v for k, v in columns().items()}
-    refused(run("identify", "two_link", write(tmp_path / "a.csv", table)), "a.csv", "rad")
-
-
-@pytest.mark.parametrize("kind", ["floating", "planar", "ball"])
-def test_joint_types(run, tmp_path, good, kind):
-    path = tmp_path / "arm.urdf"
-    path.write_text(urdf(kind=kind))
-    refused(run("identify", path, good), "arm.urdf", "shoulder", kind)
-
-
-def test_urdf_with_a_loop(run, tmp_path, good):
-    path = tmp_path / "arm.urdf"
-    closing = (
-        '<joint name="bar" type="revolute"><parent link="base"/><child link="fore"/>'
-        '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
-    )
-    path.write_text(urdf(more=closing))
-    refused(run("identify", path, good), "arm.urdf", "loop", "fore")
-
-
-def test_not_xml(run, tmp_path, good):
-    path = tmp_path / "arm.urdf"
-    path.write_text("robot: arm")
-    refused(run("identify", path, good), "arm.urdf", "not XML")
-
-
-def test_a_urdf_without_inertias_identifies_all_the_same(run, tmp_path, good):
-    path = tmp_path / "arm.urdf"
-    path.write_text(urdf(inertial=""))
-    status, _, err = run("identify", path, good, "--json", tmp_path / "a.json")
-    assert status == 0, err
-    assert json.loads((tmp_path / "a.json").read_text())["base_parameter_count"] == 12
-
-
-@pytest.mark.parametrize(
-    ("screw", "words"),
-    [("[0, 2, 0, 0, 0, 0]", ["|ω| = 2", "expected 1"]), ("[0, 1, 0, 0, 1, 0]", ["screw"])],
-)
-def test_screws(run, tmp_path, good, screw, words):
-    path = tmp_path / "arm.yaml"
-    path.write_text(f"name: arm\njoints:\n  - {{name: a, screw: {screw}}}\n")
-    refused(run("identify", path, good), "arm.yaml", "joints[0]", *words)
+from lieid_casadi.errors import UsageError
 
 
 def test_unknown_effect_and_joint(run, good):
-    refused(run("identify", "two_link", good, "--effects", "coulom"), "coulom", "expected")
+    misspelt = run("identify", "two_link", good, "--effects", "coulom")
+    refused(misspelt, "'coulom'; expected coulomb", "lieid effects")
     refused(run("identify", "two_link", good, "--effects", "coulomb:3"), "joint 3")
 
 
@@ -218,23 +46,6 @@ def test_fit_files(run, tmp_path, good, fit_text, damage, words):
     refused(run("compare", path, good), *words)
     refused(run("predict", path, good, "-o", tmp_path / "p.csv"), *words)
     assert not (tmp_path / "p.csv").exists()
-
-
-def test_stamps_of_almost_zero_length_are_refused_before_they_are_used(run, tmp_path):
-    table = columns()
-    table["t"] = table["t"] * 1e-300
-    data = write(tmp_path / "run.csv", table)
-    refused(run("identify", "two_link", data, "-o", tmp_path / "fit.json"), "column t", "mean rate")
-
-
-def test_warnings_of_libraries_are_not_printed(tmp_path):
-    table = columns()
-    table["dq1"] = table["dq1"] * 1e-300  # overflows in SciPy's interpolation
-    data = write(tmp_path / "run.csv", table)
-    command = [sys.executable, "-m", "lieid_casadi.cli.main", "identify", "two_link", data]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "VelocityMismatch" in done.stdout
 
 
 def test_output_that_cannot_be_written(run, tmp_path, good):
@@ -348,10 +159,6 @@ def test_names_that_are_not_utf8(run, tmp_path, good):
     refused(run("identify", path, good), r"run\udcff.csv")
 
 
-def test_cutoff_beyond_the_rate(run, good):
-    refused(run("identify", "two_link", good, "--cutoff", 400), "400", "Hz")
-
-
 def test_a_killed_run_leaves_no_half_written_fit(tmp_path, good):
     """Kill the process in the middle of the write: the old file is still whole."""
     path = tmp_path / "fit.json"
@@ -368,3 +175,23 @@ def test_a_killed_run_leaves_no_half_written_fit(tmp_path, good):
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
     assert done.returncode == -9
     assert path.read_text() == "old"
+
+
+def test_several_numbers_are_separated_by_spaces(run, tmp_path):
+    words = ["excite", "two_link", "-o", tmp_path / "out", "--start-pose", "0.1,0.2"]
+    refused(run(*words), "--start-pose", "separated by spaces")
+
+
+@pytest.mark.parametrize("options", [[], ["--test", "run.csv"], ["run.csv", "--train", "run.csv"]])
+def test_diagnose_of_a_fit_states_both_questions(run, work, options):
+    refused(run("diagnose", "fit.json", *options), "since", "lacks")
+
+
+def test_with_training_data_diagnose_starts_from_the_effects_of_the_fit(run, work, monkeypatch):
+    def stop(model, train, test, **_):
+        raise UsageError(f"{' '.join(model.effects)} from {train[0].title}")
+
+    monkeypatch.setattr("lieid_casadi.diagnosis.diagnose", stop)
+    words = ["identify", "two_link", "run.csv", "--effects", "viscous,stribeck:2", "-o", "own.json"]
+    assert run(*words)[0] == 0
+    refused(run("diagnose", "own.json", "--train", "run.csv"), "viscous stribeck:2 from run.csv")

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from cli.test_bad_input import columns, write
+from cli.two_link_files import columns, write
 from real_arms import UR10E, needs
 
 import lieid_casadi as lieid

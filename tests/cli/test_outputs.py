@@ -1,57 +1,25 @@
-"""Outputs: whole or unchanged, never over an input, never over files of others."""
+"""Output files: whole or unchanged, never over an input."""
 
-import json
 import os
 import stat
 import subprocess
 import sys
 import threading
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
-from cli.test_bad_input import columns, refused, run, write  # noqa: F401 - a fixture
+from cli.folder_contents import tree
+from cli.two_link_files import refused
 
-import lieid_casadi as lieid
 from lieid_casadi.atomic_file import PREFIX, SUFFIX, atomic_binary
-from lieid_casadi.cli.main import build_parser, main
+from lieid_casadi.cli.main import build_parser
 from lieid_casadi.cli.option_types import InputPath, OutputFile, OutputFolder, PictureFile
 from lieid_casadi.errors import OutputError
-from lieid_casadi.output_folder import MANIFEST, output_folder, write_folder
-
-
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory):
-    """A recording and a fit that tests copy."""
-    folder = tmp_path_factory.mktemp("kept")
-    write(folder / "run.csv", columns(seconds=4.0))
-    assert main(["identify", "two_link", str(folder / "run.csv"), "-o", f"{folder}/fit.json"]) == 0
-    return {name: (folder / name).read_bytes() for name in ("run.csv", "fit.json")}
-
-
-@pytest.fixture
-def work(kept, tmp_path, monkeypatch):
-    """The current directory, with a recording and a fit in it."""
-    for name, content in kept.items():
-        (tmp_path / name).write_bytes(content)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def tree(folder):
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted(Path(folder).rglob("*"))
-        if path.is_file()
-    }
 
 
 def save(path, content=b"new"):
     with atomic_binary(path) as file:
         file.write(content)
-
-
-# ---- Files --------------------------------------------------------------------------------------
 
 
 def test_a_regular_file_is_replaced_and_keeps_its_mode(tmp_path):
@@ -87,7 +55,7 @@ def test_symbolic_links_are_followed(tmp_path):
     assert tree(tmp_path / "store") == {"real": b"new", "new": b"new"}
 
 
-def test_a_device_is_written_through(work, run):  # noqa: F811
+def test_a_device_is_written_through(work, run):
     null = os.stat("/dev/null")
     status, _, err = run(
         "identify", "two_link", "run.csv", "-o", "/dev/null", "--json", "/dev/null"
@@ -97,7 +65,7 @@ def test_a_device_is_written_through(work, run):  # noqa: F811
     assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
 
 
-def test_a_full_device_is_status_2(work, run):  # noqa: F811
+def test_a_full_device_is_status_2(work, run):
     refused(run("identify", "two_link", "run.csv", "-o", "/dev/full"), "/dev/full", "No space left")
 
 
@@ -184,7 +152,7 @@ def test_a_file_size_limit_is_status_2(work):
 
 
 @pytest.mark.parametrize("output", ["fit.json", "closed/a.json", "closed"])
-def test_a_missing_permission_is_status_2(work, run, monkeypatch, output):  # noqa: F811
+def test_a_missing_permission_is_status_2(work, run, monkeypatch, output):
     allowed, closed = os.access, {str(work / "closed"), "fit.json"}
     Path("closed").mkdir()
 
@@ -194,7 +162,7 @@ def test_a_missing_permission_is_status_2(work, run, monkeypatch, output):  # no
     monkeypatch.setattr(os, "access", access)
     before = tree(work)
     if output == "closed":
-        outcome = export(run, output)
+        outcome = run("export", "fit.json", "--to", "c", "-o", output)
     else:
         outcome = run("identify", "two_link", "run.csv", "-o", output)
     refused(outcome, output, "permission")
@@ -212,9 +180,6 @@ def test_a_closed_reader_of_stdout_is_no_error():
     )
     assert full.returncode == 2
     assert full.stderr.count("\n") == 1
-
-
-# ---- Inputs -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -237,7 +202,7 @@ def test_a_closed_reader_of_stdout_is_no_error():
     ],
     ids=" ".join,
 )
-def test_an_output_that_is_an_input_is_refused(work, run, words):  # noqa: F811
+def test_an_output_that_is_an_input_is_refused(work, run, words):
     os.symlink("run.csv", "linked.csv")
     os.link("run.csv", "hard.csv")
     before = tree(work)
@@ -247,164 +212,19 @@ def test_an_output_that_is_an_input_is_refused(work, run, words):  # noqa: F811
     assert tree(work) == before
 
 
-def test_two_outputs_in_one_file_are_refused(work, run):  # noqa: F811
+def test_two_outputs_in_one_file_are_refused(work, run):
     words = ["identify", "two_link", "run.csv", "-o", "a.json", "--json", "./a.json"]
     refused(run(*words), "a.json", "two options")
     assert not Path("a.json").exists()
 
 
-def test_a_picture_of_an_unknown_format_is_refused_before_the_work(work, run):  # noqa: F811
+def test_a_picture_of_an_unknown_format_is_refused_before_the_work(work, run):
     refused(run("compare", "none.json", "run.csv", "--plot", "a.xyz"), "a.xyz", ".png")
 
 
-def test_of_several_outputs_all_or_none_are_written(work, run):  # noqa: F811
+def test_of_several_outputs_all_or_none_are_written(work, run):
     refused(run("identify", "two_link", "run.csv", "-o", "new.json", "--json", "/dev/full"))
     assert not Path("new.json").exists()
-
-
-# ---- Folders ------------------------------------------------------------------------------------
-
-
-def export(run, folder, *more):  # noqa: F811
-    return run("export", "fit.json", "--to", "c", "-o", folder, *more)
-
-
-@pytest.mark.parametrize(
-    "place", ["current", "absolute", "linked", "parent", "home", "above home", "root"]
-)
-def test_folders_that_are_never_replaced(work, run, monkeypatch, place):  # noqa: F811
-    """Not even where they hold a manifest."""
-    inner, home = work / "inner", work / "home"
-    for folder in (inner, home, home / "user"):
-        folder.mkdir()
-        (folder / "notes.txt").write_text("notes")
-    (work / "link").symlink_to(inner)
-    for folder in (work, inner, home):
-        content = {"program": "lieid-casadi", "files": ["notes.txt", "fit.json", "arm.c"]}
-        (folder / MANIFEST).write_text(json.dumps(content))
-    monkeypatch.setenv("HOME", str(home / "user" if place == "above home" else home))
-    monkeypatch.chdir(inner)
-    before = tree(work)
-    named = {
-        "current": ".", "absolute": inner, "linked": work / "link", "parent": "..", "home": home,
-        "above home": home, "root": "/",
-    }[place]  # fmt: skip
-    for words in (
-        ["export", work / "fit.json", "--to", "c"],
-        ["export", work / "fit.json", "--to", "urdf"],
-        ["excite", "two_link"],
-        ["discriminate", work / "fit.json", "stribeck:1", "coulomb:2"],
-        ["demo"],
-    ):
-        refused(run(*words, "-o", named, "--force"), "not empty", "expected another folder")
-    assert tree(work) == before
-
-
-@pytest.mark.parametrize("force", [[], ["--force"]])
-def test_a_folder_without_a_manifest_is_never_replaced(work, run, force):  # noqa: F811
-    (work / "out").mkdir()
-    (work / "out" / "notes.txt").write_text("notes")
-    refused(export(run, "out", *force), "out", "not empty", MANIFEST)
-    refused(run("demo", "-o", "out", *force), "out", "not empty", MANIFEST)
-    assert tree(work / "out") == {"notes.txt": b"notes"}
-
-
-def test_an_interrupted_demo_ends_at_once_and_writes_nothing(work, run, monkeypatch):  # noqa: F811
-    best = SimpleNamespace(interrupted=True, duration=1.0)
-    monkeypatch.setattr("lieid_casadi.demo.excite", lambda *arguments, **options: best)
-    assert run("demo", "--robot", "two_link") == (130, "", "lieid demo: interrupted\n")
-    assert not Path("lieid-demo").exists()
-
-
-def test_demo_checks_its_folder_before_the_work(work, run, monkeypatch):  # noqa: F811
-    def never(*arguments, **options):
-        raise AssertionError
-
-    monkeypatch.setattr("lieid_casadi.demo.run_demo", never)
-    refused(run("demo", "-o", work, "--force"), "current directory")
-
-
-def test_files_that_the_manifest_does_not_list_are_kept(work, run):  # noqa: F811
-    assert export(run, "out")[0] == 0
-    (work / "out" / "build").mkdir()
-    (work / "out" / "build" / "mine.o").write_text("mine")
-    (work / "out" / "mine.c").write_text("mine")
-    refused(export(run, "out"), "--force")
-    status, _, err = export(run, "out", "--force", "--prefix", "scara")
-    assert status == 0, err
-    made = tree(work / "out")
-    assert made["build/mine.o"] == made["mine.c"] == b"mine"
-    assert "scara.h" in made
-    assert "arm.h" not in made
-    listed = set(json.loads(made[MANIFEST])["files"])
-    assert listed == made.keys() - {"build/mine.o", "mine.c", MANIFEST}
-
-
-def test_a_file_of_another_in_the_place_of_a_new_one_is_not_replaced(tmp_path):
-    folder = tmp_path / "out"
-    write_folder(folder, {"a": b"1"})
-    (folder / "b").write_bytes(b"mine")
-    with pytest.raises(OutputError, match="b: not written by lieid"):
-        write_folder(folder, {"a": b"2", "b": b"2"}, force=True)
-    assert (folder / "a").read_bytes() == b"1"
-    assert (folder / "b").read_bytes() == b"mine"
-
-
-@pytest.mark.parametrize("name", ["../mine", "/mine", "sub/../../mine", "link/mine"])
-def test_a_manifest_cannot_name_files_elsewhere(tmp_path, name):
-    folder, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    (elsewhere / "mine").write_bytes(b"mine")
-    (tmp_path / "mine").write_bytes(b"mine")
-    write_folder(folder, {"a": b"1"})
-    (folder / "link").symlink_to(elsewhere)
-    (folder / MANIFEST).write_text(json.dumps({"program": "lieid-casadi", "files": ["a", name]}))
-    write_folder(folder, {"b": b"2"}, force=True)
-    assert (tmp_path / "mine").exists()
-    assert (elsewhere / "mine").exists()
-    assert not (folder / "a").exists()
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"program": "other", "files": []}', "1"])
-def test_a_manifest_of_another_program_is_ignored(tmp_path, text):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / MANIFEST).write_text(text)
-    with pytest.raises(OutputError, match="not written by lieid"):
-        write_folder(tmp_path / "out", {"a": b"1"}, force=True)
-
-
-def test_an_empty_folder_may_be_the_current_one(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_folder(".", {"sub/a": b"1"})
-    assert tree(tmp_path).keys() == {"sub/a", MANIFEST}
-
-
-@pytest.mark.parametrize("exists", [False, True])
-def test_an_error_on_the_way_leaves_a_folder_as_it_was(tmp_path, exists):
-    if exists:
-        write_folder(tmp_path / "out", {"a": b"1"})
-    before = tree(tmp_path)
-
-    def half():
-        with output_folder(tmp_path / "out", force=True) as fresh:
-            (fresh / "a").write_bytes(b"2")
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        half()
-    assert tree(tmp_path) == before
-    assert os.listdir(tmp_path) == (["out"] if exists else [])
-
-
-def test_library_functions_do_not_replace_files_of_others(work):
-    fit = lieid.Fit.load("fit.json")
-    from lieid_casadi.exporters.c.export import export_c
-
-    for made in (lambda: export_c(fit, ".", force=True), lambda: fit.save("inner/..")):
-        before = tree(work)
-        with pytest.raises(OutputError):
-            made()
-        assert tree(work) == before
 
 
 def test_every_path_of_every_command_is_checked():

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from cli.test_bad_input import columns, write
+from cli.two_link_files import columns, write
 
 import lieid_casadi as lieid
 from lieid_casadi.atomic_file import is_temporary

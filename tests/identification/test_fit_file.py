@@ -85,7 +85,8 @@ def test_schema_2_is_migrated(fit, text, tmp_path):
     ("content", "words"),
     [
         (b"", "truncated"),
-        (b"\xff\xfe\x00", "not JSON at line 1, column 1"),
+        (b"\xff\xfe\x00", "not JSON; expected a fit"),
+        (b"t,q1,tau1", "not JSON; expected a fit"),
         (b"[" * 100_000, "nested too deeply"),
         (b'{"kind": "lieid-fit", "schema": 2, "values": [' + b"9" * 5000 + b"]}", "out of range"),
         (b'{"kind": "lieid-fit", "schema": 2, "values": [1e999]}', "out of range"),

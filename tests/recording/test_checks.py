@@ -231,7 +231,13 @@ def test_torque_at_the_robots_limit(good):
         check(replace(good, tau=np.clip(good.tau, -30, 30)), robot(torque=30.0)),
         errors.TorqueClippedWarning,
     )
-    assert "joint 1 reaches the robot's torque limit" in text
+    assert text.endswith("joint 1 reaches the robot's torque limit")
+
+
+def test_torque_far_beyond_the_robots_limit_is_of_another_unit(good):
+    in_millis = replace(good, tau=1e3 * good.tau)
+    text = only(check(in_millis, robot(torque=30.0)), errors.TorqueClippedWarning)
+    assert "times: expected SI units (N·m)" in text
 
 
 def test_holding_still_at_the_largest_torque_is_not_clipping():

@@ -30,6 +30,8 @@ DECISIVE = 0.5
 ORDER_GAIN = 1.0
 #: Least ratio of the nominal torque to the measured one, friction removed, to determine a sign.
 EXPECTED_PART = 0.3
+#: Ratio of torque to the robot's limit from which the unit is in doubt, not the limit.
+FAR_BEYOND = 3.0
 #: Least motion, rad or m, from which friction can be estimated.
 ENOUGH_MOTION = 0.05
 
@@ -193,11 +195,12 @@ def _clipped(recording: Recording, title: str, robot: Robot | None) -> list[Liei
     magnitude = np.abs(recording.tau)
     clipped = np.array([_stuck_at_top(column) for column in magnitude.T])
     clipped &= _in_motion(recording, magnitude)
-    at_limit = np.zeros(recording.n, dtype=bool)
+    at_limit, excess = np.zeros(recording.n, dtype=bool), 0.0
     if robot is not None:
         limits = np.array([joint.limits.torque for joint in robot.joints])
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):
             at_limit = np.sum(magnitude >= 0.999 * limits, axis=0) >= 3
+            excess = float(np.max((magnitude / limits)[:, at_limit], initial=0.0))
     found: list[LieidWarning] = []
     if (clipped & ~at_limit).any():
         mask = clipped & ~at_limit
@@ -212,6 +215,11 @@ def _clipped(recording: Recording, title: str, robot: Robot | None) -> list[Liei
         found.append(
             TorqueClippedWarning(
                 f"{title}: torque of {joints_text(at_limit)} reaches the robot's torque limit"
+                + (
+                    f", up to {excess:.3g} times: expected SI units (N·m)"
+                    if excess > FAR_BEYOND
+                    else ""
+                )
             )
         )
     return found

@@ -97,7 +97,10 @@ def _header(file: Path, line: str, number: int) -> list[str]:
         return names
     for separator, title in ((";", "semicolons"), ("\t", "tabs")):
         if "t" in [name.strip() for name in line.split(separator)]:
-            raise RecordingError(f"{where}: found {title} between columns, expected commas")
+            raise RecordingError(
+                f"{where}: found {title} between columns, expected commas (and a point in numbers: "
+                "1.5, not 1,5)"
+            )
     if all(_is_number(name) for name in names):
         raise RecordingError(f"{where}: found numbers, expected a header {EXPECTED}")
     return names
