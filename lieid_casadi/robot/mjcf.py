@@ -21,8 +21,9 @@ def read_mjcf(path: str | Path, *, tip: str | None = None) -> RobotDescription:
     """Return the serial arm of a MuJoCo model, in its pose ``qpos0``.
 
     Bodies without joints move with their parents and add to their inertia. Position actuators
-    become drives, and force ranges torque limits. Friction, armature and contacts are not read:
-    they are what an identification finds.
+    become drives, and force ranges torque limits. Friction, armature, contacts and plays (joints
+    without actuator on the axis of the joint before, in the same body) are not read: they are
+    what an identification finds.
 
     Parameters
     ----------
@@ -86,13 +87,29 @@ def _chain(model: Any, path: str | Path, tip: str | None) -> list[int]:
         chain.append(end)
     for body in chain:
         first = model.body_jntadr[body]
-        kinds = [int(model.jnt_type[first + k]) for k in range(model.body_jntnum[body])]
+        own = range(first, first + model.body_jntnum[body])
+        kinds = [int(model.jnt_type[k]) for k in own if not _is_play(model, first, k)]
         if kinds not in ([2], [3]):  # slide, hinge
             raise RobotError(
                 f"{path}: body {model.body(body).name!r} has {len(kinds)} joints or one that is "
                 "neither a hinge nor a slide; expected one hinge or slide per body"
             )
     return chain[::-1]
+
+
+def _is_play(model: Any, first: int, joint: int) -> bool:
+    """Return whether a joint has the axis of its body's first one and no actuator.
+
+    Parameters
+    ----------
+    model : MjModel
+    first, joint : int
+        Joints of one body.
+    """
+    places = (model.jnt_axis, model.jnt_pos, model.jnt_type)
+    same = all(np.allclose(place[first], place[joint]) for place in places)
+    moved = model.actuator_trnid[model.actuator_trntype == 0, 0]
+    return joint != first and same and joint not in moved
 
 
 def _moving_parent(model: Any, body: int) -> int:

@@ -43,8 +43,8 @@ def mujoco_callback(fit: Fit, model: Any, *, width: float = WIDTH) -> Callable[[
         mujoco.set_mjcb_passive(lieid_casadi.simulation.mujoco_callback(fit, model))
     """
     n = fit.model.n
-    if model.nv != n:
-        raise ModelError(f"the MuJoCo model has {model.nv} joints; the fit has {n}")
+    if model.nu != n:
+        raise ModelError(f"the MuJoCo model has {model.nu} actuators; the fit has {n} joints")
     if fit.model.states:
         raise ModelError(
             f"{fit.model.states[0].label}: effects with memory have no passive force; simulate the "
@@ -55,21 +55,23 @@ def mujoco_callback(fit: Fit, model: Any, *, width: float = WIDTH) -> Callable[[
     fixed = {
         "temperature": fit.temperature_mean if fit.temperature_mean is not None else np.zeros(n)
     }
-    damping = model.dof_damping - _drive_damping(fit)
-    loss, stiffness = model.dof_frictionloss.copy(), model.jnt_stiffness.copy()
-    rest = model.qpos_spring.copy()
+    joints = model.actuator_trnid[:, 0]  # beside joints of plays
+    angles, speeds = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+    damping = model.dof_damping[speeds] - _drive_damping(fit)
+    loss, stiffness = model.dof_frictionloss[speeds], model.jnt_stiffness[joints]
+    rest = model.qpos_spring[angles]
 
     def add(_: Any, data: Any) -> None:
-        q, dq = data.qpos, data.qvel
+        q, dq = data.qpos[angles], data.qvel[speeds]
         signals = {"q": q, "dq": dq, "time": data.time, **fixed}
         if "load" in names:
             signals["load"] = fit.compiled.inverse_dynamics(
-                q[None], dq[None], data.qacc[None], fit.link_parameters
+                q[None], dq[None], data.qacc[speeds][None], fit.link_parameters
             )[0]
         exact = friction(*(signals[name] for name in names)).full()[:, 0]
         sign = np.clip(dq / width, -1.0, 1.0)
         simulated = damping * dq + loss * sign + stiffness * (q - rest)
-        data.qfrc_passive[:] -= exact - simulated
+        data.qfrc_passive[speeds] -= exact - simulated
 
     return add
 

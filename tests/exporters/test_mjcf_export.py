@@ -144,6 +144,35 @@ def test_delay_and_saturation_of_drives():
     assert any("command delays" in note for note in notes)
 
 
+def test_a_play_is_a_joint_between_motor_and_link():
+    """A motor within its play moves only its armature; a link there falls freely."""
+    robot = lieid.robots.two_link().with_drives(Drive(stiffness=50.0))
+    fit = made_fit(robot, "armature,backlash:2")
+    names = [c.name for c in fit.model.columns]
+    rotor, width = (dict(zip(names[1:], fit.effect_coefficients[1:], strict=True))[name]
+                    for name in ("armature.I_a", "backlash.b"))  # fmt: skip
+    model, notes = model_of(fit)
+    assert [model.joint(k).name for k in range(3)] == ["shoulder", "elbow", "elbow_play"]
+    assert [model.actuator(k).name for k in range(model.nu)] == ["shoulder", "elbow"]
+    np.testing.assert_allclose(model.jnt_range[2], [-width / 2, width / 2])
+    assert any(note.startswith(f"joint 2: a play of {width:.4g} rad") for note in notes)
+    data, torque = mujoco.MjData(model), 0.7
+    data.qfrc_applied[1] = torque
+    mujoco.mj_forward(model, data)
+    q, dq = data.qpos[None, :2], data.qvel[None, :2]
+    links = np.array([[data.qacc[0], data.qacc[1] + data.qacc[2]]])
+    load = fit.compiled.inverse_dynamics(q, dq, links, fit.link_parameters)[0]
+    assert load[1] == pytest.approx(0.0, abs=1e-9)
+    assert rotor * data.qacc[1] == pytest.approx(torque, rel=1e-9)
+
+
+def test_a_play_without_a_rotor_is_not_exported():
+    robot = lieid.robots.two_link().with_drives(Drive(stiffness=50.0))
+    model, notes = model_of(made_fit(robot, "coulomb,backlash:2"))
+    assert model.nv == 2
+    assert "not part of the MuJoCo model: backlash" in notes
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_names_stay_text(name):
     text, _ = mjcf_text(named(name))

@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from exporters.c_arms import made_fit
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.exporters.mjcf.model import mjcf_text
 from lieid_casadi.robot.drive import Drive
 
 LAWS = [Drive(stiffness=120.0, damping=2.0), Drive(stiffness=50.0, damping=0.5)]
@@ -92,3 +94,29 @@ def test_an_identified_play_reduces_the_drift():
         fit = lieid.identify(model, train, method="feasible")
         drifts.append(lieid.simulate(fit, test, each_effect=False).drift.rms)
     assert (drifts[1] < 0.6 * drifts[0]).all()
+
+
+def drift_in_mujoco(arm, run, plays):
+    """Return the drift of the exported model, deg; windows start with links in the middle."""
+    model = mujoco.MjModel.from_xml_string(mjcf_text(true_fit(arm, plays))[0])
+    model.actuator_delay[:], model.opt.timestep = 0.0, 0.001
+    motors, data, ends = model.actuator_trnid[:, 0], mujoco.MjData(model), []
+    angles, speeds = model.jnt_qposadr[motors], model.jnt_dofadr[motors]
+    (segment,) = lieid.recording.process(run, lieid.Processing(cutoff=40.0, trim=0.0))
+    rate = round(segment.rate)
+    for start in range(0, len(segment) - rate - 1, rate):
+        mujoco.mj_resetData(model, data)
+        data.qpos[angles], data.qvel[speeds] = segment.q[start], segment.dq[start]
+        for k in range(1000):
+            row = np.searchsorted(run.t, segment.t[start] + 0.001 * k + 1e-9, side="right") - 1
+            data.ctrl[:] = run.command[row]
+            mujoco.mj_step(model, data)
+        ends.append(data.qpos[angles] - segment.q[start + rate])
+    return np.degrees(np.sqrt(np.mean(np.square(ends), axis=0)))
+
+
+@pytest.mark.slow
+def test_the_exported_play_moves_as_the_plant():
+    arm, run = arm_and_run((1,))
+    found, without = (drift_in_mujoco(arm, run, [0.0, play]) for play in (PLAY, 0.0))
+    assert np.linalg.norm(found) < 0.75 * np.linalg.norm(without)

@@ -239,7 +239,7 @@ def test_the_guide_shows_how_to_set_the_callback(tmp_path, monkeypatch):
 
 def test_callback_refuses_other_models():
     model = mujoco.MjModel.from_xml_string(mjcf_text(fit_of(""))[0])
-    with pytest.raises(ModelError, match="2 joints; the fit has 7"):
+    with pytest.raises(ModelError, match="2 actuators; the fit has 7 joints"):
         mujoco_callback(made_fit(lieid.robots.panda(), ""), model)
     with pytest.raises(ModelError, match="effects with memory"):
         mujoco_callback(fit_of("presliding"), model)

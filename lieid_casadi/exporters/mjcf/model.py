@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.mjcf.friction import MujocoFriction, mujoco_friction
+from lieid_casadi.exporters.mjcf.notes import notes_of
 from lieid_casadi.exporters.urdf.bodies import number
 from lieid_casadi.exporters.xml_text import allowed, comment
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot import Drive, Joint
 from lieid_casadi.robot.inertia import body_inertia
+from lieid_casadi.simulation.play import plays_of
 
 Array = NDArray[np.float64]
 Element = ElementTree.Element
@@ -23,18 +25,9 @@ STEP = 0.002  # s
 #: Stiffness of the spring that produces a constant torque, in parts of that torque per radian: the
 #: torque changes by this share over a radian.
 WEAK_SPRING = 1e-6
-#: Effects that MuJoCo has itself.
-EXPRESSED = frozenset(
-    [
-        "armature",
-        "command_delay",
-        "coulomb",
-        "offset",
-        "position_spring",
-        "torque_saturation",
-        "viscous",
-    ]
-)
+#: solreflimit of a play: the sides' time constant, s, the shortest that MuJoCo integrates stably
+#: with its step, and damping relative to critical damping.
+SIDES = (2.0 * STEP, 1.0)
 HEAD = """
      {robot}, identified by lieid-casadi {version} (method {method}) from {recordings}.
      Joints and actuators are in the robot's order. ctrl: {control}.
@@ -68,6 +61,7 @@ def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
     parent, before = world, np.eye(4)
     names = _unique([joint.link_name or f"{joint.name}_link" for joint in robot.joints])
     joints = _unique([joint.name for joint in robot.joints])
+    plays = {play.joint: play.width for play in plays_of(fit)}
     bodies = fit.link_parameters.reshape(-1, 10)
     for j, joint in enumerate(robot.joints):
         place = np.asarray(np.linalg.solve(before, joint.home))
@@ -75,13 +69,15 @@ def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
         parent = _add(parent, "body", name=names[j], **_pose(place))
         _add_inertial(parent, bodies[j])
         _add_joint(parent, joint, joints[j], fit, j, friction[j])
+        if j in plays:
+            _add_play(parent, joint, f"{joints[j]}_play", plays[j])
         before = joint.home
     _add_link(parent, robot.tool, robot.n)
     _add(parent, "site", name="tool", **_pose(robot.tool))
     actuators = _add(root, "actuator")
     for j, joint in enumerate(robot.joints):
         _add_actuator(actuators, joint, joints[j], _of_joint(fit, j))
-    notes = _notes(fit, friction)
+    notes = notes_of(fit, friction)
     ElementTree.indent(root)
     head = HEAD.format(
         robot=comment(robot.name),
@@ -135,12 +131,8 @@ def _add_joint(
         Of the joint, from 0.
     friction : MujocoFriction
     """
-    omega, v = joint.axis[:3], joint.axis[3:]
     own = _of_joint(fit, index)
-    attributes = {"name": name, "type": "hinge" if joint.revolute else "slide"}
-    attributes["axis"] = _vector(omega if joint.revolute else v)
-    if joint.revolute:
-        attributes["pos"] = _vector(np.cross(omega, v))
+    attributes = {"name": name, **_axis(joint)}
     limits = joint.limits
     if math.isfinite(limits.position_lower) and math.isfinite(limits.position_upper):
         attributes["range"] = _vector([limits.position_lower, limits.position_upper])
@@ -158,6 +150,31 @@ def _add_joint(
         attributes["stiffness"] = number(stiffness)
         attributes["springref"] = number(-offset / stiffness)
     _add(parent, "joint", **attributes)
+
+
+def _add_play(parent: Element, joint: Joint, name: str, width: float) -> None:
+    """Add the angle of a link relative to its motor: a joint beside the actuated one.
+
+    The armature of the actuated joint is then the inertia of the motor alone.
+
+    Parameters
+    ----------
+    parent : Element
+    joint : Joint
+    name : str
+    width : float
+        Play, rad.
+    """
+    sides = {"range": _vector([-0.5 * width, 0.5 * width]), "solreflimit": _vector(SIDES)}
+    _add(parent, "joint", name=name, **_axis(joint), **sides)
+
+
+def _axis(joint: Joint) -> dict[str, str]:
+    """Return type, axis and position of a joint in its link's frame."""
+    omega, v = joint.axis[:3], joint.axis[3:]
+    if not joint.revolute:
+        return {"type": "slide", "axis": _vector(v)}
+    return {"type": "hinge", "axis": _vector(omega), "pos": _vector(np.cross(omega, v))}
 
 
 def _servo_damping(drive: Drive) -> float:
@@ -205,45 +222,6 @@ def _add_actuator(parent: Element, joint: Joint, name: str, own: dict[str, float
     if math.isfinite(force):
         attributes["forcerange"] = _vector([-force, force])
     _add(parent, "position", **attributes)
-
-
-def _notes(fit: Fit, friction: Sequence[MujocoFriction]) -> list[str]:
-    """Return notes on what the model approximates and leaves out."""
-    robot, notes = fit.model.robot, []
-    names = {p.effect.name for p in fit.model.placements}
-    for j, own in enumerate(friction):
-        if not own.exact:
-            notes.append(
-                f"joint {j + 1}: friction approximated by damping {own.damping:.4g} and "
-                f"frictionloss {own.frictionloss:.4g}; RMS error {own.error:.3g} N·m, "
-                f"{100.0 * own.share:.0f} % of the friction (speeds of 2 to 50 % of the limit, "
-                "loads at rest over the position range)"
-            )
-    if not all(own.exact for own in friction):
-        notes.append("lieid_casadi.simulation.mujoco_callback adds the exact torque of the fit")
-    dry = {label.split(".")[0] for label in (c.name for c in fit.model.columns)}
-    approximated = {
-        p.effect.name
-        for p in fit.model.placements
-        if set(p.effect.signals) & {"dq", "sign"} and p.effect.name in dry
-    }
-    left = sorted(names - EXPRESSED - approximated)
-    if left:
-        notes.append(f"not part of the MuJoCo model: {', '.join(left)}")
-    if "command_delay" in names:
-        notes.append(
-            "command delays are attributes of the actuators, which MuJoCo 4.0 has; if ctrl is held "
-            "for an interval between commands, as in the recordings, subtract half of it"
-        )
-    relative = [drive for drive in robot.drives or () if drive.relative]
-    if relative:
-        notes.append(
-            "the drive stiffness K is unknown: masses, inertias and torques are divided by it, "
-            "and kp is 1; motion under commands is the same, forces are not in N"
-        )
-    if robot.drives is None and any(np.isnan(robot.limit("torque"))):
-        notes.append("no torque limits are stated: the range of the motors is not limited")
-    return notes
 
 
 def _unique(names: Sequence[str]) -> list[str]:
