@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lieid_casadi.fleet.run import FleetProgress, FleetRun
 
 NEW_ALARM = 5  # exit status with --exit-code
+MOST_FAULTS = 10  # printed; the history has all
 
 
 def add_parser(commands: Any) -> None:
@@ -101,6 +102,10 @@ def run(args: argparse.Namespace) -> int:
             removed = history.remove_before(datetime.now(UTC).date() - timedelta(days=args.keep))
         alarms = read_alarms(history, open_only=True)
     output.say(_sentence(result))
+    for fault in result.faults[:MOST_FAULTS]:
+        output.say(f"  {fault}")
+    if len(result.faults) > MOST_FAULTS:
+        output.say(f"  and {len(result.faults) - MOST_FAULTS} more: column reason of table runs")
     if args.keep is not None:
         output.say(f"{removed} runs of nights more than {args.keep} days ago were removed.")
     for alarm in result.new_alarms:

@@ -42,6 +42,7 @@ class History(AbstractContextManager["History"]):
 
     def __init__(self, path: str | Path, *, read_only: bool = False) -> None:
         self.path = str(path)
+        self._is_new = not Path(path).exists()
         if read_only and not Path(path).exists():
             raise FleetError(f"{path}: no such file; expected a history that lieid fleet wrote")
         if not read_only:
@@ -64,8 +65,11 @@ class History(AbstractContextManager["History"]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the file; what was committed is in it."""
+        """Close the file; what was committed is in it, and a new file without runs is removed."""
+        unused = kind is not None and self._is_new and not self.rows("SELECT 1 FROM runs LIMIT 1")
         self.connection.close()
+        if unused:
+            Path(self.path).unlink(missing_ok=True)
 
     def rows(self, query: str, values: Sequence[object] = ()) -> list[tuple[Any, ...]]:
         """Return the rows of an SQL query."""

@@ -48,12 +48,15 @@ class FleetRun:
         Recordings that were in the history.
     seconds : float
     new_alarms : tuple of Alarm
+    faults : tuple of str
+        Serial number and reason of each arm-night that was refused or failed.
     """
 
     counts: dict[str, int]
     finished_before: int
     seconds: float
     new_alarms: tuple[Alarm, ...]
+    faults: tuple[str, ...] = ()
 
 
 def run_fleet(
@@ -93,10 +96,13 @@ def run_fleet(
     settings, start = options or RunOptions(), time.monotonic()
     todo = nights_to_run(fleet, history, since=since)
     counts: Counter[str] = Counter()
+    faults: list[str] = []
 
     def record(night: ArmNight, result: NightResult) -> None:
         history.record(night, result, datetime.now(UTC) - timedelta(seconds=result.seconds))
         counts["repeated" if result.repeated else result.status] += 1
+        if result.status != "done":
+            faults.append(f"{night.serial}: {result.reason}")
         if progress is not None:
             total = len(todo.nights) + len(todo.unusable)
             progress(FleetProgress(counts.total(), total, time.monotonic() - start))
@@ -110,4 +116,5 @@ def run_fleet(
                 connected(dashboard)
             run_on_cluster(client, todo.nights, todo.fits, settings, finished=record)
     new = judge_new_nights(history)
-    return FleetRun(dict(counts), todo.finished, time.monotonic() - start, tuple(new))
+    seconds = time.monotonic() - start
+    return FleetRun(dict(counts), todo.finished, seconds, tuple(new), tuple(faults))

@@ -88,7 +88,9 @@ def test_failures_are_rows_with_their_reasons(fleet_folder, scheduler, capsys):
     )
     (fleet_folder / "fleet.yaml").write_text(text, encoding="utf-8")
     assert run(fleet_folder, scheduler) == 0
-    assert "8 done, 2 failed, 3 refused" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "8 done, 2 failed, 3 refused" in shown
+    assert f"\n  A1: {nights / '2026-01-06.csv'}: " in shown
     found = rows(
         fleet_folder,
         "SELECT serial, status, reason FROM runs WHERE status <> 'done' ORDER BY 1, 2, recording",
@@ -151,11 +153,15 @@ def test_a_second_writer_is_refused(fleet_folder, capsys):
         (["{}/fleet.yaml"], "no history"),
         (["{}/fleet.yaml", "-o", "{}/fleet.yaml2", "--workers", "0"], "expected 1 or more"),
         (["{}/fleet.yaml", "-o", "{}/h", "--scheduler", "nonsense"], "no Dask scheduler"),
+        (["{}/no_fits.yaml", "-o", "{}/h"], "A9.json: no such file"),
         (["{}/fleet.yaml", "-o", "{}/fits/A1.json"], "not a history"),
     ],
 )
 def test_bad_usage_is_one_line_with_status_2(fleet_folder, capsys, words, message):
+    no_fits = (fleet_folder / "fleet.yaml").read_text("utf-8").replace("fits/A1", "fits/A9")
+    (fleet_folder / "no_fits.yaml").write_text(no_fits.replace("fits/A2", "fits/A9"), "utf-8")
     assert main(["fleet", *(word.format(fleet_folder) for word in words)]) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+    assert not (fleet_folder / "h").exists()
