@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from lieid_casadi.identification.fit import Fit
 from lieid_casadi.simulation.play import Coordinates
 from lieid_casadi.simulation.runs import Input, Run
 from lieid_casadi.simulation.step import initial_state, step_function
+from lieid_casadi.simulation.torque_signal import with_torque_of_drives
 
 Array = NDArray[np.float64]
 FARTHEST = 1e3  # rad, at which a simulation has left every range
@@ -78,6 +79,8 @@ class Integrator:
         path[0] = state.T
         if chunk is None:
             return path
+        if run.under == "torque":
+            run = replace(run, segment=with_torque_of_drives(self._fit, segment))
         inputs = run.inputs(self._delays())
         steps = np.full((1, windows * m), run.h)
         for k in range(length):

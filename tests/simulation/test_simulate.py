@@ -137,16 +137,21 @@ def test_a_joint_sticks_under_dry_friction():
     assert simulation.rms_whole[0] < 1e-6
 
 
-def test_torques_as_input():
-    """Without friction and gravity the response to a torque is a double integration."""
+@pytest.mark.parametrize("gain", [0.0, 0.2])
+def test_torques_as_input(gain):
+    """Without friction and gravity the response to a torque is a double integration.
+
+    An identified gain of the torque signal is not part of what the drives deliver.
+    """
     robot = lieid.robots.two_link()
     robot = replace(robot, gravity=np.zeros(3), joints=robot.joints[:1])
-    fit = fit_of("armature", robot)
+    fit = fit_of("armature,torque_gain", robot)
+    fit = replace(fit, parameters=np.append(fit.parameters[:-1], gain))
     inertia = fit.compiled.inverse_dynamics([[0.0]], [[0.0]], [[1.0]], fit.link_parameters)[0, 0]
     inertia += fit.effect_coefficients[0]
     t = np.arange(0.0, 6.0, 0.002)
     q, dq = np.sin(2.0 * t)[:, None], 2.0 * np.cos(2.0 * t)[:, None]
-    tau = -4.0 * inertia * q
+    tau = -4.0 * inertia * q * (1.0 + gain)
     simulation = lieid.simulate(
         fit, lieid.Recording.from_arrays(t, q, dq, tau), window=2.0, each_effect=False
     )
