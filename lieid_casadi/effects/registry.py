@@ -31,6 +31,11 @@ REGISTER: dict[str, EffectVariant] = {}
 def register(kind: type[Effect]) -> type[Effect]:
     """Register an effect class under its name, and under ``name/option`` for each option.
 
+    Parameters
+    ----------
+    kind : type of Effect
+        Returned unchanged, so that this is a decorator.
+
     Raises
     ------
     EffectError

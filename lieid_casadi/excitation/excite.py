@@ -177,20 +177,8 @@ def excite(
         condition_threshold=condition_threshold, neg_log_det_threshold=neg_log_det_threshold,
         start=start,
     )  # fmt: skip
-    for name, count in (
-        ("periods", periods), ("starts", starts), ("max_iterations", max_iterations),
-    ):  # fmt: skip
-        if count is not None and count < 1:
-            raise ExcitationError(f"{name}: {count}; expected 1 at least")
-    if seed < 0:
-        raise ExcitationError(f"seed: {seed}; expected 0 or a positive integer")
-    if not rate > 0.0:
-        raise ExcitationError(f"rate: {rate:g} Hz; expected a positive number")
-    if rate * duration * periods > MOST_ROWS:
-        raise ExcitationError(
-            f"rate: {rate:g} Hz gives {rate * duration * periods:.3g} rows in {periods} periods of "
-            f"{duration:g} s; expected at most {MOST_ROWS}: lower the rate or the number of periods"
-        )
+    _check_counts(periods=periods, starts=starts, max_iterations=max_iterations, seed=seed)
+    _check_rows(rate, duration, periods)
     progress("compiling", 0.0)
     problem = ExcitationProblem(design)
     built = time.monotonic()
@@ -223,6 +211,25 @@ def excite(
         interrupted=any(a.interrupted for a in attempts),
         warnings=() if inertial_only else design_model(model)[1],
     )  # fmt: skip
+
+
+def _check_counts(*, seed: int, **counts: int | None) -> None:
+    for name, count in counts.items():
+        if count is not None and count < 1:
+            raise ExcitationError(f"{name}: {count}; expected 1 at least")
+    if seed < 0:
+        raise ExcitationError(f"seed: {seed}; expected 0 or a positive integer")
+
+
+def _check_rows(rate: float, duration: float, periods: int) -> None:
+    """Refuse a rate at which the trajectory file would be too long."""
+    if not rate > 0.0:
+        raise ExcitationError(f"rate: {rate:g} Hz; expected a positive number")
+    if rate * duration * periods > MOST_ROWS:
+        raise ExcitationError(
+            f"rate: {rate:g} Hz gives {rate * duration * periods:.3g} rows in {periods} periods of "
+            f"{duration:g} s; expected at most {MOST_ROWS}: lower the rate or the number of periods"
+        )
 
 
 def best_of(attempts: Sequence[StartAttempt]) -> OptimizedStart:

@@ -16,7 +16,15 @@ from lieid_casadi.identification.fit import Fit
 
 @dataclass(frozen=True)
 class Export:
-    """The files of an export, and notes for their users."""
+    """Result of :func:`lieid_casadi.export`.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        What was written.
+    notes : tuple of str
+        What the format cannot state, and what its users have to set.
+    """
 
     files: tuple[Path, ...]
     notes: tuple[str, ...]

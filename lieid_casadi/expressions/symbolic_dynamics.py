@@ -262,13 +262,13 @@ class SymbolicDynamics:
         return state_equations.implicit(self._torque)
 
     def save(self, path: str | Path) -> None:
-        """Write the functions: ``.casadi`` for `ca.Function.load` of a bundle, ``.c`` for C.
+        """Write the functions into one file: CasADi's own format, or C.
 
         Parameters
         ----------
         path : str or Path
-            ``arm.casadi``: all functions serialized in one file, for ``ca.FileDeserializer``; read
-            back in the order of `names`. ``arm.c``: the same as CasADi's generated C.
+            ``arm.casadi``: serialized; ``ca.FileDeserializer("arm.casadi").unpack()`` returns them
+            one by one in the order of `names`. ``arm.c``: the same as CasADi's generated C.
 
         Raises
         ------

@@ -151,8 +151,33 @@ def _result(
     identifiable = _identifiable(solution, n) & moves
     _require_load(gains, std, identifiable, mass)
     _require_arm(model, relative, recordings)
+    com, com_std = _centre(model, solution, mass, known)
+    return DriveGains(
+        robot=model.robot,
+        effects=tuple(model.effects),
+        gains=np.where(identifiable, gains, np.nan),
+        std=np.where(identifiable, std, np.nan),
+        covariance=solution.covariance[:n, :n],
+        not_identified=_not_identified(gains, std, moves, identifiable),
+        mass=float(mass),
+        com=com,
+        com_std=com_std,
+        rms=rms,
+        rms_current=rms / np.where(moves, np.abs(gains), np.nan),
+        relative_rms=relative,
+        cutoff=float(options.cutoff or np.nan),
+        unloaded=tuple(Source(r.name, r.source_hash) for r in recordings[0]),
+        loaded=tuple(Source(r.name, r.source_hash) for r in recordings[1]),
+        warnings=(),
+    )
+
+
+def _not_identified(
+    gains: Array, std: Array, moves: NDArray[np.bool_], identifiable: NDArray[np.bool_]
+) -> tuple[GainNotIdentified, ...]:
+    """Return the joints without a gain, or with a weak one, and the reasons."""
     parts = []
-    for j in range(n):
+    for j in range(len(gains)):
         if not moves[j]:
             parts.append(GainNotIdentified(j, "the joint never moves"))
         elif not identifiable[j]:
@@ -165,25 +190,7 @@ def _result(
                     "payload loads this joint too little in this motion",
                 )
             )
-    com, com_std = _centre(model, solution, mass, known)
-    return DriveGains(
-        robot=model.robot,
-        effects=tuple(model.effects),
-        gains=np.where(identifiable, gains, np.nan),
-        std=np.where(identifiable, std, np.nan),
-        covariance=solution.covariance[:n, :n],
-        not_identified=tuple(parts),
-        mass=float(mass),
-        com=com,
-        com_std=com_std,
-        rms=rms,
-        rms_current=rms / np.where(moves, np.abs(gains), np.nan),
-        relative_rms=relative,
-        cutoff=float(options.cutoff or np.nan),
-        unloaded=tuple(Source(r.name, r.source_hash) for r in recordings[0]),
-        loaded=tuple(Source(r.name, r.source_hash) for r in recordings[1]),
-        warnings=(),
-    )
+    return tuple(parts)
 
 
 def _identifiable(solution: GainSolution, n: int) -> NDArray[np.bool_]:

@@ -125,7 +125,19 @@ def _effect_torque(
 
 
 def predict(fit: Fit, recording: Recording) -> Array:
-    """Return the torque (N, n) of a fit at the recording's own times, N·m: `Fit.predict`."""
+    """Return the torque (N, n) of a fit at the recording's own times, N·m; finite everywhere.
+
+    Parameters
+    ----------
+    fit : Fit
+    recording : Recording
+        Of N rows; torques are not needed.
+
+    Raises
+    ------
+    ModelError, EffectError
+        As `Fit.predict`.
+    """
     return fit.predict(recording)
 
 

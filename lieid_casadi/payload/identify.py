@@ -101,13 +101,7 @@ def identify_payload(
     found = payload_warnings.fit_warnings(fit, given)
     found += [w for r in given for w in check_torque_constants(fit.provenance, r)]
     report("process", 0.2)
-    options = replace(
-        fit.processing,
-        average_periods=False,
-        cutoff=fit.processing.cutoff if cutoff is None else cutoff,
-    )
-    segments, _ = center_temperature(process(given, options), fit.temperature_mean)
-    require_one_load(segments)
+    segments = _segments(fit, given, cutoff)
     run = LoadedRun(fit, Design(fit.compiled, segments))
     _require_motion(run)
     frictional = np.array([name in REFITTED for name in run.names])
@@ -146,6 +140,20 @@ def identify_payload(
         recordings=tuple(Source(r.name, r.source_hash) for r in given),
         warnings=unique_warnings(found),
     )
+
+
+def _segments(
+    fit: Fit, recordings: Sequence[Recording], cutoff: float | None
+) -> tuple[Processed, ...]:
+    """Return the recordings through the fit's filter; refuses those with several payloads."""
+    options = replace(
+        fit.processing,
+        average_periods=False,
+        cutoff=fit.processing.cutoff if cutoff is None else cutoff,
+    )
+    segments, _ = center_temperature(process(recordings, options), fit.temperature_mean)
+    require_one_load(segments)
+    return segments
 
 
 def _from_currents(fit: Fit, recordings: Sequence[Recording]) -> bool:

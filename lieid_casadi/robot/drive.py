@@ -107,6 +107,11 @@ def commanded_torque(drives: Sequence[Drive], error: Array, velocity: Array) -> 
 def servo_drive(name: str) -> Drive:
     """Return the control law of a servo preset.
 
+    Parameters
+    ----------
+    name : str
+        Such as ``sts3215``; the sources of the numbers are in ``robot/data/servos.yaml``.
+
     Raises
     ------
     RobotError

@@ -7,15 +7,13 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from real_arms import PANDA, TX40, UR10E, needs
+from real_arms import FINGERS, PANDA, TX40, UR10E, needs
 from robot.random_arms import random_arm, random_states, shift_to_axes, to_pinocchio
 
 from lieid_casadi.compiled import compile
 from lieid_casadi.dynamics.motion_symbols import Motion
 from lieid_casadi.model import Model
 from lieid_casadi.robot import Robot
-
-FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 
 
 @dataclass(frozen=True)

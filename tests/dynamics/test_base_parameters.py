@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from real_arms import PANDA, TX40, UR10E, needs
+from real_arms import FINGERS, PANDA, TX40, UR10E, needs
 from robot.random_arms import random_arm, random_link, shift_to_axes, to_pinocchio
 
 from lieid_casadi import robots
@@ -93,12 +93,7 @@ def test_bundled(name):
     [
         pytest.param(UR10E / "ur10e.urdf", (), 36, marks=needs(UR10E / "ur10e.urdf")),
         pytest.param(TX40 / "tx40.urdf", (), 36, marks=needs(TX40 / "tx40.urdf")),
-        pytest.param(
-            PANDA / "panda.urdf",
-            ("panda_finger_joint1", "panda_finger_joint2"),
-            43,
-            marks=needs(PANDA / "panda.urdf"),
-        ),
+        pytest.param(PANDA / "panda.urdf", FINGERS, 43, marks=needs(PANDA / "panda.urdf")),
     ],
 )
 @pytest.mark.real

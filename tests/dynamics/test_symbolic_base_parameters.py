@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from real_arms import PANDA, TX40, UR10E, needs
+from real_arms import URDFS
 from robot.random_arms import random_arm
 
 from lieid_casadi import Model, Robot, robots
@@ -40,18 +40,7 @@ def test_bundled(name, effects):
 
 
 @pytest.mark.real
-@pytest.mark.parametrize(
-    ("path", "lock"),
-    [
-        pytest.param(UR10E / "ur10e.urdf", (), marks=needs(UR10E / "ur10e.urdf")),
-        pytest.param(TX40 / "tx40.urdf", (), marks=needs(TX40 / "tx40.urdf")),
-        pytest.param(
-            PANDA / "panda.urdf",
-            ("panda_finger_joint1", "panda_finger_joint2"),
-            marks=needs(PANDA / "panda.urdf"),
-        ),
-    ],
-)
+@pytest.mark.parametrize(("path", "lock"), URDFS)
 def test_real_arms(path, lock):
     check(Robot.from_urdf(path, lock=lock), FRICTION)
 

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
-from real_arms import PANDA, TX40, UR10E, needs
+from real_arms import URDFS
 from robot.random_arms import random_arm
 
 import lieid_casadi as lieid
@@ -292,19 +292,7 @@ def test_offset_axes_prismatic_joints_and_other_gravity(seed, tmp_path):
 
 
 @pytest.mark.real
-@pytest.mark.parametrize(
-    ("path", "lock"),
-    [
-        pytest.param(UR10E / "ur10e.urdf", (), marks=needs(UR10E / "ur10e.urdf")),
-        pytest.param(TX40 / "tx40.urdf", (), marks=needs(TX40 / "tx40.urdf")),
-        pytest.param(
-            PANDA / "panda.urdf",
-            ("panda_finger_joint1", "panda_finger_joint2"),
-            marks=needs(PANDA / "panda.urdf"),
-        ),
-    ],
-    ids=["ur10e", "tx40", "panda"],
-)
+@pytest.mark.parametrize(("path", "lock"), URDFS)
 def test_urdfs_of_real_arms(path, lock, tmp_path):
     fit = fitted(lieid.Robot.from_urdf(path, lock=lock))
     check_torques(export_urdf(fit, tmp_path).urdf, fit)

@@ -45,6 +45,13 @@ class Fourier:
 
     Functions 1, sin(kωt)/(kω) for the coefficients a_k, −cos(kωt)/(kω) for b_k, so that a_k and
     b_k are amplitudes of velocity (rad/s).
+
+    Parameters
+    ----------
+    harmonics : int
+        H, of the period's frequency.
+    duration : float
+        Period, s.
     """
 
     harmonics: int = 5
@@ -79,6 +86,13 @@ class ModifiedFourier:
     As in W. Wu, S. Zhu, X. Wang, H. Liu, "Closed-loop dynamic parameter identification of robot
     manipulators using modified Fourier series", IJARS 2012: the end conditions reduce the freedom
     of the polynomial in place of that of the harmonics.
+
+    Parameters
+    ----------
+    harmonics : int
+        H, of the period's frequency.
+    duration : float
+        Period, s.
     """
 
     harmonics: int = 5
@@ -109,6 +123,13 @@ class BSpline:
 
     Each coefficient acts on six intervals only, so that a limit at one time does not restrain the
     motion at another. For a bound on the jerk beside it see `jerk_limit`.
+
+    Parameters
+    ----------
+    intervals : int
+        Of equal length.
+    duration : float
+        Of all intervals, s.
     """
 
     intervals: int = 11

@@ -83,7 +83,18 @@ class ExpressionLimit:
 
 
 def jerk_limit(limit: ArrayLike) -> ExpressionLimit:
-    """Return the limit that every joint's jerk stays within ± ``limit``, rad/s³ (one or (n,))."""
+    """Return the limit that every joint's jerk stays within ± a limit.
+
+    Parameters
+    ----------
+    limit : float or (n,)
+        rad/s³, above 0.
+
+    Raises
+    ------
+    ExcitationError
+        A limit that is not positive.
+    """
     bound = np.asarray(limit, dtype=float)
     if not np.all(bound > 0.0):
         raise ExcitationError(f"jerk: {bound}; expected positive numbers, rad/s³")

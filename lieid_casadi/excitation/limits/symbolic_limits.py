@@ -116,7 +116,13 @@ class SymbolicSet(ConstraintSet):
 
 @dataclass(frozen=True)
 class CartesianSpeed:
-    """Speed of the tool and of every joint's centre within ``limit``, m/s."""
+    """Speed of the tool and of every joint's centre within a limit.
+
+    Parameters
+    ----------
+    limit : float
+        m/s, above 0.
+    """
 
     limit: float
 

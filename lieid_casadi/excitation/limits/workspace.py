@@ -68,7 +68,7 @@ class Wall:
 
 
 def floor(height: float = 0.0, *, capsules: Sequence[Capsule] = ()) -> Wall:
-    """Return the limit that the arm stays above ``height``, m in the base frame."""
+    """Return the limit that the arm (``capsules``) stays above ``height``, m in the base frame."""
     return Wall((0.0, 0.0, -1.0), -height, "floor", tuple(capsules))
 
 
@@ -142,11 +142,12 @@ class Obstacle:
 
 @dataclass(frozen=True)
 class SelfCollision:
-    """Distance of at least ``clearance`` (m) between links, modelled as capsules.
+    """Distance of at least ``clearance`` (m) between links, modelled as ``capsules``.
 
     Adjacent links are left out, and pairs for which capsules are too coarse: links two joints
     apart whose capsules touch in a third of random poses or more, and links farther apart that
-    touch in nearly all. The result of the design and the log name these pairs.
+    touch in nearly all. The result of the design and the log name these pairs. Without capsules,
+    the lines from joint to joint are used (`skeleton`).
     """
 
     clearance: float = 0.02
