@@ -90,6 +90,9 @@ class DiagnosisOptions:
     #: Difference of velocity, acceleration and load, relative to their largest values, within
     #: which two states of a joint are the same. Simulations.
     event_state: float = 0.2
+    #: Difference of position, relative to its range, within which two positions of a joint are the
+    #: same. Resolution: it moves by less between two filtered samples.
+    event_place: float = 0.02
     #: Passes through the same state at other times that are needed for comparison. Statistics.
     least_event_visits: int = 3
     #: Part of the error at the peak from which another error is similar. Simulations.

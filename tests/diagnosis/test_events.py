@@ -9,6 +9,8 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.diagnosis import DiagnosisOptions
 from lieid_casadi.diagnosis.events.leave_out import leave_out_events
+from lieid_casadi.diagnosis.events.residual_signals import ResidualSignals
+from lieid_casadi.recording import process
 
 ROBOT = lieid.robots.panda()
 MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
@@ -16,8 +18,10 @@ FORCE = np.array([40.0, -25.0, 60.0])  # on the tool, N
 POSE = np.array([0.3, -0.6, 0.2, -2.0, 0.4, 1.7, 0.5])
 
 
-def recording(duration=12.0, seed=0, hidden=None, name="run"):
+def recording(duration=12.0, seed=0, hidden=None, foreign=None, name="run"):
     arm = plant.demo_arm(ROBOT, seed=0, hidden=None)
+    if foreign is not None:
+        arm = arm.with_effects(plant.ForeignTorque(5, foreign))
     if hidden is not None:
         arm = arm.with_effects(plant.hidden_effect(arm, *hidden[:2], strength=hidden[2]))
     trajectory = plant.FourierTrajectory(ROBOT, base_frequency=1 / duration, seed=seed)
@@ -139,6 +143,28 @@ def test_a_fault_of_the_recorder_is_named(fit, fault):
 def test_an_effect_of_the_arm_is_no_event(fit, hidden):
     run = recording(seed=3, hidden=hidden)
     assert leave_out_events(fit, [run], DiagnosisOptions()) == ([run], ())
+
+
+@pytest.mark.parametrize("name", ["torque_delay", "torque_lowpass"])
+def test_a_late_torque_signal_is_not_transient(fit, name):
+    """Its error is large for a short time at every reversal, where dry friction changes."""
+    run = recording(seed=3, hidden=(name, 1, 3.0))
+    found = ResidualSignals.of(fit, process([run], fit.processing)[0])
+    error, transient = (np.abs(x[:, 1]).max() for x in (found.error, found.transient))
+    assert transient < 0.3 * error
+
+
+@pytest.mark.parametrize(
+    "torque",
+    [
+        lambda s: 5.0 / (1.0 + ((s.q[..., 5] - 1.87) / 0.03) ** 2),
+        lambda s: 5.0 / (1.0 + ((s.q[..., 5] - 1.87) / 0.03) ** 2) * s.sign[..., 5],
+    ],
+    ids=["bump", "rough spot"],
+)
+def test_an_error_at_one_position_is_no_contact(fit, torque):
+    run = recording(duration=30.0, seed=3, foreign=torque)
+    assert leave_out_events(fit, [run], DiagnosisOptions())[1] == ()
 
 
 def test_effects_on_joints_that_hardly_move_are_no_candidates(fit):

@@ -2,23 +2,27 @@
 
 An error is transient if it is far beyond the spread of the errors around it, if functions of the
 joint's own motion do not explain it, and if the joint passes through the same velocity,
-acceleration and load at other times without it. A property of the arm returns with the motion.
+acceleration and load at other times without it, and through the same position, too. A property of
+the arm returns with the motion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from lieid_casadi.diagnosis.events.event import Event, Kind
 from lieid_casadi.diagnosis.events.residual_signals import (
     FEWEST_MOVING,
     ResidualSignals,
     robust_scale,
+)
+from lieid_casadi.diagnosis.events.returning_errors import (
+    Stretch,
+    returns_with_position,
+    returns_with_state,
 )
 from lieid_casadi.diagnosis.events.tool_force import tool_force
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -87,25 +91,9 @@ def _scale(signals: Sequence[ResidualSignals]) -> Array:
     return np.asarray(np.maximum(found, np.maximum(least, 1e-9)))
 
 
-@dataclass(frozen=True)
-class _Stretch:
-    """Rows ``first`` to ``last`` − 1 with an outstanding error."""
-
-    first: int
-    last: int
-
-
-@dataclass(frozen=True)
-class _Visits:
-    """Other passes of a joint through the state at the peak of an error."""
-
-    count: int
-    similar: int
-
-
 def _outstanding(
     own: ResidualSignals, size: Array, joint: int, options: DiagnosisOptions
-) -> list[_Stretch]:
+) -> list[Stretch]:
     """Return the errors of a joint that are far above all others and not due to its motion."""
     peaks = _peaks(own.time, size[:, joint], options)
     sizes = np.array([size[k, joint] for k in peaks])
@@ -122,7 +110,10 @@ def _outstanding(
         stretch
         for stretch in stretches
         if _fault(own, stretch)
-        or not _returns(_visits(own, stretch, joint, inside, options), options)
+        or not (
+            returns_with_state(own, stretch, joint, inside, options)
+            or returns_with_position(own, stretch, joint, options)
+        )
     ]
 
 
@@ -142,65 +133,30 @@ def _peaks(time: Array, size: Array, options: DiagnosisOptions) -> list[int]:
     return found
 
 
-def _around(size: Array, peak: int, options: DiagnosisOptions) -> _Stretch:
+def _around(size: Array, peak: int, options: DiagnosisOptions) -> Stretch:
     """Return the rows around a peak until the error is small."""
     low = size < max(options.least_event_end, options.event_end_part * size[peak])
     before, after = np.flatnonzero(low[:peak]), np.flatnonzero(low[peak:])
     first = int(before[-1]) + 1 if len(before) else 0
     last = peak + int(after[0]) if len(after) else len(size)
-    return _Stretch(first, last)
+    return Stretch(first, last)
 
 
-def _together(errors: Sequence[_Stretch], time: Array, options: DiagnosisOptions) -> list[_Stretch]:
+def _together(errors: Sequence[Stretch], time: Array, options: DiagnosisOptions) -> list[Stretch]:
     """Return the stretches in the order of time, those that overlap or nearly so joined."""
-    joined: list[_Stretch] = []
+    joined: list[Stretch] = []
     for error in sorted(errors, key=lambda e: e.first):
         if joined and time[error.first] - time[joined[-1].last - 1] < options.event_gap:
             before = joined.pop()
             last = max(before.last, error.last)
-            joined.append(_Stretch(before.first, last))
+            joined.append(Stretch(before.first, last))
         else:
             joined.append(error)
     return joined
 
 
-def _returns(visits: _Visits, options: DiagnosisOptions) -> bool:
-    """Whether an error returns with the motion, or cannot be compared with other times."""
-    if visits.count < options.least_event_visits:
-        return True
-    return visits.similar > options.most_similar_visits * visits.count
-
-
-def _visits(
-    own: ResidualSignals, stretch: _Stretch, joint: int, inside: Mask, options: DiagnosisOptions
-) -> _Visits:
-    """Count the passes through the states of a stretch, and those with a similar error."""
-    rows = slice(stretch.first, stretch.last)
-    peak = own.excess[rows, joint].max()
-    at = stretch.first + int(np.argmax(own.excess[rows, joint]))
-    large = stretch.first + np.flatnonzero(own.excess[rows, joint] > 0.5 * peak)
-    tree = KDTree(own.state[large, joint])
-    near = tree.query(own.state[:, joint], p=np.inf)[0] < options.event_state
-    time = own.time
-    near &= ~inside & (
-        (time < time[stretch.first] - options.event_gap)
-        | (time > time[stretch.last - 1] + options.event_gap)
-    )
-    same = np.sign(own.transient[:, joint]) == np.sign(own.transient[at, joint])
-    similar = same & (own.excess[:, joint] > options.similar_event * peak)
-    where = np.flatnonzero(near)
-    if not len(where):
-        return _Visits(0, 0)
-    visit = np.cumsum(np.diff(own.time[where], prepend=own.time[where[0]]) > options.event_gap)
-    # A held joint makes one long visit: each second of it counts.
-    visit = visit + np.floor(own.time[where]).astype(int) * (visit.max() + 1)
-    _, number = np.unique(visit, return_inverse=True)
-    returned = np.bincount(number, weights=similar[where]) > 0
-    return _Visits(len(returned), int(returned.sum()))
-
-
 def _event(
-    fit: Fit, own: ResidualSignals, scale: Array, stretch: _Stretch, options: DiagnosisOptions
+    fit: Fit, own: ResidualSignals, scale: Array, stretch: Stretch, options: DiagnosisOptions
 ) -> Event:
     rows = slice(stretch.first, stretch.last)
     joints = tuple(
@@ -233,7 +189,7 @@ def _event(
     return Event(kind, source, start, end, joints, peak, sentence, force)
 
 
-def _fault(own: ResidualSignals, stretch: _Stretch) -> str:
+def _fault(own: ResidualSignals, stretch: Stretch) -> str:
     """Return what shows a fault of the recorder in a stretch, or an empty text."""
     segment, raw = own.segment, own.segment.recording
     assert raw.tau is not None

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from lieid_casadi.effects.torque_delay import delayed_change
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.friction_uncertainty import (
@@ -26,6 +27,7 @@ STICTION = 1.5  # of the level of dry friction at low speed: friction at rest ma
 RESTING = 4.0  # s: an arm that rests for longer is compared with its median torque
 HELD = 1.5  # of the level of dry friction: change of the friction of an arm that rests
 BISQUARE = 4.685  # tuning constant of Tukey's bisquare: 95 % efficiency for Gaussian errors
+LATEST = 0.1  # s: the longest delay of a torque signal that a diagnosis names
 ROUNDS = 12  # of the reweighted regression
 FEWEST_MOVING = 50  # samples in motion for a scale of their own
 
@@ -51,6 +53,8 @@ class ResidualSignals:
         Whether a joint stays in a small range.
     state : (M, n, 3)
         Velocity, acceleration and load of each joint relative to their largest values.
+    place, direction : (M, n)
+        Position of each joint relative to its range, and sign of its velocity.
     """
 
     segment: Processed
@@ -61,6 +65,8 @@ class ResidualSignals:
     held: Array
     still: Mask
     state: Array
+    place: Array
+    direction: Array
 
     @classmethod
     def of(cls, fit: Fit, segment: Processed) -> ResidualSignals:
@@ -87,7 +93,7 @@ class ResidualSignals:
             slack[rest] = HELD * level[rest]
         common = common_effect_columns(compiled, segment, links)
         own = np.stack([np.ones_like(q), np.tanh(10.0 * dq / top), dq / top, load, q], axis=-1)
-        columns = np.concatenate([common, own], axis=-1)
+        columns = np.concatenate([common, own, _late_torque(segment, torque)], axis=-1)
         transient = np.column_stack(
             [_without_columns(error[:, j], columns[:, j], ~still[:, j]) for j in range(fit.model.n)]
         )
@@ -109,6 +115,8 @@ class ResidualSignals:
             np.where(still, level, 0.0),
             still,
             state,
+            q / np.maximum(np.ptp(q, axis=0), 1e-9),
+            np.sign(dq),
         )
 
     @property
@@ -137,6 +145,23 @@ def _rests(still: Mask, segment: Processed) -> list[slice]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.all(axis=1).astype(int), [0]])))
     runs = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return [slice(a, b) for a, b in runs if time[b - 1] - time[a] > RESTING]
+
+
+def _late_torque(segment: Processed, torque: Array) -> Array:
+    """Return filtered columns (M, n, k) of torque that is recorded late or through a filter.
+
+    A late change of dry friction at every reversal is a short error, but no contact.
+
+    Parameters
+    ----------
+    segment : Processed
+    torque : (K, n)
+        Of the model, N·m.
+    """
+    count = max(round(2.0 * segment.cutoff * LATEST), 1)
+    delays = LATEST * np.arange(1, count + 1) / count
+    changes = [segment.filter(delayed_change(segment.t, torque, d)) for d in delays]
+    return np.stack(changes, axis=-1)
 
 
 def _without_columns(error: Array, columns: Array, moving: Mask) -> Array:
