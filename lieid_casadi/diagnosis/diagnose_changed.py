@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieid_casadi.comparison import compare
 from lieid_casadi.diagnosis.diagnosis import Diagnosis
@@ -21,7 +22,7 @@ from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.search.changed_effects import ChangedEffects
 from lieid_casadi.diagnosis.search.effect_search import search
 from lieid_casadi.diagnosis.search.recording_differences import recording_differences
-from lieid_casadi.errors import unique_warnings
+from lieid_casadi.errors import LieidWarning, UnidentifiableWarning, unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.identification.uncertainty.noise_model import Noise
@@ -64,8 +65,10 @@ def diagnose_changed(
     )
     report("describe the residual", 0.8)
     parts = _unexplained(problem)
-    most = options.largest_error_over_expected
-    parts += errors_above(problem.errors(), problem.expected, most, parts)
+    most, expected = options.largest_error_over_expected, problem.expected
+    beyond = problem.errors_beyond_uncertainty()
+    parts += errors_above(beyond, expected, most, parts)
+    uncertain = (problem.errors() > most * expected) & ~(beyond > most * expected)
     steps = tuple(
         DiagnosisStep.of(
             a, confirmed=None, rms_train=None, rms_test=a.errors[1], moving=a.errors[1]
@@ -90,7 +93,7 @@ def diagnose_changed(
         aliases=aliases(context.candidates.whitened(problem.white, context.runs), problem.model),
         tried=len(context.candidates.owners),
         fit=fit,
-        warnings=unique_warnings(before.warnings),
+        warnings=unique_warnings([*before.warnings, *_uncertain(problem, uncertain)]),
         train=fit.provenance.recordings,
         test=before.recordings,
         baseline_moving=first,
@@ -106,6 +109,19 @@ def _unexplained(problem: ChangedEffects) -> tuple[Unexplained, ...]:
     baseline = problem.current_baseline(problem.white)
     residual = ProjectedResidual.of(problem.context, problem.white, baseline)
     return with_candidates(describe_parts(parts, residual), problem, residual)
+
+
+def _uncertain(problem: ChangedEffects, joints: NDArray[np.bool_]) -> list[LieidWarning]:
+    """Return a warning of each joint (n,) whose large error uncertain parameters explain."""
+    errors = problem.errors()
+    return [
+        UnidentifiableWarning(
+            f"joint {j + 1}: the error is {errors[j]:.3g} N·m, expected "
+            f"{problem.expected[j]:.3g} N·m; the uncertainty of the fit's parameters explains it. "
+            "Fit recordings of larger motion to find smaller changes"
+        )
+        for j in np.flatnonzero(joints)
+    ]
 
 
 def held_out_noise(fit: Fit) -> tuple[Noise, ...]:

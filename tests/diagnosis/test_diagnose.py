@@ -13,7 +13,12 @@ from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.effects import Placement, make
 from lieid_casadi.effects.registry import REGISTER
-from lieid_casadi.errors import EffectError, IdentificationError, SameRecordingWarning
+from lieid_casadi.errors import (
+    EffectError,
+    IdentificationError,
+    SameRecordingWarning,
+    UnidentifiableWarning,
+)
 
 ROBOT = lieid.robots.two_link()
 MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
@@ -26,11 +31,12 @@ def arm_with(*hidden, seed=0):
 
 
 @cache
-def run(arm, seed, name=""):
+def run(arm, seed, name="", scale=1.0):
     trajectory = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=seed)
     t = np.arange(0.0, 15.0, 0.001)
+    motion = [scale * x for x in trajectory.at(t)]
     sensors = plant.demo_sensors(ROBOT)
-    return plant.measure_along(arm, t, *trajectory.at(t), sensors=sensors, seed=seed, name=name)
+    return plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed, name=name)
 
 
 @cache
@@ -197,15 +203,16 @@ def unchanged_fit():
 
 
 @pytest.mark.parametrize(
-    ("name", "joint", "label"),
+    ("name", "joint", "strength", "label"),
     [
-        ("payload", 0, "payload"),
-        ("torque_gain", 1, "torque_gain:2"),
-        ("stribeck", 0, "stribeck:1"),
+        ("payload", 0, 2.0, "payload"),
+        ("torque_gain", 1, 2.0, "torque_gain:2"),
+        ("stribeck", 0, 2.0, "stribeck:1"),
+        ("time_shift", 0, 0.7, "time_shift"),  # 14 ms, between values that are tried first
     ],
 )
-def test_a_change_is_named(name, joint, label):
-    diagnosis = lieid.diagnose(unchanged_fit(), run(arm_with((name, joint, 2.0)), 3))
+def test_a_change_is_named(name, joint, strength, label):
+    diagnosis = lieid.diagnose(unchanged_fit(), run(arm_with((name, joint, strength)), 3))
     assert [s.label for s in diagnosis.steps] == [label]
     assert diagnosis.mode == "changed"
     assert diagnosis.steps[0].rms_train is None
@@ -226,6 +233,17 @@ def test_an_unchanged_arm_is_sufficient():
     assert "<td>expected</td>" in diagnosis._repr_html_()
     with pytest.raises(IdentificationError, match="no test"):
         lieid.diagnose(fit, run(arm, 3), run(arm, 4))
+
+
+def test_an_error_within_the_uncertainty_of_the_fit_is_no_change():
+    """A fit of small motions does not determine the torques of large ones."""
+    found = lieid.diagnose(
+        lieid.identify(MODEL, run(arm_with(), 1, scale=0.05)), run(arm_with(), 3)
+    )
+    assert found.baseline_moving[0] > 3.0 * found.expected[0]
+    assert (found.steps, found.verdict) == ((), "sufficient")
+    warnings = [str(w) for w in found.warnings if isinstance(w, UnidentifiableWarning)]
+    assert any("joint 1: the error is" in text for text in warnings)
 
 
 def test_extend_shows_the_fall():

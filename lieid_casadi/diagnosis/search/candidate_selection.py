@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,12 @@ from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_gain
 from lieid_casadi.diagnosis.screening.screen import SelectionState
 from lieid_casadi.diagnosis.search.rivals import RivalGroup
+from lieid_casadi.effects import ArmEffect
 from lieid_casadi.identification.regression.shape_range import ShapeRange
 
 Array = NDArray[np.float64]
+#: Part of a unit column outside the model's span, below which its coefficient is not fitted.
+LEAST_OWN_PART = 1e-6
 
 
 def schwarz_penalty(baseline: Baseline, part: float) -> Penalty:
@@ -108,3 +111,58 @@ def refined_shapes(candidates: CandidateColumns[Candidate], gain: Array, group: 
     low, middle, high = ranges.place(candidate.grid[point - 1 : point + 2])[:, 0]
     shift = 0.5 * (before - after) / curvature
     return np.asarray(ranges.shapes(np.array([middle + shift * 0.5 * (high - low)])))
+
+
+def with_possible_rivals(
+    state: SelectionState, groups: Sequence[int], part: float
+) -> Iterator[tuple[int, list[int]]]:
+    """Yield the selected groups and those that could take their places, each with its others.
+
+    Of every candidate with at least a part of a selected group's gain this is the best group.
+
+    Parameters
+    ----------
+    state : SelectionState
+    groups : sequence of int
+        Selected together.
+    part : float
+        0 to 1.
+    """
+    owner = state.candidates.owner_index
+    for g in groups:
+        others = [other for other in groups if other != g]
+        gain = state.given(others).gain
+        seen = set[int]()
+        for group in map(int, np.argsort(-gain)):
+            if gain[group] <= 0.0 or gain[group] < part * gain[g]:
+                break
+            if int(owner[group]) not in seen:
+                seen.add(int(owner[group]))
+                yield group, others
+
+
+def at_estimate(
+    state: SelectionState, group: int, others: Sequence[int], tolerance: float
+) -> Array | None:
+    """Return the grid (1, c) of a group's estimated coefficients, for columns that depend on them.
+
+    Only at its own estimate is a column times the coefficient what the effect does. None for
+    columns that do not depend on coefficients, or are evaluated at the estimate.
+
+    Parameters
+    ----------
+    state : SelectionState
+    group : int
+    others : sequence of int
+        The other selected groups.
+    tolerance : float
+        Relative change of the coefficients that counts.
+    """
+    candidates = state.candidates
+    candidate = candidates.owner(group)
+    if not isinstance(candidate.effect, ArmEffect) or candidate.effect.shapes:
+        return None
+    columns = candidates.stacked(group)
+    values = state.with_groups(others).coefficients(columns, least=LEAST_OWN_PART)
+    change = np.linalg.norm(values - candidate.grid[int(candidates.point[group])])
+    return values[None] if change > tolerance * np.linalg.norm(values) else None

@@ -17,10 +17,13 @@ from lieid_casadi.diagnosis.screening.baseline import Baseline, with_groups
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
+from lieid_casadi.diagnosis.screening.screen import SelectionState
+from lieid_casadi.diagnosis.search.candidate_selection import at_estimate, with_possible_rivals
 from lieid_casadi.diagnosis.search.effect_search import unexplained_parts
 from lieid_casadi.diagnosis.search.fixed_model import (
-    LEAST_OWN_PART,
     fixed_parameters,
+    relative_fall,
+    rms_by_joint,
     with_prior,
     without_columns,
 )
@@ -35,7 +38,7 @@ from lieid_casadi.diagnosis.search.search_results import (
     RejectedEffect,
     parameter_units,
 )
-from lieid_casadi.effects import ArmEffect, Placement
+from lieid_casadi.effects import Placement
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
 Array = NDArray[np.float64]
@@ -74,57 +77,44 @@ class ChangedEffects(SearchProblem):
         return with_groups(model, candidates, self._groups(candidates))
 
     def refined_grids(
-        self,
-        candidates: CandidateColumns[Candidate],
-        baseline: Baseline,
-        groups: Sequence[int],
-        refined: set[str],
+        self, state: SelectionState, groups: Sequence[int], refined: set[str]
     ) -> Mapping[int, Array]:
-        """Return finer grids around the selected groups.
+        """Return finer grids around the selected groups and those that could take their places.
 
-        Columns of effects that are computed along a segment depend on the coefficients; these
-        are evaluated again at the estimated coefficients.
+        Rivals are compared at their own best values: between two grid points a delay resembles
+        a filter.
 
         Parameters
         ----------
-        candidates : CandidateColumns
+        state : SelectionState
             Whitened by the white noise.
-        baseline : Baseline
         groups : sequence of int
             Selected on the present grids.
         refined : set of str
             Not used: grids are refined in every round.
         """
-        grids = {}
-        for g in groups:
-            index, point = int(candidates.owner_index[g]), int(candidates.point[g])
-            candidate = candidates.owners[index]
+        options, candidates, grids = self.options, state.candidates, dict[int, Array]()
+        for g, others in with_possible_rivals(state, groups, options.least_rival_gain):
+            candidate, point = candidates.owner(g), int(candidates.point[g])
             if candidate.effect.shapes:
-                finer = candidate.refined([point], self.options.refinement_positions)
-                grids[index] = finer.grid
-            elif isinstance(candidate.effect, ArmEffect):
-                others = [other for other in groups if other != g]
-                with_others = with_groups(baseline, candidates, others)
-                values = with_others.coefficients(candidates.stacked(g), least=LEAST_OWN_PART)
-                change = np.linalg.norm(values - candidate.grid[point])
-                if change > self.options.coefficient_tolerance * np.linalg.norm(values):
-                    grids[index] = np.vstack([candidate.grid, values])
+                grid = candidate.refined([point], options.refinement_positions).grid
+            else:
+                grid = at_estimate(state, g, others, options.coefficient_tolerance)
+            if grid is not None:
+                grids.setdefault(int(candidates.owner_index[g]), grid)
         return grids
 
     def accept(self, offers: Sequence[Offer]) -> bool:
         """Accept changes that are significant, resolved, and reduce a raised error."""
         candidates = offers[0].state.candidates
-        own = self._accepted_columns(candidates)
-        before, passed = self._misfit(own), []
-        raised = self.raised
+        before = self._misfit(self._accepted_columns(candidates))
+        raised, passed = self.raised, []
         for offer in offers:
-            after = self._misfit([*own, offer.columns])
-            fall = 1.0 - after / before
+            fall = relative_fall(offer.state.baseline, offer.columns, len(self.white))
             joint = int(np.argmax(np.where(raised, fall, -np.inf)))
             unresolved = self._unresolved(offer) or self._implausible(offer)
-            reason = unresolved or self.insignificant(offer.significance) or offer.held_out.reason
-            if not reason and not fall[joint] >= self.options.least_change_improvement:
-                reason = f"the error of raised joints falls by only {100 * fall[joint]:.1f} %"
+            reason = unresolved or self.insignificant(offer.significance)
+            reason = reason or offer.held_out.reason or self._small(float(fall[joint]))
             if reason:
                 self.reject(offer.candidate, reason, final=bool(unresolved))
             else:
@@ -176,14 +166,18 @@ class ChangedEffects(SearchProblem):
         misfit = self._misfit(self._accepted_columns(self.candidates(self.white)))
         return np.asarray(misfit > self.options.least_misfit * rises)
 
+    def errors_beyond_uncertainty(self) -> Array:
+        """Return the error of each joint (n,) with the accepted changes, N·m; 0 without rows.
+
+        Without the part that the uncertainty of the fit's parameters explains.
+        """
+        return self.expected * rms_by_joint(self.current_baseline(self.white), len(self.white))
+
     def errors(self) -> Array:
         """Return the error of each joint (n,) with the accepted changes, N·m; NaN at rest."""
         misfit = self._misfit(self._accepted_columns(self.candidates(self.white)))
-        moved = [
-            len(self._fixed_model.residual[self._fixed_model.joint(j)]) > 0
-            for j in range(len(self.white))
-        ]
-        return np.where(moved, self.expected * misfit, np.nan)
+        rows = np.diff(self._fixed_model.ends)[: len(self.white)]
+        return np.where(rows > 0, self.expected * misfit, np.nan)
 
     def remove(self, out: Sequence[Placement], reason: str) -> None:
         """Remove accepted changes."""
@@ -199,16 +193,14 @@ class ChangedEffects(SearchProblem):
 
     def unexplained(self) -> tuple[Unexplained, ...]:
         """Return what smooth functions explain on the joints whose error is raised."""
-        if not self.raised.any():
-            return ()
         raised = self.raised
-        return tuple(part for part in unexplained_parts(self, self.coloured) if raised[part.joint])
+        parts = unexplained_parts(self, self.coloured) if raised.any() else ()
+        return tuple(part for part in parts if raised[part.joint])
 
     def error_baselines(self) -> tuple[Baseline, Baseline]:
         """Return the residual of the fixed model, without and with the accepted changes."""
-        candidates = self.candidates(self.white)
-        last = with_groups(self._fixed_model, candidates, self._groups(candidates))
-        return self._fixed_model, last
+        own = self.candidates(self.white)
+        return self._fixed_model, with_groups(self._fixed_model, own, self._groups(own))
 
     def baseline_without(
         self, placement: Placement, noise: Sequence[Noise] | None = None
@@ -235,12 +227,8 @@ class ChangedEffects(SearchProblem):
         noise : sequence of Noise
         """
         candidates = self.candidates(noise)
-        (group,) = (
-            g
-            for g in self._groups(candidates)
-            if candidates.owner(g).placement.label == placement.label
-        )
-        return candidates.stacked(group)
+        at = [a.candidate.placement.label for a in self.accepted].index(placement.label)
+        return candidates.stacked(self._groups(candidates)[at])
 
     def in_last_model(self, effect: AcceptedEffect) -> tuple[AcceptedEffect, str]:
         """Return a change with the errors without and with it, and why it fails."""
@@ -248,15 +236,18 @@ class ChangedEffects(SearchProblem):
         others = [candidates.stacked(g) for g in self._groups(candidates, without=placement)]
         columns = self.columns_of(placement, self.white)
         before, after = self._misfit(others), self._misfit([*others, columns])
-        fall = 1.0 - after / before
+        without = self.baseline_without(placement)
+        fall = relative_fall(without, columns, len(self.white))
         joint = joint_of(effect.candidate, fall)
-        held_out = self.held_out_rows.errors(columns, self.baseline_without(placement))
-        reason = held_out.reason
-        if not reason and not fall[joint] >= self.options.least_change_improvement:
-            reason = f"the error of raised joints falls by only {100 * fall[joint]:.1f} %"
+        held_out = self.held_out_rows.errors(columns, without)
         errors = self.expected * np.array([before, after])
         found = replace(effect, errors=errors, joint=joint, torque_rms=self.torque_rms(joint))
-        return found, reason
+        return found, held_out.reason or self._small(float(fall[joint]))
+
+    def _small(self, fall: float) -> str:
+        """Return why a relative fall of the error is too small, or an empty text."""
+        small = fall < self.options.least_change_improvement
+        return f"the error of raised joints falls by only {100 * fall:.1f} %" if small else ""
 
     def _groups(
         self, candidates: CandidateColumns[Candidate], *, without: Placement | None = None
@@ -285,8 +276,7 @@ class ChangedEffects(SearchProblem):
         kept = self._fixed_model
         for own in columns:
             kept = kept.with_columns(own)
-        rows = [kept.residual[kept.joint(j)] for j in range(len(self.white))]
-        return np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in rows])
+        return rms_by_joint(kept, len(self.white))
 
     def _implausible(self, offer: Offer) -> str:
         """Return which coefficient is larger than on any real arm, or an empty text."""

@@ -110,7 +110,7 @@ def _selected(problem: SearchProblem) -> SearchRound:
         state = SelectionState(candidates, baseline, options)
         penalty = schwarz_penalty(baseline, problem.least_gain)
         groups = best_set(state, penalty, options, problem.excluded(candidates))
-        grids = problem.refined_grids(candidates, baseline, groups, refined) if remaining else {}
+        grids = problem.refined_grids(state, groups, refined) if remaining else {}
         if not grids:
             break
         refined |= {candidates.owners[k].placement.label for k in grids}

@@ -11,12 +11,11 @@ from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.screening.model_factor import ModelFactor
+from lieid_casadi.diagnosis.search.candidate_selection import LEAST_OWN_PART
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
 #: Relative to the largest variance: below it a parameter counts as exactly known.
 LEAST_VARIANCE = 1e-12
-#: Part of a unit column outside the model's span, below which its coefficient is not fitted.
-LEAST_OWN_PART = 1e-6
 
 Array = NDArray[np.float64]
 
@@ -60,3 +59,41 @@ def with_prior(context: ScreeningContext, noise: Sequence[Noise]) -> Baseline:
     matrices = context.whitened(noise, context.model_columns)
     residuals = context.whitened(noise, context.residual)
     return ModelFactor.of([*matrices, prior], [*residuals, np.zeros(count)]).baseline()
+
+
+def rms_by_joint(baseline: Baseline, n: int, further: Array | float = 0.0) -> Array:
+    """Return the RMS of the residual of each of n joints (n,), whitened; 0 without rows.
+
+    Parameters
+    ----------
+    baseline : Baseline
+    n : int
+        Number of joints.
+    further : (R,) or 0
+        Added to the residual.
+    """
+    rest = baseline.residual + further
+    rows = [rest[baseline.joint(j)] for j in range(n)]
+    return np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in rows])
+
+
+def relative_fall(baseline: Baseline, columns: Array, n: int) -> Array:
+    """Return the relative fall (n,) of each joint's error that columns cause; 0 without rows.
+
+    Of the model within its uncertainty and with the columns, the error is compared with what it
+    is without the torque of the columns. So neither an error that the uncertain parameters explain
+    on other motion hides a change, nor do these parameters take the place of its torque.
+
+    Parameters
+    ----------
+    baseline : Baseline
+        Without the columns.
+    columns : (R, k)
+        Whitened as the baseline is.
+    n : int
+        Number of joints.
+    """
+    torque = baseline.padded(columns) @ baseline.coefficients(columns, least=LEAST_OWN_PART)
+    complete = baseline.with_columns(columns)
+    before, after = rms_by_joint(complete, n, torque), rms_by_joint(complete, n)
+    return 1.0 - np.divide(after, before, out=np.ones(n), where=before > 0.0)

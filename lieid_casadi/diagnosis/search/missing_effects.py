@@ -8,13 +8,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.screening.baseline import Baseline
-from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
-from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
-from lieid_casadi.diagnosis.screening.screen import screen
+from lieid_casadi.diagnosis.screening.screen import SelectionState
 from lieid_casadi.diagnosis.search.accepted_model import AcceptedModel
-from lieid_casadi.diagnosis.search.candidate_selection import grid_peaks, refined_shapes
+from lieid_casadi.diagnosis.search.candidate_selection import (
+    at_estimate,
+    grid_peaks,
+    refined_shapes,
+    with_possible_rivals,
+)
 from lieid_casadi.diagnosis.search.effect_search import search
 from lieid_casadi.diagnosis.search.parameter_checks import (
     below_sample_time,
@@ -74,19 +76,16 @@ class MissingEffects(AcceptedModel):
         self.fit_shapes()
 
     def refined_grids(
-        self,
-        candidates: CandidateColumns[Candidate],
-        baseline: Baseline,
-        groups: Sequence[int],
-        refined: set[str],
+        self, state: SelectionState, groups: Sequence[int], refined: set[str]
     ) -> Mapping[int, Array]:
         """Return finer grids around the selected groups and the highest peaks, once per step.
 
+        Columns that depend on their coefficients are evaluated at the estimates.
+
         Parameters
         ----------
-        candidates : CandidateColumns
+        state : SelectionState
             Whitened by the white noise.
-        baseline : Baseline
         groups : sequence of int
             Selected on the present grids.
         refined : set of str
@@ -94,16 +93,23 @@ class MissingEffects(AcceptedModel):
         """
         if not groups:
             return {}
-        gain = screen(candidates, baseline, self.options).gain
+        candidates, options = state.candidates, self.options
+        grids: dict[int, Array] = {}
+        for g, others in with_possible_rivals(state, groups, options.least_rival_gain):
+            if candidates.owner(g).placement.label not in refined:
+                grid = at_estimate(state, g, others, options.coefficient_tolerance)
+                if grid is not None:
+                    grids.setdefault(int(candidates.owner_index[g]), grid)
         points: dict[int, list[int]] = {}
-        for g in (*groups, *grid_peaks(candidates, gain, self.options.refined_gain)):
+        for g in (*groups, *grid_peaks(candidates, state.given([]).gain, options.refined_gain)):
             candidate = candidates.owner(g)
             if candidate.effect.shapes and candidate.placement.label not in refined:
                 points.setdefault(int(candidates.owner_index[g]), []).append(
                     int(candidates.point[g])
                 )
-        positions = self.options.refinement_positions
-        return {k: candidates.owners[k].refined(at, positions).grid for k, at in points.items()}
+        for k, at in points.items():
+            grids[k] = candidates.owners[k].refined(at, options.refinement_positions).grid
+        return grids
 
     def accept(self, offers: Sequence[Offer]) -> bool:
         """Accept effects that are significant, plausible, and reduce the held-out error."""

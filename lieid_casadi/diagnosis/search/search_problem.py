@@ -147,19 +147,14 @@ class SearchProblem(ABC):
 
     @abstractmethod
     def refined_grids(
-        self,
-        candidates: CandidateColumns[Candidate],
-        baseline: Baseline,
-        groups: Sequence[int],
-        refined: set[str],
+        self, state: SelectionState, groups: Sequence[int], refined: set[str]
     ) -> Mapping[int, Array]:
-        """Return finer grids around selected groups: candidate index → grid (G, s).
+        """Return finer grids around selected groups and their rivals: candidate → grid (G, s).
 
         Parameters
         ----------
-        candidates : CandidateColumns
+        state : SelectionState
             Whitened by the white noise.
-        baseline : Baseline
         groups : sequence of int
             Selected on the present grids.
         refined : set of str
