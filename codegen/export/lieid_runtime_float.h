@@ -20,20 +20,20 @@ static inline float lieid_directionf(float dq, const float *v0, int j)
 
 static inline float lieid_fminf(float a, float b) { return a < b || b != b ? a : b; }
 static inline float lieid_fmaxf(float a, float b) { return a > b || b != b ? a : b; }
-static inline float lieid_copysignf(float a, float b) { return (float)lieid_copysign(a, b); }
-static inline float lieid_expm1f(float x) { return (float)lieid_expm1(x); }
-static inline float lieid_logf(float x) { return (float)lieid_log(x); }
-static inline float lieid_log1pf(float x) { return (float)lieid_log1p(x); }
-static inline float lieid_powf(float x, float y) { return (float)lieid_pow(x, y); }
-static inline float lieid_tanf(float x) { return (float)lieid_tan(x); }
-static inline float lieid_sinhf(float x) { return (float)lieid_sinh(x); }
-static inline float lieid_coshf(float x) { return (float)lieid_cosh(x); }
-static inline float lieid_asinf(float x) { return (float)lieid_asin(x); }
-static inline float lieid_acosf(float x) { return (float)lieid_acos(x); }
-static inline float lieid_atanf(float x) { return (float)lieid_atan(x); }
-static inline float lieid_atan2f(float y, float x) { return (float)lieid_atan2(y, x); }
-static inline float lieid_hypotf(float a, float b) { return (float)lieid_hypot(a, b); }
-static inline float lieid_floorf(float x) { return (float)lieid_floor(x); }
-static inline float lieid_ceilf(float x) { return (float)lieid_ceil(x); }
+static inline float lieid_copysignf(float a, float b) { return (float)lieid_copysign((double)a, (double)b); }
+static inline float lieid_expm1f(float x) { return (float)lieid_expm1((double)x); }
+static inline float lieid_logf(float x) { return (float)lieid_log((double)x); }
+static inline float lieid_log1pf(float x) { return (float)lieid_log1p((double)x); }
+static inline float lieid_powf(float x, float y) { return (float)lieid_pow((double)x, (double)y); }
+static inline float lieid_tanf(float x) { return (float)lieid_tan((double)x); }
+static inline float lieid_sinhf(float x) { return (float)lieid_sinh((double)x); }
+static inline float lieid_coshf(float x) { return (float)lieid_cosh((double)x); }
+static inline float lieid_asinf(float x) { return (float)lieid_asin((double)x); }
+static inline float lieid_acosf(float x) { return (float)lieid_acos((double)x); }
+static inline float lieid_atanf(float x) { return (float)lieid_atan((double)x); }
+static inline float lieid_atan2f(float y, float x) { return (float)lieid_atan2((double)y, (double)x); }
+static inline float lieid_hypotf(float a, float b) { return (float)lieid_hypot((double)a, (double)b); }
+static inline float lieid_floorf(float x) { return (float)lieid_floor((double)x); }
+static inline float lieid_ceilf(float x) { return (float)lieid_ceil((double)x); }
 
 #endif

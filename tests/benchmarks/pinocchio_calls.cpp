@@ -1,5 +1,5 @@
 // One call after the other of exported C and of Pinocchio in C++, in turns: nanoseconds per call.
-// Argument: a file with the numbers of the arm, see against_pinocchio.py.
+// REAL is double or float. Argument: a file with the numbers of the arm, see against_pinocchio.py.
 #include <pinocchio/algorithm/aba.hpp>
 #include <pinocchio/algorithm/crba.hpp>
 #include <pinocchio/algorithm/frames.hpp>
@@ -18,14 +18,24 @@
 #include <string>
 #include <vector>
 
-#include "arm.h"
-
 namespace pin = pinocchio;
 
+extern "C" { // the export, and arm_calls.c
+extern const int arm_joints;
+void arm_rigid_torque(const REAL *q, const REAL *dq, const REAL *ddq, REAL *torque);
+void arm_gravity(const REAL *q, REAL *torque);
+void arm_mass_matrix(const REAL *q, REAL *matrix);
+void arm_coriolis(const REAL *q, const REAL *dq, REAL *matrix);
+void arm_forward_kinematics(const REAL *q, REAL *pose);
+void arm_jacobian(const REAL *q, REAL *matrix);
+void arm_regressor(const REAL *q, const REAL *dq, const REAL *ddq, REAL *matrix);
+void arm_acceleration(const REAL *q, const REAL *dq, const REAL *torque, REAL *acceleration);
+}
+
 constexpr int samples = 256, rounds = 41, repeats = 8;
-using Vector = Eigen::VectorXd;
+using Vector = Eigen::Matrix<REAL, Eigen::Dynamic, 1>;
 using Ref = Eigen::Ref<const Vector>; // for which the library has these algorithms
-using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using RowMajor = Eigen::Matrix<REAL, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 struct Motion {
     Vector q, dq, ddq, tau;
@@ -93,14 +103,16 @@ static pin::Model model_from(const char *path)
 
 int main(int, char **argv)
 {
-    pin::Model model = model_from(argv[1]);
-    pin::Data data(model);
+    using Model = pin::ModelTpl<REAL>;
+    using Data = pin::DataTpl<REAL>;
+    const Model model = model_from(argv[1]).cast<REAL>();
+    Data data(model);
     const int n = model.nv;
     const pin::FrameIndex tool = model.getFrameId("tool");
-    if (n != ARM_JOINTS) return 1;
+    if (n != arm_joints) return 1;
 
     std::mt19937 random(1);
-    std::uniform_real_distribution<double> one(-1.0, 1.0);
+    std::uniform_real_distribution<REAL> one(-1, 1);
     auto vector = [&] { return Vector(Vector::NullaryExpr(n, [&](auto) { return one(random); })); };
     std::vector<Motion> motions;
     for (int k = 0; k < samples; k++) {
@@ -111,13 +123,11 @@ int main(int, char **argv)
 
     Vector torque(n), gravity(n), acceleration(n);
     RowMajor mass(n, n), coriolis(n, n), regressor(n, 10 * n), jacobian(6, n), pose(4, 4);
-    pin::Data::Matrix6x frame(6, n);
-    arm_sample sample{};
-    arm_state state{};
+    Data::Matrix6x frame(6, n);
     auto relative = [](const auto &a, const auto &b) {
-        return (a - b).cwiseAbs().maxCoeff() / b.cwiseAbs().maxCoeff();
+        return double((a - b).cwiseAbs().maxCoeff() / b.cwiseAbs().maxCoeff());
     };
-    Eigen::MatrixXd symmetric;
+    RowMajor symmetric;
     const std::vector<Pair> pairs{
         {"torque",
          [&](const Motion &m) { arm_rigid_torque(m.q.data(), m.dq.data(), m.ddq.data(), torque.data()); },
@@ -138,9 +148,7 @@ int main(int, char **argv)
          [&] { return relative(regressor, data.jointTorqueRegressor); }},
         {"forward dynamics",
          [&](const Motion &m) {
-             std::copy_n(m.q.data(), n, sample.q);
-             std::copy_n(m.dq.data(), n, sample.dq);
-             arm_forward_dynamics(&sample, m.tau.data(), &state, nullptr, acceleration.data());
+             arm_acceleration(m.q.data(), m.dq.data(), m.tau.data(), acceleration.data());
          },
          [&](const Motion &m) { pin::aba(model, data, Ref(m.q), Ref(m.dq), Ref(m.tau), pin::Convention::WORLD); },
          [&] { return relative(acceleration, data.ddq); }},
@@ -162,7 +170,7 @@ int main(int, char **argv)
              pin::getFrameJacobian(model, data, tool, pin::LOCAL_WORLD_ALIGNED, frame);
          },
          [&] {
-             Eigen::MatrixXd turned(6, n);
+             RowMajor turned(6, n);
              turned << frame.bottomRows(3), frame.topRows(3);
              return relative(jacobian, turned);
          }},

@@ -17,7 +17,10 @@ from lieid_casadi.identification.regression.conditioning import Conditioning
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.recording import Processing
 
-WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
+WARNINGS = (
+    "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wsign-conversion", "-Wshadow",
+    "-Wdouble-promotion", "-Wcast-qual", "-Wundef", "-Wmissing-declarations", "-Werror",
+)  # fmt: skip
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
 BUILDS = {
     "gcc": ("gcc", "-std=c99", "-O2"),

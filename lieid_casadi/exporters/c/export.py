@@ -198,6 +198,7 @@ def _content(fit: Fit, prefix: str, made: ExportedFunctions, form: ExportForm) -
         "advance": made.advance,
         "remembers_load": made.remembers_load,
         "advance_reads_load": made.advance_reads_load,
+        "reads_load": any("load" in p.effect.signals for p in model.placements),
         "reads": {name.removeprefix("before_") for names in used for name in names},
         "sizes": [(name, f.operations) for name, f in made.bodies.items()],
     }

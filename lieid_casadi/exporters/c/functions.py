@@ -155,36 +155,52 @@ def exported_functions(
     used = any(name in SAMPLE_ARGUMENTS for name in names)
     advance = None
     if fit.model.states and used:
-        advance = _advance(fit, expressions, now, form.precision, numbers)
+        advance = _advance(fit, expressions, now, form, numbers)
     remembers = advance is not None and "before_load" in advance.used
     reads = remembers or (advance is not None and "load" in advance.used)
     bodies = {}
     for name in NAMES:
         if name in names or (name == "rigid_torque" and reads):
             inputs = rigid if name in RIGID_ARGUMENTS else sample | further[SAMPLE_ARGUMENTS[name]]
-            result = _RESULTS.get(name, "matrix")
-            expression = getattr(expressions, name)
-            bodies[name] = body(expression, inputs, to=result, precision=form.precision)
+            bodies[name] = body(
+                getattr(expressions, name),
+                inputs,
+                to=_RESULTS.get(name, "matrix"),
+                arguments=_arguments(name, form),
+                precision=form.precision,
+            )
     return ExportedFunctions(bodies, advance, remembers, reads)
+
+
+def _arguments(name: str, form: ExportForm) -> list[str]:
+    """Return the names of a C function's arguments."""
+    numbers = ["numbers"] if form.runtime and name not in WITHOUT_NUMBERS else []
+    if name in RIGID_ARGUMENTS:
+        return [*RIGID_ARGUMENTS[name], *numbers]
+    given = [SAMPLE_ARGUMENTS[name]] if SAMPLE_ARGUMENTS[name] else []
+    return ["sample", *given, "state", "v0", *numbers]
 
 
 def _advance(
     fit: Fit,
     expressions: ExportExpressions,
     now: ExportSymbols,
-    precision: Precision,
+    form: ExportForm,
     numbers: dict[str, FunctionInput],
 ) -> FunctionBody:
     """Return the body that computes the states at a sample from those at the sample before."""
     before = ExportSymbols.of(fit, "before_")
     after = expressions.advance(before)
-    past = sample_inputs(fit, before, precision, of="state->before.")
+    past = sample_inputs(fit, before, form.precision, of="state->before.")
     past["load"] = each(before.load, "state->before_load[{j}]")
-    inputs = sample_inputs(fit, now, precision, of="sample->") | numbers
+    inputs = sample_inputs(fit, now, form.precision, of="sample->") | numbers
     inputs["load"] = each(now.load, "load[{j}]")
     inputs |= {f"before_{name}": given for name, given in past.items()}
     inputs["states"] = inputs.pop("before_states")
-    return body(ca.densify(after), inputs, to="after", precision=precision)
+    arguments = ["state", "sample", "load", "v0", *(["numbers"] if form.runtime else [])]
+    return body(
+        ca.densify(after), inputs, to="after", arguments=arguments, precision=form.precision
+    )
 
 
 def rigid_inputs(

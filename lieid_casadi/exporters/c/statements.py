@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -51,6 +52,7 @@ def body(
     inputs: Mapping[str, FunctionInput],
     *,
     to: str,
+    arguments: Sequence[str] = (),
     precision: Precision = DOUBLE,
 ) -> FunctionBody:
     """Return the C statements that evaluate a matrix.
@@ -62,6 +64,8 @@ def body(
         Local name → symbols.
     to : str
         The array (rows · columns) that takes the result; structural zeros are written too.
+    arguments : sequence of str
+        Names of the C function's arguments; those that the inputs do not need are marked as unused.
     precision : Precision
         Of all values.
 
@@ -91,10 +95,13 @@ def body(
             "expected arithmetic, comparisons, powers, exponential, trigonometric and hyperbolic "
             "functions"
         ) from None
-    loads = [f"{precision.dialect.declaration} {x.name} = {x.text};" for x in written.inputs]
+    by_joint = sorted(written.inputs, key=lambda x: (x.index, x.argument))
+    loads = [f"{precision.dialect.declaration} {x.name} = {x.text};" for x in by_joint]
+    read_names = set(re.findall(r"\w+", " ".join(x.text for x in by_joint)))
+    unused = [f"(void){name};" for name in arguments if name not in read_names]
     zeros = _zeros(to, matrix.shape[0] * columns, places, precision)
     used = frozenset(names[x.argument] for x in written.inputs)
-    return FunctionBody((*loads, *zeros, *written.lines), used, written.operations)
+    return FunctionBody((*unused, *loads, *zeros, *written.lines), used, written.operations)
 
 
 def _zeros(to: str, size: int, places: Sequence[int], precision: Precision) -> list[str]:
