@@ -18,7 +18,7 @@ from lieid_casadi.dynamics.lie import (
     small_adjoint,
 )
 from lieid_casadi.dynamics.motion_symbols import Motion, axes, relative_poses, tool_pose
-from lieid_casadi.dynamics.recursion import inverse_dynamics, tool_in_base
+from lieid_casadi.dynamics.recursion import inverse_dynamics, link_poses
 from lieid_casadi.robot.robot import Robot
 
 
@@ -183,6 +183,17 @@ def jacobian(robot: Robot, motion: Motion) -> ca.SX:
     A wrench [m; f] that the tool exerts, in base axes at the tool's origin, adds Jᵀ·F to the
     torque (Eq. 1).
     """
-    in_tool = inverse_adjoint_times(tool_pose(robot), link_jacobians(robot, motion)[-1])
-    rotation = tool_in_base(robot, motion).rotation
-    return ca.vertcat(ca.mtimes(rotation, in_tool[:3, :]), ca.mtimes(rotation, in_tool[3:, :]))
+    rotations = [pose.rotation for pose in link_poses(robot, motion)]
+    steps = [pose.translation for pose in relative_poses(robot, motion)[1:]]
+    arm, columns = ca.SX(3, 1), []  # from the joint's frame to the tool, in base axes
+    for rotation, step, xi in zip(
+        reversed(rotations),
+        reversed([*steps, tool_pose(robot).translation]),
+        reversed(axes(robot)),
+        strict=True,
+    ):
+        arm = arm + ca.mtimes(rotation, step)
+        angular = ca.mtimes(rotation, xi[:3])
+        linear = ca.mtimes(rotation, xi[3:]) + cross(angular, arm)
+        columns.append(ca.vertcat(angular, linear))
+    return ca.horzcat(*reversed(columns))
