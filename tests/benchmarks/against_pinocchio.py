@@ -1,10 +1,11 @@
 """Exported C against Pinocchio in C++: ``python tests/benchmarks/against_pinocchio.py [ROBOT…]``.
 
-One call each, in turns in one process: medians of processor time. Pinocchio's algorithms are those
-of the library in the wheel ``pin``, a release build for any x86-64 processor, called by a program
-without optimization; with ``--headers`` they are compiled from the wheel's headers by the same
-compiler and flags as the exported C, which takes minutes and 4 GB. Eigen 3 (``libeigen3-dev``) and
-a C++ compiler are needed. Differences are of the last results, relative.
+One call each, in turns in one process: medians of processor time, of three runs. Pinocchio's
+algorithms are those of the library in the wheel ``pin``, a release build for any x86-64 processor.
+With ``--headers`` they are also compiled from the wheel's headers, by the compiler and with the
+flags of the exported C; ``--float32`` measures single precision, for which the library has no
+algorithms. Compiling takes minutes and 4 GB, once for all robots. Eigen 3 (``libeigen3-dev``, or
+``pip install cmeel-eigen``) and GCC are needed. Differences are of the last results, relative.
 """
 
 import argparse
@@ -34,8 +35,12 @@ DEFINITIONS = (  # those of Pinocchio's CMake targets
     "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
     "-DBOOST_FUSION_INVOKE_MAX_ARITY=12",
 )
-COMPILED = ("-O0", "-DPINOCCHIO_ENABLE_TEMPLATE_INSTANTIATION")  # -O0: no copies of its own
+LIBRARY = (  # calls the library's algorithms: they are not compiled into the program
+    "-O2", "-fno-inline", "-DNDEBUG", "-DPINOCCHIO_ENABLE_TEMPLATE_INSTANTIATION"
+)  # fmt: skip
 EIGEN = "/usr/include/eigen3"
+RUNS = 3
+LARGEST_DIFFERENCE = {"double": 1e-10, "float": 1e-3}
 
 
 def nominal(robot):
@@ -68,50 +73,107 @@ def numbers(robot):
     return "\n".join([gravity, str(robot.n), *others]) + "\n"
 
 
-def measured(robot, folder, flags, *, headers):
-    """Name, nanoseconds of this package and of Pinocchio, difference; one row a function."""
-    fit = nominal(robot)
-    export_c(fit, folder / "arm")
-    (folder / "arm.txt").write_text(numbers(robot))
-    prefix, program = wheel(), folder / "calls"
-    subprocess.run(["gcc", "-std=c99", *flags, "-c", "arm.c"], cwd=folder / "arm", check=True)
+def compiled(folder, flags, real, *, headers):
+    """Object file with the calls of Pinocchio, and the arguments that link it."""
+    prefix, made = wheel(), folder / f"calls_{'headers' if headers else 'library'}.o"
     subprocess.run(
         [
-            "g++", "-std=c++17", *(flags if headers else (*COMPILED, "-DNDEBUG")), *DEFINITIONS,
-            f"-I{prefix}/include", f"-isystem{EIGEN}",
-            f"-I{folder}/arm", str(HERE / "pinocchio_calls.cpp"), str(folder / "arm/arm.o"),
-            f"-L{prefix}/lib", f"-Wl,-rpath,{prefix}/lib", "-lpinocchio_default",
-            "-o", str(program),
+            "g++", "-std=c++17", *(flags if headers else LIBRARY), *DEFINITIONS, f"-DREAL={real}",
+            f"-I{prefix}/include", f"-isystem{prefix}/include/eigen3", f"-isystem{EIGEN}",
+            "-c", str(HERE / "pinocchio_calls.cpp"), "-o", str(made),
         ],
         check=True,
     )  # fmt: skip
-    shown = subprocess.run(
-        [program, folder / "arm.txt"], check=True, capture_output=True, text=True
-    ).stdout
+    library = [f"-L{prefix}/lib", f"-Wl,-rpath,{prefix}/lib", "-lpinocchio_default"]
+    return [str(made), *([] if headers else library)]
+
+
+def linked(robot, folder, flags, real, calls):
+    """Commands that measure a robot, one for each of the compiled calls."""
+    export_c(nominal(robot), folder / robot.name, float32=real == "float")
+    (folder / robot.name / "arm.txt").write_text(numbers(robot))
+    c = [
+        "gcc",
+        "-std=c99",
+        *flags,
+        f"-DREAL={real}",
+        "-I.",
+        "-c",
+        "arm.c",
+        str(HERE / "arm_calls.c"),
+    ]
+    subprocess.run(c, cwd=folder / robot.name, check=True)
+    commands = []
+    for k, linking in enumerate(calls):
+        program = f"./calls{k}"
+        command = ["g++", "arm.o", "arm_calls.o", *linking, "-o", program]
+        subprocess.run(command, cwd=folder / robot.name, check=True)
+        commands.append([program, "arm.txt"])
+    return commands
+
+
+def measured(folder, commands):
+    """Rows: function, ns of the export, ns of Pinocchio and ratio per command, difference."""
+    runs = [[_run(folder, command) for command in commands] for _ in range(RUNS)]
+    cells = np.array([[[line[1:] for line in rows] for rows in run] for run in runs], float)
+    names = [line[0] for line in runs[0][0]]
+    ours, theirs, difference = np.moveaxis(cells, -1, 0)  # each: run, command, function
+    return list(
+        zip(
+            names,
+            np.median(ours, axis=(0, 1)),
+            np.median(theirs, axis=0).T,
+            np.median(theirs / ours, axis=0).T,
+            difference.max(axis=(0, 1)),
+            strict=True,
+        )
+    )
+
+
+def _run(folder, command):
+    shown = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
     return [line.split("\t") for line in shown.splitlines()]
+
+
+def show(robot, rows, title, columns):
+    table = Table(title=title)
+    for heading in ("function", "exported C", *columns, "difference"):
+        table.add_column(heading, justify="left" if heading == "function" else "right")
+    for name, ours, theirs, ratios, difference in rows:
+        cells = [f"{x:.0f}, {ratio:.1f}×" for x, ratio in zip(theirs, ratios, strict=True)]
+        table.add_row(name, f"{ours:.0f}", *cells, f"{difference:.0e}")
+    Console(width=100).print(table)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("robots", nargs="*", default=["panda"], metavar="ROBOT")
     parser.add_argument("--flags", default=" ".join(FLAGS), help=f"default: {' '.join(FLAGS)}")
-    parser.add_argument("--headers", action="store_true", help="compile Pinocchio's algorithms")
+    parser.add_argument(
+        "--headers", action="store_true", help="also compile Pinocchio's algorithms"
+    )
+    parser.add_argument("--float32", action="store_true", help="single precision, from the headers")
     options = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    for name in options.robots:
-        robot = lieid.Robot.load(name)
-        with tempfile.TemporaryDirectory() as scratch:
-            rows = measured(robot, Path(scratch), options.flags.split(), headers=options.headers)
-        table = Table(title=f"{robot.name}, {robot.n} joints, {options.flags}, ns per call")
-        for heading in ("function", "exported C", "Pinocchio", "ratio", "difference"):
-            table.add_column(heading, justify="left" if heading == "function" else "right")
-        for function, ours, theirs, difference in rows:
-            ratio = float(theirs) / float(ours)
-            table.add_row(
-                function, f"{float(ours):.0f}", f"{float(theirs):.0f}", f"{ratio:.1f}×", difference
-            )
-            assert float(difference) < 1e-10 or np.isnan(float(difference)), function
-        Console(width=100).print(table)
+    flags, real = options.flags.split(), "float" if options.float32 else "double"
+    kinds = (
+        ["headers"] if options.float32 else ["library", *(["headers"] if options.headers else [])]
+    )
+    version = subprocess.run(
+        ["gcc", "-dumpfullversion"], capture_output=True, text=True, check=True
+    )
+    compiler = f"GCC {version.stdout.strip()} {options.flags}"
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        calls = [compiled(folder, flags, real, headers=kind == "headers") for kind in kinds]
+        for name in options.robots:
+            robot = lieid.Robot.load(name)
+            commands = linked(robot, folder, flags, real, calls)
+            rows = measured(folder / robot.name, commands)
+            title = f"{robot.name}, {robot.n} joints, {real}, {compiler}, ns per call"
+            show(robot, rows, title, [f"Pinocchio, {kind}" for kind in kinds])
+            for function, *_, difference in rows:
+                assert difference < LARGEST_DIFFERENCE[real], (function, difference)
 
 
 if __name__ == "__main__":
