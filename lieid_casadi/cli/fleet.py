@@ -77,10 +77,10 @@ def night(text: str) -> date:
 def run(args: argparse.Namespace) -> int:
     """Run the arm-nights that the history does not have; return the exit status."""
     from lieid_casadi.fleet.alarm_history import read_alarms
+    from lieid_casadi.fleet.cluster import RunOptions
     from lieid_casadi.fleet.config import read_fleet
     from lieid_casadi.fleet.history import History
     from lieid_casadi.fleet.run import run_fleet
-    from lieid_casadi.fleet.scheduling import RunOptions
 
     if args.output is None:
         raise UsageError("no history; expected lieid fleet FLEET.yaml -o HISTORY.duckdb")

@@ -10,11 +10,12 @@ from datetime import UTC, date, datetime, timedelta
 
 from lieid_casadi.fleet.alarm_history import judge_new_nights
 from lieid_casadi.fleet.alarms import Alarm
+from lieid_casadi.fleet.cluster import RunOptions, dashboard_of, dask_client
 from lieid_casadi.fleet.config import Fleet
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.night_result import ArmNight, NightResult
 from lieid_casadi.fleet.nights_to_run import nights_to_run
-from lieid_casadi.fleet.scheduling import RunOptions, dashboard_of, dask_client, run_on_cluster
+from lieid_casadi.fleet.scheduling import run_on_cluster
 
 
 @dataclass(frozen=True)

@@ -3,102 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from lieid_casadi.errors import ClusterLost, FleetError, MissingDependency
+from lieid_casadi.errors import ClusterLost
 from lieid_casadi.fleet.arm_night import run_arm_night
+from lieid_casadi.fleet.cluster import RunOptions
 from lieid_casadi.fleet.night_result import ArmNight, NightResult
 from lieid_casadi.recording.readers.registry import reason_of
 
-logger = logging.getLogger("lieid_casadi")
 TOPIC = "lieid-fleet"  # of the events with which workers report that a task has begun
 WAITING_PER_THREAD = 3  # tasks that are submitted before earlier ones are finished
 CHECK_EVERY = 1.0  # s: of timeouts and of the connection
-DASHBOARD_WAIT = 5.0  # s: for the answer of the dashboard
 WORKERS_WAIT = 120.0  # s: for which a cluster may be without workers
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """How arm-nights are run.
-
-    Attributes
-    ----------
-    scheduler : str or None
-        Address of a Dask scheduler; None starts a cluster on this machine.
-    workers : int or None
-        Processes of that cluster; None: one per core.
-    memory : str
-        Limit of each of these processes, such as ``2GB``.
-    timeout : float
-        Seconds after which an arm-night is given up.
-    losses : int
-        Lost workers after which an arm-night is given up.
-    """
-
-    scheduler: str | None = None
-    workers: int | None = None
-    memory: str = "2GB"
-    timeout: float = 600.0
-    losses: int = 2
-
-
-@contextlib.contextmanager
-def dask_client(options: RunOptions) -> Iterator[Any]:
-    """Client of a Dask cluster: the given one, or one on this machine that ends with the context.
-
-    Raises
-    ------
-    FleetError
-        No scheduler answers at the address.
-    MissingDependency
-        Dask is not installed.
-    """
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-    except ImportError:
-        raise MissingDependency(
-            "fleets need dask; install it with: pip install 'lieid-casadi[fleet]'"
-        ) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    settings = {"distributed.scheduler.allowed-failures": options.losses}
-    with dask.config.set(settings), contextlib.ExitStack() as stack:
-        address: Any = options.scheduler
-        if address is None:
-            address = stack.enter_context(
-                LocalCluster(
-                    n_workers=options.workers,
-                    threads_per_worker=1,
-                    memory_limit=options.memory,
-                    dashboard_address="127.0.0.1:0",
-                    silence_logs=logging.CRITICAL,
-                )
-            )
-        try:
-            client = stack.enter_context(Client(address, timeout="15s"))
-        except (OSError, ValueError) as error:
-            raise FleetError(
-                f"{options.scheduler}: no Dask scheduler: {reason_of(error)}"
-            ) from None
-        yield client
-
-
-def dashboard_of(client: Any) -> str | None:
-    """Return the address of the cluster's dashboard; None if it does not answer from here."""
-    from urllib.request import urlopen
-
-    try:
-        link = str(client.dashboard_link)
-        with urlopen(link, timeout=DASHBOARD_WAIT):
-            return link
-    except (OSError, KeyError, ValueError):
-        return None
 
 
 def run_on_cluster(
@@ -280,9 +199,9 @@ def _ready(completed: Any) -> list[Any]:
     """Return the futures that are finished, after at least one is or a short time."""
     from queue import Empty
 
-    deadline = time.monotonic() + CHECK_EVERY
-    while completed.queue.empty() and time.monotonic() < deadline:
-        time.sleep(0.005)
+    queue = completed.queue
+    with queue.not_empty:  # next_batch cannot wait for a limited time
+        queue.not_empty.wait_for(lambda: queue.queue, CHECK_EVERY)
     with contextlib.suppress(Empty):
         return list(completed.next_batch(block=False))
     return []

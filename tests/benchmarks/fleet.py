@@ -26,10 +26,10 @@ from fleet.changing_fleet import FIRST_NIGHT, arms_of, write_simulated_fleet  # 
 
 from lieid_casadi.fleet.alarm_history import alarms_after  # noqa: E402
 from lieid_casadi.fleet.arm_history import read_arms  # noqa: E402
+from lieid_casadi.fleet.cluster import RunOptions  # noqa: E402
 from lieid_casadi.fleet.config import read_fleet  # noqa: E402
 from lieid_casadi.fleet.history import History  # noqa: E402
 from lieid_casadi.fleet.run import run_fleet  # noqa: E402
-from lieid_casadi.fleet.scheduling import RunOptions  # noqa: E402
 from lieid_casadi.fleet.statistics.scatter import NightSeries  # noqa: E402
 
 #: Arms and nights unless stated otherwise; ``null`` uses the history of ``changes``.
@@ -157,48 +157,70 @@ def resampled(measured, random, serial, nights):
 
 
 def throughput(args: argparse.Namespace) -> None:
-    """Print arm-nights per hour of a loop over ``diagnose`` and of ``lieid fleet``."""
-    import shutil
+    """Print arm-nights per hour of a loop over ``diagnose`` and of ``lieid fleet``.
 
+    Processor time is printed beside elapsed time: it does not depend on what else the machine does.
+    """
+    arms = [
+        replace(arm, change=None, has_payloads=False)  # a loop has no known payloads
+        for arm in arms_of(args.arms, args.nights, seed=args.seed)
+    ]
+    fleet = read_fleet(write_simulated_fleet(args.folder, arms, args.nights, args.duration))
+    looped(fleet.arms[:1], args.folder, 1)  # compiled libraries are in the cache after it
+    elapsed, processor = time.perf_counter(), time.process_time()
+    count = looped(fleet.arms, args.folder, args.nights)
+    loop = (time.perf_counter() - elapsed) / count
+    own = (time.process_time() - processor) / count
+    say(f"loop: {count} arm-nights, {3600 / loop:.0f} per hour, {own:.3f} s of processor time each")
+    for workers in (1, 2):
+        rate, worker, client, whole = measured_run(fleet, args.folder, workers)
+        say(
+            f"{workers} workers: {3600 * rate:.0f} per hour after the first, "
+            f"{rate * loop / workers:.2f} of the loop per worker "
+            f"({count * loop / whole / workers:.2f} with start and judging); processor time of "
+            f"each: worker {worker:.3f} s ({own / worker:.2f} of the loop), client and scheduler "
+            f"{1000 * client:.0f} ms"
+        )
+
+
+def looped(arms, folder: Path, nights: int) -> int:
+    """Diagnose recordings one after another; return their number."""
     import lieid_casadi as lieid
 
-    arms = [replace(arm, change=None) for arm in arms_of(args.arms, args.nights, seed=args.seed)]
-    path = write_simulated_fleet(args.folder, arms, args.nights, args.duration)
-    fleet = read_fleet(path)
-    first = fleet.arms[0]
-    lieid.diagnose(
-        lieid.Fit.load(first.fit),
-        lieid.Recording.load(sorted((args.folder / "nights" / first.serial).iterdir())[0]),
-    )  # compiled libraries are in the cache, as after the first night
-    start, count = time.perf_counter(), 0
-    for arm in fleet.arms:
+    count = 0
+    for arm in arms:
         fit = lieid.Fit.load(arm.fit)
-        for file in sorted((args.folder / "nights" / arm.serial).iterdir()):
+        for file in sorted((folder / "nights" / arm.serial).iterdir())[:nights]:
             lieid.diagnose(fit, lieid.Recording.load(file))
             count += 1
-    loop = time.perf_counter() - start
-    say(f"loop: {count} arm-nights in {loop:.1f} s, {3600 * count / loop:.0f} per hour")
-    for workers in (1, 2):
-        history = args.folder / f"throughput-{workers}.duckdb"
-        history.unlink(missing_ok=True)
-        shutil.rmtree(f"{history}.wal", ignore_errors=True)
-        begun: list[float] = []
-        with History(history) as opened:
-            finished: list[float] = []
-            result = run_fleet(
-                fleet,
-                opened,
-                options=RunOptions(workers=workers),
-                connected=lambda address, begun=begun: begun.append(time.perf_counter()),
-                progress=lambda p, finished=finished: finished.append(time.perf_counter()),
-            )
-        whole, steady = result.seconds, finished[-1] - finished[workers - 1]
-        rate = (len(finished) - workers) / steady
-        say(
-            f"{workers} workers: {count} arm-nights in {whole:.1f} s with start and judging, "
-            f"{loop / whole / workers:.2f} of the loop per worker; {3600 * rate:.0f} per hour "
-            f"after the first, {rate * loop / count / workers:.2f} of the loop per worker"
-        )
+    return count
+
+
+def measured_run(fleet, folder: Path, workers: int) -> tuple[float, float, float, float]:
+    """Return arm-nights per second, processor time of an arm-night in workers and client, and s.
+
+    All but the last are measured between the first arm-nights, one per worker, and the last one.
+    """
+    import psutil
+
+    path = folder / f"throughput-{workers}.duckdb"
+    for file in folder.glob(f"{path.name}*"):
+        file.unlink()
+    own, finished = psutil.Process(), []
+
+    def note(_) -> None:
+        children = own.children(recursive=True)
+        spent = [sum(child.cpu_times()[:2]) for child in children]
+        finished.append((time.perf_counter(), sum(spent), sum(own.cpu_times()[:2])))
+
+    with History(path) as opened:
+        result = run_fleet(fleet, opened, options=RunOptions(workers=workers), progress=note)
+    count = len(finished) - workers
+    elapsed, worker, client = (
+        (last - first) / count
+        for last, first in zip(finished[-1], finished[workers - 1], strict=True)
+    )
+    return 1.0 / elapsed, worker, client, result.seconds
 
 
 def faults(args: argparse.Namespace) -> None:

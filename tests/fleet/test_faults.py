@@ -1,5 +1,6 @@
 """Worker, scheduler and client are killed: no arm-night is lost, none is recorded twice."""
 
+import os
 import signal
 import time
 
@@ -9,7 +10,7 @@ from fleet.faults import ClusterProcesses, killed_run, lost_or_repeated, run_cli
 from fleet.synthetic_history import drawn_result
 
 from lieid_casadi.cli.main import main
-from lieid_casadi.fleet import scheduling
+from lieid_casadi.fleet import cluster, scheduling
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.night_result import ArmNight, NightResult
 
@@ -58,10 +59,12 @@ def test_an_arm_night_beyond_the_memory_of_a_worker_fails_alone(monkeypatch):
 
     monkeypatch.setattr(scheduling, "reporting_arm_night", greedy)
     nights = [ArmNight("A1", f"2026-01-0{k}", f"{k}.csv", "", "f") for k in (1, 2, 3)]
-    options, found = scheduling.RunOptions(workers=1, memory="500MB"), {}
-    with scheduling.dask_client(options) as client:
+    options, found = cluster.RunOptions(workers=1, memory="500MB"), {}
+    with cluster.dask_client(options) as client:
         limits = {w["memory_limit"] for w in client.scheduler_info()["workers"].values()}
         assert limits == {500_000_000}
+        trimmed = client.run(os.environ.get, "MALLOC_TRIM_THRESHOLD_")
+        assert set(trimmed.values()) == {None}  # Dask's value costs a quarter of the time
         scheduling.run_on_cluster(
             client, nights, {"f": b""}, options,
             finished=lambda night, result: found.update({night.date[-1]: result}),

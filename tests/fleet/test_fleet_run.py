@@ -8,9 +8,9 @@ import pytest
 from fleet.simulated_fleet import healthy_arm, recorded
 
 from lieid_casadi.cli.main import main
-from lieid_casadi.fleet import scheduling
+from lieid_casadi.fleet import cluster
+from lieid_casadi.fleet.cluster import dashboard_of
 from lieid_casadi.fleet.history import History
-from lieid_casadi.fleet.scheduling import dashboard_of
 
 
 def run(folder, scheduler, *options):
@@ -26,7 +26,7 @@ def rows(folder, query):
 def test_every_recording_is_run_once_and_again_only_when_it_changes(
     fleet_folder, scheduler, capsys, sha_of, monkeypatch
 ):
-    monkeypatch.setattr(scheduling, "DASHBOARD_WAIT", 300.0)
+    monkeypatch.setattr(cluster, "DASHBOARD_WAIT", 300.0)
     assert run(fleet_folder, scheduler, "--since", "2026-01-04") == 0
     shown = capsys.readouterr().out
     assert "2 done; 0 were in the history" in shown

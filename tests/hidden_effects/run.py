@@ -146,7 +146,7 @@ def executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
             yield pool
         return
-    from lieid_casadi.fleet.scheduling import RunOptions, dask_client
+    from lieid_casadi.fleet.cluster import RunOptions, dask_client
 
     with dask_client(RunOptions(scheduler=scheduler)) as client:
         client.run_on_scheduler(find_modules, sys.path[:2])
