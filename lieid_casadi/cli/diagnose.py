@@ -45,7 +45,10 @@ def add_parser(commands: Any) -> None:
         help="recordings to test on, which are not fitted",
     )
     parser.add_argument(
-        "--method", choices=("ols", "wls", "robust"), default="wls", help="estimator; default: wls"
+        "--method",
+        choices=("ols", "wls", "robust"),
+        default="wls",
+        help="ordinary, weighted or robust least squares; default: wls",
     )
     parser.add_argument(
         "--seed", type=seed, default=0, metavar="N", help="seed of the bootstrap; default: 0"

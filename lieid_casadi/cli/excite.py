@@ -35,14 +35,17 @@ def add_parser(commands: Any) -> None:
     shared_options.add_effects(parser)
     parser.add_argument(
         "--criterion", choices=CRITERIA, default="combined",
-        help="criterion of the regressor that is optimized; default: combined",
+        help="what is minimized: condition number, with a bound on −log det (combined) or without, "
+        "1/product of the column norms (hadamard), −log det of the information matrix, sum "
+        "(a_optimal) or largest axis (e_optimal) of the covariance; default: combined",
     )  # fmt: skip
     parser.add_argument(
         "--inertial-only", action="store_true", help="leave effects out of the regressor"
     )
     parser.add_argument(
         "--scaling", choices=("si", "units", "prior", "unit_norm"), default="si",
-        help="scaling of the columns in the criterion; default: si",
+        help="scaling of the columns in the criterion: none (si), by mass and length of the arm "
+        "(units), by the stated parameters (prior), or to norm 1 (unit_norm); default: si",
     )  # fmt: skip
     _add_motion(parser)
     motion_limits.add_limits(parser)

@@ -45,7 +45,13 @@ def add_parser(commands: Any) -> None:
         metavar="T",
         help="recordings to test on, which are not fitted",
     )
-    parser.add_argument("--method", choices=METHODS, default="wls", help="estimator; default: wls")
+    parser.add_argument(
+        "--method",
+        choices=METHODS,
+        default="wls",
+        help="ordinary, weighted or robust least squares, or weighted least squares with "
+        "physically consistent masses and inertias (feasible); default: wls",
+    )
     parser.add_argument("-o", "--output", type=OutputFile, metavar="fit.json", help="write the fit")
     shared_options.add_effects(parser, default=None)
     torque_options.add_motor_side(parser)

@@ -33,7 +33,7 @@ def add_robot(parser: argparse.ArgumentParser, *, fit: bool = False) -> None:
         "robot",
         type=InputPath,
         metavar="ROBOT|FIT" if fit else "ROBOT",
-        help="URDF or YAML file, or a bundled name"
+        help="URDF, MJCF or YAML file, or a bundled name"
         + (", or a fit (JSON)" if fit else "; the robot of a fit (JSON)"),
     )
     parser.add_argument("--tip", metavar="LINK", help="last link of the chain (URDF)")

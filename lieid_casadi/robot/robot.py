@@ -82,7 +82,9 @@ class Robot(RobotDescription):
                 raise RobotError(f"{path}: --tip and --lock apply to URDF files only")
             return cls.from_yaml(path)
         names = ", ".join(bundled.NAMES)
-        raise RobotError(f"{path}: expected a .urdf or .yaml file, or one of {names}")
+        raise RobotError(
+            f"{path}: expected a .urdf, .xml (URDF or MJCF) or .yaml file, or one of {names}"
+        )
 
     @classmethod
     def from_urdf(
