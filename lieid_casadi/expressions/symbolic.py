@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.errors import ModelError
+from lieid_casadi.expressions.inputs import Values
 from lieid_casadi.expressions.symbolic_dynamics import SymbolicDynamics
-from lieid_casadi.expressions.torque import TorqueExpressions, Values
+from lieid_casadi.expressions.torque import TorqueExpressions
 from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
 

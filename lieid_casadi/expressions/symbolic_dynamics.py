@@ -15,7 +15,8 @@ from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions import forward_dynamics, state_equations
 from lieid_casadi.expressions.frames import Frame, frame_of
 from lieid_casadi.expressions.function_files import write_functions
-from lieid_casadi.expressions.torque import TorqueExpressions, geometry_inputs
+from lieid_casadi.expressions.inputs import geometry_inputs
+from lieid_casadi.expressions.torque import TorqueExpressions
 from lieid_casadi.model import Model
 
 

@@ -19,8 +19,9 @@ from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.exporters.c.arm_effects import with_arm_effects
 from lieid_casadi.expressions import forward_dynamics
 from lieid_casadi.expressions.frames import homogeneous
+from lieid_casadi.expressions.inputs import Values
 from lieid_casadi.expressions.instant import ArmInstant
-from lieid_casadi.expressions.torque import TorqueExpressions, Values, with_body
+from lieid_casadi.expressions.torque import TorqueExpressions, with_body
 from lieid_casadi.identification.fit import Fit
 
 Array = NDArray[np.float64]
