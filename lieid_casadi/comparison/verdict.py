@@ -14,15 +14,24 @@ AS_NOISE = 1.3  # times the noise floor, up to which an error is explained by no
 BEYOND_NOISE = 2.0  # times the noise floor, from which an error is certainly systematic
 
 
-def verdict(comparison: Comparison) -> str:
-    """Return how large the error is, and whether it exceeds the noise of the measurement."""
+def verdict(
+    comparison: Comparison, *, remedy: str = "lieid diagnose searches for missing effects"
+) -> str:
+    """Return how large the error is, and whether it exceeds the noise of the measurement.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    remedy : str
+        What to do about a systematic error.
+    """
     c = comparison
     names = ", ".join(source.name or "the recording" for source in c.recordings)
     trained = any(isinstance(warning, SameRecordingWarning) for warning in c.warnings)
     training = ", used to fit the model" if trained else ""
     sentences = [f"{names} ({c.duration:.3g} s{training}): {_size(c)}."]
     if np.any(np.isfinite(_over_noise(c))):
-        sentences.append(_noise(c))
+        sentences.append(_noise(c, remedy))
     if any(isinstance(warning, FrictionAtRestWarning) for warning in c.warnings):
         at_rest = ", ".join(digits(rms) for rms in c.rms_at_rest[c.rest_dominates])
         sentences.append(
@@ -57,7 +66,7 @@ def _over_noise(c: Comparison) -> NDArray[np.float64]:
     return np.where((c.noise_floor > 0.0) & (c.torque_rms > 0.0), c.over_noise, np.nan)
 
 
-def _noise(c: Comparison) -> str:
+def _noise(c: Comparison, remedy: str) -> str:
     """Compare the error in motion with the noise floor."""
     ratio = np.nan_to_num(_over_noise(c), nan=0.0)
     floor = "the noise floor"
@@ -78,4 +87,4 @@ def _noise(c: Comparison) -> str:
             f"On {where} the error in motion is more than {BEYOND_NOISE:g} times {floor}, "
             f"most on joint {most + 1} ({ratio[most]:.2g} times)"
         )
-    return f"{size_text}: part of it is systematic; lieid diagnose searches for missing effects."
+    return f"{size_text}: part of it is systematic; {remedy}."

@@ -57,7 +57,7 @@ def build_page(workbench: Workbench, token: str) -> Callable[[], None]:
             exact = "" if evaluation.exact else " Preliminary; the exact fit is computed."
             verdict.text = evaluation.sentence + exact
         if evaluation is not None:  # for tests and the benchmark of the latency
-            verdict.props["data-exact"] = str(evaluation.exact).lower()
+            verdict.props["data-complete"] = str(evaluation.complete).lower()
             verdict.props["data-seconds"] = f"{evaluation.seconds:.4f} {evaluation.cpu_seconds:.4f}"
         for view in views:
             view.update()

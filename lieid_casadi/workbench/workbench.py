@@ -140,7 +140,7 @@ class Workbench(ChangeNotifier):
         if position is None or self.compared is not None:
             return
         step = self.session.history[position]
-        made = await self._evaluated(self._front, step, quick=True, shapes={})
+        made = await self._evaluated(self._front, step, quick=True)
         if made is not None:
             self._evaluations[step.key] = made
             self.changed()
@@ -207,7 +207,7 @@ class Workbench(ChangeNotifier):
         return opened
 
     async def _evaluate(self) -> None:
-        """Fit the step that is shown, quickly first; then exactly in the background."""
+        """Fit the step that is shown, quickly; the rest follows in the background."""
         step, inputs = self.session.step, self.session.inputs
         assert step is not None
         self._save()
@@ -215,30 +215,21 @@ class Workbench(ChangeNotifier):
         if step.key not in self._evaluations:
             self.computing = True
             self.changed()
-            shapes = {} if self.session.found is None else dict(self.session.found.shapes)
-            made = await self._evaluated(self._front, step, quick=True, shapes=shapes)
+            made = await self._evaluated(self._front, step, quick=True)
             if made is None or self.session.inputs is not inputs:
                 return
             self._keep(step, made)
         self.computing = False
         self.changed()
-        if not self._evaluations[step.key].exact:
-            self.background(self._evaluate_exactly(step))
-        elif made is not None:  # the same process has the fit
-            self.background(self._load_details(step, self._front))
+        shown = self._evaluations[step.key]
+        if made is not None or not shown.complete:
+            self.background(self._complete(step, shown))
 
     async def _evaluated(
-        self, worker: Worker, step: ModelStep, *, quick: bool, shapes: dict[str, float]
+        self, worker: Worker, step: ModelStep, *, quick: bool
     ) -> Evaluation | None:
-        """Return the evaluation of a step; None, with ``error``, if it failed.
-
-        Parameters
-        ----------
-        worker : Worker
-        step : ModelStep
-        quick, shapes
-            As for `Computation.evaluate`.
-        """
+        """Return the evaluation of a step; None, with ``error``, if it failed."""
+        shapes = {} if self.session.found is None else dict(self.session.found.shapes)
         try:
             made: Evaluation = await worker.request(
                 "evaluate", self.session.inputs, step, quick=quick, shapes=shapes
@@ -250,24 +241,33 @@ class Workbench(ChangeNotifier):
             return None
         return made
 
-    async def _evaluate_exactly(self, step: ModelStep) -> None:
-        """Fit a step exactly after a quick fit; again if the process was stopped meanwhile."""
+    async def _complete(self, step: ModelStep, quick: Evaluation) -> None:
+        """Compute what a quick evaluation of a step left out, then what follows an exact fit.
+
+        An exact fit of which only the uncertainty is left out needs no other process.
+        """
+        worker = self._front if quick.exact else self._back
+        if not quick.complete and not await self._completed(worker, step, quick):
+            return
+        await self.details.load_curves(worker, step, self.session.recording)
+        await self.details.simulate(self._back, self._exact_step)
+
+    async def _completed(self, worker: Worker, step: ModelStep, quick: Evaluation) -> bool:
+        """Replace a quick evaluation; again if the process was stopped meanwhile."""
         inputs, made = self.session.inputs, None
         while made is None and not self._closed:
-            made = await self._evaluated(self._back, step, quick=False, shapes={})
+            made = await self._evaluated(worker, step, quick=False)
             shown = self.session.step
             left = self.session.inputs is not inputs or shown is None or shown.key != step.key
             if self.error or left:
                 break
-        if made is not None and self.session.inputs is inputs:
-            self._keep(step, made)
-            self.changed()
-            await self._load_details(step, self._back)
-
-    async def _load_details(self, step: ModelStep, worker: Worker) -> None:
-        """Compute what follows the exact fit of a step, which a worker has."""
-        await self.details.load_curves(worker, step, self.session.recording)
-        await self.details.simulate(self._back, self._exact_step)
+        if made is None or self.session.inputs is not inputs:
+            return False
+        if quick.exact:  # the same fit: views that show its torque need not draw it again
+            made = replace(made, train=quick.train, test=quick.test)
+        self._keep(step, made)
+        self.changed()
+        return True
 
     def _exact_step(self) -> ModelStep | None:
         """Return the step that is shown, None before its exact fit."""

@@ -69,6 +69,7 @@ def test_errors_are_those_of_identify_and_compare(computation, first, two_link_f
     np.testing.assert_allclose(shown.errors.shown, lieid.compare(fit, test).rms_moving)
     np.testing.assert_allclose(shown.errors.train, lieid.compare(fit, train).rms_moving)
     np.testing.assert_allclose(shown.errors.noise_floor, lieid.compare(fit, test).noise_floor)
+    assert "systematic; “Find what is missing” searches" in shown.sentence  # a button of the page
     larger = lieid.identify(model.with_effect("load_friction:1"), train, processing=fit.processing)
     shown = evaluate(computation, first.with_effect("load_friction:1"))
     np.testing.assert_allclose(shown.errors.shown, lieid.compare(larger, test).rms_moving)
@@ -84,6 +85,26 @@ def test_a_quick_fit_holds_shapes_and_the_exact_one_replaces_it(inputs, first):
     assert exact.exact
     assert exact.errors.train[0] <= quick.errors.train[0] * (1 + 1e-9)
     assert evaluate(computation, session, quick=True) is exact
+
+
+def test_a_quick_result_leaves_out_what_takes_longer_than_the_fit(inputs, first):
+    computation = Computation(SETUP, inputs)
+    begun = evaluate(computation, first, quick=True)
+    assert begun.complete  # the first model has no noise floor before it
+    session = first.with_effect("load_friction:1")
+    quick = evaluate(computation, session, quick=True)
+    whole = evaluate(computation, session)
+    assert (quick.exact, quick.complete, whole.complete) == (True, False, True)
+    assert quick.errors.shown == whole.errors.shown
+    np.testing.assert_array_equal(quick.test.series[0].predicted, whole.test.series[0].predicted)
+    kept = np.minimum(begun.errors.noise_floor, quick.errors.shown)
+    np.testing.assert_array_equal(quick.errors.noise_floor, kept)
+    np.testing.assert_allclose(whole.errors.noise_floor, kept, rtol=0.3)
+    with_std = [
+        any("±" in value for row in e.effects for value in row.values) for e in (quick, whole)
+    ]
+    assert with_std == [False, True]
+    assert np.isfinite(computation.fit(session.step, ignored).covariance).all()
 
 
 def test_long_recordings_are_fitted_in_part_first(inputs, first, monkeypatch):
@@ -136,6 +157,7 @@ def test_a_change_since_a_fit_is_in_the_torque(two_link_files, tmp_path):
     computation = Computation(SETUP, inputs)
     session = Session().opened(inputs, computation.opened().effects)
     kept = evaluate(computation, session)
+    assert "systematic; “Find what has changed” searches" in kept.sentence
     change = ProposedEffect(
         "load_friction:1", "load_friction", (1,), 0, None, None, parameters=(("f_tau", 0.1),)
     )  # 0.1 was simulated

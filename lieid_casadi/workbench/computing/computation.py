@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from lieid_casadi.comparison.verdict import verdict
 from lieid_casadi.diagnosis import Proposal, diagnose
 from lieid_casadi.errors import UsageError
 from lieid_casadi.identification import Fit, identify
@@ -21,10 +20,10 @@ from lieid_casadi.recording import Processing, Recording
 from lieid_casadi.simulation import window_drift
 from lieid_casadi.workbench.computing.arm_motion import arm_motion
 from lieid_casadi.workbench.computing.effect_curves import effect_curves
+from lieid_casadi.workbench.computing.evaluate_fit import Effort, evaluate_fit
 from lieid_casadi.workbench.computing.found_effects import found_effects
-from lieid_casadi.workbench.computing.model_effects import change_rows, effect_rows
 from lieid_casadi.workbench.computing.opened_inputs import opened_inputs
-from lieid_casadi.workbench.computing.prepared_recordings import PreparedRecordings
+from lieid_casadi.workbench.computing.prepared_recordings import NoiseFloor, PreparedRecordings
 from lieid_casadi.workbench.computing.recording_parts import (
     evenly_spread,
     recording_titles,
@@ -40,7 +39,7 @@ from lieid_casadi.workbench.computing.results import (
 )
 from lieid_casadi.workbench.state.inputs import WorkbenchInputs, kept_parts
 from lieid_casadi.workbench.state.proposals import FoundEffects
-from lieid_casadi.workbench.state.session import ModelStep, StepErrors
+from lieid_casadi.workbench.state.session import ModelStep
 
 Progress = Callable[[str, float], None]
 QUICK_ROWS = 60_000  # rows of all recordings above which the first result is that of a part
@@ -71,6 +70,7 @@ class Computation:
         self._first_fits: dict[object, Fit] = {}
         self._prepared_recordings: dict[object, Prepared] = {}
         self._evaluations: dict[object, Evaluation] = {}
+        self._noise_floors: dict[object, NoiseFloor] = {}
         self._processing: Processing | None = None
         if self._opened_fit is not None:
             self._processing = self._opened_fit.processing
@@ -91,7 +91,9 @@ class Computation:
         ----------
         step : ModelStep
         quick : bool
-            Hold shape parameters and use parts of long recordings, where this saves time.
+            Hold shape parameters, use parts of long recordings, and leave out what takes longer
+            than the fit: standard deviations, and the noise floor, which is that of the model
+            before. A first model has both.
         shapes : dict
             Shape parameters by label, at which a quick fit holds those that no fit has found.
         report : callable
@@ -102,26 +104,20 @@ class Computation:
             return self._evaluations[key]
         begun, cpu = time.perf_counter(), time.process_time()
         self._shapes = shapes | self._shapes
-        model = Model(self.robot, step.effects)
-        thinned = quick and sum(len(r) for r in self.recordings) > QUICK_ROWS
-        held = quick and bool(len(model.shapes)) and self.inputs.mode == "missing"
-        fit = self._fit(step, model, held=held, thinned=thinned, report=report)
-        evaluation = self._evaluation(
-            fit, step, *self._prepared(step, fit, thinned=thinned), exact=not (thinned or held)
-        )
+        effort = self._effort(step, quick=quick)
+        fit = self._fit(step, effort, report)
         evaluation = replace(
-            evaluation,
+            self._evaluation(fit, step, effort),
             seconds=time.perf_counter() - begun,
             cpu_seconds=time.process_time() - cpu,
         )
-        if evaluation.exact:
+        if evaluation.complete:
             _keep(self._evaluations, key, evaluation)
         return evaluation
 
     def fit(self, step: ModelStep, report: Progress) -> Fit:
-        """Return the exact fit of a step."""
-        model = Model(self.robot, step.effects)
-        return self._fit(step, model, held=False, thinned=False, report=report)
+        """Return the exact fit of a step, with standard deviations."""
+        return self._fit(step, Effort(), report)
 
     def find(
         self, step: ModelStep, *, report: Progress, found: Callable[[Proposal], None]
@@ -214,35 +210,48 @@ class Computation:
             raise UsageError("no training recording is left; undo the exclusion or open another")
         return used["train"], used["test"]
 
-    def _fit(
-        self, step: ModelStep, model: Model, *, held: bool, thinned: bool, report: Progress
-    ) -> Fit:
+    def _effort(self, step: ModelStep, *, quick: bool) -> Effort:
+        """Return what a fit of a step leaves out."""
+        if not quick:
+            return Effort()
+        thinned = sum(len(r) for r in self.recordings) > QUICK_ROWS
+        shapes = Model(self.robot, step.effects).shapes
+        return Effort(
+            held=bool(shapes) and self.inputs.mode == "missing",
+            thinned=thinned,
+            brief=(step.excluded, thinned) in self._noise_floors,
+        )
+
+    def _fit(self, step: ModelStep, effort: Effort, report: Progress) -> Fit:
         """Return the fit of a step; the first of its recordings also chooses the filter."""
         if self.inputs.mode == "changed":
             assert self._opened_fit is not None
             return self._opened_fit
-        key = (*step.key, held, thinned)
+        key = (*step.key, effort.held, effort.thinned)
         if key in self._fits:
             return self._fits[key]
-        start = None
-        if held:
+        model, start = Model(self.robot, step.effects), None
+        if effort.held:
             values = [self._shapes.get(s.label, s.initial) for s in model.shapes]
             start = ShapeStart(np.array(values), held=True)
-        first = self._first_fits.get((step.excluded, thinned))
+        first = self._first_fits.get((step.excluded, effort.thinned))
         if first is None:
-            train, _ = self.used(step, thinned=thinned)
+            train, _ = self.used(step, thinned=effort.thinned)
             fit = identify(model, train, processing=self._processing, start=start, progress=report)
-            self._first_fits[step.excluded, thinned] = fit
+            self._first_fits[step.excluded, effort.thinned] = fit
             self._processing = fit.processing
         else:
-            train_prepared, _ = self._prepared(step, first, thinned=thinned)
+            train_prepared, _ = self._prepared(step, first, thinned=effort.thinned)
             assert train_prepared is not None
-            fit = train_prepared.fitted(model, first, start=start, report=report)
-        if not held:
+            fit = train_prepared.fitted(
+                model, first, start=start, uncertainty=not effort.brief, report=report
+            )
+        if not effort.held:
             self._shapes.update(
                 {s.label: float(v) for s, v in zip(model.shapes, fit.shapes, strict=True)}
             )
-        _keep(self._fits, key, fit)
+        if first is None or not effort.brief:
+            _keep(self._fits, key, fit)
         return fit
 
     def _prepared(self, step: ModelStep, fit: Fit, *, thinned: bool) -> Prepared:
@@ -257,38 +266,17 @@ class Computation:
             _keep(self._prepared_recordings, key, made, most=KEPT_RECORDINGS)
         return self._prepared_recordings[key]
 
-    def _evaluation(
-        self,
-        fit: Fit,
-        step: ModelStep,
-        train: PreparedRecordings | None,
-        test: PreparedRecordings | None,
-        *,
-        exact: bool,
-    ) -> Evaluation:
-        changes = step.changes
-        on_train = None if train is None else train.compared(fit, changes, with_noise=test is None)
-        on_test = None if test is None else test.compared(fit, changes, with_noise=True)
-        shown = on_test or on_train
-        assert shown is not None
-        trained = on_train.rms_moving if on_train is not None else np.full(self.robot.n, np.nan)
-        errors = StepErrors(
-            tuple(numbers_or_none(trained)),
-            tuple(numbers_or_none(fit.rms_cv if on_test is None else on_test.rms_moving)),
-            tuple(numbers_or_none(shown.noise_floor)),
-        )
-        notes = [*fit.warnings, *(on_test.warnings if on_test is not None else ())]
-        return Evaluation(
-            exact=exact,
-            errors=errors,
-            train=on_train,
-            test=on_test,
-            sentence=verdict(shown),
-            effects=effect_rows(fit) + change_rows(step.changes),
-            warnings=tuple(dict.fromkeys(str(w) for w in notes)),
-            shapes={s.label: float(v) for s, v in zip(fit.model.shapes, fit.shapes, strict=True)},
-            cutoff=fit.processing.cutoff or shown.cutoff,
-        )
+    def _evaluation(self, fit: Fit, step: ModelStep, effort: Effort) -> Evaluation:
+        """Compare a fit with all recordings of a step."""
+        train, test = self._prepared(step, fit, thinned=effort.thinned)
+        key = (step.excluded, effort.thinned)
+        noise = self._noise_floors[key] if effort.brief else None
+        made = evaluate_fit(fit, train, test, step.changes, effort=effort, noise=noise)
+        shown = made.test or made.train
+        if noise is None and shown is not None:
+            floor = NoiseFloor(shown.noise_floor, shown.noise_source)
+            _keep(self._noise_floors, key, floor, most=KEPT_RECORDINGS)
+        return made
 
 
 def _keep(cache: dict[object, Kept], key: object, value: Kept, *, most: int = KEPT_RESULTS) -> None:

@@ -28,6 +28,14 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
+class NoiseFloor:
+    """Noise floor of each joint (n,), N·m, and its source, as in a `Comparison`."""
+
+    floor: Array
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
 class PreparedRecordings:
     """Recordings with their segments through the filter of a fit.
 
@@ -68,7 +76,13 @@ class PreparedRecordings:
         return tuple(FilteredColumns() for _ in self.segments)
 
     def fitted(
-        self, model: Model, first: Fit, *, start: ShapeStart | None, report: Progress
+        self,
+        model: Model,
+        first: Fit,
+        *,
+        start: ShapeStart | None,
+        uncertainty: bool,
+        report: Progress,
     ) -> Fit:
         """Return the fit of another model with the method and filter of the first one.
 
@@ -78,6 +92,8 @@ class PreparedRecordings:
         first : Fit
             Of the same recordings.
         start : ShapeStart or None
+        uncertainty : bool
+            Whether standard deviations are computed, which takes longer than the fit.
         report : callable
             Called with the name of a stage and the fraction done.
         """
@@ -87,6 +103,7 @@ class PreparedRecordings:
             self.segments,
             method="wls",
             start=start,
+            uncertainty=uncertainty,
             temperature_mean=first.temperature_mean,
             provenance=first.provenance,
             known=self._known,
@@ -95,7 +112,12 @@ class PreparedRecordings:
         )
 
     def compared(
-        self, fit: Fit, changes: Sequence[ProposedEffect], *, with_noise: bool
+        self,
+        fit: Fit,
+        changes: Sequence[ProposedEffect],
+        *,
+        noise: NoiseFloor | None,
+        with_noise: bool = True,
     ) -> Comparison:
         """Return the comparison of a fit with these recordings, as `compare_segments`.
 
@@ -104,18 +126,25 @@ class PreparedRecordings:
         fit : Fit
         changes : sequence of ProposedEffect
             Since the fit; their torque is added.
+        noise : NoiseFloor or None
+            That of another model of these recordings, in place of an estimate.
         with_noise : bool
-            Whether the noise floor is estimated.
+            Whether the result has a noise floor.
         """
         check_recordings(fit.model, self.recordings)
-        return compare_segments(
+        made = compare_segments(
             fit,
             self.recordings,
             self.segments,
             added=[_torque_of(changes, fit, segment) for segment in self.segments],
             warnings=self.warnings,
-            with_noise=with_noise,
+            with_noise=with_noise and noise is None,
         )
+        if noise is None or not with_noise:
+            return made
+        # A noise floor never exceeds the error; np.minimum keeps NaN of joints that do not move.
+        floor = np.minimum(noise.floor, made.rms_moving)
+        return replace(made, noise_floor=floor, noise_source=noise.source)
 
 
 def _torque_of(changes: Sequence[ProposedEffect], fit: Fit, segment: Processed) -> Array:

@@ -203,6 +203,8 @@ class Evaluation:
     ----------
     exact : bool
         False if shape parameters were held or only parts of the recordings were used.
+    complete : bool
+        Whether it is exact, with the standard deviations and the noise floor of this model.
     errors : StepErrors
     train, test : Comparison or None
         With the recordings that were fitted, and with the others; ``test`` holds all recordings
@@ -220,6 +222,7 @@ class Evaluation:
     """
 
     exact: bool
+    complete: bool
     errors: StepErrors
     train: Comparison | None
     test: Comparison | None

@@ -39,6 +39,8 @@ class ArmView:
         self._solids: list[tuple[ArmSolid, list[Object3D]]] = []
         self._meshes: list[tuple[int, Object3D]] = []
         self._frame = -1
+        self._colours: list[str] = []
+        self._drawn: tuple[int, list[str]] | None = None
         self._seen: object = None
         with ui.column().classes("panel w-full h-full"):
             with ui.row().classes("w-full items-center gap-2 no-wrap"):
@@ -84,9 +86,11 @@ class ArmView:
         """Make the solids of the links."""
         self._scene.delete_objects()
         self._links, self._solids, self._meshes, self._frame = [], [], [], -1
+        self._drawn = None
         opened = self._workbench.opened
         if opened is None:
             return
+        self._colours = [BASE, *(ratio_colour(None) for _ in opened.joint_names)]
         with self._scene as scene:
             for link in range(len(opened.joint_names) + 1):
                 with scene.group() as group:
@@ -112,22 +116,20 @@ class ArmView:
         )
 
     def _colour(self) -> None:
+        """Colour the links; while a model is fitted those of the last one stay."""
         session = self._workbench.session
-        colours = [BASE, *(self._joint_colour(j) for j in range(len(self._links) - 1))]
+        errors = None if session.step is None else session.step.errors
+        if errors is not None:
+            self._colours = [BASE, *map(_colour_of, errors.shown, errors.noise_floor)]
+        if (session.joint, self._colours) == self._drawn:
+            return
+        self._drawn = session.joint, self._colours
         for link, mesh in self._meshes:
-            mesh.material(colours[link])
+            mesh.material(self._colours[link])
         for solid, parts in self._solids:
             for part in parts:
-                part.material(SELECTED if solid.drum else colours[solid.link])
+                part.material(SELECTED if solid.drum else self._colours[solid.link])
                 part.visible(not solid.drum or solid.link - 1 == session.joint)
-
-    def _joint_colour(self, joint: int) -> str:
-        """Return the colour of a joint's error in multiples of its noise floor."""
-        step = self._workbench.session.step
-        if step is None or step.errors is None:
-            return ratio_colour(None)
-        error, floor = step.errors.shown[joint], step.errors.noise_floor[joint]
-        return ratio_colour(error / floor if error is not None and floor else None)
 
     def _set_range(self) -> None:
         """Let the slider span the range of time that the torque plot shows."""
@@ -184,6 +186,11 @@ class ArmView:
 def _name(link: int) -> str:
     """Return the name of a link's solids, by which a click selects its joint."""
     return f"joint{link}" if link else "base"
+
+
+def _colour_of(error: float | None, floor: float | None) -> str:
+    """Return the colour of a joint's error in multiples of its noise floor."""
+    return ratio_colour(error / floor if error is not None and floor else None)
 
 
 _CLASSES = ("noise", "≤ 2 ×", "≤ 5 ×", "more")

@@ -62,7 +62,7 @@ class EffectsView:
         if evaluation is None or step is None:
             return
         curves = self._workbench.details.curves(step)
-        now = (id(evaluation), joint, id(curves))
+        now = (evaluation, joint, curves)
         if self._shown == now:
             return
         self._shown = now
@@ -98,7 +98,7 @@ def _effect_card(row: EffectRow, curve: EffectCurve | None, unit: str, *, remova
         with ui.row().classes("w-full items-center no-wrap gap-1"):
             ui.label(row.label).classes("strong grow")
             if removable:
-                _remove_button(row.label).props("size=sm").tooltip("remove and fit again")
+                _remove_button(row.label).props("size=sm").props["title"] = "remove and fit again"
         ui.label(row.formula).classes("formula")
         for value in row.values:
             ui.label(value).classes("value")
@@ -114,7 +114,7 @@ def _other_joints(rows: list[EffectRow], *, removable: bool) -> None:
     with ui.row().classes("gap-1"):
         for row in rows:
             chip = ui.chip(row.label).props("dense outline square")
-            named(chip, f"effect-{place(row.label)}").tooltip("; ".join(row.values))
+            named(chip, f"effect-{place(row.label)}").props["title"] = "; ".join(row.values)
             if removable:
                 with chip:
                     _remove_button(row.label).props("size=xs")
@@ -235,7 +235,8 @@ def _rivals(proposed: ProposedEffect) -> None:
         ui.label("rivals").classes("muted small")
         for label, kind in proposed.rivals:
             chip = ui.chip(label).props("dense outline square clickable")
-            chip.tooltip(
-                "equivalent with any data" if kind == "exact" else "not separable by this data"
+            exact = kind == "exact"
+            chip.props["title"] = (
+                "equivalent with any data" if exact else "not separable by this data"
             )
             named(acting(chip, label), f"candidate-{place(label)}")

@@ -79,7 +79,8 @@ class HistoryView:
                 return
             button = ui.button(icon="compare_arrows").props("flat dense round size=xs")
             button.props["aria-label"] = f"compare with step {k + 1}"
-            button.tooltip("end the comparison" if other else "compare with the step that is shown")
+            title = "end the comparison" if other else "compare with the step that is shown"
+            button.props["title"] = title
             named(acting(button, f"compare {k}"), f"compare-{k + 1}")
             if other:
                 button.props("color=accent")

@@ -76,8 +76,8 @@ class _JointRow:
             self._error = named(ui.label(UNKNOWN), f"error-{number}").classes("number strong")
             self._other = named(ui.label(""), f"compared-{number}").classes("number compared")
             self._other.tooltip("error of the step that is compared")
-            self._noise = named(ui.label(UNKNOWN), f"noise-{number}").classes("number muted")
-            self._ratio = ui.label("").classes("number ratio")
+            self._noise = named(ui.label(UNKNOWN), f"noise-{number}").classes("number muted noise")
+            self._ratio = ui.label("").classes("number ratio noise")
             self._simulated = named(ui.label(""), f"simulated-{number}")
             self._simulated.classes("muted small simulated")
 
@@ -99,6 +99,11 @@ class _JointRow:
             if not workbench.session.can_undo:
                 self._error.text = UNKNOWN
             return
+        evaluation = workbench.evaluation
+        estimated = evaluation is not None and evaluation.complete
+        self._row.classes(  # the noise floor of the last model stays, in grey
+            add="" if estimated else "preliminary", remove="preliminary" if estimated else ""
+        )
         error, floor = errors.shown[j], errors.noise_floor[j]
         ratio = None if error is None or not floor else error / floor
         self._error.text = f"{figures(error)} {unit}"

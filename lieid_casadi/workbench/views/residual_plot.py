@@ -10,6 +10,7 @@ from nicegui.events import ValueChangeEventArguments
 
 from lieid_casadi.comparison.plot_style import BACKWARD, FORWARD, REST
 from lieid_casadi.workbench.plot_data import ErrorOverSignal, errors_over_signals, series_of
+from lieid_casadi.workbench.views.chart import Chart
 from lieid_casadi.workbench.views.elements import named
 
 if TYPE_CHECKING:
@@ -35,8 +36,7 @@ class ResidualPlot:
                 units = ui.toggle({False: "rad", True: "deg"}, value=workbench.session.degrees)
                 named(units.props("dense no-caps size=sm"), "angle-unit")
                 units.on_value_change(self._choose_unit)
-            self._chart = named(ui.echart(_options([], None, "")), "residual-plot")
-            self._chart.classes("residual-plot")
+            self._chart = Chart("residual-plot", _options([], None, ""))
 
     def _choose_unit(self, event: ValueChangeEventArguments[bool]) -> None:
         workbench = self._workbench
@@ -50,7 +50,11 @@ class ResidualPlot:
             return
         window = workbench.view.selection or workbench.view.window
         joint = session.joint
-        now = (id(evaluation), joint, session.recording, window, session.degrees)
+        floor = evaluation.errors.noise_floor[joint]
+        now = (
+            evaluation.train, evaluation.test, floor,
+            joint, session.recording, window, session.degrees,
+        )  # fmt: skip
         if now == self._shown:
             return
         self._shown = now
@@ -64,10 +68,7 @@ class ResidualPlot:
         )
         where = "" if window is None else f", {window[0]:.2f} to {window[1]:.2f} s"
         self._title.text = f"What the error of joint {joint + 1} follows{where}"
-        floor = evaluation.errors.noise_floor[joint]
-        self._chart.options.clear()
-        self._chart.options.update(_options(panels, floor, opened.units[joint]))
-        self._chart.update()
+        self._chart.show(_options(panels, floor, opened.units[joint]))
 
 
 def _options(panels: list[ErrorOverSignal], floor: float | None, unit: str) -> dict[str, Any]:
@@ -107,12 +108,13 @@ def _panel_series(panel: ErrorOverSignal, k: int, floor: float | None) -> list[d
     ends = [] if floor is None else [[{"yAxis": -floor}, {"yAxis": floor}]]
     band = {"silent": True, "itemStyle": {"color": BAND, "opacity": 0.35}, "data": ends}
     made: list[dict[str, Any]] = [
-        {**axes, "type": "scatter", "name": name, "data": data, "symbolSize": 3, "color": colour,
-         "itemStyle": {"opacity": 0.45}, "symbol": symbol}
-        for name, data, colour, symbol in (
-            ("at rest", panel.rest, REST, "circle"),
-            ("forward", panel.forward, FORWARD, "circle"),
-            ("backward", panel.backward, BACKWARD, "triangle"),
+        {**axes, "id": f"{k} {name}", "type": "scatter", "name": name, "data": data,
+         "symbolSize": 3, "symbol": "rect", "color": colour, "itemStyle": {"opacity": 0.45},
+         "large": True, "largeThreshold": 100}  # one path for all samples: drawn much faster
+        for name, data, colour in (
+            ("at rest", panel.rest, REST),
+            ("forward", panel.forward, FORWARD),
+            ("backward", panel.backward, BACKWARD),
         )
     ]  # fmt: skip
     made[0]["markArea"] = band
@@ -121,7 +123,8 @@ def _panel_series(panel: ErrorOverSignal, k: int, floor: float | None) -> list[d
         ("backward", panel.backward_mean, BACKWARD, "dashed"),
     ):
         made.append(
-            {**axes, "type": "line", "name": name, "data": data, "color": colour, "z": 4,
-             "showSymbol": False, "lineStyle": {"width": 2.6, "type": kind}}
+            {**axes, "id": f"{k} mean {name}", "type": "line", "name": name, "data": data,
+             "color": colour, "z": 4, "showSymbol": False,
+             "lineStyle": {"width": 2.6, "type": kind}}
         )  # fmt: skip
     return made

@@ -9,7 +9,8 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments, ValueChangeEventArguments
 
 from lieid_casadi.comparison.plot_style import ERROR, MEASURED, PREDICTED
-from lieid_casadi.workbench.plot_data import series_of, torque_lines
+from lieid_casadi.workbench.plot_data import TorqueLines, series_of, torque_lines
+from lieid_casadi.workbench.views.chart import Chart
 from lieid_casadi.workbench.views.elements import figures, named
 
 if TYPE_CHECKING:
@@ -56,9 +57,9 @@ class TorquePlot:
                 reset = ui.button("Whole recording", on_click=self._reset)
                 named(reset.props("dense flat no-caps size=sm"), "whole-recording")
             self._selected = ui.label("").classes("muted small")
-            self._chart = named(ui.echart(_empty_options()), "torque-plot").classes("torque-plot")
-        self._chart.on("chart:datazoom", self._zoomed, throttle=0.12, leading_events=False)
-        self._chart.on("chart:brushEnd", self._brushed, ["areas"])
+            self._chart = Chart("torque-plot", _empty_options())
+        self._chart.element.on("chart:datazoom", self._zoomed, throttle=0.12, leading_events=False)
+        self._chart.element.on("chart:brushEnd", self._brushed, ["areas"])
 
     def update(self) -> None:
         """Draw the current evaluation; the window of time stays if the recording does."""
@@ -76,50 +77,40 @@ class TorquePlot:
         if evaluation is None or opened is None:
             return
         compared = workbench.compared
-        now = (id(evaluation), id(compared), session.joint, session.recording, view.window)
+        noise = evaluation.errors.noise_floor[session.joint]
+        now = (
+            evaluation.train, evaluation.test, compared, noise,
+            session.joint, session.recording, view.window,
+        )  # fmt: skip
         if now == self._shown:
             return
-        recording = opened.recordings[session.recording]
-        new_recording = self._shown is None or self._span != (recording.start, recording.end)
-        self._shown, self._span = now, (recording.start, recording.end)
-        window = view.window or self._span
-        lines = torque_lines(series_of(evaluation, recording.name), session.joint, window, COLUMNS)
-        joint = session.joint
-        noise = evaluation.errors.noise_floor[joint]
+        recording, joint = opened.recordings[session.recording], session.joint
+        span = recording.start, recording.end
+        new_recording = self._shown is None or self._span != span
+        self._shown, self._span = now, span
+        window = view.window or span
+        lines = torque_lines(series_of(evaluation, recording.name), joint, window, COLUMNS)
+        other = torque_lines(
+            [] if compared is None else series_of(compared, recording.name), joint, window, COLUMNS
+        )
         self._title.text = (
             f"Torque of joint {joint + 1} {opened.joint_names[joint]} [{opened.units[joint]}], "
             f"low-pass {figures(evaluation.cutoff)} Hz"
         )
         self._recording.set_options([r.name for r in opened.recordings], value=recording.name)
-        if new_recording:
-            self._chart.options.clear()
-            self._chart.options.update(_options(self._span))
-        for series, data in zip(
-            self._chart.options["series"],
-            (lines.measured, lines.predicted, lines.error),
-            strict=False,
-        ):
-            series["data"] = data
-        other = torque_lines(
-            [] if compared is None else series_of(compared, recording.name), joint, window, COLUMNS
-        )
-        for series, data in zip(
-            self._chart.options["series"][4:], (other.predicted, other.error), strict=True
-        ):
-            series["data"] = data
-        self._chart.options["series"][2]["markArea"] = _band(noise)
-        self._chart.update()
+        self._chart.show(_options(span, lines, other, noise), whole=new_recording)
         if new_recording:
             self._start_brush()
 
     def move_cursor(self, time: float) -> None:
         """Show the time of the arm's pose."""
         line = {"id": "cursor", "markLine": {"data": [{"xAxis": round(time, 3)}]}}
-        self._chart.run_chart_method("setOption", {"series": [line]})
+        self._chart.run("setOption", {"series": [line]})
 
     def _start_brush(self) -> None:
         """Make dragging select a range of time, once the browser has drawn the plot."""
-        self._chart.client.run_javascript(_START_BRUSH.replace("ID", str(self._chart.id)))
+        chart = self._chart.element
+        chart.client.run_javascript(_START_BRUSH.replace("ID", str(chart.id)))
 
     def _choose_recording(self, event: ValueChangeEventArguments[str | None]) -> None:
         workbench = self._workbench
@@ -155,23 +146,32 @@ class TorquePlot:
             return
         start, end = workbench.view.selection
         workbench.look(replace(workbench.view, selection=None))
-        self._chart.run_chart_method("dispatchAction", {"type": "brush", "areas": []})
+        self._chart.run("dispatchAction", {"type": "brush", "areas": []})
         await workbench.apply(workbench.session.excluding(round(start, 3), round(end, 3)))
 
     def _reset(self) -> None:
-        self._chart.run_chart_method("dispatchAction", {"type": "dataZoom", "start": 0, "end": 100})
+        self._chart.run("dispatchAction", {"type": "dataZoom", "start": 0, "end": 100})
 
 
 def _empty_options() -> dict[str, Any]:
-    return _options((0.0, 1.0))
+    empty = TorqueLines([], [], [])
+    return _options((0.0, 1.0), empty, empty, None)
 
 
-def _options(span: tuple[float, float]) -> dict[str, Any]:
-    """Return the options of an empty plot over a range of time, s."""
-    line = {
-        "type": "line", "showSymbol": False, "animation": False, "data": [], "silent": True,
-        "connectNulls": False,
-    }  # fmt: skip
+def _options(
+    span: tuple[float, float], lines: TorqueLines, other: TorqueLines, noise: float | None
+) -> dict[str, Any]:
+    """Return the options of the plot.
+
+    Parameters
+    ----------
+    span : (float, float)
+        Range of time, s.
+    lines, other : TorqueLines
+        Of the model that is shown, and of the compared one.
+    noise : float or None
+        Noise floor, N·m.
+    """
     axis = {
         "type": "value",
         "min": span[0],
@@ -206,22 +206,31 @@ def _options(span: tuple[float, float]) -> dict[str, Any]:
                   "throttleType": "debounce", "throttleDelay": 100,
                   "outOfBrush": {"colorAlpha": 1.0}},
         "toolbox": {"show": False},
-        "series": [
-            {**line, "id": "measured", "name": "measured", "color": MEASURED,
-             "lineStyle": {"width": 2.4}},
-            {**line, "id": "predicted", "name": "predicted", "color": PREDICTED,
-             "lineStyle": {"width": 1.3}},
-            {**line, "id": "error", "name": "error", "color": ERROR, "lineStyle": {"width": 1.1},
-             "xAxisIndex": 1, "yAxisIndex": 1, "markArea": _band(None)},
-            {**line, "id": "cursor", "xAxisIndex": 1, "yAxisIndex": 1,
-             "markLine": {"symbol": "none", "animation": False, "label": {"show": False},
-                          "lineStyle": {"color": "#333333", "type": "solid"}, "data": []}},
-            {**line, "id": "other", "name": "predicted (compared)", "color": COMPARED,
-             "lineStyle": {"width": 1.3, "type": "dashed"}},
-            {**line, "id": "other error", "name": "error (compared)", "color": COMPARED,
-             "lineStyle": {"width": 1.1, "type": "dashed"}, "xAxisIndex": 1, "yAxisIndex": 1},
-        ],
+        "series": _series(lines, other, noise),
     }  # fmt: skip
+
+
+def _series(lines: TorqueLines, other: TorqueLines, noise: float | None) -> list[dict[str, Any]]:
+    line = {
+        "type": "line", "showSymbol": False, "animation": False, "silent": True,
+        "connectNulls": False,
+    }  # fmt: skip
+    below = {"xAxisIndex": 1, "yAxisIndex": 1}
+    return [
+        {**line, "id": "measured", "name": "measured", "color": MEASURED,
+         "lineStyle": {"width": 2.4}, "data": lines.measured},
+        {**line, "id": "predicted", "name": "predicted", "color": PREDICTED,
+         "lineStyle": {"width": 1.3}, "data": lines.predicted},
+        {**line, **below, "id": "error", "name": "error", "color": ERROR,
+         "lineStyle": {"width": 1.1}, "data": lines.error, "markArea": _band(noise)},
+        {**line, **below, "id": "cursor", "data": [],
+         "markLine": {"symbol": "none", "animation": False, "label": {"show": False},
+                      "lineStyle": {"color": "#333333", "type": "solid"}, "data": []}},
+        {**line, "id": "other", "name": "predicted (compared)", "color": COMPARED,
+         "lineStyle": {"width": 1.3, "type": "dashed"}, "data": other.predicted},
+        {**line, **below, "id": "other error", "name": "error (compared)", "color": COMPARED,
+         "lineStyle": {"width": 1.1, "type": "dashed"}, "data": other.error},
+    ]  # fmt: skip
 
 
 def _band(noise: float | None) -> dict[str, Any]:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from nicegui import ui
 
 from lieid_casadi.workbench.state.session import ModelStep
+from lieid_casadi.workbench.views.chart import Chart
 from lieid_casadi.workbench.views.colours import SERIES
-from lieid_casadi.workbench.views.elements import named
 
 if TYPE_CHECKING:
     from lieid_casadi.workbench.workbench import Workbench
@@ -29,7 +29,7 @@ class WaterfallView:
         self._shown: object = None
         with ui.column().classes("panel w-full h-full"):
             ui.label("Error of each model, first model = 1").classes("panel-title")
-            self._chart = named(ui.echart(_options([])), "waterfall").classes("waterfall")
+            self._chart = Chart("waterfall", _options([]))
 
     def update(self) -> None:
         """Draw the models up to the one that is shown."""
@@ -40,9 +40,7 @@ class WaterfallView:
             return
         self._shown = now
         kept = [steps[0], *steps[1:][-(MOST_MODELS - 1) :]]
-        self._chart.options.clear()
-        self._chart.options.update(_options(kept))
-        self._chart.update()
+        self._chart.show(_options(kept))
 
 
 def relative(values: tuple[float | None, ...], first: tuple[float | None, ...]) -> list[Any]:
@@ -61,19 +59,21 @@ def _options(steps: list[ModelStep]) -> dict[str, Any]:
             continue
         first, colour = steps[0].errors, "#9aa5b1" if k == 0 else SERIES[(k - 1) % len(SERIES)]
         series.append(
-            {"type": "bar", "name": step.title, "color": colour, "barGap": "8%",
+            {"id": f"model {k}", "type": "bar", "name": step.title, "color": colour, "barGap": "8%",
              "data": relative(step.errors.shown, first.shown)}
         )  # fmt: skip
         if k == len(steps) - 1 and any(first.train):
             series.append(
-                {"type": "scatter", "name": "training", "symbol": "diamond", "symbolSize": 9,
+                {"id": "training", "type": "scatter", "name": "training", "symbol": "diamond",
+                 "symbolSize": 9,
                  "itemStyle": {"color": "white", "borderColor": "#222222", "borderWidth": 1.2},
                  "data": relative(step.errors.train, first.train), "z": 5}
             )  # fmt: skip
         if k == len(steps) - 1:
             series.append(
-                {"type": "scatter", "name": "noise floor", "symbol": "rect", "symbolSize": [26, 2],
-                 "color": "#222222", "z": 5, "data": relative(step.errors.noise_floor, first.shown)}
+                {"id": "noise", "type": "scatter", "name": "noise floor", "symbol": "rect",
+                 "symbolSize": [26, 2], "color": "#222222", "z": 5,
+                 "data": relative(step.errors.noise_floor, first.shown)}
             )  # fmt: skip
     return {
         "animation": False,
