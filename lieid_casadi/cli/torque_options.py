@@ -48,8 +48,8 @@ def model_for(
     default = default_effects(robot, recordings, motor_side=args.motor_side)
     if default.reason:
         output.say(
-            f"Effects: {', '.join(default.names)} (armature, the rotor inertia, because "
-            f"{default.reason}; --effects states others)."
+            f"Effects: {', '.join(default.names)}. Rotor inertia (armature) is among them because "
+            f"{default.reason}; --effects states others."
         )
     return Model(robot, default.names)
 

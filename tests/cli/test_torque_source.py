@@ -52,7 +52,7 @@ def test_rotor_inertia_is_a_default_where_torque_comes_from_currents(folder, cap
     assert "armature" not in text
     effects, text = effects_of(folder, capsys, folder / "torque1.csv", "--motor-side")
     assert effects == with_rotor
-    assert "armature, the rotor inertia, because torque is measured at the motors" in text
+    assert "(armature) is among them because torque is measured at the motors" in text
     options = ("--motor-side", "--effects", "coulomb")
     assert effects_of(folder, capsys, folder / "torque1.csv", *options)[0] == ["coulomb"]
 
