@@ -201,6 +201,10 @@ class PayloadMisfitWarning(LieidWarning):
     """A run whose error a payload does not explain."""
 
 
+class HeldJointWarning(LieidWarning):
+    """A joint under position control that rests against more torque than its friction holds."""
+
+
 class NotSimulatedWarning(LieidWarning):
     """An effect of a fit changes the motion of its links, and a simulation leaves it out."""
 

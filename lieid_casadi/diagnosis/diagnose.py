@@ -11,6 +11,7 @@ from lieid_casadi.diagnosis.diagnose_missing import diagnose_missing
 from lieid_casadi.diagnosis.diagnosis import Diagnosis
 from lieid_casadi.diagnosis.events.brief_effects import with_brief_effects
 from lieid_casadi.diagnosis.events.event import Event
+from lieid_casadi.diagnosis.events.held_joints import held_joints
 from lieid_casadi.diagnosis.events.leave_out import leave_out_events
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.search.search_results import Proposal
@@ -123,9 +124,10 @@ def _with_events(
     resting = any(len(e.joints) == found.fit.model.n for e in events if e.kind == "standstill")
     warnings = [w for w in found.warnings if not isinstance(w, DropoutWarning)]
     gaps = [w for r in recordings for w in check_time(r) if isinstance(w, DropoutWarning)]
+    held = held_joints(found.fit, recordings)
     return replace(
         found,
         events=events,
         verdict="unexplained" if resting else found.verdict,
-        warnings=unique_warnings([*warnings, *gaps]),
+        warnings=unique_warnings([*warnings, *gaps, *held]),
     )
