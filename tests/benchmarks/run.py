@@ -164,8 +164,10 @@ def rows_of(robot, make, peaks):
 
 COMPILE = """
 import time, numpy as np, lieid_casadi as lieid
+from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.registry import REGISTER
 names = [name for name in sorted(REGISTER) if "/" not in name]
+names = [name for name in names if not isinstance(REGISTER[name](), ArmEffect)]
 effects = [name + ":2<1" if REGISTER[name]().couples else name for name in names]
 model = lieid.Model(lieid.robots.panda(), effects=effects)
 q, links, none = np.zeros((8, 7)), model.robot.link_parameters, np.zeros(len(model.columns))

@@ -24,7 +24,7 @@ WARNINGS = (
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
 BUILDS = {
     "gcc": ("gcc", "-std=c99", "-O2"),
-    "clang": ("clang", "-std=c99", "-O2"),
+    "clang": ("clang", "-std=c99", "-O2", "-Wcomma"),
     "g++": ("g++", "-x", "c++", "-std=c++11", "-O1"),
     "clang++": ("clang++", "-x", "c++", "-std=c++11", "-O1"),
     "sanitizers": ("gcc", "-std=c99", "-O0", *SANITIZERS),
