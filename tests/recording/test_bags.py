@@ -90,7 +90,7 @@ def test_bad_bags(tmp_path, arm):
             with pytest.raises(RecordingError, match="not a bag that can be read"):
                 Recording.load(tmp_path / name)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(RecordingError, match="not a bag that can be read"):
+    with pytest.raises(RecordingError, match=r"found a folder, expected one with metadata\.yaml"):
         Recording.load(tmp_path / "empty")
 
 

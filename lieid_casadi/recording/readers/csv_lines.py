@@ -54,7 +54,9 @@ def _next_line(text: IO[str], file: Path, number: int) -> str:
     except UnicodeDecodeError:
         line = "\0"
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise RecordingError(f"{file}: not a complete gzip file ({error})") from error
+        raise RecordingError(
+            f"{file}: not a complete gzip file ({error}); expected gzip, or the suffix .csv"
+        ) from error
     if "\0" in line:
         raise RecordingError(f"{file}: found binary data, expected a CSV")
     if len(line) >= LONGEST_LINE:

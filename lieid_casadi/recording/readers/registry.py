@@ -129,6 +129,11 @@ def format_of(file: Path) -> RecordingFormat:
             return made
     if not file.exists():
         raise RecordingError(f"{file}: no such file, expected a recording")
+    if file.is_dir():
+        raise RecordingError(
+            f"{file}: found a folder, expected one with metadata.yaml (ROS 2 bag) or "
+            "meta/info.json (LeRobot dataset), or a file"
+        )
     suffixes = [suffix for made in recording_formats() for suffix in made.suffixes]
     raise RecordingError(
         f"{file}: found suffix {file.suffix!r}, "

@@ -54,7 +54,11 @@ def read_bag(file: Path, options: ReadOptions) -> Measurement:
     return rows.measurement(file, options.n)
 
 
-FORMAT = RecordingFormat(suffixes=(".mcap", ".bag", ".db3"), read=read_bag, folder=Path.is_dir)
+def _is_bag(folder: Path) -> bool:
+    return (folder / "metadata.yaml").is_file()
+
+
+FORMAT = RecordingFormat(suffixes=(".mcap", ".bag", ".db3"), read=read_bag, folder=_is_bag)
 
 
 class _JointState(NamedTuple):
