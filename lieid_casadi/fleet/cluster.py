@@ -16,7 +16,8 @@ DASHBOARD_WAIT = 5.0  # s: for the answer of the dashboard
 #: costs an arm-night a quarter of its time in page faults; the limit of a worker's memory stays.
 #: The profiler is not used, and clocks that run 50 times per second cost 1 to 2 % of a core each.
 LOCAL_SETTINGS = {
-    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 128 * 2**20,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 32 * 2**20,
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
     "distributed.admin.system-monitor.interval": "5s",

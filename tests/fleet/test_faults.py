@@ -64,7 +64,7 @@ def test_an_arm_night_beyond_the_memory_of_a_worker_fails_alone(monkeypatch):
         limits = {w["memory_limit"] for w in client.scheduler_info()["workers"].values()}
         assert limits == {500_000_000}
         trimmed = client.run(os.environ.get, "MALLOC_TRIM_THRESHOLD_")
-        assert set(trimmed.values()) == {None}  # Dask's value costs a quarter of the time
+        assert all(int(size) >= 2**20 for size in trimmed.values())  # Dask's 64 kB are slow
         scheduling.run_on_cluster(
             client, nights, {"f": b""}, options,
             finished=lambda night, result: found.update({night.date[-1]: result}),
