@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 import time
 
 import numpy as np
@@ -97,13 +98,23 @@ def test_an_exception_in_one_arm_night_fails_its_row_only(fleet_folder, schedule
 
 
 def test_an_arm_night_that_takes_too_long_fails(fleet_folder, scheduler, monkeypatch):
+    recorded, record = threading.Event(), History.record
+
     def slow(night, content):
-        time.sleep(2.5 if night.date == "2026-01-02" and night.serial == "A1" else 0.0)
+        if night.date == "2026-01-02" and night.serial == "A1":
+            recorded.wait(300.0)  # its worker takes the other nights after it
         return NightResult("done", recording_sha256=f"{night.serial}{night.date}")
+
+    def noted(self, night, result, started):
+        if (night.serial, night.date, result.status) == ("A1", "2026-01-02", "failed"):
+            recorded.set()
+        record(self, night, result, started)
 
     monkeypatch.setattr(scheduling, "run_arm_night", slow)
     monkeypatch.setattr(scheduling, "CHECK_EVERY", 0.1)
+    monkeypatch.setattr(History, "record", noted)
     assert run(fleet_folder, scheduler, "--timeout", "0.8") == 0
+    assert recorded.is_set()
     assert ("failed", "not finished after 0.8 s (--timeout)") in reasons(fleet_folder)
 
 
