@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 LINK_PARAMETER_NAMES = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 LINK_PARAMETER_UNITS = ("kg",) + ("kg·m",) * 3 + ("kg·m²",) * 6
+PRINTED = 0.02  # error of the moments of a thin body that are printed with two digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +63,8 @@ def _steiner(c: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(c @ c * np.eye(3) - np.outer(c, c))
 
 
-def negative_moment(parameters: ArrayLike | None) -> float | None:
-    """Return the least principal moment about the centre of mass if it is negative, else None.
+def impossible_moments(parameters: ArrayLike | None) -> str | None:
+    """Return why no body has these moments of inertia about its centre of mass, else None.
 
     Parameters
     ----------
@@ -72,10 +73,16 @@ def negative_moment(parameters: ArrayLike | None) -> float | None:
     """
     if parameters is None:
         return None
-    central = body_inertia(parameters).inertia
-    moments = np.linalg.eigvalsh(central)
+    moments = np.linalg.eigvalsh(body_inertia(parameters).inertia)
     rounding = 1e-9 * max(abs(moments[-1]), np.abs(np.asarray(parameters)[4:]).max())
-    return float(moments[0]) if moments[0] < -rounding else None
+    if moments[0] < -rounding:
+        return f"the negative principal moment {moments[0]:.3g} kg·m²,"
+    if moments[2] > (1.0 + PRINTED) * (moments[0] + moments[1]) + rounding:
+        return (
+            f"a principal moment of {moments[2]:.3g} kg·m², more than the sum of the two others, "
+            f"{moments[0]:.3g} + {moments[1]:.3g},"
+        )
+    return None
 
 
 def pseudo_inertia(parameters: ArrayLike) -> NDArray[np.float64]:

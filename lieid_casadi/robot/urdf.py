@@ -15,7 +15,7 @@ from lieid_casadi.errors import (
     NominalInertiaWarning,
     RobotError,
 )
-from lieid_casadi.robot.inertia import negative_moment
+from lieid_casadi.robot.inertia import impossible_moments
 from lieid_casadi.robot.joint import Joint, RobotDescription, RobotSource
 from lieid_casadi.robot.native_output import captured
 from lieid_casadi.robot.urdf_elements import INERTIA, UrdfJoint, UrdfLink, read_elements
@@ -98,12 +98,12 @@ def _inertia_warnings(links: Sequence[UrdfLink], origin: str) -> list[LieidWarni
     for link in links:
         xx, xy, xz, yy, yz, zz = link.inertia
         central = [0.0, 0.0, 0.0, 0.0, xx, xy, yy, xz, yz, zz]
-        moment = negative_moment(central)
-        if moment is not None:
+        fault = impossible_moments(central)
+        if fault is not None:
             warnings.append(
                 NominalInertiaWarning(
-                    f"{origin}: link {link.name!r}: its inertia has the negative principal moment "
-                    f"{moment:.3g} kg·m², which is physically impossible"
+                    f"{origin}: link {link.name!r}: its inertia has {fault} which is physically "
+                    "impossible"
                 )
             )
     return warnings

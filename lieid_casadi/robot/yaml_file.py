@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import NominalInertiaWarning, RobotError
 from lieid_casadi.robot.drive import Drive, servo_drive
-from lieid_casadi.robot.inertia import link_parameters, negative_moment, symmetric
+from lieid_casadi.robot.inertia import impossible_moments, link_parameters, symmetric
 from lieid_casadi.robot.joint import (
     NOT_STATED,
     STANDARD_GRAVITY,
@@ -97,12 +97,12 @@ def read_yaml(text: str, *, origin: str = "YAML") -> RobotDescription:
             )
         names[name] = index
         joints.append(_joint(name, keys))
-        moment = negative_moment(joints[-1].link)
-        if moment is not None:
+        fault = impossible_moments(joints[-1].link)
+        if fault is not None:
             warnings.append(
                 NominalInertiaWarning(
-                    f"{origin}: joint {index + 1} ({name}): the inertia of its link has the "
-                    f"negative principal moment {moment:.3g} kg·m², which is physically impossible"
+                    f"{origin}: joint {index + 1} ({name}): the inertia of its link has {fault} "
+                    "which is physically impossible"
                 )
             )
     return RobotDescription(

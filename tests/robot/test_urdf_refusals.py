@@ -138,6 +138,13 @@ def test_a_negative_principal_moment_is_a_warning_with_the_links_name(caplog):
     assert Robot.parse_urdf(urdf()).warnings == ()
 
 
+def test_a_moment_above_the_sum_of_the_others_is_a_warning():
+    """The moments of a body are sums of squared distances: none exceeds the sum of two others."""
+    (warning,) = Robot.parse_urdf(of_link('ixx="1"', 'ixx="2.1"')).warnings
+    assert "link 'fore': its inertia has a principal moment of 2.1 kg·m², more than" in str(warning)
+    assert Robot.parse_urdf(of_link('ixx="1"', 'ixx="2.02"')).warnings == ()  # printed digits
+
+
 def test_lines_of_native_libraries_are_captured(capfd):
     from lieid_casadi.robot.native_output import captured
 
