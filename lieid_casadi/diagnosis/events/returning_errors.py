@@ -26,7 +26,18 @@ class Stretch:
 def returns_with_state(
     own: ResidualSignals, stretch: Stretch, joint: int, inside: Mask, options: DiagnosisOptions
 ) -> bool:
-    """Whether an error returns with the motion, or cannot be compared with other times."""
+    """Return whether an error returns with the motion, or cannot be compared with other times.
+
+    Parameters
+    ----------
+    own : ResidualSignals
+    stretch : Stretch
+    joint : int
+        From 0.
+    inside : (M,) bool
+        Rows of all stretches, which are not compared.
+    options : DiagnosisOptions
+    """
     same = _Same(own.state[:, joint], options.event_state, ~inside, own.transient[:, joint])
     visits = _visits(own, stretch, joint, same, options)
     if visits.count < options.least_event_visits:
@@ -37,10 +48,18 @@ def returns_with_state(
 def returns_with_position(
     own: ResidualSignals, stretch: Stretch, joint: int, options: DiagnosisOptions
 ) -> bool:
-    """Whether an error returns on most passes through its positions, as that of a rough spot does.
+    """Return whether an error returns on most passes through its positions, as at a rough spot.
 
     It has the same sign on all of them, or that of the velocity. A push of a joint that is held
     is none: the joint stays at one position.
+
+    Parameters
+    ----------
+    own : ResidualSignals
+    stretch : Stretch
+    joint : int
+        From 0.
+    options : DiagnosisOptions
     """
     if own.still[stretch.first : stretch.last, joint].any():
         return False
