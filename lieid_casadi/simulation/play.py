@@ -13,6 +13,7 @@ from lieid_casadi.identification.regression.segment_columns import ModelAlongSeg
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
+LARGEST = Backlash.coefficients[0].limit  # rad
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ class Play:
 def plays_of(fit: Fit) -> tuple[Play, ...]:
     """Return the plays of a fit, of joints whose motor has an inertia of its own (armature).
 
-    Without one, nothing defines how a motor moves apart from its link.
+    Without one, nothing defines how a motor moves apart from its link. A play above the limit of
+    the effect is that of a recording in which the load keeps its sign, and is left out.
     """
     found = {(c.name, c.joint): float(v) for c, v in zip(
         fit.model.columns, fit.effect_coefficients, strict=True
@@ -39,7 +41,7 @@ def plays_of(fit: Fit) -> tuple[Play, ...]:
     return tuple(
         play
         for play in plays
-        if play.width > 0.0 and found.get(("armature.I_a", play.joint), 0.0) > 0.0
+        if 0.0 < play.width <= LARGEST and found.get(("armature.I_a", play.joint), 0.0) > 0.0
     )
 
 

@@ -25,7 +25,7 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.given_recordings import listed
 from lieid_casadi.simulation.integrator import Integrator
-from lieid_casadi.simulation.play import plays_of
+from lieid_casadi.simulation.play import LARGEST, plays_of
 from lieid_casadi.simulation.runs import Input, Run, input_of, require_positive_mass_matrix, runs_of
 from lieid_casadi.simulation.simulation import Drift, Simulation
 
@@ -132,7 +132,10 @@ def _not_simulated(fit: Fit) -> list[LieidWarning]:
     ]
     reasons = (
         (elastic, "links move with their motors there"),
-        (massless, "it needs a play above 0 and the motor's inertia (effect armature)"),
+        (
+            massless,
+            f"it needs a play of up to {LARGEST:g} rad and the motor's inertia (effect armature)",
+        ),
     )
     return [
         NotSimulatedWarning(f"{', '.join(labels)}: not part of the simulation; {why}")

@@ -11,6 +11,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.exporters.mjcf.model import mjcf_text
 from lieid_casadi.robot.drive import Drive
+from lieid_casadi.simulation.play import plays_of
 
 LAWS = [Drive(stiffness=120.0, damping=2.0), Drive(stiffness=50.0, damping=0.5)]
 ROBOT = lieid.robots.two_link().with_drives(LAWS)
@@ -73,6 +74,12 @@ def test_a_link_stays_within_its_play():
     assert np.abs(twist).max() < 0.5 * PLAY + 1e-3
     assert np.ptp(twist) > 0.9 * PLAY
     assert (np.abs(twist) > 0.5 * PLAY - 1e-4).mean() > 0.5
+
+
+def test_a_play_beyond_any_gear_is_not_simulated():
+    """A load that keeps its sign does not determine the play."""
+    arm, _ = arm_and_run((), seconds=0.1)
+    assert [play.joint for play in plays_of(true_fit(arm, [1.2, PLAY]))] == [1]
 
 
 @pytest.mark.slow
