@@ -114,7 +114,12 @@ class Page:
         """
 
         def clicked():
-            self.element(test_id).click()
+            element = self.element(test_id)
+            place = element.rect
+            time.sleep(0.1)
+            if element.rect != place:  # what is above it is still being drawn
+                return False
+            element.click()
             return True
 
         if done is None:

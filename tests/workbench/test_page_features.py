@@ -65,15 +65,14 @@ def test_a_selected_range_is_excluded_and_the_files_are_saved(start, browse, two
     page = browse(server.url)
     before = opened(page)
     brush(page)
-    page.click("exclude-selection")
 
     def another():
         error = page.number("error-1")
         return error > 0.0 and error != before
 
-    page.wait(another, "the error without the range")
-    page.click("copy-command")
-    page.wait(lambda: "lieid identify two_link" in page.text("command-shell"), "the command")
+    page.click("exclude-selection", done=another)
+    command = "lieid identify two_link"
+    page.click("copy-command", done=lambda: command in page.text("command-shell"))
     assert "test.npz@" in page.text("command-shell")
     assert "lieid.Model(" in page.text("command-python")
     page.click("close-commands", done=lambda: not page.shown("command-shell"))

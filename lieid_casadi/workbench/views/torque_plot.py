@@ -137,7 +137,9 @@ class TorquePlot:
         if areas:
             start, end = (float(t) for t in areas[0]["coordRange"])
             first, last = self._span
-            selection = (max(start, first), min(end, last))
+            start, end = max(start, first), min(end, last)
+            if COLUMNS * (end - start) > last - first:  # shorter: a click, not a selection
+                selection = (start, end)
         self._workbench.look(replace(self._workbench.view, selection=selection))
 
     async def _exclude_selection(self) -> None:
