@@ -15,6 +15,12 @@ from lieid_casadi.errors import UsageError
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis import Diagnosis, DiagnosisOptions, Proposal
 
+#: Options of a search for missing effects; what has changed is judged with the model of the fit.
+ONLY_WITH_TRAIN = (
+    "tip", "lock", "effects", "motor_side", "method", "cutoff", "average_periods", "smoothing",
+    "interactive",
+)  # fmt: skip
+
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
@@ -79,7 +85,8 @@ def add_parser(commands: Any) -> None:
     shared_options.add_processing(parser)
     shared_options.add_outputs(parser, html=True)
     shared_options.add_threads(parser)
-    parser.set_defaults(run=run)
+    defaults = {name: parser.get_default(name) for name in ONLY_WITH_TRAIN}
+    parser.set_defaults(run=run, only_with_train=defaults)
 
 
 def run(args: argparse.Namespace) -> None:
@@ -145,6 +152,7 @@ def _missing(args: argparse.Namespace) -> Diagnosis:
 
 def _changed(args: argparse.Namespace) -> Diagnosis:
     from lieid_casadi.diagnosis import diagnose
+    from lieid_casadi.diagnosis.wording import join_words
     from lieid_casadi.identification import Fit
 
     if not args.recordings or args.test:
@@ -152,6 +160,10 @@ def _changed(args: argparse.Namespace) -> Diagnosis:
             f"{args.robot}: a fit; expected the recordings measured since (lieid diagnose FIT "
             "REC…), or --train A… for the effects that its model lacks"
         )
+    unused = [k for k, value in args.only_with_train.items() if getattr(args, k) != value]
+    if unused:
+        names = join_words([f"--{name.replace('_', '-')}" for name in unused])
+        output.say(f"Without --train, model and filter are those of the fit: {names} not used.")
     shared_options.load_effects_file(args.effects_file)
     fit = Fit.load(args.robot)
     recordings = shared_options.recordings_of(args.recordings, args, fit)

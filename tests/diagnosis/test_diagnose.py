@@ -258,7 +258,7 @@ def test_extend_shows_the_fall():
         lieid.extend(fit, "", train)
 
 
-def test_commands(tmp_path):
+def test_commands(tmp_path, capsys):
     train, test = two_runs(LOAD_FRICTION)
     paths = [str(tmp_path / f"{name}.csv.gz") for name in ("train", "test")]
     for recording, path in zip((train, test), paths, strict=True):
@@ -269,7 +269,9 @@ def test_commands(tmp_path):
     content = json.loads((tmp_path / "out.json").read_text())
     assert content["steps"][0]["label"] == "load_friction:1"
     assert (tmp_path / "fall.png").stat().st_size > 1000
-    assert main(["diagnose", fit, paths[1], "--json", out]) == 0
+    capsys.readouterr()
+    assert main(["diagnose", fit, paths[1], "--method", "wls", "--cutoff", "9", "--json", out]) == 0
+    assert "those of the fit: --cutoff not used" in capsys.readouterr().out
     assert json.loads((tmp_path / "out.json").read_text())["mode"] == "changed"
     add = ["extend", fit, "--add", "armature:2", "--train", paths[0], "--json", out]
     assert main(add) == 0
