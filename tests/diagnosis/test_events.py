@@ -154,6 +154,17 @@ def test_a_late_torque_signal_is_not_transient(fit, name):
     assert transient < 0.3 * error
 
 
+def test_torque_of_the_columns_is_no_event_where_the_fit_has_no_error(fit):
+    """As shortly after a joint was stuck at its reversal."""
+    own = ResidualSignals.of(fit, process([recording(2.0)], fit.processing)[0])
+    error = np.full_like(own.error, 0.01)
+    error[-1] = 2.0
+    ones, still = np.ones_like(error), np.zeros_like(own.still)
+    own = replace(own, error=error, transient=ones, slack=0.0 * ones, still=still)
+    assert own.excess[:-1] == pytest.approx(0.01)
+    assert own.excess[-1] == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize(
     "torque",
     [

@@ -121,8 +121,14 @@ class ResidualSignals:
 
     @property
     def excess(self) -> Array:
-        """Transient error beyond what dry friction may add (M, n), N·m."""
-        return np.maximum(np.abs(self.transient) - self.slack, 0.0)
+        """Transient error beyond what dry friction may add (M, n), N·m.
+
+        In motion it is at most the error: the columns that explain the errors of a joint that
+        sticks at its reversals produce torque shortly after them, too, where the fit has no error.
+        """
+        found = np.abs(self.transient)
+        found = np.where(self.still, found, np.minimum(found, np.abs(self.error)))
+        return np.maximum(found - self.slack, 0.0)
 
 
 def robust_scale(values: Array) -> float:
