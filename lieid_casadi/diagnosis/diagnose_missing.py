@@ -124,6 +124,7 @@ def diagnose_missing(
         train=first.provenance.recordings,
         test=tuple(Source(r.name, r.source_hash) for r in tests),
         baseline_moving=None if before is None else before.rms_moving,
+        baseline_cv=first.rms_cv,
         limits_reached=tuple(problem.limits_reached),
         seed=seed,
     )

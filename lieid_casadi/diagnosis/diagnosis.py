@@ -66,6 +66,9 @@ class Diagnosis:
         The recordings.
     baseline_moving : (n,) or None
         Test error of the first model for joints in motion, N·m.
+    baseline_cv : (n,) or None
+        Error of the first model on held-out blocks of the training recordings, joints in motion,
+        N·m. None if the model is kept.
     expected : (n,) or None
         Held-out error of the fit, N·m: what its error is if nothing has changed. None if the
         model is fitted again.
@@ -93,6 +96,7 @@ class Diagnosis:
     train: tuple[Source, ...]
     test: tuple[Source, ...]
     baseline_moving: Array | None = None
+    baseline_cv: Array | None = None
     expected: Array | None = None
     limits_reached: tuple[str, ...] = ()
     differing: tuple[Difference, ...] = ()
@@ -112,6 +116,7 @@ class Diagnosis:
                 "rms_train": numbers_or_null(self.baseline_train),
                 "rms_test": numbers_or_null(self.baseline_test),
                 "rms_test_moving": numbers_or_null(self.baseline_moving),
+                "rms_cv": numbers_or_null(self.baseline_cv),
             },
             "steps": [
                 step.to_dict() | {"group": group}
@@ -139,7 +144,8 @@ class Diagnosis:
         """The recordings whose errors are shown, and the errors of all models, N·m.
 
         The errors (n,) of each model, from the first to the last, are those of the test in
-        motion if all joints move, otherwise those of the whole test or of the training.
+        motion if all joints move, otherwise those of the whole test. Without a test, they are
+        those of held-out training data in motion.
         """
         test = "test" if self.mode == "missing" else "new recordings"
         last = [together[-1] for together in self.additions]
@@ -147,10 +153,12 @@ class Diagnosis:
         available = [values for values in moving if values is not None]
         if len(available) == len(moving) and np.isfinite(available).all():
             return f"{test}, joints in motion", available
-        tested = self.baseline_test is not None
-        errors = [self.baseline_test if tested else self.baseline_train]
-        errors += [step.rms_test if tested else step.rms_train for step in last]
-        return test if tested else "training", [values for values in errors if values is not None]
+        if self.baseline_test is not None:
+            errors = [self.baseline_test, *(step.rms_test for step in last)]
+            return test, [values for values in errors if values is not None]
+        errors = [self.baseline_cv, *(step.rms_cv for step in last)]
+        held_out = "held-out training data, joints in motion"
+        return held_out, [values for values in errors if values is not None]
 
     @property
     def additions(self) -> tuple[tuple[DiagnosisStep, ...], ...]:

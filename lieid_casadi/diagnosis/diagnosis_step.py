@@ -27,8 +27,10 @@ class Evidence:
     ----------
     significance : Significance
         In the last model, in addition to all other steps.
+    joint : int
+        From 0: the joint of the effect; of an effect on all joints that whose error falls most.
     effect_size : float
-        RMS of the residual that the effect explains on the joint where the error falls most, N·m.
+        RMS of the residual that the effect explains on that joint, N·m.
     held_out_before, held_out_after : float
         Error of that joint of the last model without the effect and with it, N·m: on held-out
         parts of the training, or on the new recording if the model is kept.
@@ -37,6 +39,7 @@ class Evidence:
     """
 
     significance: Significance
+    joint: int
     effect_size: float
     held_out_before: float
     held_out_after: float
@@ -58,6 +61,7 @@ class Evidence:
             "family_size": s.tests,
             "dispersion": s.dispersion,
             "effective_rows": s.rows,
+            "joint": self.joint + 1,
             "effect_size": self.effect_size,
             "rms_cv_before": self.held_out_before,
             "rms_cv_after": self.held_out_after,
@@ -148,6 +152,7 @@ class DiagnosisStep:
             rms_test=rms_test,
             evidence=Evidence(
                 significance=accepted.significance,
+                joint=accepted.joint,
                 effect_size=effect_size,
                 held_out_before=float(before),
                 held_out_after=float(after),
@@ -161,6 +166,11 @@ class DiagnosisStep:
             share=effect_size / accepted.torque_rms if accepted.torque_rms else float("nan"),
         )
 
+    @property
+    def rms_cv(self) -> Array | None:
+        """Error (n,) on held-out blocks of the training, joints in motion, N·m; as `fit` None."""
+        return None if self.fit is None else self.fit.rms_cv
+
     def to_dict(self) -> dict[str, Any]:
         """Return the step for JSON, joints from 1."""
         return {
@@ -172,6 +182,7 @@ class DiagnosisStep:
             "rms_train": numbers_or_null(self.rms_train),
             "rms_test": numbers_or_null(self.rms_test),
             "rms_test_moving": numbers_or_null(self.moving),
+            "rms_cv": numbers_or_null(self.rms_cv),
             "share": number_or_none(self.share),
             "selected": number_or_none(self.selected),
             "confirmed": self.evidence.confirmed,

@@ -79,6 +79,8 @@ def _finding(steps: Sequence[DiagnosisStep], d: Diagnosis) -> str:
         100 * (1.0 - step.evidence.held_out_after / step.evidence.held_out_before) for step in steps
     ]
     part = f"{_listed([f'{fall:.0f} %' for fall in falls], falls)} of the {error}"
+    if not first.joints:
+        part += f" of joint {first.evidence.joint + 1}"
     if len({step.effect for step in steps}) > 1:
         sizes = "; ".join(f"{step.effect}: {'; '.join(_sizes([step]))}" for step in steps)
         return (
@@ -161,7 +163,12 @@ def _sizes(steps: Sequence[DiagnosisStep]) -> list[str]:
 
 
 def _listed(texts: Sequence[str], values: Sequence[float]) -> str:
-    """Return texts of values as a list; of many values the smallest and the largest."""
+    """Return texts of values as a list; of many values the smallest and the largest.
+
+    Texts that are all equal are one.
+    """
+    if len(set(texts)) == 1:
+        return texts[0]
     if len(texts) <= MOST_LISTED:
         return join_words(texts)
     order = sorted(range(len(texts)), key=lambda k: values[k])

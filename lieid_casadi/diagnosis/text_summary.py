@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from lieid_casadi.comparison.noise_floor import SOURCES
 from lieid_casadi.diagnosis.findings import findings, grouped, location
 from lieid_casadi.diagnosis.wording import join_words
@@ -103,7 +101,8 @@ def evidence_table(d: Diagnosis) -> Table:
             step.label,
             step.evidence.effect_size,
             f"{100 * step.share:.2g} %",
-            f"{step.evidence.held_out_before:.3g} → {step.evidence.held_out_after:.3g}",
+            f"{step.evidence.held_out_before:.3g} → {step.evidence.held_out_after:.3g}"
+            + ("" if step.joints else f" (joint {step.evidence.joint + 1})"),
             tested[step.label],
             ", ".join(f"{c.placement.label} ({kind})" for c, kind in step.indistinguishable[:3])
             or None,
@@ -132,13 +131,13 @@ def error_name(d: Diagnosis) -> str:
 
 def _test_errors(d: Diagnosis) -> list[str | None]:
     """Return the test error of each step's joint before and after it; None without a test."""
-    measured, errors = d.shown
-    if d.mode == "changed" or measured == "training":
+    _, errors = d.shown
+    if d.mode == "changed" or not d.test:
         return [None] * len(d.steps)
     texts: dict[str, str | None] = {}
     for steps, before, after in zip(d.additions, errors[:-1], errors[1:], strict=True):
         for step in steps:
-            joint = step.joints[0] if step.joints else int(np.argmax(before / after))
+            joint = step.evidence.joint
             rises = " (rises)" if after[joint] >= before[joint] else ""
             texts[step.label] = f"{before[joint]:.3g} → {after[joint]:.3g}{rises}"
     return [texts[step.label] for step in d.steps]

@@ -11,6 +11,8 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis.screening.candidates import Candidate
+from lieid_casadi.diagnosis.text_summary import evidence_table
+from lieid_casadi.diagnosis.wording import small_fall
 from lieid_casadi.effects import Placement, make
 from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import (
@@ -115,6 +117,34 @@ def test_steps_with_one_effect_are_one_finding_and_rivals_are_alternatives():
     assert text.endswith("of the held-out error), or stribeck on joint 2, which fits as well.")
 
 
+def test_the_joint_of_errors_is_stated_for_effects_on_all_joints():
+    diagnosis = diagnosis_of(LOAD_FRICTION)
+    (step,) = diagnosis.steps
+    evidence = replace(step.evidence, joint=1)
+    arm = replace(step, label="base_tilt", effect="base_tilt", joints=(), evidence=evidence)
+    found = with_steps(diagnosis, arm)
+    assert found.sentence.endswith(" % of the held-out error of joint 2).")
+    (row,) = evidence_table(found).rows
+    assert str(row[3]).endswith("(joint 2)")
+    before, after = (errors[1] for errors in found.shown[1])
+    assert str(row[4]).startswith(f"{before:.3g} → {after:.3g}")
+
+
+def test_equal_sizes_on_several_joints_are_stated_once():
+    diagnosis = diagnosis_of(LOAD_FRICTION)
+    (step,) = diagnosis.steps
+    other = replace(step, label="load_friction:2", joints=(1,))
+    size = f"{step.parameters['f_tau']:.3g}"
+    assert f"(load_friction: {size} N·m per N·m;" in with_steps(diagnosis, other, step).sentence
+
+
+@pytest.mark.parametrize(
+    ("fall", "text"), [(0.012, "falls by only 1.2 %"), (-0.047, "rises by 4.7 %")]
+)
+def test_a_fall_that_is_too_small(fall, text):
+    assert small_fall(fall) == text
+
+
 def test_findings_with_the_largest_share_of_the_torque_come_first():
     diagnosis = diagnosis_of(LOAD_FRICTION)
     (step,) = diagnosis.steps
@@ -166,7 +196,8 @@ def test_json_has_the_stated_keys():
     content = diagnosis_of(LOAD_FRICTION).to_dict()
     json.dumps(content, allow_nan=False)
     assert {"mode", "verdict", "noise_floor", "baseline", "steps", "unexplained"} <= set(content)
-    assert set(content["baseline"]) == {"effects", "rms_train", "rms_test", "rms_test_moving"}
+    errors = {"rms_train", "rms_cv", "rms_test", "rms_test_moving"}
+    assert set(content["baseline"]) == {"effects"} | errors
     (step,) = content["steps"]
     assert step["effect"] == "load_friction"
     assert step["joints"] == [1]
@@ -183,6 +214,11 @@ def test_without_a_test_errors_are_cross_validated():
     assert [s.label for s in diagnosis.steps] == ["load_friction:1"]
     assert diagnosis.baseline_test is None
     assert diagnosis.steps[0].evidence.confirmed is None
+    measured, errors = diagnosis.shown
+    assert measured == "held-out training data, joints in motion"
+    np.testing.assert_array_equal(errors[-1], diagnosis.fit.rms_cv)
+    content = diagnosis.to_dict()
+    assert content["baseline"]["rms_cv"][0] > 2.0 * content["steps"][0]["rms_cv"][0]
 
 
 def test_a_training_recording_as_the_test_is_a_warning():

@@ -38,6 +38,7 @@ from lieid_casadi.diagnosis.search.search_results import (
     RejectedEffect,
     parameter_units,
 )
+from lieid_casadi.diagnosis.wording import small_fall
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
@@ -247,7 +248,7 @@ class ChangedEffects(SearchProblem):
     def _small(self, fall: float) -> str:
         """Return why a relative fall of the error is too small, or an empty text."""
         small = fall < self.options.least_change_improvement
-        return f"the error of raised joints falls by only {100 * fall:.1f} %" if small else ""
+        return f"the error of raised joints {small_fall(fall)}" if small else ""
 
     def _groups(
         self, candidates: CandidateColumns[Candidate], *, without: Placement | None = None

@@ -11,6 +11,7 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.held_out import HeldOut
 from lieid_casadi.diagnosis.search.search_problem import joint_of
+from lieid_casadi.diagnosis.wording import small_fall
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
 Array = NDArray[np.float64]
@@ -31,11 +32,11 @@ def below_worth(
     """
     fall = float(held_out.fall[joint_of(candidate, held_out.fall)])
     if fall < options.worth:
-        return f"the held-out error falls by only {100 * fall:.1f} %"
+        return f"the held-out error {small_fall(fall)}"
     before, after = (_mean_square(errors, noise) for errors in (held_out.before, held_out.after))
     on_all = 1.0 - after / before
     if candidate.reaches_all and on_all < options.worth_all_joints:
-        return f"the mean square error of all joints falls by only {100 * on_all:.1f} %"
+        return f"the mean square error of all joints {small_fall(on_all)}"
     return ""
 
 
