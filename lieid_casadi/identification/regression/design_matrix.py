@@ -75,6 +75,7 @@ class Design:
         ]
         self._kept: list[list[Array]] | None = None
         self._rows: Rows | None = None
+        self._last: tuple[tuple[bytes, bytes | None], list[Array]] | None = None
         if len(self._chunks) == 1:
             self._kept = self._filtered(self._chunks[0])
             if not self._varying.any():
@@ -94,7 +95,7 @@ class Design:
             return self._rows
         varying: list[Array] = []
         if self._varying.any():
-            varying = [self._varying_columns(s, shapes, link_parameters) for s in self.segments]
+            varying = self._varying_blocks(shapes, link_parameters)
         if self._kept is not None:
             return self._stack(self._chunks[0], self._kept, varying)
 
@@ -119,7 +120,7 @@ class Design:
 
     def varying_rows(self, shapes: Array, link_parameters: Array | None) -> list[Array]:
         """Return the varying columns per joint (R, v), with the rows of `rows`."""
-        blocks = [self._varying_columns(s, shapes, link_parameters) for s in self.segments]
+        blocks = self._varying_blocks(shapes, link_parameters)
         return [
             np.concatenate([b[m[:, j], j] for b, m in zip(blocks, self._use, strict=True)])
             for j in range(self.model.n)
@@ -135,6 +136,17 @@ class Design:
         ]
         columns = self._effect_index[self._varying[self._effect_index]]
         return np.flatnonzero([owners[column] == shape_owners[k] for column in columns])
+
+    def _varying_blocks(self, shapes: Array, links: Array | None) -> list[Array]:
+        """Return the filtered varying columns (M, n, v) of each segment.
+
+        Those of the last call are kept: residual, derivatives and rows of a fit follow each other
+        at the same shapes and load.
+        """
+        key = shapes.tobytes(), None if links is None else links.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, [self._varying_columns(s, shapes, links) for s in self.segments]
+        return self._last[1]
 
     def _varying_columns(self, segment: Processed, shapes: Array, links: Array | None) -> Array:
         """Return the filtered varying columns (M, n, v)."""

@@ -41,7 +41,7 @@ def fit_shapes(
     search : bool
         Whether to try values over the whole range first; the cost can have several minima.
     """
-    problem = _WeightedDesign.of(design, links, noise)
+    problem = _WeightedDesign.of(design, start, links, noise)
     starts = problem.starts() if search else [start]
     found = [minimize_shapes(problem.separable, each) for each in starts]
     return min(found, key=problem.separable.cost)
@@ -87,9 +87,9 @@ class _WeightedDesign:
     ends: NDArray[np.intp]
 
     @classmethod
-    def of(cls, design: Design, links: Array | None, noise: Array) -> _WeightedDesign:
+    def of(cls, design: Design, start: Array, links: Array | None, noise: Array) -> _WeightedDesign:
         """Return the problem of `fit_shapes`, with the same parameters."""
-        rows = design.rows(design.model.initial_shapes, links)
+        rows = design.rows(start, links)
 
         def weighted(per_joint: Sequence[Array]) -> Array:
             return np.concatenate([x / s for x, s in zip(per_joint, noise, strict=True)])
