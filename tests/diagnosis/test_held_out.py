@@ -102,18 +102,27 @@ def test_an_effect_must_hold_on_every_recording(first, second, holds):
 
 
 def test_held_out_errors_are_those_of_fits_without_the_part():
-    rows, column, baseline = two_recordings(0.7, 0.7)
-    random = np.random.default_rng(0)
-    model = random.normal(size=(ROWS, 3))
-    torque = baseline.residual + baseline.model @ np.ones(3)
-    found, part = rows.errors(column, baseline), rows.parts[0]
-    for matrix, error in ((model, found.before), (np.hstack([model, column]), found.after)):
-        total = 0.0
-        for k in range(2):
-            held = part.held == k
-            values = np.linalg.lstsq(matrix[~held], torque[~held], rcond=None)[0]
-            total += np.sum((torque[held] - matrix[held] @ values) ** 2)
-        assert error[0] == pytest.approx(np.sqrt(total / ROWS), rel=1e-6)
+    rows, column, _ = two_recordings(0.7, 0.7)
+    random = np.random.default_rng(1)
+    model, torque = random.normal(size=(ROWS, 3)), random.normal(size=ROWS) + column[:, 0]
+    factors = [ModelFactor.of([matrix], [torque]) for matrix in (model, model[:, ::-1] + 1.0)]
+    further = random.normal(size=(ROWS, 2))
+    part = rows.parts[0]
+    for factor in (*factors, factors[0]):  # in turn, as the products of the last one are kept
+        matrix = factor.basis @ factor.triangle
+        for baseline, own in (
+            (factor.baseline(), matrix),
+            (factor.baseline(without=[1]), matrix[:, [0, 2]]),
+            (factor.baseline().with_columns(further), np.hstack([matrix, further])),
+        ):
+            found = rows.errors(column, baseline)
+            for columns, error in ((own, found.before), (np.hstack([own, column]), found.after)):
+                total = 0.0
+                for k in range(2):
+                    held = part.held == k
+                    values = np.linalg.lstsq(columns[~held], torque[~held], rcond=None)[0]
+                    total += np.sum((torque[held] - columns[held] @ values) ** 2)
+                assert error[0] == pytest.approx(np.sqrt(total / ROWS), rel=1e-6)
 
 
 def test_redundancy_is_the_number_of_rows_per_independent_sample():

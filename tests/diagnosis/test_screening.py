@@ -84,6 +84,28 @@ def test_gains_from_stored_inner_products_are_those_of_a_new_baseline(selected):
     np.testing.assert_array_equal(found.rank, expected.rank)
 
 
+def test_stored_inner_products_allow_for_columns_left_out_of_and_added_to_the_model():
+    random, matrices, candidates = random_problem(seed=7)
+    torques = [random.normal(size=ROWS) for _ in range(2)]
+    factor = ModelFactor.of(matrices, torques)
+    baseline = with_groups(factor.baseline(without=[1]), candidates, [5])
+    found = screening_module.SelectionState(candidates, baseline, OPTIONS).given([0, 3])
+    model = [np.concatenate(matrices)[:, [0, 2]], *map(candidates.stacked, (5, 0, 3))]
+    model, torque = np.column_stack(model), np.concatenate(torques)
+    for group in (1, 2, 4):
+        both = np.column_stack([model, candidates.stacked(group)])
+        assert found.gain[group] == pytest.approx(misfit(model, torque) - misfit(both, torque))
+
+
+def test_the_part_outside_the_span_is_free_of_rounding_errors_of_the_projection():
+    random, matrices, _ = random_problem(groups=2)
+    baseline = ModelFactor.of(matrices, [random.normal(size=ROWS) for _ in range(2)]).baseline()
+    inside, other = np.concatenate(matrices) @ np.ones(3), random.normal(size=2 * ROWS)
+    rest = baseline.outside(np.column_stack([inside + 1e-9 * other, other]))
+    for column in rest.T:  # one projection leaves 1e-16 of the column, 1e-7 of the first's part
+        assert np.abs(baseline.model.T @ column).max() < 1e-14 * np.linalg.norm(column)
+
+
 def test_columns_in_the_span_of_the_model_are_absorbed():
     random, matrices, candidates = random_problem(groups=2)
     candidates.joints[0].matrix[:, 0] = matrices[0] @ [1.0, -2.0, 0.5]

@@ -14,6 +14,9 @@ from lieid_casadi.diagnosis.options import ABSORBED
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 
 Array = NDArray[np.float64]
+#: Part of a column left by a projection, below which rounding errors make a second one necessary
+#: (Rutishauser; Daniel et al., Math. Comp. 1976).
+CANCELLED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +78,13 @@ class Baseline:
         return np.asarray(rest)
 
     def outside(self, columns: Array) -> Array:
-        """Return the part of columns (R, k) outside the span, projected twice against rounding."""
-        return self.project_out(self.project_out(columns))
+        """Return the part of columns (R, k) outside the span, free of its rounding errors."""
+        rest = self.project_out(columns)
+        before, after = (np.linalg.norm(x, axis=0) for x in (columns, rest))
+        again = after < CANCELLED * before
+        if again.any():
+            rest[:, again] = self.project_out(rest[:, again])
+        return rest
 
     def with_columns(self, columns: Array) -> Baseline:
         """Return the baseline of a model with further columns (…, k)."""

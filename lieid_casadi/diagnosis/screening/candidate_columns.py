@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Generic, Protocol, TypeVar
@@ -100,16 +100,26 @@ class CandidateColumns(Generic[T]):
         inner = np.zeros((width, self.count))
         for own in self.joints:
             inner[0, own.columns] += np.einsum("rc,rc->c", own.matrix, own.matrix)
-        for start, size in zip(self.start, self.size, strict=True):
-            if size == 1:
-                continue
-            row, column = np.triu_indices(size, 1)
-            for own in self.joints:
-                at = int(np.searchsorted(own.columns, start))
-                if at < len(own.columns) and own.columns[at] == start:
-                    group = own.matrix[:, at : at + size]
-                    inner[column - row, start + row] += (group.T @ group)[row, column]
+            for start, group in self._several(own):
+                row, column = np.triu_indices(group.shape[1], 1)
+                inner[column - row, start + row] += (group.T @ group)[row, column]
         return inner
+
+    def _several(self, own: JointColumns) -> Iterator[tuple[int, Array]]:
+        """Yield first index and columns (R_j, k) of each group of several columns on a joint."""
+        at = np.searchsorted(own.columns, self.start)
+        here = np.flatnonzero((self.size > 1) & np.isin(self.start, own.columns))
+        for start, size, first in zip(self.start[here], self.size[here], at[here], strict=True):
+            yield int(start), own.matrix[:, first : first + size]
+
+    def inner_with(self, group: int) -> Array:
+        """Return the inner products (m, k) of all columns with those of a group."""
+        columns = self.columns_of(group)
+        products = np.zeros((self.count, len(columns)))
+        for own, dense in zip(self.joints, self.dense(group), strict=True):
+            if columns[0] in own.columns:
+                products[own.columns] += own.matrix.T @ dense
+        return products
 
     def along(self, basis: Array, ends: Indices) -> Array:
         """Return the coordinates (p, m) of the projections of all columns onto a span.

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns, assemble_columns
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.effect_columns import (
@@ -15,6 +16,7 @@ from lieid_casadi.diagnosis.screening.effect_columns import (
     SegmentSignals,
     columns_along,
 )
+from lieid_casadi.diagnosis.screening.shape_scan import ShapeScan
 from lieid_casadi.diagnosis.screening.smooth_functions import SmoothColumns
 from lieid_casadi.effects import ArmEffect, Effect
 from lieid_casadi.identification.regression.motion_columns import FilteredColumns
@@ -37,6 +39,8 @@ class ColumnStore:
         Columns that depend on the fit.
     smooth : SmoothColumns
         Smooth functions of the measured signals.
+    scans : dict
+        By an effect's label and joint, of effects that depend on the measured signals alone.
     motion : sequence of FilteredColumns, optional
         Of each segment: columns of models, see `Design`.
     """
@@ -44,16 +48,37 @@ class ColumnStore:
     lasting: dict[str, PointColumns] = field(default_factory=dict)
     of_fit: dict[str, PointColumns] = field(default_factory=dict)
     smooth: SmoothColumns = field(default_factory=dict)
+    scans: dict[tuple[str, int], ShapeScan] = field(default_factory=dict)
     motion: Sequence[FilteredColumns] | None = None
 
     def for_another_fit(self) -> ColumnStore:
         """Return the store without the columns that depend on the fit."""
-        return ColumnStore(self.lasting, smooth=self.smooth, motion=self.motion)
+        return ColumnStore(self.lasting, smooth=self.smooth, scans=self.scans, motion=self.motion)
 
     def of(self, effect: Effect) -> dict[str, PointColumns]:
         """Return the part in which an effect's columns are kept."""
-        depends = isinstance(effect, ArmEffect) or "load" in effect.signals
-        return self.of_fit if depends else self.lasting
+        return self.of_fit if _depends_on_fit(effect) else self.lasting
+
+    def scan(
+        self,
+        effect: Effect,
+        joint: int,
+        signals: Sequence[SegmentSignals],
+        runs: Sequence[Runs],
+        options: DiagnosisOptions,
+    ) -> ShapeScan:
+        """Return the scan of an effect's one shape parameter on a joint; see `ShapeScan.of`."""
+        key = effect.label, joint
+        found = self.scans.get(key)
+        if found is None:
+            found = ShapeScan.of(effect, signals, joint, runs[joint].all, options)
+            if not _depends_on_fit(effect):
+                self.scans[key] = found
+        return found
+
+
+def _depends_on_fit(effect: Effect) -> bool:
+    return isinstance(effect, ArmEffect) or "load" in effect.signals
 
 
 def evaluate_candidates(

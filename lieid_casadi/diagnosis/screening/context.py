@@ -18,7 +18,7 @@ from lieid_casadi.diagnosis.screening.candidate_evaluation import (
 )
 from lieid_casadi.diagnosis.screening.candidates import Candidate, list_candidates
 from lieid_casadi.diagnosis.screening.cross_validation import time_blocks
-from lieid_casadi.diagnosis.screening.effect_columns import SegmentSignals, scanned_grid
+from lieid_casadi.diagnosis.screening.effect_columns import SegmentSignals
 from lieid_casadi.diagnosis.screening.held_out import HeldOutRows, redundancy_of
 from lieid_casadi.diagnosis.screening.held_out_parts import block_parts, recording_parts
 from lieid_casadi.diagnosis.screening.model_factor import ModelFactor
@@ -130,10 +130,9 @@ class ScreeningContext:
 
         def scan(effect: Effect, joint: int) -> Array:
             nonlocal scanned
-            at = runs[joint].all
-            grid, count = scanned_grid(effect, signals, joint, residuals[joint], at, options)
-            scanned += count
-            return grid
+            found = store.scan(effect, joint, signals, runs, options)
+            scanned += len(found.grid)
+            return found.peaks(residuals[joint], options)
 
         wanted: tuple[Candidate, ...] = ()
         if with_candidates:

@@ -10,7 +10,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.effect_memory import OWN, signals_of, states_along
 from lieid_casadi.diagnosis.screening.numpy_evaluation import ArrayFunction
 from lieid_casadi.effects import Effect, Placement, Signals
@@ -20,7 +19,6 @@ from lieid_casadi.identification.regression.segment_columns import ModelAlongSeg
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
-CHUNK = 128  # values of a shape parameter that a scan evaluates at once: bounds the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,64 +154,3 @@ def columns_along(
     places = [(p.joint, p.source) for p in placements]
     raw = function.columns(signals, places, grid)
     return signals.segment.filter(raw.reshape(len(raw), -1)).reshape(-1, *raw.shape[1:])
-
-
-def scanned_grid(
-    effect: Effect,
-    signals: Sequence[SegmentSignals],
-    joint: int,
-    residual: Array,
-    rows: NDArray[np.intp],
-    options: DiagnosisOptions,
-) -> tuple[Array, int]:
-    """Scan the one shape parameter of an effect for peaks of the gain.
-
-    The columns are correlated with the residual at the filtered instants without being filtered
-    themselves, which is accurate enough to find candidates for the grid.
-
-    Parameters
-    ----------
-    effect : Effect
-    signals : sequence of SegmentSignals
-        One per segment.
-    joint : int
-        From 0.
-    residual : (N,)
-        Of the joint, on its runs, N·m.
-    rows : (N,) int
-        Instants of the runs in the common time line of all segments.
-    options : DiagnosisOptions
-
-    Returns
-    -------
-    grid : (P, 1)
-        The peaks and their neighbours.
-    count : int
-        Number of values scanned.
-    """
-    (shape,) = effect.shapes
-    assert shape.scan is not None
-    values = {
-        name: np.concatenate([s.values[name][s.segment.kept, joint] for s in signals])[rows]
-        for name in OWN
-    }
-    reach = max(float(np.ptp(values["q"])), 1e-3)
-    speed = max(float(np.percentile(np.abs(values["dq"]), options.scan_speed_percentile)), 1e-3)
-    highest = min(shape.upper, 2.0 * np.pi * signals[0].segment.cutoff / speed)
-    step = max(shape.scan, options.scan_phase_step * 2.0 * np.pi / reach)
-    grid = np.arange(shape.lower, max(highest, shape.lower + 1e-9), step)
-    function = EffectFunction(effect)
-    gains = np.zeros(len(grid))
-    for k in range(0, len(grid), CHUNK):
-        part = grid[k : k + CHUNK]
-        columns = function.at(values, part)  # (c, N, G)
-        products = np.einsum("cng,n->cg", columns, residual)
-        grams = np.einsum("ang,bng->gab", columns, columns)
-        grams += 1e-9 * np.trace(grams, axis1=1, axis2=2)[:, None, None] * np.eye(len(columns))
-        solved = np.linalg.solve(grams, products.T[:, :, None])[:, :, 0]
-        gains[k : k + CHUNK] = np.sum(solved * products.T, axis=1)
-    padded = np.concatenate([[-np.inf], gains, [-np.inf]])
-    peaks = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]))
-    best = peaks[np.argsort(-gains[peaks])[: options.scan_peaks]]
-    around = np.unique(np.clip(best[:, None] + np.arange(-1, 2), 0, len(grid) - 1))
-    return grid[around][:, None], len(grid)

@@ -123,13 +123,12 @@ def _held_out(columns: Array, baseline: Baseline, parts: Parts, rows: HeldOutRow
     gain, judged = np.zeros(count), np.zeros(count, dtype=bool)
     squares = np.zeros((2, n))
     joint = np.repeat(np.arange(n), np.diff(baseline.ends[: n + 1]))
-    further = np.zeros(baseline.rows - len(parts.held), dtype=bool)  # rows of a prior
     for k in range(count):
-        held = np.append(parts.held == k, further)
+        held = np.pad(parts.held == k, (0, baseline.rows - len(parts.held)))  # rows of a prior
         if not held.any():
             continue
-        used = ~(held | np.append(parts.near[k], further))
-        both = _refitted(np.column_stack([baseline.residual, rest]), baseline, ~used)
+        both = _refitted(np.column_stack([baseline.residual, rest]), baseline, parts, k)
+        used = ~parts.out(k, baseline.rows)
         before, own = both[held, 0], both[held, 1:]
         after = before - own @ _solved(both[used, 1:], both[used, 0])
         gain[k] = float(np.sum(before**2) - np.sum(after**2))
@@ -146,27 +145,32 @@ def _held_out(columns: Array, baseline: Baseline, parts: Parts, rows: HeldOutRow
     return HeldOut(parts, gain, judged, before_and_after[0], before_and_after[1])
 
 
-def _refitted(values: Array, baseline: Baseline, out: NDArray[np.bool_]) -> Array:
-    """Return values minus the baseline's columns, fitted to them on the other rows.
+def _refitted(values: Array, baseline: Baseline, parts: Parts, part: int) -> Array:
+    """Return values minus the baseline's columns, fitted to them without a part's rows.
 
     Parameters
     ----------
     values : (R, k)
         Outside the span of the baseline on all rows.
     baseline : Baseline
-    out : (R,) bool
-        Rows to which the columns are not fitted.
+    parts : Parts
+    part : int
+        That is held out.
     """
-    axes, inside = baseline.axes, baseline.model[out]
-    if baseline.left_out.shape[1]:
-        inside = inside @ axes
-    inside = np.hstack([inside, baseline.added[out]])
-    sizes, directions = np.linalg.eigh(np.eye(inside.shape[1]) - inside.T @ inside)
-    seen = directions[:, sizes > LEAST_INFORMATION]
-    # the products with the values on the other rows are those on these rows with opposite sign
-    fitted = seen @ ((seen.T @ (inside.T @ -values[out])) / sizes[sizes > LEAST_INFORMATION, None])
-    own, further = np.split(fitted, [axes.shape[1]])
-    return np.asarray(values - baseline.model @ (axes @ own) - baseline.added @ further)
+    axes, added, out = baseline.axes, baseline.added, parts.out(part, baseline.rows)
+    outside = np.hstack([added, values])[out]
+    # products with values on the other rows are those on these rows with the opposite sign
+    along = np.vstack([axes.T @ (baseline.model[out].T @ outside), added[out].T @ outside])
+    mixed, fitted = along[:, : added.shape[1]], -along[:, added.shape[1] :]
+    count = axes.shape[1]
+    inside = np.empty((len(along), len(along)))
+    inside[:count, :count] = axes.T @ parts.gram(part, baseline.model) @ axes
+    inside[:, count:], inside[count:, :count] = mixed, mixed[:count].T
+    sizes, directions = np.linalg.eigh(np.eye(len(inside)) - inside)
+    seen = sizes > LEAST_INFORMATION
+    solution = directions[:, seen] @ ((directions[:, seen].T @ fitted) / sizes[seen, None])
+    own, further = np.split(solution, [count])
+    return np.asarray(values - baseline.model @ (axes @ own) - added @ further)
 
 
 def _solved(columns: Array, values: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,35 @@ class Parts:
     held: Indices
     near: NDArray[np.bool_]
     recordings: bool
+
+    def out(self, part: int, rows: int) -> NDArray[np.bool_]:
+        """Mark the rows (R + prior,) that are not used when a part is held out.
+
+        Parameters
+        ----------
+        part : int
+        rows : int
+            Number of rows, with those of a prior, which are always used.
+        """
+        own = (self.held == part) | self.near[part]
+        return np.pad(own, (0, rows - len(own)))
+
+    def gram(self, part: int, basis: Array) -> Array:
+        """Return the inner products (p, p) of a basis (R, p) on the rows that `out` marks.
+
+        Those of the last basis are kept: a model is judged with many different columns.
+        """
+        if not self._grams or self._grams[0][0] is not basis:
+            self._grams[:] = [(basis, {})]
+        known = self._grams[0][1]
+        if part not in known:
+            inside = basis[self.out(part, len(basis))]
+            known[part] = inside.T @ inside
+        return known[part]
+
+    @cached_property
+    def _grams(self) -> list[tuple[Array, dict[int, Array]]]:
+        return []
 
 
 def recording_parts(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lieid_casadi.diagnosis.options import ABSORBED, DiagnosisOptions
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
+from lieid_casadi.diagnosis.screening.coordinates import Coordinates
 
 Array = NDArray[np.float64]
 #: Of the Gram matrix of unit columns: below it a direction is numerically dependent.
@@ -86,7 +87,7 @@ def screen(
         They exclude groups that rest on few rows or on a small part of their own; with None no
         group is excluded, and signs are not checked.
     """
-    gram = _grams(candidates, baseline)
+    gram = Coordinates.of(candidates, baseline).gram()
     products = _products(candidates, baseline, baseline.residual[:, None])[:, 0]
     found, roots = _gains_of(candidates, gram, products, options)
     return Screening(candidates, found.gain, found.remaining, found.rank, baseline, roots)
@@ -97,7 +98,8 @@ class SelectionState:
 
     With C the columns outside the model's span and S the selected ones, gains follow from
     CᵀC − CᵀS·(SᵀS)⁺·SᵀC within the groups and from Cᵀr − CᵀS·(SᵀS)⁺·Sᵀr. The inner products CᵀS
-    of a group are computed when it is first selected; no baseline is formed again.
+    of a group are computed when it is first selected, from those of the columns and of their
+    coordinates along the model's span; no baseline is formed again.
 
     Parameters
     ----------
@@ -116,7 +118,8 @@ class SelectionState:
         options: DiagnosisOptions | None,
     ) -> None:
         self.candidates, self.baseline, self._options = candidates, baseline, options
-        self._gram = _grams(candidates, baseline)
+        self._along = Coordinates.of(candidates, baseline)
+        self._gram = self._along.gram()
         self._products = _products(candidates, baseline, baseline.residual[:, None])[:, 0]
         self._with: dict[int, Array] = {}
         self._parts: dict[int, Array] = {}
@@ -154,8 +157,7 @@ class SelectionState:
     def _inner_with(self, group: int) -> Array:
         """Return the inner products (m, k) of all columns with a group's, outside the model."""
         if group not in self._with:
-            size = np.sqrt(self.candidates.inner[0, self.candidates.columns_of(group)])
-            self._with[group] = _products(self.candidates, self.baseline, self._part(group)) * size
+            self._with[group] = self._along.inner_with(group)
         return self._with[group]
 
     def _part(self, group: int) -> Array:
@@ -208,15 +210,6 @@ def _selectable(
     points = np.bincount(candidates.owner_index, minlength=len(candidates.owners))
     on_grid = points[candidates.owner_index] > 1
     return np.asarray(fine & ~(on_grid & (remaining < options.least_own_part)))
-
-
-def _grams(candidates: CandidateColumns[Any], baseline: Baseline) -> Array:
-    """Return inner products (k, m) of the projected columns within groups, by offset."""
-    along, in_model = candidates.along_model(baseline.model, baseline.ends)
-    inner = candidates.inner - in_model + candidates.inner_along(baseline.left_out.T @ along)
-    if baseline.added.shape[1]:
-        inner -= candidates.inner_along(candidates.along(baseline.added, baseline.ends))
-    return inner
 
 
 def _inverse_roots(

@@ -56,6 +56,8 @@ def simplest_equivalent(
     folds : (R,) int
         Fold of each row.
     """
+    if not rivals:
+        return group, rivals
     gains = {
         g: cross_validated_gain(candidates.stacked(g), with_others, folds)
         for g in [group, *(r.group for r in rivals)]

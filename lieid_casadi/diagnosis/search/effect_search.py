@@ -105,7 +105,11 @@ def _selected(problem: SearchProblem) -> SearchRound:
     groups: Sequence[int] = ()
     refined: set[str] = set()
     for remaining in range(options.refinement_rounds + 1, -1, -1):
-        candidates = context.candidates.whitened(problem.white, context.runs)
+        candidates = (
+            problem.candidates(problem.white)
+            if context is problem.context
+            else context.candidates.whitened(problem.white, context.runs)
+        )
         baseline = problem.baseline(problem.white, candidates)
         state = SelectionState(candidates, baseline, options)
         penalty = schwarz_penalty(baseline, problem.least_gain)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -176,19 +176,54 @@ def rival_pairs(
     total = float(np.sum(with_others.residual**2))
     own = total - float(np.sum(with_columns.residual**2))
     parts = {g: with_others.part(candidates.stacked(g)) for g in tried}
-    single = {g: with_others.with_part(part) for g, part in parts.items()}
-    gains = {g: total - float(np.sum(b.residual**2)) for g, b in single.items()}
+    gains = _PairGains.of(parts, with_others.residual)
+    alone = {g: gains.of_groups(g) for g in tried}
     found = []
     for a, b in combinations(tried, 2):
-        pair = single[a].with_part(parts[b])
-        gain = total - float(np.sum(pair.residual**2))
+        gain = gains.of_groups(a, b)
         further = sum(candidates.owner(g).parameters for g in (a, b)) - parameters
         pays = gain - own > float(np.log(len(blocks))) * further
-        adds = gain - max(gains[a], gains[b]) > options.least_part_of_pair * own
+        adds = gain - max(alone[a], alone[b]) > options.least_part_of_pair * own
+        if not (pays and adds):
+            continue
+        pair = with_others.with_part(parts[a]).with_part(parts[b])
         worse = pair.residual**2 - with_columns.residual**2
-        if pays and adds and _alike(worse, blocks, options.rival_deviations):
+        if _alike(worse, blocks, options.rival_deviations):
             found.append(RivalPair((a, b), gain))
     return sorted(found, key=lambda r: -r.gain)[: options.most_rival_pairs]
+
+
+@dataclass(frozen=True, eq=False)
+class _PairGains:
+    """Inner products of several parts outside a span, from which the gains of pairs follow.
+
+    Attributes
+    ----------
+    columns : dict
+        Positions of each group's columns among all.
+    gram : (m, m)
+    products : (m,)
+        With the residual.
+    """
+
+    columns: dict[int, NDArray[np.intp]]
+    gram: Array
+    products: Array
+
+    @classmethod
+    def of(cls, parts: Mapping[int, Array], residual: Array) -> _PairGains:
+        """Return the inner products of parts (R, k) of groups, and of a residual (R,)."""
+        ends = np.cumsum([part.shape[1] for part in parts.values()])
+        every = np.hstack([np.zeros((len(residual), 0)), *parts.values()])
+        places = np.split(np.arange(every.shape[1]), ends)
+        columns = dict(zip(parts, places, strict=False))
+        return cls(columns, every.T @ every, every.T @ residual)
+
+    def of_groups(self, *groups: int) -> float:
+        """Return the fall of the sum of squares with groups."""
+        at = np.concatenate([self.columns[g] for g in groups])
+        gram, products = self.gram[np.ix_(at, at)], self.products[at]
+        return float(products @ np.linalg.pinv(gram, rcond=ABSORBED**2, hermitian=True) @ products)
 
 
 def remaining_part(columns: Array, baseline: Baseline) -> float:
