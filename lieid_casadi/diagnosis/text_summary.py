@@ -153,7 +153,7 @@ def unexplained_table(d: Diagnosis) -> Table:
             (
                 f"{u.joint + 1}",
                 f"{100 * u.fraction:.0f} %",
-                ", ".join(u.depends_on) or "no measured signal",
+                ", ".join(u.signals) or "no measured signal",
                 None if u.formula is None else u.formula.text,
                 {True: "yes", False: "no", None: None}[u.confirmed],
                 "; ".join(f"{c.label}: {c.reason}" for c in u.candidates) or None,

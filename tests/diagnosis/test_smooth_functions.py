@@ -10,6 +10,7 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.residual.shapes import SmoothShape
 from lieid_casadi.diagnosis.residual.smooth_function_code import smooth_lists
 from lieid_casadi.diagnosis.residual.smooth_selection import preferred
+from lieid_casadi.diagnosis.screening.hysteresis import stops
 from lieid_casadi.diagnosis.screening.smooth_functions import (
     basis_functions,
     signal_ranges,
@@ -49,7 +50,41 @@ def test_friction_with_a_peak_at_one_speed_is_smooth(speed):
     assert part_outside(basis("dq1"), peak) < 0.1
 
 
-@pytest.mark.parametrize(("name", "signal"), [("q1", "q"), ("dq1", "dq")])
+def test_a_step_where_the_load_changes_its_sign_is_smooth():
+    assert part_outside(basis("load1"), np.tanh(X / 0.03)) < 0.02
+
+
+def play(x, width):
+    """Return a signal behind a play, sample by sample, from its first value on."""
+    behind = x.copy()
+    for k in range(1, len(x)):
+        behind[k] = min(max(behind[k - 1], x[k] - width), x[k] + width)
+    return behind
+
+
+def test_stops_are_what_a_play_leaves():
+    x = np.cumsum(np.random.default_rng(1).normal(size=(203, 2)), axis=0)
+    widths = np.array([[0.5, 2.0], [1.0, 4.0]])
+    found = stops(x, widths)
+    for j, k in np.ndindex(2, 2):
+        expected = x[:, j] - play(x[:, j], widths[j, k])
+        assert found[:, j, k] == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("width", [0.15, 0.3])
+def test_a_play_in_the_load_follows_the_stops_of_the_load_and_no_function_of_it(width):
+    load = np.sin(12.0 * X) * (1.0 - 0.5 * X)
+    along = signals()
+    along.values["load"] = load[:, None]
+    found = basis_functions(along, signal_ranges([along]))
+    torque = load - play(load, width)
+    assert part_outside(found["play1"], torque) < 0.03
+    assert part_outside(found["load1"], torque) > 0.3
+
+
+@pytest.mark.parametrize(
+    ("name", "signal"), [("q1", "q"), ("dq1", "dq"), ("load1", "load"), ("ddq1", "ddq")]
+)
 def test_the_code_has_the_functions_of_the_basis(name, signal):
     low, high = signal_ranges([signals()])[signal][:, 0]
     shape = SmoothShape(0, (name,), ("rad",), (np.array([low, high]),), *[np.zeros(2)] * 3)
@@ -89,3 +124,5 @@ def test_functions_of_an_angle_or_a_speed_are_tried_with_fewer_terms_too():
     assert sizes["q1",] == [9, 17]  # with a constant
     assert sizes["dq1",] == [7, 13]
     assert sizes["ddq1",] == [6]
+    assert sizes["load1",] == [8]
+    assert sizes["play1",] == [5]

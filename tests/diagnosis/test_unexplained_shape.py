@@ -59,6 +59,14 @@ def drag_of_other(s):
     return 0.1 * SIZE[0] * np.abs(s.dq[..., 1])
 
 
+def load_behind_play(s):
+    load, width = s.load[..., 0], 0.12 * np.ptp(s.load[..., 0])
+    behind = np.array(load)
+    for k in range(1, len(load)):
+        behind[k] = min(max(behind[k - 1], load[k] - width), load[k] + width)
+    return 0.3 * (load - behind)
+
+
 @pytest.fixture(autouse=True)
 def register_as_before():
     """Remove the effects that a test registers."""
@@ -218,6 +226,7 @@ def test_json_of_unexplained_parts(by_angle, with_bump):
                 "joint",
                 "fraction",
                 "depends_on",
+                "hysteresis",
                 "form",
                 "shape",
                 "confirmed",
@@ -342,6 +351,19 @@ def test_products_of_two_other_joints_are_a_comment_in_the_code():
     own = own_effects([Unexplained(1, 0.5, ("dq1", "dq3"), formula=formula)])
     assert own.labels == ()
     assert own.code.startswith("# joint 2, dq1·dq3: depends on two other joints")
+
+
+def test_a_play_in_the_load_is_hysteresis_and_no_code_is_suggested_for_it():
+    trained = plain_arm().with_effects(plant.ForeignTorque(0, load_behind_play))
+    diagnosis = lieid.diagnose(MODEL, run(trained, 1))
+    assert diagnosis.steps == ()
+    part = diagnosis.unexplained[0]
+    assert (part.joint, part.depends_on, part.hysteresis) == (0, ("load1",), ("load1",))
+    assert part.to_dict()["hysteresis"] == ["load1"]
+    assert "depends on load1 (with hysteresis)" in diagnosis.sentence
+    own = own_effects(diagnosis.unexplained)
+    assert own.labels == ()
+    assert own.code.startswith("# joint 1, hysteresis over load1")
 
 
 def test_registered_names_are_not_used_again(by_angle):

@@ -20,6 +20,7 @@ from lieid_casadi.diagnosis.screening.effect_columns import SegmentSignals
 from lieid_casadi.diagnosis.screening.smooth_functions import (
     SignalRanges,
     basis_functions,
+    has_memory,
     product_basis,
     signal_ranges,
 )
@@ -85,7 +86,10 @@ class SmoothShape:
 
 
 def smooth_shapes(part: Unexplained, residual: ProjectedResidual) -> tuple[SmoothShape, ...]:
-    """Return the smooth functions of an unexplained part, all fitted together."""
+    """Return the smooth functions of an unexplained part, all fitted together.
+
+    Those that depend on the past of a signal are fitted and have no shape.
+    """
     if not part.terms:
         return ()
     ranges = signal_ranges(residual.signals)
@@ -99,7 +103,8 @@ def smooth_shapes(part: Unexplained, residual: ProjectedResidual) -> tuple[Smoot
     for names, mean, own in zip(part.terms, blocks, columns, strict=True):
         here = slice(first, first + own.shape[1])
         first = here.stop
-        shapes.append(_shape(part.joint, names, mean, here, estimate, residual))
+        if not has_memory(names):
+            shapes.append(_shape(part.joint, names, mean, here, estimate, residual))
     return tuple(shapes)
 
 

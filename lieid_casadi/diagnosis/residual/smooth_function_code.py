@@ -7,6 +7,7 @@ from lieid_casadi.diagnosis.residual.signal_names import split_name
 from lieid_casadi.diagnosis.screening.smooth_functions import (
     ANGLE_WAVES,
     FRICTION_WAVES,
+    LOAD_STEP,
     SPEED_WAVES,
     is_friction_by_angle,
 )
@@ -59,8 +60,13 @@ def _list(
         peaks = f"[{wave} for k in range(1, {SPEED_WAVES + 1})]"
         return f"[{size}, {v} * {size}, {v} ** 3, {near}, *{peaks}]", 4 + SPEED_WAVES
     count = FUNCTIONS_OF_PAIR if pair else 2 if kind == "temp" else POWERS
-    x = f"(({_limited(member, low, high)} - {middle:.6g}) / {half:.6g})"
-    return f"[{x} ** k for k in range(1, {count + 1})]", count
+    limited = _limited(member, low, high)
+    powers = f"(({limited} - {middle:.6g}) / {half:.6g}) ** k for k in range(1, {count + 1})"
+    if kind == "load":
+        width = LOAD_STEP * max(abs(low), abs(high), 1e-9)
+        step = f"ca.tanh({limited} / {width:.6g}), ca.fabs({limited})"
+        return f"[*({powers}), {step}]", count + 2
+    return f"[{powers}]", count
 
 
 def _limited(member: str, low: float, high: float) -> str:

@@ -19,7 +19,7 @@ from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.cross_validation import gains_of_folds
 from lieid_casadi.diagnosis.screening.evidence import HypothesisFamily
 from lieid_casadi.diagnosis.screening.screen import Screening, screen
-from lieid_casadi.diagnosis.screening.smooth_functions import SmoothFunction
+from lieid_casadi.diagnosis.screening.smooth_functions import SmoothFunction, measured_signal
 
 Array = NDArray[np.float64]
 #: Functions of one signal, and of two, whose held-out gain is computed: the largest gains.
@@ -148,7 +148,8 @@ def _of_joint(
     variance = float(np.sum(plain.baseline.residual[plain.baseline.joint(joint)] ** 2))
     groups, gain = _strongest(plain, significant, folds, variance, options)
     terms = tuple(plain.functions.owner(g).signals for g in groups)
-    names = tuple(dict.fromkeys(name for term in terms for name in term))[: options.most_signals]
+    every = [measured_signal(name) for term in terms for name in term]
+    names = tuple(dict.fromkeys(every))[: options.most_signals]
     fraction = gain / variance if variance > 0.0 else 0.0
     if not names or fraction < _least_part(names, options):
         return None
@@ -207,7 +208,7 @@ def _strongest(
             break
         winner = preferred([functions.owner(g).signals for g in best], np.array(each), options)
         selected.append(best[winner])
-        names |= set(functions.owner(best[winner]).signals)
+        names |= {measured_signal(name) for name in functions.owner(best[winner]).signals}
         total += gains[winner]
         baseline = baseline.with_columns(functions.stacked(best[winner]))
         groups = [g for g in groups if g != best[winner]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from lieid_casadi.diagnosis.screening.smooth_functions import has_memory, measured_signal
 from lieid_casadi.diagnosis.wording import join_words
 
 if TYPE_CHECKING:
@@ -64,9 +65,10 @@ class Unexplained:
         At most three signals, those that explain most first. Empty if the error is far above
         that of a complete model and no smooth function of the signals explains it.
     terms : tuple of tuple of str
-        Signals of each smooth function, the one that explains most first.
+        Signals of each smooth function, the one that explains most first; ``play3`` is the past
+        of ``load3``.
     shapes : tuple of SmoothShape
-        These functions, with confidence bands.
+        These functions, with confidence bands; none of functions of the past.
     formula : Formula or None
         A short formula that explains nearly as much.
     confirmed : bool or None
@@ -97,6 +99,18 @@ class Unexplained:
     ratio: float | None = None
 
     @property
+    def hysteresis(self) -> tuple[str, ...]:
+        """The signals on whose past it depends: one value has several torques."""
+        names = [name for term in self.terms for name in term if has_memory((name,))]
+        return tuple(dict.fromkeys(map(measured_signal, names)))
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The signals that it depends on, for sentences and tables."""
+        past = self.hysteresis
+        return tuple(f"{s} (with hysteresis)" if s in past else s for s in self.depends_on)
+
+    @property
     def relation(self) -> str:
         """What the error of the joint follows, as the end of a sentence that begins with it."""
         part = f"{100 * self.fraction:.0f} % of the variance of the residual"
@@ -105,7 +119,7 @@ class Unexplained:
             return f"the error is {limit} and follows no measured signal"
         if self.depends_on == ("t",):
             return f"{part} changes over the recording and follows no other signal"
-        return f"{part} depends on {join_words(self.depends_on)}"
+        return f"{part} depends on {join_words(self.signals)}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for JSON, joints from 1."""
@@ -113,6 +127,7 @@ class Unexplained:
             "joint": self.joint + 1,
             "fraction": self.fraction,
             "depends_on": list(self.depends_on),
+            "hysteresis": list(self.hysteresis),
             "form": None if self.formula is None else self.formula.to_dict(),
             "confirmed": self.confirmed,
             "contained_in": self.contained_in or None,

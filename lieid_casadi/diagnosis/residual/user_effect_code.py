@@ -11,6 +11,7 @@ from lieid_casadi.diagnosis.residual.function_dictionary import Term
 from lieid_casadi.diagnosis.residual.shapes import SmoothShape
 from lieid_casadi.diagnosis.residual.signal_names import SIGNAL_KEYS, split_name
 from lieid_casadi.diagnosis.residual.smooth_function_code import smooth_lists
+from lieid_casadi.diagnosis.screening.smooth_functions import has_memory, measured_signal
 from lieid_casadi.effects.registry import REGISTER
 
 if TYPE_CHECKING:
@@ -41,7 +42,8 @@ def own_effects(parts: Sequence[Unexplained]) -> OwnEffects:
     A formula gives one effect for each joint whose signals it depends on; without a formula the
     first smooth function is used. Parts that would not hold for another recording, and parts that
     an effect of the library contains, are left out. Products of signals of two other joints
-    cannot be written as an effect on one joint; a comment in the code lists them.
+    cannot be written as an effect on one joint, and functions of a signal's past not as a function;
+    a comment in the code lists them.
     """
     blocks: list[str] = []
     notes: list[str] = []
@@ -51,9 +53,9 @@ def own_effects(parts: Sequence[Unexplained]) -> OwnEffects:
             continue
         by_source, beyond = _by_source(part)
         notes += [
-            f"# joint {part.joint + 1}, {text}: depends on two other joints, "
-            "which needs a subclass of lieid_casadi.effects.ArmEffect"
-            for text in beyond
+            f"# joint {part.joint + 1}, {text}, "
+            f"which needs a subclass of lieid_casadi.effects.{kind}"
+            for text, kind in beyond
         ]
         for source, terms in by_source.items():
             name = _free_name(part.joint, source)
@@ -71,18 +73,21 @@ def own_effects(parts: Sequence[Unexplained]) -> OwnEffects:
     return OwnEffects(code, tuple(labels))
 
 
-def _by_source(part: Unexplained) -> tuple[dict[int | None, list[Term]], list[str]]:
-    """Return the terms by the other joint that acts, and the terms of two other joints.
+def _by_source(part: Unexplained) -> tuple[dict[int | None, list[Term]], list[tuple[str, str]]]:
+    """Return the terms by the other joint that acts, and those that need a class of their own.
 
-    The key is None for terms of the part's own joint. Without a formula the terms are empty.
+    The key is None for terms of the part's own joint. Without a formula the terms are empty. Of
+    terms that are no function of one joint's signals, what they are and the base class are stated.
     """
     if part.formula is None:
-        if not part.shapes:
+        if not part.terms:
             return {}, []
-        names = part.shapes[0].signals
+        names = part.terms[0]
+        if has_memory(names):
+            return {}, [(f"hysteresis over {measured_signal(names[0])}", "Effect with states")]
         others = sorted({split_name(name)[1] for name in names if name != "t"} - {part.joint})
         if len(others) > 1:
-            return {}, [" and ".join(names)]
+            return {}, [(_of_two_other_joints(" and ".join(names)), "ArmEffect")]
         return {others[0] if others else None: []}, []
     found: dict[int | None, list[Term]] = {}
     beyond = []
@@ -95,7 +100,11 @@ def _by_source(part: Unexplained) -> tuple[dict[int | None, list[Term]], list[st
     sources = [source for source in found if source is not None]
     if None in found and len(sources) == 1:  # an effect of two joints has the signals of both
         found = {sources[0]: [term for term in part.formula.terms if term not in beyond]}
-    return found, [term.text for term in beyond]
+    return found, [(_of_two_other_joints(term.text), "ArmEffect") for term in beyond]
+
+
+def _of_two_other_joints(text: str) -> str:
+    return f"{text}: depends on two other joints"
 
 
 def _free_name(joint: int, source: int | None) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns, assemble_columns
 from lieid_casadi.diagnosis.screening.effect_columns import SegmentSignals
+from lieid_casadi.diagnosis.screening.hysteresis import stops
 from lieid_casadi.identification.uncertainty.noise_model import Runs
 
 Array = NDArray[np.float64]
@@ -21,6 +22,10 @@ FRICTION_CURVES = 6  # friction-like functions of a velocity, which precede the 
 SPEED_WAVES = 6  # half waves over the speed: friction may have a peak at a narrow range of speeds
 #: By names of signals, of each joint (N_j, k).
 SmoothColumns = dict[tuple[str, ...], dict[int, Array]]
+LOAD_STEP = 0.05  # width of the step where a load changes its sign, relative to the largest load
+#: Widths of the hysteresis of a load, relative to half its range.
+STOP_WIDTHS = np.array([0.05, 0.1, 0.2, 0.4])
+PLAY = "play"  # kind of the functions of a load's past
 HALF_WAVES = 12  # over a recording, up to which a function of time counts as smooth
 
 
@@ -34,7 +39,7 @@ class SmoothFunction:
         From 0.
     signals : tuple of str
         Named like columns of recordings: ``q3``, ``dq1``, ``temp2``, ``t``; ``load3`` is the
-        model's rigid torque.
+        model's rigid torque, ``play3`` its past (`measured_signal`).
     parameters : int
         Number of basis functions.
     """
@@ -42,6 +47,10 @@ class SmoothFunction:
     joint: int
     signals: tuple[str, ...]
     parameters: int
+
+    def is_function_of(self, signals: Collection[str]) -> bool:
+        """Whether it depends on no other measured signals than these, nor on their past."""
+        return {measured_signal(name) for name in self.signals} <= set(signals)
 
     @property
     def lower(self) -> tuple[float, ...]:
@@ -102,16 +111,15 @@ def smooth_columns(
         From 0.
     signals : sequence of str
     """
-    wanted = set(signals)
     groups = [
-        g for g, c in enumerate(candidates.owners) if c.joint == joint and wanted >= set(c.signals)
+        g for g, c in enumerate(candidates.owners) if c.joint == joint and c.is_function_of(signals)
     ]
     return np.hstack([candidates.stacked(g) for g in groups])
 
 
 def _terms(n: int, temperature: bool) -> list[tuple[str, ...]]:
     single: list[tuple[str, ...]] = [(f"{s}{i + 1}",) for s in ("q", "dq", "ddq") for i in range(n)]
-    single += [(f"load{i + 1}",) for i in range(n)] + [("t",)]
+    single += [(f"{s}{i + 1}",) for s in ("load", PLAY) for i in range(n)] + [("t",)]
     if temperature:
         single += [(f"temp{i + 1}",) for i in range(n)]
     pairs = [(f"q{i + 1}", f"dq{j + 1}") for i in range(n) for j in range(n)]
@@ -124,7 +132,7 @@ def _terms(n: int, temperature: bool) -> list[tuple[str, ...]]:
 def _joints_of(names: tuple[str, ...], n: int) -> list[int]:
     """Return the joints on which a term is tried: all; pairs and loads only on their own."""
     indices = {int("".join(c for c in s if c.isdigit()) or 0) - 1 for s in names}
-    if len(names) == 1 and not names[0].startswith(("load", "temp")):
+    if len(names) == 1 and not names[0].startswith(("load", PLAY, "temp")):
         return list(range(n))
     return sorted(indices)
 
@@ -142,7 +150,8 @@ def basis_functions(signals: SegmentSignals, ranges: SignalRanges) -> dict[str, 
     """Return the basis functions (K, b) of each column along a segment.
 
     Cosines of angles and of time, friction-like functions of velocities, Legendre polynomials of
-    accelerations, loads and temperatures.
+    accelerations, loads and temperatures. Loads also have a step and a bend at zero, and stops
+    (`hysteresis`) under the name ``play``.
     """
     bases = {}
     for name in ("q", "dq", "ddq", "load"):
@@ -164,7 +173,12 @@ def basis_functions(signals: SegmentSignals, ranges: SignalRanges) -> dict[str, 
                 basis = np.column_stack(waves)
             else:
                 basis = np.polynomial.legendre.legvander(x, 5)[:, 1:]
+            if name == "load":  # the torque may step or bend where a load changes its sign
+                part = values / max(abs(low), abs(high), 1e-9)
+                basis = np.column_stack([basis, np.tanh(part / LOAD_STEP), np.abs(part)])
             bases[f"{name}{i + 1}"] = basis
+    for i, columns in enumerate(_of_past_loads(signals, ranges)):
+        bases[f"{PLAY}{i + 1}"] = columns
     part = signals.values["time"][:, 0] / max(float(ranges["time"][1, 0]), 1e-9)
     bases["t"] = np.cos(np.pi * part[:, None] * np.arange(1, HALF_WAVES + 1))
     if signals.segment.temperature is not None:
@@ -173,6 +187,23 @@ def basis_functions(signals: SegmentSignals, ranges: SignalRanges) -> dict[str, 
             x = (signals.values["temperature"][:, i] - low) / max(high - low, 1e-6) * 2.0 - 1.0
             bases[f"temp{i + 1}"] = np.polynomial.legendre.legvander(x, 2)[:, 1:]
     return bases
+
+
+def _of_past_loads(signals: SegmentSignals, ranges: SignalRanges) -> list[Array]:
+    """Return the stops (K, w) of each joint's load, relative to their widths."""
+    low, high = ranges["load"]
+    widths = np.maximum(0.5 * (high - low), 1e-9)[:, None] * STOP_WIDTHS
+    return list(np.moveaxis(stops(signals.values["load"], widths) / widths, 1, 0))
+
+
+def measured_signal(name: str) -> str:
+    """Return the signal whose past a function depends on, or the name itself."""
+    return name.replace(PLAY, "load")
+
+
+def has_memory(names: Sequence[str]) -> bool:
+    """Whether a function depends on the past of a signal, so that it is no curve over it."""
+    return any(name.startswith(PLAY) for name in names)
 
 
 def _counts(names: tuple[str, ...]) -> tuple[int | None, ...]:

@@ -141,7 +141,7 @@ def _smooth_gain(
     gains = [
         cross_validated_gain(smooth.stacked(g), without, folds)
         for g, function in enumerate(smooth.owners)
-        if function.joint == part.joint and set(function.signals) <= set(part.depends_on)
+        if function.joint == part.joint and function.is_function_of(part.depends_on)
     ]
     return max([*gains, 1e-300])
 
