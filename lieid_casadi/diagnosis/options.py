@@ -209,8 +209,9 @@ class DiagnosisOptions:
     #: Simulations.
     least_gain_with_smooth: float = 0.25
     #: Part of what these smooth functions explain that an effect must explain to be named although
-    #: they could take its place. Simulations.
-    least_part_of_smooth: float = 0.8
+    #: they could take its place: the error that it leaves is at most a third (√0.1) of the error
+    #: that they explain. Simulations.
+    least_part_of_smooth: float = 0.9
 
     # --- Unexplained residual ---------------------------------------------------------------------
     #: Family-wise p-value of smooth functions. Stricter than for effects: they are more flexible.
@@ -220,6 +221,9 @@ class DiagnosisOptions:
     least_residual_part: float = 0.08
     #: The same for functions of time, which coloured noise resembles. Simulations.
     least_residual_part_of_time: float = 0.3
+    #: Part of what the best function of time explains from which a function of other signals is
+    #: reported in its place. Simulations.
+    least_part_of_time: float = 0.8
     #: Part of the gain so far that a further smooth function must add. Simulations.
     least_further_part: float = 0.25
     #: Signals named at most for each joint, as the JSON format states.

@@ -14,9 +14,13 @@ ARM = plant.demo_arm(ROBOT, hidden=None)
 COULOMB, SCALE = ARM.friction.coulomb[1], plant.torque_scale(ROBOT)[1]
 
 
-def two_harmonics(s):
+def two_harmonics(s, second=0.2):
     q = s.q[..., 1]
-    return COULOMB * (0.9 * np.sin(q + 0.4) + 0.2 * np.sin(4.0 * q)) * s.sign[..., 1]
+    return COULOMB * (0.9 * np.sin(q + 0.4) + second * np.sin(4.0 * q)) * s.sign[..., 1]
+
+
+def larger_second_harmonic(s):
+    return two_harmonics(s, 0.4)
 
 
 def settling(s):
@@ -46,6 +50,17 @@ def test_an_effect_that_explains_nearly_as_much_as_smooth_functions_is_named():
     (candidate,) = [c for c in part.candidates if c.label == label]
     assert candidate.part > 0.7
     assert candidate.reason == reasons[label]
+
+
+def test_an_effect_that_leaves_a_third_of_the_error_of_its_own_signals_is_not_named():
+    """The first harmonic explains 84 % of the variance that smooth functions explain."""
+    diagnosis = lieid.diagnose(MODEL, run(larger_second_harmonic, 1, 40.0))
+    assert diagnosis.steps == ()
+    part = diagnosis.unexplained[0]
+    assert part.joint == 1
+    assert set(part.depends_on[:2]) == {"q2", "dq2"}
+    (candidate,) = [c for c in part.candidates if c.label == "position_friction:2"]
+    assert 0.7 < candidate.part < 0.9
 
 
 def test_a_torque_that_settles_changes_over_the_recording():

@@ -234,7 +234,7 @@ def preferred(signals: Sequence[tuple[str, ...]], gains: Array, options: Diagnos
     values = gains.sum(axis=1)
     of_time = np.array(["t" in names for names in signals])
     others = np.where(of_time, -np.inf, values)
-    if others.max() >= options.least_part_of_smooth * values.max():
+    if others.max() >= options.least_part_of_time * values.max():
         values = others
     best = int(np.argmax(values))
     less = gains[best] - gains
