@@ -162,10 +162,13 @@ class Diagnosis:
 
     @property
     def additions(self) -> tuple[tuple[DiagnosisStep, ...], ...]:
-        """The steps, those together whose effects were added to the model at once."""
+        """The steps, those together whose effects were added to the model at once.
+
+        All changes are: their sizes are those beside each other.
+        """
         together: dict[int, list[DiagnosisStep]] = {}
-        for number, step in enumerate(self.steps):
-            together.setdefault(number if step.fit is None else id(step.fit), []).append(step)
+        for step in self.steps:
+            together.setdefault(id(step.fit), []).append(step)
         return tuple(map(tuple, together.values()))
 
     @property

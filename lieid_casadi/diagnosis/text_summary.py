@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from lieid_casadi.comparison.noise_floor import SOURCES
-from lieid_casadi.diagnosis.findings import findings, grouped, location
+from lieid_casadi.comparison.table import percent
+from lieid_casadi.diagnosis.findings import MOST_RIVALS, findings, grouped, location
 from lieid_casadi.diagnosis.wording import join_words
 from lieid_casadi.tables import Table, make_table
 from lieid_casadi.tables import html as to_html
@@ -80,48 +81,49 @@ def error_table(d: Diagnosis) -> Table:
     rows: list[list[object]] = [
         [name, *map(float, values)] for name, values in zip(d.model_names, errors, strict=True)
     ]
-    if d.expected is not None:
-        rows.append(["expected", *map(float, d.expected)])
-    rows.append(["noise floor", *map(float, d.noise_floor)])
-    expected = "" if d.expected is None else " Expected: held-out error of the fit."
+    if d.expected is None:
+        reference, source = "noise floor", SOURCES[d.noise_source]
+        note = "Each row adds effects to the row above and fits all parameters again."
+        rows.append([reference, *map(float, d.noise_floor)])
+    else:
+        reference, source = "expected", "held-out error of the fit"
+        note = (
+            "The model is kept. Near velocity reversals, where the sign of dry friction is "
+            "uncertain, errors count less, in all rows."
+        )
+        rows.append([reference, *map(float, d.expected)])
     return make_table(
-        f"RMS error on the {measured}, N·m (low-pass {d.fit.processing.cutoff:.3g} Hz)",
+        f"RMS error on the {measured}, N·m (low-pass {d.fit.processing.cutoff:.3g} Hz; "
+        f"{reference}: {source})",
         ["model", *heading],
         rows,
-        note="Each row adds effects to the row above and fits all parameters again. "
-        f"Noise floor: {SOURCES[d.noise_source]}.{expected}",
+        note=note,
     )
 
 
 def evidence_table(d: Diagnosis) -> Table:
     """Return size, errors, rivals and evidence of each step, the largest share first."""
-    tested = dict(zip((step.label for step in d.steps), _test_errors(d), strict=True))
-    rows = [
-        (
-            step.label,
-            step.evidence.effect_size,
-            f"{100 * step.share:.2g} %",
-            f"{step.evidence.held_out_before:.3g} → {step.evidence.held_out_after:.3g}"
-            + ("" if step.joints else f" (joint {step.evidence.joint + 1})"),
-            tested[step.label],
-            ", ".join(f"{c.placement.label} ({kind})" for c, kind in step.indistinguishable[:3])
-            or None,
-            _p_value(step),
-        )
-        for group in grouped(d.steps, d.mode)
-        for step in group
-    ]
-    headings = (
-        "effect", "size, N·m", "of torque", f"{error_name(d)}, N·m", "test error, N·m",
-        "fits as well", "p",
-    )  # fmt: skip
-    steps = "Steps are selected on the training recordings. " if d.mode == "missing" else ""
+    steps = [step for group in grouped(d.steps, d.mode) for step in group]
+    tested = _test_errors(d)
+    columns: dict[str, list[object]] = {
+        "effect": [step.label for step in steps],
+        "size, N·m": [step.evidence.effect_size for step in steps],
+        "of torque": [percent(step.share) for step in steps],
+        f"{error_name(d)}, N·m": [_held_out_errors(step) for step in steps],
+        "test error, N·m": [tested.get(step.label) for step in steps],
+        "fits as well": [_rivals(step) for step in steps],
+        "p": [_p_value(step) for step in steps],
+    }
+    if not tested:
+        del columns["test error, N·m"]
+    selected = "Steps are selected on the training recordings. " if d.mode == "missing" else ""
     note = (
         "Size: RMS of the torque that the effect explains on its joint; of torque: relative to the "
-        f"joint's torque. {steps}exact: no data can separate the two; data: these data cannot. "
+        f"joint's torque. {selected}exact: no data can separate the two; data: these data cannot. "
         "p: family-wise p-value over all candidates."
     )
-    return make_table("Found" if rows else "Nothing found", headings, rows, note=note)
+    rows = list(zip(*columns.values(), strict=True))
+    return make_table("Found" if rows else "Nothing found", list(columns), rows, note=note)
 
 
 def error_name(d: Diagnosis) -> str:
@@ -129,18 +131,31 @@ def error_name(d: Diagnosis) -> str:
     return "held-out error" if d.mode == "missing" else "error"
 
 
-def _test_errors(d: Diagnosis) -> list[str | None]:
-    """Return the test error of each step's joint before and after it; None without a test."""
-    _, errors = d.shown
+def _held_out_errors(step: DiagnosisStep) -> str:
+    """Return the error before and after a step, with its joint if the effect acts on all."""
+    e = step.evidence
+    where = "" if step.joints else f" (joint {e.joint + 1})"
+    return f"{e.held_out_before:.3g} → {e.held_out_after:.3g}{where}"
+
+
+def _rivals(step: DiagnosisStep) -> str | None:
+    """Return the nearest rivals of a step, and the kind of rivalry."""
+    nearest = step.indistinguishable[:MOST_RIVALS]
+    return ", ".join(f"{c.placement.label} ({kind})" for c, kind in nearest) or None
+
+
+def _test_errors(d: Diagnosis) -> dict[str, str]:
+    """Return the test error of each step's joint before and after it, by label; empty without."""
     if d.mode == "changed" or not d.test:
-        return [None] * len(d.steps)
-    texts: dict[str, str | None] = {}
+        return {}
+    _, errors = d.shown
+    texts: dict[str, str] = {}
     for steps, before, after in zip(d.additions, errors[:-1], errors[1:], strict=True):
         for step in steps:
             joint = step.evidence.joint
             rises = " (rises)" if after[joint] >= before[joint] else ""
             texts[step.label] = f"{before[joint]:.3g} → {after[joint]:.3g}{rises}"
-    return [texts[step.label] for step in d.steps]
+    return texts
 
 
 def unexplained_table(d: Diagnosis) -> Table:

@@ -11,7 +11,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis.screening.candidates import Candidate
-from lieid_casadi.diagnosis.text_summary import evidence_table
+from lieid_casadi.diagnosis.text_summary import error_table, evidence_table
 from lieid_casadi.diagnosis.wording import small_fall
 from lieid_casadi.effects import Placement, make
 from lieid_casadi.effects.registry import REGISTER
@@ -259,6 +259,30 @@ def test_a_joint_without_any_torque_has_no_share_of_it():
     recording = replace(recording, tau=recording.tau * [1.0, 0.0])
     steps = lieid.diagnose(unchanged_fit(), recording).to_dict()["steps"]
     assert {step["share"] for step in steps if step["joints"] == [2]} == {None}
+
+
+@cache
+def two_changes():
+    """Diagnose dry friction of 0.8 N·m and viscous friction of 0.5 N·m·s/rad, joint 1."""
+    later = run(arm_with(), 3)
+    speed = later.dq[:, 0]
+    tau = later.tau.copy()
+    tau[:, 0] += 0.8 * np.tanh(speed / 0.003) + 0.5 * speed
+    return lieid.diagnose(unchanged_fit(), replace(later, tau=tau))
+
+
+def test_sizes_of_changes_are_those_beside_each_other():
+    found = two_changes()
+    sizes = {s.label: next(iter(s.parameters.values())) for s in found.steps}
+    assert sizes == pytest.approx({"coulomb:1": 0.8, "viscous:1": 0.5}, rel=0.03)
+
+
+def test_the_table_of_changes_has_one_row_for_all_of_them():
+    found = two_changes()
+    table = error_table(found)
+    assert [row[0] for row in table.rows][1:] == ["+ coulomb:1 + viscous:1", "expected"]
+    assert "noise floor" not in table.title
+    assert "test error, N·m" not in evidence_table(found).headings
 
 
 def test_an_unchanged_arm_is_sufficient():

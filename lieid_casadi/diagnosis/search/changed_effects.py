@@ -232,8 +232,12 @@ class ChangedEffects(SearchProblem):
         return candidates.stacked(self._groups(candidates)[at])
 
     def in_last_model(self, effect: AcceptedEffect) -> tuple[AcceptedEffect, str]:
-        """Return a change with the errors without and with it, and why it fails."""
+        """Return a change with its coefficients and errors beside the others, and why it fails."""
         placement, candidates = effect.candidate.placement, self.candidates(self.white)
+        at = [a.candidate.placement.label for a in self.accepted].index(placement.label)
+        group = self._groups(candidates)[at]
+        owner = candidates.owner(group)
+        point = owner.grid[candidates.point[group]]
         others = [candidates.stacked(g) for g in self._groups(candidates, without=placement)]
         columns = self.columns_of(placement, self.white)
         before, after = self._misfit(others), self._misfit([*others, columns])
@@ -241,8 +245,13 @@ class ChangedEffects(SearchProblem):
         fall = relative_fall(without, columns, len(self.white))
         joint = joint_of(effect.candidate, fall)
         held_out = self.held_out_rows.errors(columns, without)
-        errors = self.expected * np.array([before, after])
-        found = replace(effect, errors=errors, joint=joint, torque_rms=self.torque_rms(joint))
+        found = replace(
+            effect,
+            parameters=fixed_parameters(owner, point, without, columns),
+            errors=self.expected * np.array([before, after]),
+            joint=joint,
+            torque_rms=self.torque_rms(joint),
+        )
         return found, held_out.reason or self._small(float(fall[joint]))
 
     def _small(self, fall: float) -> str:
