@@ -53,8 +53,9 @@ class SegmentModel(Protocol):
             rad, rad/s, rad/s².
         """
 
-    def smooth(self, x: Array) -> Array:
-        """Return a signal (K, …) low-pass filtered such that it can be differentiated twice."""
+    @property
+    def smooth_load(self) -> Array:
+        """Rigid torque (K, n), low-pass filtered such that it can be differentiated twice."""
 
     def gravity_by_axis(self) -> Array:
         """Return the gravity torques (K, n, 3) of 1 m/s² along each axis of the base."""

@@ -46,7 +46,7 @@ class JointElasticity(ArmEffect):
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns of the formula."""
-        load = arm.smooth(arm.load[:, joint])
+        load = arm.smooth_load[:, joint]
         largest = float(np.abs(load).max(initial=0.0))
         if largest == 0.0:
             return np.zeros((*arm.load.shape, 1))

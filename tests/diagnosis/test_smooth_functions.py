@@ -13,6 +13,7 @@ from lieid_casadi.diagnosis.residual.smooth_selection import preferred
 from lieid_casadi.diagnosis.screening.hysteresis import stops
 from lieid_casadi.diagnosis.screening.smooth_functions import (
     basis_functions,
+    depends_on_fit,
     signal_ranges,
     smooth_candidates,
 )
@@ -126,3 +127,20 @@ def test_functions_of_an_angle_or_a_speed_are_tried_with_fewer_terms_too():
     assert sizes["ddq1",] == [6]
     assert sizes["load1",] == [8]
     assert sizes["play1",] == [5]
+
+
+def test_only_functions_of_the_load_are_evaluated_again_for_another_fit():
+    filtered = []
+    along = signals()
+    along.segment.filter = lambda values: filtered.append(values.shape[1]) or values
+    runs, known = [Runs((np.arange(len(X)),), np.zeros(len(X)))], {}
+    first = smooth_candidates([along], runs, known=known)
+    count = len(filtered)
+    along.values["load"] = along.values["load"] ** 3
+    again = smooth_candidates([along], runs, known=known)
+    of_load = {names for f in first.owners if depends_on_fit(names := f.signals)}
+    assert {"load1"} < {name for names in of_load for name in names}
+    assert len(filtered) == count + len(of_load)
+    for group, function in enumerate(first.owners):
+        same = np.array_equal(first.stacked(group), again.stacked(group))
+        assert same != depends_on_fit(function.signals)

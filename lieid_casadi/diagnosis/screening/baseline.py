@@ -71,7 +71,11 @@ class Baseline:
 
     def project_out(self, columns: Array) -> Array:
         """Return columns (R, k) minus their projection onto the span."""
-        along = self.model.T @ columns
+        along = np.zeros((self.model.shape[1], columns.shape[1]))
+        for j in range(len(self.ends) - 1):
+            rows = self.joint(j)
+            if columns[rows].any():  # most columns act on one joint
+                along += self.model[rows].T @ columns[rows]
         rest = columns - self.model @ (along - self.left_out @ (self.left_out.T @ along))
         if self.added.shape[1]:
             rest = rest - self.added @ (self.added.T @ columns)

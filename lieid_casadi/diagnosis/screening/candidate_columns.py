@@ -81,6 +81,17 @@ class CandidateColumns(Generic[T]):
         return int(self.size.sum())
 
     @cached_property
+    def parameters(self) -> Array:
+        """Number of parameters that each group adds to a model (G,)."""
+        each = np.array([c.parameters for c in self.owners])
+        return np.asarray(each[self.owner_index], dtype=float)
+
+    @cached_property
+    def joint(self) -> Indices:
+        """Joint (from 0) whose rows each group acts on first (G,)."""
+        return np.array([c.joint for c in self.owners], dtype=np.intp)[self.owner_index]
+
+    @cached_property
     def support(self) -> Array:
         """Effective number of rows (Σc²)²/Σc⁴ of the least supported column of each group (G,)."""
         squares, fourth = np.zeros(self.count), np.zeros(self.count)
@@ -98,10 +109,11 @@ class CandidateColumns(Generic[T]):
         """Inner products within groups (k, m): of column c with column c + offset, by offset."""
         width = int(self.size.max(initial=1))
         inner = np.zeros((width, self.count))
+        pairs = {int(size): np.triu_indices(size, 1) for size in np.unique(self.size)}
         for own in self.joints:
             inner[0, own.columns] += np.einsum("rc,rc->c", own.matrix, own.matrix)
             for start, group in self._several(own):
-                row, column = np.triu_indices(group.shape[1], 1)
+                row, column = pairs[group.shape[1]]
                 inner[column - row, start + row] += (group.T @ group)[row, column]
         return inner
 

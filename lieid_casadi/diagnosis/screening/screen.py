@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,12 +44,6 @@ class Gains:
     gain: Array
     remaining: Array
     rank: NDArray[np.intp]
-
-    @cached_property
-    def parameters(self) -> Array:
-        """Number of parameters that each group adds to the model (G,)."""
-        each = np.array([c.parameters for c in self.candidates.owners])
-        return np.asarray(each[self.candidates.owner_index], dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +230,8 @@ def _inverse_roots(
             for b in range(a, k):
                 entry = gram[b - a, first + a] / (scale[first + a] * scale[first + b])
                 matrix[:, a, b] = matrix[:, b, a] = entry
-        sizes, axes = np.linalg.eigh(matrix)
+        single = k == 1  # whose root needs no decomposition
+        sizes, axes = (matrix[:, 0], np.ones_like(matrix)) if single else np.linalg.eigh(matrix)
         seen = sizes > LEAST_EIGENVALUE
         remaining[groups] = np.sqrt(np.clip(sizes[:, -1], 0.0, 1.0))
         rank[groups] = seen.sum(axis=1)

@@ -20,8 +20,8 @@ ANGLE_WAVES = 16  # half waves over the range of an angle: a bump may be narrow
 FRICTION_WAVES = 8  # the same in a short recording, and of friction that varies with the angle
 FRICTION_CURVES = 6  # friction-like functions of a velocity, which precede the half waves
 SPEED_WAVES = 6  # half waves over the speed: friction may have a peak at a narrow range of speeds
-#: By names of signals, of each joint (N_j, k).
-SmoothColumns = dict[tuple[str, ...], dict[int, Array]]
+#: Filtered functions (M, k) of all segments, by names of signals and number of functions.
+SmoothColumns = dict[tuple[tuple[str, ...], int | None], Array]
 LOAD_STEP = 0.05  # width of the step where a load changes its sign, relative to the largest load
 #: Widths of the hysteresis of a load, relative to half its range.
 STOP_WIDTHS = np.array([0.05, 0.1, 0.2, 0.4])
@@ -87,8 +87,14 @@ def smooth_candidates(
     first = 0
     terms = _terms(n, "temp1" in bases[0])
     for names, count in [(term, count) for term in terms for count in _counts(term)]:
-        along = [_first_functions(basis, names, count) for basis in bases]
-        values = np.concatenate([s.segment.filter(a) for s, a in zip(signals, along, strict=True)])
+        values = known.get((names, count))
+        if values is None:
+            along = [_first_functions(basis, names, count) for basis in bases]
+            values = np.concatenate(
+                [s.segment.filter(a) for s, a in zip(signals, along, strict=True)]
+            )
+            if not depends_on_fit(names):
+                known[names, count] = values
         for joint in _joints_of(names, n):
             functions.append(SmoothFunction(joint, names, values.shape[1]))
             size.append(values.shape[1])
@@ -127,6 +133,11 @@ def _terms(n: int, temperature: bool) -> list[tuple[str, ...]]:
         (f"{s}{i + 1}", f"{s}{j + 1}") for s in ("q", "dq") for i in range(n) for j in range(i)
     ]
     return single + pairs
+
+
+def depends_on_fit(names: Sequence[str]) -> bool:
+    """Whether a function of these signals changes with the fitted model."""
+    return any(measured_signal(name).startswith("load") for name in names)
 
 
 def _joints_of(names: tuple[str, ...], n: int) -> list[int]:

@@ -25,9 +25,8 @@ def penalized_gain(gains: Gains, rows: Array, penalty: Penalty) -> Array:
     penalty : Penalty
     """
     candidates = gains.candidates
-    first = np.array([c.joint for c in candidates.owners], dtype=np.intp)
-    least = penalty.part * rows[first[candidates.owner_index]]
-    score = gains.gain - penalty.per_parameter * gains.parameters
+    least = penalty.part * rows[candidates.joint]
+    score = gains.gain - penalty.per_parameter * candidates.parameters
     return np.where(gains.gain >= least, score, -np.inf)
 
 

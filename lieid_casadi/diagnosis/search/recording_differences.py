@@ -124,7 +124,7 @@ def _is_the_same_in_all(problem: SearchProblem, without: Baseline, with_it: Base
     gains = screen(smooth, without, problem.options)
     penalty = schwarz_penalty(without, problem.least_gain)
     here = np.array([c.joint == joint for c in smooth.owners])[smooth.owner_index]
-    scores = gains.gain - penalty.per_parameter * gains.parameters
+    scores = gains.gain - penalty.per_parameter * smooth.parameters
     return bool(scores[here].max(initial=-np.inf) >= fall[joint])
 
 

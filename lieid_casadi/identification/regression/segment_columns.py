@@ -83,12 +83,13 @@ class ModelAlongSegment:
         """
         return self.compiled.inverse_dynamics(q, dq, ddq, self._links)
 
-    def smooth(self, x: Array) -> Array:
-        """Return a signal (K, …) low-passed at a third of the filter's cut-off.
+    @cached_property
+    def smooth_load(self) -> Array:
+        """Rigid torque (K, n) low-passed at a third of the filter's cut-off, N·m.
 
         Noise near the cut-off would exceed the motion after two derivatives.
         """
-        return lowpass(x, self.segment.rate, SMOOTH * self.segment.cutoff)
+        return lowpass(self.load, self.segment.rate, SMOOTH * self.segment.cutoff)
 
     @property
     def command(self) -> Array | None:
