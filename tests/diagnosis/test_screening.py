@@ -1,5 +1,7 @@
 """Gains of candidates against least squares on stacked matrices."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -95,6 +97,27 @@ def test_stored_inner_products_allow_for_columns_left_out_of_and_added_to_the_mo
     for group in (1, 2, 4):
         both = np.column_stack([model, candidates.stacked(group)])
         assert found.gain[group] == pytest.approx(misfit(model, torque) - misfit(both, torque))
+
+
+def test_white_rows_would_give_the_gains_of_a_screening_of_their_part_outside_the_span():
+    random, matrices, candidates = random_problem(seed=8)
+    factor = ModelFactor.of(matrices, [random.normal(size=ROWS) for _ in range(2)])
+    baseline = with_groups(factor.baseline(without=[2]), candidates, [4])
+    white = random.normal(size=(2 * ROWS, 3))
+    found = screen(candidates, baseline).statistic(white)
+    for draw, rest in enumerate(baseline.project_out(white).T):
+        expected = screen(candidates, replace(baseline, residual=rest)).gain
+        np.testing.assert_allclose(found[:, draw], expected, atol=1e-9)
+
+
+def test_columns_of_some_candidates_have_the_gains_that_they_have_among_all():
+    random, matrices, candidates = random_problem(seed=9)
+    baseline = ModelFactor.of(matrices, [random.normal(size=ROWS) for _ in range(2)]).baseline()
+    some = candidates.of_owners([4, 1, 3])
+    assert [some.owner(g) for g in range(3)] == [candidates.owners[k] for k in (1, 3, 4)]
+    expected = screen(candidates, baseline).gain[[1, 3, 4]]
+    np.testing.assert_allclose(screen(some, baseline).gain, expected)
+    assert candidates.of_owners([]).count == 0
 
 
 def test_the_part_outside_the_span_is_free_of_rounding_errors_of_the_projection():

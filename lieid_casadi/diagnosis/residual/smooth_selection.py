@@ -188,11 +188,13 @@ def _strongest(
         Held-out gain of all that was added.
     """
     functions, baseline = plain.functions, plain.baseline
+    tried = sorted(groups)
+    of_tried = functions.of_owners(functions.owner_index[tried])  # one group each
     selected: list[int] = []
     names: set[str] = set()
     total = 0.0
-    while len(names) < options.most_signals:
-        gain = screen(functions, baseline, options).gain
+    while groups and len(names) < options.most_signals:
+        gain = dict(zip(tried, screen(of_tried, baseline, options).gain, strict=True))
         ordered = sorted(groups, key=lambda g: -gain[g])
         best = [
             g

@@ -193,6 +193,24 @@ class CandidateColumns(Generic[T]):
         """Return a group's columns on the rows of all joints (R, k)."""
         return np.concatenate(self.dense(group))
 
+    def of_owners(self, wanted: Sequence[int] | Indices) -> CandidateColumns[T]:
+        """Return the columns of some candidates, given by their positions, groups in this order."""
+        kept = np.isin(self.owner_index, np.asarray(wanted, dtype=np.intp))
+        columns = np.repeat(kept, self.size)
+        position = np.cumsum(columns) - 1
+        joints = []
+        for own in self.joints:
+            here = columns[own.columns]
+            joints.append(JointColumns(position[own.columns[here]], own.matrix[:, here]))
+        return CandidateColumns(
+            self.owners,
+            self.owner_index[kept],
+            self.point[kept],
+            position[self.start[kept]],
+            self.size[kept],
+            tuple(joints),
+        )
+
     def whitened(self, noise: Sequence[Noise], runs: Sequence[Runs]) -> CandidateColumns[T]:
         """Return the columns with the rows of each joint whitened."""
         joints = tuple(

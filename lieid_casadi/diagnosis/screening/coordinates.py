@@ -55,3 +55,16 @@ class Coordinates:
         for sign, along in ((-1.0, self.model), (1.0, self.left_out), (-1.0, self.added)):
             inner += sign * (along.T @ along[:, own])
         return inner
+
+    def products(self, baseline: Baseline, rows: Array) -> Array:
+        """Return inner products (m, B) of the columns with the projections of rows (R, B).
+
+        Parameters
+        ----------
+        baseline : Baseline
+            On whose span the rows are projected.
+        rows : (R, B)
+        """
+        inside = baseline.model.T @ rows
+        inside -= baseline.left_out @ (baseline.left_out.T @ inside)
+        return self.model.T @ inside + self.added.T @ (baseline.added.T @ rows)

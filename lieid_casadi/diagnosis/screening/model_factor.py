@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,13 +57,23 @@ class ModelFactor:
         return cls(basis, triangle, np.concatenate(torques), ends)
 
     def baseline(self, without: Sequence[int] = ()) -> Baseline:
-        """Return the baseline of the model without some of its columns.
+        """Return the baseline of the model without some of its columns; each is kept.
 
         Parameters
         ----------
         without : sequence of int, optional
             Columns that are left out.
         """
+        key = tuple(without)
+        if key not in self._baselines:
+            self._baselines[key] = self._baseline(key)
+        return self._baselines[key]
+
+    @cached_property
+    def _baselines(self) -> dict[tuple[int, ...], Baseline]:
+        return {}
+
+    def _baseline(self, without: tuple[int, ...]) -> Baseline:
         kept = np.delete(self.triangle, np.asarray(without, dtype=np.intp), axis=1)
         axes, sizes, _ = np.linalg.svd(kept)
         rank = int(np.sum(sizes > RANK_TOLERANCE * sizes.max(initial=0.0)))

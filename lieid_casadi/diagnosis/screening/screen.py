@@ -55,15 +55,19 @@ class Screening(Gains):
     baseline : Baseline
     roots : (m, k)
         Row c: column c's row of the inverse square root of its group's Gram matrix.
+    coordinates : Coordinates
+        Of the columns along the span of the baseline.
     """
 
     baseline: Baseline
     roots: Array
+    coordinates: Coordinates
 
     def statistic(self, noise: Array) -> Array:
         """Return the gains (G, B) that white rows (R, B) would give."""
-        rest = self.baseline.project_out(noise)
-        return _gains(self.candidates, self.roots, _products(self.candidates, self.baseline, rest))
+        products = _products(self.candidates, self.baseline, noise)
+        products -= self.coordinates.products(self.baseline, noise)
+        return _gains(self.candidates, self.roots, products)
 
 
 def screen(
@@ -80,10 +84,10 @@ def screen(
         They exclude groups that rest on few rows or on a small part of their own; with None no
         group is excluded, and signs are not checked.
     """
-    gram = Coordinates.of(candidates, baseline).gram()
+    along = Coordinates.of(candidates, baseline)
     products = _products(candidates, baseline, baseline.residual[:, None])[:, 0]
-    found, roots = _gains_of(candidates, gram, products, options)
-    return Screening(candidates, found.gain, found.remaining, found.rank, baseline, roots)
+    found, roots = _gains_of(candidates, along.gram(), products, options)
+    return Screening(candidates, found.gain, found.remaining, found.rank, baseline, roots, along)
 
 
 class SelectionState:
@@ -243,7 +247,7 @@ def _inverse_roots(
 
 
 def _products(candidates: CandidateColumns[Any], baseline: Baseline, rest: Array) -> Array:
-    """Return Cᵀ·rest (m, B) for rows (R, B) that are orthogonal to the baseline."""
+    """Return Cᵀ·rest (m, B) for rows (R, B)."""
     products = np.zeros((candidates.count, rest.shape[1]))
     for j, own in enumerate(candidates.joints):
         products[own.columns] += own.matrix.T @ rest[baseline.joint(j)]

@@ -153,15 +153,17 @@ class Noise:
         (N', …) ndarray
             Without the first p instants of each run, which initialize the filter.
         """
-        weights = runs.weights(self.spread)
+        weights = runs.weights(self.spread) / self.sigma
         weighted = values * weights.reshape(-1, *[1] * (values.ndim - 1))
+        if self.order == 0:  # white noise: no row depends on others
+            return np.asarray(weighted)
         parts, first = [np.zeros((0, *values.shape[1:]))], 0
         for run in runs.at:
             if len(run) > self.order:
                 part = weighted[first : first + len(run)]
                 parts.append(_convolved(part, self.filter))
             first += len(run)
-        return np.concatenate(parts) / self.sigma
+        return np.concatenate(parts)
 
     def instants(self, runs: Runs) -> Indices:
         """Return the instants (N',) of the whitened rows."""
