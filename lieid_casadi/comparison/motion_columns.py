@@ -43,3 +43,13 @@ def motion_columns(fit: Fit, segment: Processed) -> Array:
         ],
         axis=-1,
     )
+
+
+def coupling_columns(segment: Processed) -> Array:
+    """Return filtered positions and products of two velocities along a segment (M, n + n(n+1)/2).
+
+    Springs between joints, and torque of wrong kinematics, follow them on every joint.
+    """
+    first, second = np.triu_indices(segment.n)
+    products = segment.dq[:, first] * segment.dq[:, second]
+    return np.concatenate([segment.filter(segment.q), segment.filter(products)], axis=1)

@@ -3,8 +3,9 @@
 This is the only definition; comparisons, diagnoses, their pictures and reports use it. Noise is
 what does not depend on the motion. It is estimated from the difference between periods where a
 recording is periodic (`period_noise`), and otherwise as the part of the error that no function of
-the motion explains: the model's own columns and common effects (`motion_columns`), by ridge
-regression whose penalty is chosen on held-out blocks of time. It never exceeds the error itself.
+the motion explains: the model's own columns and common effects (`motion_columns`), alone or with
+couplings of the joints (`coupling_columns`), by ridge regression whose penalty is chosen on
+held-out blocks of time. It never exceeds the error itself.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.comparison.motion_columns import motion_columns
+from lieid_casadi.comparison.motion_columns import coupling_columns, motion_columns
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.recording import Recording, period_noise
@@ -82,15 +83,19 @@ def _independent_of_motion(fit: Fit, segments: Sequence[Processed]) -> Array:
     rows = Design(fit.compiled, segments).rows(fit.shapes, fit.parameters)
     residuals = rows.residuals(fit.values)
     columns = np.concatenate([motion_columns(fit, segment) for segment in segments])
+    couplings = np.concatenate([coupling_columns(segment) for segment in segments])
     time = segments[0].filtered_time
     step = float(time[1] - time[0]) if len(time) > 1 else BLOCK
     block = max(min(round(BLOCK / step), int(rows.segments[-1]) // (2 * FOLDS)), 1)
     floors = []
     for j, (joint, residual) in enumerate(zip(rows.joints, residuals, strict=True)):
         own = np.column_stack([joint.matrix, columns[joint.instant, j]])
+        coupled = np.column_stack([own, couplings[joint.instant]])
         fold = joint.instant // block % FOLDS
         enough = len(np.unique(fold)) == FOLDS and len(residual) > LEAST_ROWS
-        floors.append(_unexplained(own, residual, fold) if enough else np.nan)
+        # Both are upper bounds: short recordings do not determine the coefficients of all columns.
+        found = [_unexplained(each, residual, fold) for each in (own, coupled) if enough]
+        floors.append(min(found, default=np.nan))
     return np.array(floors)
 
 

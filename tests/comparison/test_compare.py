@@ -119,9 +119,18 @@ def test_noise_floor_of_white_and_coloured_noise(fit, correlation_time, missing)
     assert np.all(np.mean(ratios, axis=0) < 1.4)
 
 
-def test_a_missing_effect_raises_the_error_and_not_the_noise(fit):
-    _, q, _, _ = arm.motion(10.0, seed=1)
-    extra = np.column_stack([4.0 * q[:, 0], np.zeros(len(q))])  # a spring on joint 1
+@pytest.mark.parametrize(
+    "missing",
+    [
+        lambda q, dq: 4.0 * q[:, 0],
+        lambda q, dq: 4.0 * (q[:, 0] - q[:, 1]),
+        lambda q, dq: 6.0 * dq[:, 0] * dq[:, 1],
+    ],
+    ids=["spring", "spring between joints", "product of velocities"],
+)
+def test_a_missing_effect_raises_the_error_and_not_the_noise(fit, missing):
+    _, q, dq, _ = arm.motion(10.0, seed=1)
+    extra = np.column_stack([missing(q, dq), np.zeros(len(q))])  # on joint 1
     without = lieid.compare(fit, arm.recording(10.0, seed=1, noise=0.4))
     comparison = lieid.compare(fit, arm.recording(10.0, seed=1, noise=0.4, extra=extra))
     np.testing.assert_allclose(comparison.noise_floor, without.noise_floor, rtol=0.1)

@@ -116,7 +116,7 @@ class Unexplained:
         part = f"{100 * self.fraction:.0f} % of the variance of the residual"
         if not self.depends_on:
             limit = f"{self.ratio:.2g} times that of a complete model" if self.ratio else "large"
-            return f"the error is {limit} and follows no measured signal"
+            return f"the error is {limit} and follows none of the functions that were tried"
         if self.depends_on == ("t",):
             return f"{part} changes over the recording and follows no other signal"
         return f"{part} depends on {join_words(self.signals)}"
