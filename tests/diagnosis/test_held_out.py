@@ -101,6 +101,14 @@ def test_an_effect_must_hold_on_every_recording(first, second, holds):
         assert found.fall[0] == pytest.approx(1.0 - 1.0 / np.sqrt(2.0), abs=0.05)
 
 
+def test_columns_that_no_part_can_judge_are_not_confirmed():
+    for size, judged in ((1.0, True), (0.1, False)):
+        rows, column, baseline = two_recordings(size, size, seed=3)
+        found = rows.errors(column, baseline)
+        assert found.holds
+        assert found.judged.any() == found.is_confirmed == judged
+
+
 def test_held_out_errors_are_those_of_fits_without_the_part():
     rows, column, _ = two_recordings(0.7, 0.7)
     random = np.random.default_rng(1)

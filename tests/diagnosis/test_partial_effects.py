@@ -7,6 +7,7 @@ import numpy as np
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.diagnosis import DiagnosisOptions
+from lieid_casadi.diagnosis.screening.held_out import HeldOut
 
 ROBOT = lieid.robots.two_link()
 MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
@@ -61,6 +62,22 @@ def test_an_effect_that_leaves_a_third_of_the_error_of_its_own_signals_is_not_na
     assert set(part.depends_on[:2]) == {"q2", "dq2"}
     (candidate,) = [c for c in part.candidates if c.label == "position_friction:2"]
     assert 0.7 < candidate.part < 0.9
+
+
+def stribeck_and_bump(s):
+    dq = s.dq[..., 1]
+    return 3.0 * COULOMB * np.exp(-((dq / 0.1) ** 2)) * s.sign[..., 1] + 0.3 * bump(s)
+
+
+def test_an_effect_beside_a_torque_of_its_joint_needs_held_out_data_that_can_judge_it(monkeypatch):
+    train, label = run(stribeck_and_bump, 1, 20.0), "stribeck:2"
+    found = lieid.diagnose(MODEL, train)
+    assert [s.label for s in found.steps] == [label]
+    assert found.unexplained[0].depends_on[0] == "q2"
+    monkeypatch.setattr(HeldOut, "is_confirmed", property(lambda self: False))
+    refused = lieid.diagnose(MODEL, train)
+    assert refused.steps == ()
+    assert "nothing that held-out data confirm in addition" in dict(refused.rejected)[label]
 
 
 def test_a_torque_that_settles_changes_over_the_recording():

@@ -54,6 +54,11 @@ class HeldOut:
         return bool(self.gain.sum() > 0.0 and (self.gain[self.judged] > 0.0).all())
 
     @property
+    def is_confirmed(self) -> bool:
+        """Whether the columns hold and some part can judge them."""
+        return self.holds and bool(self.judged.any())
+
+    @property
     def fall(self) -> Array:
         """Relative fall of the held-out error of each joint (n,); 0 without rows."""
         fall = 1.0 - self.after / np.where(self.before > 0.0, self.before, np.inf)

@@ -17,6 +17,7 @@ from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_ga
 from lieid_casadi.diagnosis.screening.smooth_functions import SmoothFunction, smooth_columns
 from lieid_casadi.diagnosis.search.parameter_checks import belongs_to
 from lieid_casadi.diagnosis.search.search_problem import SearchProblem
+from lieid_casadi.diagnosis.search.search_results import AcceptedEffect
 from lieid_casadi.diagnosis.wording import join_words
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification.uncertainty.noise_model import Noise
@@ -81,11 +82,11 @@ def _partial_effects(
     """Return the effect of each joint that least explains an unexplained part, and why.
 
     On a joint with a large unexplained part, the right effect explains as much with smooth
-    functions of the part's signals as without them; or it explains nearly all that these
-    functions explain, with far fewer parameters, where they can imitate it. An effect that merely
-    resembles the cause does neither, and naming it would be misleading. What an effect explains is
-    the fall of the held-out error when it was added; it is compared with what smooth functions
-    explain in addition to it, and in its place.
+    functions of the part's signals as without them, also on held-out data; or it explains nearly
+    all that these functions explain, with far fewer parameters, where they can imitate it. An
+    effect that merely resembles the cause does neither, and naming it would be misleading. What an
+    effect explains is the fall of the held-out error when it was added; it is compared with what
+    smooth functions explain in addition to it, and in its place.
     """
     first, last = problem.error_baselines()
     doubtful = [u for u in parts if _is_doubtful(u, first, last, problem)]
@@ -102,8 +103,10 @@ def _partial_effects(
             continue
         without = problem.baseline_without(placement)
         columns = smooth_columns(smooth, part.joint, part.depends_on)
-        if gain_with_smooth(full, without, columns) >= options.least_gain_with_smooth:
+        adds = gain_with_smooth(full, without, columns) >= options.least_gain_with_smooth
+        if adds and _holds_with_smooth(effect, without.with_columns(columns), problem):
             continue
+        in_addition = "nothing that held-out data confirm" if adds else "little"
         before, after = effect.errors[:, part.joint] ** 2
         own, rest = before - after, part.fraction * problem.accepted[-1].errors[1, part.joint] ** 2
         gain = float(np.sum(without.residual**2) - np.sum(full.residual**2))
@@ -116,9 +119,33 @@ def _partial_effects(
             out[part.joint] = (
                 placement,
                 f"explains only {100 * share:.0f} % of what smooth functions of "
-                f"{join_words(part.depends_on)} explain, and little in addition to them",
+                f"{join_words(part.depends_on)} explain, and {in_addition} in addition to them",
             )
     return list(out.values())
+
+
+def _holds_with_smooth(
+    effect: AcceptedEffect, with_smooth: Baseline, problem: SearchProblem
+) -> bool:
+    """Whether held-out data confirm an effect in addition to smooth functions.
+
+    A column can follow what the smooth functions do not resolve in the few samples of one
+    reversal, which no held-out part can judge.
+
+    Parameters
+    ----------
+    effect : AcceptedEffect
+    with_smooth : Baseline
+        Of the model without the effect and with the smooth functions.
+    problem : SearchProblem
+    """
+    placement = effect.candidate.placement
+    held_out = problem.held_out_rows.errors(
+        problem.columns_of(placement, problem.white),
+        with_smooth,
+        blocks=placement.effect.per_recording,
+    )
+    return held_out.is_confirmed
 
 
 def _smooth_gain(
