@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import compare
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.search.parameter_checks import unresolved_shape
 from lieid_casadi.effects import Placement, parse_effects
 from lieid_casadi.errors import BoundWarning, EffectError, LieidWarning
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Recording
+from lieid_casadi.recording import Recording, process
 from lieid_casadi.recording.given_recordings import listed
 
 if TYPE_CHECKING:
@@ -147,7 +149,8 @@ def extend(
     before = identify(model, train, method=method, processing=fit.processing)
     report("after", 0.3)
     after = identify(larger, train, method=method, processing=fit.processing)
-    after = replace(after, warnings=(*after.warnings, *_doubtful(after, wanted)))
+    doubts = [*_doubtful(after, wanted), *_unresolved(after, wanted, train)]
+    after = replace(after, warnings=(*after.warnings, *doubts))
     rms_test = moving = at_rest = None
     if test is not None:
         report("test", 0.8)
@@ -190,6 +193,19 @@ def _doubtful(fit: Fit, added: Sequence[Placement]) -> list[LieidWarning]:
                 )
             )
     return found
+
+
+def _unresolved(
+    fit: Fit, added: Sequence[Placement], train: Recording | Sequence[Recording]
+) -> list[LieidWarning]:
+    """Return a warning of each added effect with a shape parameter that the motion cannot show."""
+    segments, options = process(listed(train), fit.processing), DiagnosisOptions()
+    texts = [unresolved_shape(fit, placement, segments, options) for placement in added]
+    return [
+        BoundWarning(f"{text}: the effect is probably not present on this joint")
+        for text in texts
+        if text
+    ]
 
 
 def _check_motion(wanted: Sequence[Placement], train: Recording | Sequence[Recording]) -> None:

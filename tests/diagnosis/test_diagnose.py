@@ -318,6 +318,17 @@ def test_extend_shows_the_fall():
         lieid.extend(fit, "", train)
 
 
+def test_extend_warns_of_a_shape_that_the_motion_does_not_resolve():
+    train, _ = two_runs()
+    speed = train.dq[:, 0]
+    tau = train.tau.copy()
+    tau[:, 0] += 5.0 * np.sign(speed) * np.exp(-((speed / 0.003) ** 2))  # near every reversal
+    train = replace(train, tau=tau)
+    extension = lieid.extend(lieid.identify(MODEL, train), "stribeck:1", train)
+    texts = [str(w) for w in extension.after.warnings]
+    assert any("stribeck.v_s:1" in text and "can resolve" in text for text in texts)
+
+
 def test_commands(tmp_path, capsys):
     train, test = two_runs(LOAD_FRICTION)
     paths = [str(tmp_path / f"{name}.csv.gz") for name in ("train", "test")]
