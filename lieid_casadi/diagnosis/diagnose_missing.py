@@ -26,7 +26,7 @@ from lieid_casadi.diagnosis.search.recording_differences import (
     leading_difference,
     recording_differences,
 )
-from lieid_casadi.diagnosis.search.search_results import Proposal
+from lieid_casadi.diagnosis.search.search_results import Difference, Proposal
 from lieid_casadi.errors import LieidWarning, SameRecordingWarning, unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.identify import Method, identify_segments
@@ -86,8 +86,9 @@ def diagnose_missing(
 
     context = ScreeningContext.of(first, segments, options, known=known)
     problem = MissingEffects(context, refit, seed=seed, ask=ask)
-    difference = leading_difference(problem)
-    if difference is not None:
+    leading: tuple[Difference, ...] = ()
+    while (difference := leading_difference(problem)) is not None:
+        leading += difference[0]
         context = context.with_apart(difference[1])
         problem = MissingEffects(context, refit, seed=seed, ask=ask)
     problem.run(lambda step, fraction: report(step, 0.1 + 0.8 * fraction))
@@ -100,9 +101,7 @@ def diagnose_missing(
     last = comparisons.of(problem.fit) or fitted
     most = options.largest_error_over_floor
     parts += errors_above(problem.fit.rms_cv, fitted.noise_floor, most, parts)
-    differing = recording_differences(problem)
-    if difference is not None:
-        differing = (difference[0], *differing)
+    differing = leading + recording_differences(problem)
     report("done", 1.0)
     return Diagnosis(
         mode="missing",

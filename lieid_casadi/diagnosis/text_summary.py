@@ -9,6 +9,7 @@ from lieid_casadi.comparison.noise_floor import SOURCES
 from lieid_casadi.comparison.table import percent
 from lieid_casadi.diagnosis.findings import MOST_RIVALS, findings, grouped, location
 from lieid_casadi.diagnosis.wording import join_words
+from lieid_casadi.effects.registry import REGISTER, make
 from lieid_casadi.tables import Table, make_table
 from lieid_casadi.tables import html as to_html
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from lieid_casadi.diagnosis.diagnosis import Diagnosis
     from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep
     from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+    from lieid_casadi.diagnosis.search.search_results import Difference
 
 SMALLEST_LOG10_P = -15  # of a p-value that is shown; smaller ones depend on the tail's model alone
 
@@ -37,13 +39,35 @@ def sentences(d: Diagnosis) -> list[str]:
             f"The search ended at its limit ({join_words(d.limits_reached)}); "
             "further effects may be missing."
         )
-    for difference in d.differing:
-        where, names = location(difference.joints), join_words(difference.recordings)
-        parts.append(
-            f"The training recordings differ from each other: {difference.effect} on {where} would "
-            f"explain {names} and not the others, so it is not an effect of the arm."
-        )
+    parts += difference_sentences(d.differing)
     return parts + [residual_sentence(part) for part in d.unexplained]
+
+
+def difference_sentences(differing: Sequence[Difference]) -> list[str]:
+    """Return one sentence for each effect that differs between the training recordings."""
+    found = []
+    for label in dict.fromkeys(difference.label for difference in differing):
+        own = [difference for difference in differing if difference.label == label]
+        where, names = location(own[0].joints), join_words([n for d in own for n in d.recordings])
+        if len(own) == 1:
+            what = f"would explain {names} and not the others"
+        else:
+            values = [f"{_values(each)} in {join_words(each.recordings)}" for each in own]
+            what = f"has other values in each of them ({', '.join(values)})"
+        found.append(
+            f"The training recordings differ from each other: {own[0].effect} on {where} {what}, "
+            "so it is not an effect of the arm."
+        )
+    return found
+
+
+def _values(difference: Difference) -> str:
+    """Return the coefficients of a difference with units."""
+    units = {}
+    if difference.effect in REGISTER:
+        units = {c.name: c.unit for c in make(difference.effect).coefficients}
+    texts = [f"{k} = {v:.3g} {units.get(k, '')}" for k, v in difference.parameters.items()]
+    return join_words([text.strip().replace("-", "−") for text in texts])
 
 
 def residual_sentence(part: Unexplained) -> str:

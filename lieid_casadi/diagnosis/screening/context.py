@@ -155,10 +155,10 @@ class ScreeningContext:
         return found.with_apart(previous.apart) if previous and previous.apart else found
 
     def with_apart(self, columns: Sequence[Array]) -> ScreeningContext:
-        """Return the context with columns (N_j, a) of each joint beside those of the model."""
-        together = zip(self.model_columns, columns, strict=True)
-        model_columns = tuple(np.hstack(both) for both in together)
-        return replace(self, model_columns=model_columns, apart=tuple(columns))
+        """Return the context with further columns (N_j, a) of each joint beside the model's."""
+        model_columns = _side_by_side(self.model_columns, columns)
+        apart = _side_by_side(self.apart, columns) if self.apart else tuple(columns)
+        return replace(self, model_columns=model_columns, apart=apart)
 
     def with_grids(self, grids: Mapping[int, Array]) -> ScreeningContext:
         """Return the context with other grids (G, s) of some candidates, given by index."""
@@ -241,6 +241,11 @@ class ScreeningContext:
     def folds(self, noise: Sequence[Noise]) -> NDArray[np.intp]:
         """Return the fold (R,) of each whitened row: blocks of time go to the folds in turn."""
         return self.time_blocks(noise, self.options.fold_duration) % self.options.folds
+
+
+def _side_by_side(own: Sequence[Array], further: Sequence[Array]) -> tuple[Array, ...]:
+    """Return columns (N_j, k) of each joint with further ones."""
+    return tuple(np.hstack(both) for both in zip(own, further, strict=True))
 
 
 def _runs(fit: Fit, rows: Rows, segments: Sequence[Processed]) -> tuple[Runs, ...]:

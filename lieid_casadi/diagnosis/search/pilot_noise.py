@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.screening.screen import SelectionState
 from lieid_casadi.diagnosis.search.forward_selection import best_set
 from lieid_casadi.identification.uncertainty.noise_model import Noise, noise_of
+
+Array = NDArray[np.float64]
 
 
 def pilot_noise(context: ScreeningContext) -> tuple[tuple[Noise, ...], tuple[Noise, ...]]:
@@ -30,14 +37,25 @@ def pilot_noise(context: ScreeningContext) -> tuple[tuple[Noise, ...], tuple[Noi
     return coloured, tuple(Noise.white(noise.spread) for noise in coloured)
 
 
-def final_noise(context: ScreeningContext) -> tuple[Noise, ...]:
+def final_noise(
+    context: ScreeningContext, further: Sequence[Array] | None = None
+) -> tuple[Noise, ...]:
     """Estimate the autoregressive noise of each joint from the residual of the last model.
 
     The pilot noise allows for unexplained torque that is large relative to the first model's
     residual only; after effects were added, smaller ones would be attributed to the noise.
+
+    Parameters
+    ----------
+    context : ScreeningContext
+    further : sequence of (N_j, k), optional
+        Columns of each joint, not whitened, that are not attributed to the noise either.
     """
     white = context.white_noise
-    return _noise_of(context, white, context.baseline(white))
+    baseline = context.baseline(white)
+    if further is not None:
+        baseline = baseline.with_columns(np.concatenate(context.whitened(white, further)))
+    return _noise_of(context, white, baseline)
 
 
 def _noise_of(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.diagnosis.options import Penalty
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns, JointColumns
 from lieid_casadi.diagnosis.screening.candidates import Candidate
@@ -14,27 +16,30 @@ from lieid_casadi.diagnosis.screening.evidence import HypothesisFamily
 from lieid_casadi.diagnosis.screening.screen import SelectionState, screen
 from lieid_casadi.diagnosis.search.candidate_selection import schwarz_penalty
 from lieid_casadi.diagnosis.search.forward_selection import penalized_gain
+from lieid_casadi.diagnosis.search.pilot_noise import final_noise
 from lieid_casadi.diagnosis.search.search_problem import SearchProblem
 from lieid_casadi.diagnosis.search.search_results import Difference
 
 Array = NDArray[np.float64]
+Columns = CandidateColumns[Candidate]
 
 
 @dataclass(frozen=True, eq=False)
-class _OneRecording:
-    """The candidate that best explains one recording alone.
+class _Found:
+    """The candidate that best explains what differs between the recordings.
 
     Attributes
     ----------
-    recording : int
+    recordings : tuple of int
+        A single one; all of them for an effect with other coefficients in each.
     group : int
     score : float
         Its gain minus its penalty.
     columns : (R, k)
-        Whitened, zero on the other recordings.
+        Whitened; those of each recording are zero on the others.
     """
 
-    recording: int
+    recordings: tuple[int, ...]
     group: int
     score: float
     columns: Array
@@ -43,22 +48,25 @@ class _OneRecording:
 def recording_differences(problem: SearchProblem) -> tuple[Difference, ...]:
     """Return the effect that best explains what differs between the training recordings.
 
-    The candidates are screened once more with columns that are zero on all recordings but one.
+    The candidates are screened once more with columns that are zero on all recordings but one,
+    and effects that belong to a recording (a drift) with coefficients of their own in each.
     The best one is a difference if it is significant, worth naming, explains little more with other
     coefficients on the other recordings, and more of its joint than a smooth function of the
     signals that is the same in all recordings.
     """
-    found = _best_on_one(problem)
-    return () if found is None else (_difference(problem, found),)
+    found = _best(problem)
+    return () if found is None else _differences(problem, found)
 
 
-def leading_difference(problem: SearchProblem) -> tuple[Difference, tuple[Array, ...]] | None:
+def leading_difference(
+    problem: SearchProblem,
+) -> tuple[tuple[Difference, ...], tuple[Array, ...]] | None:
     """Return a difference that explains more than any effect of the arm, and its columns.
 
-    Its columns (N_j, k) of each joint are not whitened, and zero on the other recordings. An effect
+    Its columns (N_j, k) of each joint are not whitened, and zero on other recordings. An effect
     of the arm, with the same coefficients in all recordings, explains more than on one alone.
     """
-    found = _best_on_one(problem)
+    found = _best(problem)
     if found is None:
         return None
     candidates, baseline = (
@@ -70,40 +78,93 @@ def leading_difference(problem: SearchProblem) -> tuple[Difference, tuple[Array,
     of_the_arm = penalized_gain(common, np.diff(baseline.ends), penalty)
     if of_the_arm.max() >= found.score:
         return None
+    return _differences(problem, found), _columns(problem, found)
+
+
+def _columns(problem: SearchProblem, found: _Found) -> tuple[Array, ...]:
+    """Return the columns (N_j, k) of a difference on each joint, not whitened."""
     context, held = problem.context, problem.held_out_rows.parts[0].held
-    own = _only_on(context.candidates, held == found.recording)
-    return _difference(problem, found), tuple(own.dense(found.group))
+    parts = [_only_on(context.candidates, held == k).dense(found.group) for k in found.recordings]
+    return tuple(np.hstack(own) for own in zip(*parts, strict=True))
 
 
-def _best_on_one(problem: SearchProblem) -> _OneRecording | None:
+def _best(problem: SearchProblem) -> _Found | None:
+    """Return what best explains a difference between the recordings, if it is significant."""
     parts = problem.held_out_rows.parts[0]
     if not parts.recordings:
         return None
-    options, white = problem.options, problem.white
+    white = problem.white
     candidates, baseline = problem.candidates(white), problem.current_baseline(white)
+    if not len(candidates.size):
+        return None
+    only = [_only_on(candidates, parts.held == k) for k in range(len(parts.names))]
     penalty = schwarz_penalty(baseline, problem.least_gain)
-    rows = np.diff(baseline.ends)
-    states = [
-        SelectionState(_only_on(candidates, parts.held == k), baseline, options)
-        for k in range(len(parts.names))
+    found = [
+        each
+        for each in (_on_one(problem, only, baseline, penalty), _on_each(only, baseline, penalty))
+        if each is not None
     ]
-    gains = [state.given([]) for state in states]
+    best = max(found, key=lambda each: each.score, default=None)
+    if best is None or _log10_p(problem, best) > np.log10(problem.options.significance):
+        return None
+    if _is_the_same_in_all(problem, baseline, baseline.with_columns(best.columns)):
+        return None
+    return best
+
+
+def _on_one(
+    problem: SearchProblem, only: Sequence[Columns], baseline: Baseline, penalty: Penalty
+) -> _Found | None:
+    """Return the candidate that best explains one recording and little of the others.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    only : sequence of CandidateColumns
+        Zero except on one recording each.
+    baseline : Baseline
+    penalty : Penalty
+    """
+    options, rows = problem.options, np.diff(baseline.ends)
+    gains = [SelectionState(columns, baseline, options).given([]) for columns in only]
     scores = np.array([penalized_gain(each, rows, penalty) for each in gains])
     if not scores.size or not np.isfinite(scores).any():
         return None
     best, group = map(int, np.unravel_index(int(np.argmax(scores)), scores.shape))
-    gain = float(gains[best].gain[group])
-    columns = states[best].candidates.stacked(group)
+    columns = only[best].stacked(group)
     with_it = baseline.with_columns(columns)
-    others = (state.candidates.stacked(group) for k, state in enumerate(states) if k != best)
+    others = (own.stacked(group) for k, own in enumerate(only) if k != best)
     elsewhere = max(_gain(other, with_it) for other in others)
+    gain = float(gains[best].gain[group])
     if scores[best, group] <= 0.0 or elsewhere > options.least_rival_gain * gain:
         return None
-    if _log10_p(problem, best, group) > np.log10(options.significance):
-        return None
-    if _is_the_same_in_all(problem, baseline, with_it):
-        return None
-    return _OneRecording(best, group, float(scores[best, group]), columns)
+    return _Found((best,), group, float(scores[best, group]), columns)
+
+
+def _on_each(only: Sequence[Columns], baseline: Baseline, penalty: Penalty) -> _Found | None:
+    """Return the effect that best explains all recordings with coefficients of its own in each.
+
+    Only effects whose coefficients belong to a recording are considered; another effect with
+    other coefficients in every recording is no effect of the arm.
+
+    Parameters
+    ----------
+    only : sequence of CandidateColumns
+        Zero except on one recording each.
+    baseline : Baseline
+    penalty : Penalty
+    """
+    first, rows, found = only[0], np.diff(baseline.ends), []
+    for group in range(len(first.size)):
+        candidate = first.owner(group)
+        if not candidate.effect.per_recording:
+            continue
+        columns = np.hstack([own.stacked(group) for own in only])
+        gain = _gain(columns, baseline)
+        score = gain - penalty.per_parameter * candidate.parameters * len(only)
+        if gain >= penalty.part * rows[candidate.joint] and score > 0.0:
+            found.append(_Found(tuple(range(len(only))), group, score, columns))
+    return max(found, key=lambda each: each.score, default=None)
 
 
 def _is_the_same_in_all(problem: SearchProblem, without: Baseline, with_it: Baseline) -> bool:
@@ -134,38 +195,51 @@ def _gain(columns: Array, baseline: Baseline) -> float:
     return float(np.sum(baseline.residual**2) - np.sum(after**2))
 
 
-def _difference(problem: SearchProblem, found: _OneRecording) -> Difference:
+def _differences(problem: SearchProblem, found: _Found) -> tuple[Difference, ...]:
+    """Return one difference for each recording with coefficients of its own."""
     baseline = problem.current_baseline(problem.white)
     candidate = problem.candidates(problem.white).owner(found.group)
     values = baseline.coefficients(found.columns, least=1e-6)
     names = [c.name for c in candidate.effect.coefficients]
-    return Difference(
-        candidate.placement.label,
-        candidate.name,
-        candidate.joints,
-        (problem.held_out_rows.parts[0].names[found.recording],),
-        {name: float(value) for name, value in zip(names, values, strict=True)},
+    recordings = problem.held_out_rows.parts[0].names
+    return tuple(
+        Difference(
+            candidate.placement.label,
+            candidate.name,
+            candidate.joints,
+            (recordings[k],),
+            {name: float(value) for name, value in zip(names, own, strict=True)},
+        )
+        for k, own in zip(found.recordings, values.reshape(len(found.recordings), -1), strict=True)
     )
 
 
-def _log10_p(problem: SearchProblem, recording: int, group: int) -> float:
-    """Return log₁₀ of the p-value of a group on one recording; the family has all recordings."""
+def _log10_p(problem: SearchProblem, found: _Found) -> float:
+    """Return log₁₀ of the p-value of a difference; the family has all recordings.
+
+    Drifts of several recordings are not attributed to the noise, which would resemble them.
+    """
     noise, context = problem.last_noise(), problem.context
+    if len(found.recordings) > 1:
+        noise = final_noise(context, _columns(problem, found))
     candidates, baseline = problem.candidates(noise), problem.current_baseline(noise)
     instants = context.held_out_rows(noise, noise).parts[0]
-    only = _only_on(candidates, instants.held == recording)
-    screening = screen(only, baseline, None)
+    only = [_only_on(candidates, instants.held == k) for k in found.recordings]
     family = HypothesisFamily.of(
-        screening, seed=problem.seed, draws=problem.options.bootstrap_draws, further=context.scanned
+        screen(only[0], baseline, None),
+        seed=problem.seed,
+        draws=problem.options.bootstrap_draws,
+        further=context.scanned,
     )
     tests = HypothesisFamily(family.tests * len(instants.names))
-    dispersion = baseline.dispersion(only.stacked(group), len(context.runs))
-    return tests.log10_p(float(screening.gain[group]) / dispersion, int(screening.rank[group]))
+    columns = np.hstack([own.stacked(found.group) for own in only])
+    after = baseline.with_columns(columns)
+    gain = float(np.sum(baseline.residual**2) - np.sum(after.residual**2))
+    dispersion = baseline.dispersion(columns, len(context.runs))
+    return tests.log10_p(gain / dispersion, after.rank - baseline.rank)
 
 
-def _only_on(
-    candidates: CandidateColumns[Candidate], rows: NDArray[np.bool_]
-) -> CandidateColumns[Candidate]:
+def _only_on(candidates: Columns, rows: NDArray[np.bool_]) -> Columns:
     """Return the columns, zero except on some of the rows (R,)."""
     joints, first = [], 0
     for own in candidates.joints:
