@@ -36,6 +36,9 @@ class Evidence:
         parts of the training, or on the new recording if the model is kept.
     confirmed : bool or None
         Whether the error on the test falls; None without a test.
+    selected_with_rivals : float
+        Fraction of block-bootstrap repetitions in which the effect or one of its rivals is
+        selected.
     """
 
     significance: Significance
@@ -44,6 +47,7 @@ class Evidence:
     held_out_before: float
     held_out_after: float
     confirmed: bool | None
+    selected_with_rivals: float = float("nan")
 
     @property
     def log10_p(self) -> float:
@@ -66,6 +70,7 @@ class Evidence:
             "rms_cv_before": self.held_out_before,
             "rms_cv_after": self.held_out_after,
             "test_confirms": self.confirmed,
+            "selected_with_rivals": number_or_none(self.selected_with_rivals),
         }
 
 
@@ -157,6 +162,7 @@ class DiagnosisStep:
                 held_out_before=float(before),
                 held_out_after=float(after),
                 confirmed=confirmed,
+                selected_with_rivals=accepted.selected_with_rivals,
             ),
             indistinguishable=accepted.rivals,
             rival_pairs=accepted.rival_pairs,

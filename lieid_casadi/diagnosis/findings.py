@@ -118,11 +118,24 @@ def _rivals_in_form(step: DiagnosisStep) -> bool:
 
 
 def _repeated(steps: Sequence[DiagnosisStep]) -> str:
-    """Return how often a finding was selected again, if that was seldom."""
-    least = min(step.selected for step in steps)
-    if not least < LEAST_SELECTED:
+    """Return how often a finding, and it or one of its rivals, was selected, if it was seldom.
+
+    Of several joints it is that with the fewest selections.
+    """
+    step = min(steps, key=lambda s: s.selected)
+    if not step.selected < LEAST_SELECTED:
         return ""
-    return f"; selected again in only {100 * least:.0f} % of the repetitions on resampled data"
+    where = f" on {location(step.joints)}" if len(steps) > 1 else ""
+    text = (
+        f"; on resampled data it was selected{where} in {100 * step.selected:.0f} % of the "
+        "repetitions"
+    )
+    together, rivals = step.evidence.selected_with_rivals, step.indistinguishable
+    if not rivals or not together > step.selected:
+        return text
+    name = rival_text(rivals[0][0].name, rivals[0][0].joints, step)
+    rival = name if len(rivals) == 1 else "one of its rivals"
+    return f"{text}, it or {rival} in {100 * together:.0f} %"
 
 
 def _statement(first: DiagnosisStep, steps: Sequence[DiagnosisStep], mode: str) -> str:

@@ -43,6 +43,9 @@ class Problem:
     def insignificant(self, p):
         return f"not significant: p = {p:g}" if p > 1e-3 else ""
 
+    def exchange_rival(self):
+        return False
+
     def remove(self, placements, reason):
         self.accepted = [a for a in self.accepted if a.name not in placements]
         self.removed |= dict.fromkeys(placements, reason)
@@ -51,8 +54,7 @@ class Problem:
 @pytest.fixture(autouse=True)
 def evidence_is_given(monkeypatch):
     monkeypatch.setattr(review, "_with_significance", lambda problem, effects: list(effects))
-    for name in ("with_final_rivals", "with_stability"):
-        monkeypatch.setattr(review, name, lambda effect, problem: effect)
+    monkeypatch.setattr(review, "_with_alternatives", lambda effect, problem: effect)
 
 
 def test_effects_that_the_last_noise_explains_are_removed_with_the_reason():

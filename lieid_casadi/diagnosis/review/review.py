@@ -13,6 +13,7 @@ from lieid_casadi.diagnosis.review.final_rivals import with_final_rivals
 from lieid_casadi.diagnosis.review.stability import with_stability
 from lieid_casadi.diagnosis.screening.evidence import HypothesisFamily
 from lieid_casadi.diagnosis.screening.screen import screen
+from lieid_casadi.diagnosis.search.alternatives import alternatives
 from lieid_casadi.diagnosis.search.pruning import without_partial_effects
 from lieid_casadi.diagnosis.search.search_problem import SearchProblem
 from lieid_casadi.diagnosis.search.search_results import AcceptedEffect, Significance
@@ -42,6 +43,7 @@ def review(problem: SearchProblem) -> None:
 
     An effect that fails because of effects added after it, or because the noise of the last model
     explains it, is removed, the one that explains least first, and the others are examined again.
+    So are all if one is exchanged for a better rival.
     """
     while problem.accepted:
         examined = [problem.in_last_model(effect) for effect in problem.accepted]
@@ -51,12 +53,18 @@ def review(problem: SearchProblem) -> None:
             reasons = [problem.insignificant(effect.significance) for effect in effects]
             failed = [(e, reason) for e, reason in zip(effects, reasons, strict=True) if reason]
         if not failed:
-            problem.accepted = [
-                with_stability(with_final_rivals(effect, problem), problem) for effect in effects
-            ]
+            problem.accepted = [_with_alternatives(effect, problem) for effect in effects]
+            if problem.exchange_rival():
+                continue
             return
         effect, reason = min(failed, key=lambda pair: _explained(pair[0]))
         problem.remove([effect.candidate.placement], f"in the final model {reason}")
+
+
+def _with_alternatives(effect: AcceptedEffect, problem: SearchProblem) -> AcceptedEffect:
+    """Return an accepted effect with its rivals, and how often it is selected again."""
+    found = alternatives(effect, problem)
+    return with_stability(with_final_rivals(found, problem), found, problem)
 
 
 def _explained(effect: AcceptedEffect) -> float:

@@ -15,7 +15,7 @@ from lieid_casadi.diagnosis.screening.numpy_evaluation import ArrayFunction
 from lieid_casadi.effects import Effect, Placement, Signals
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.regression.segment_columns import ModelAlongSegment, effects_along
+from lieid_casadi.identification.regression.segment_columns import ModelAlongSegment, model_along
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]
@@ -42,8 +42,7 @@ class SegmentSignals:
     @classmethod
     def of(cls, fit: Fit, segment: Processed) -> SegmentSignals:
         """Return the signals of a segment; the load is that of the fit."""
-        effects = effects_along(fit.compiled, segment, fit.shapes, fit.parameters)
-        arm = ModelAlongSegment(fit.compiled, segment, fit.parameters, effects, True, fit.shapes)
+        arm = model_along(fit.compiled, segment, fit.shapes, fit.parameters)
         load = arm.load
         shape = segment.q.shape
         temperature, error = segment.temperature, segment.command_error

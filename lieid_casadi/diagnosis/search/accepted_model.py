@@ -59,6 +59,11 @@ class AcceptedModel(SearchProblem):
         return self.context.baseline(noise)
 
     @property
+    def refitted(self) -> bool:
+        """Whether the model is fitted again with every accepted effect."""
+        return True
+
+    @property
     def placements(self) -> list[Placement]:
         """The accepted effects in the order added."""
         return [effect.candidate.placement for effect in self.accepted]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.screening.screen import SelectionState
 from lieid_casadi.diagnosis.search.accepted_model import AcceptedModel
+from lieid_casadi.diagnosis.search.better_rivals import better_rival
 from lieid_casadi.diagnosis.search.candidate_selection import (
     at_estimate,
     grid_peaks,
@@ -28,6 +29,7 @@ from lieid_casadi.diagnosis.search.search_problem import Offer, logger
 from lieid_casadi.diagnosis.search.search_results import (
     AcceptedEffect,
     Proposal,
+    Replacement,
     fitted_parameters,
     parameter_units,
 )
@@ -66,6 +68,7 @@ class MissingEffects(AcceptedModel):
     ) -> None:
         super().__init__(first, refit, seed=seed)
         self.ask = ask
+        self._compared: set[tuple[str, str]] = set()  # effects and rivals in their place
 
     def run(self, report: Callable[[str, float], None]) -> None:
         """Add effects until none is accepted, then fit all shape parameters together."""
@@ -194,24 +197,57 @@ class MissingEffects(AcceptedModel):
 
     def _exchange_variants(self) -> bool:
         """Exchange accepted effects for variants that hold better; whether there were any."""
-        found = [(effect, better_variant(self, effect)) for effect in self.accepted]
-        changed, starts = set(), dict[str, float]()
-        for effect, variant in found:
-            if variant is None:
+        found = [better_variant(self, effect) for effect in self.accepted]
+        variants = [variant for variant in found if variant is not None]
+        if variants:
+            self._exchange(variants)
+        return bool(variants)
+
+    def exchange_rival(self) -> bool:
+        """Exchange an accepted effect for a better rival; whether there was one.
+
+        The rival must pass all tests in the model fitted with it, and so must the other effects.
+        """
+        for effect in list(self.accepted):
+            rival = better_rival(self, effect, self._compared)
+            if rival is None:
                 continue
-            placement = variant.candidate.placement
-            reason = f"{placement.label} has a smaller held-out error in its place"
-            self.reject(effect.candidate, reason, final=True)
+            place = rival.candidate.placement
+            labels = effect.candidate.placement.label, place.label
+            self._compared |= {labels, labels[::-1]}
+            before = self.accepted, self.fit, self.context, list(self.rejected)
+            self._exchange([rival], final=False)
+            self.fit_shapes()
+            implausible = self._implausible(place, self.fit)
+            all_kept = len(self.accepted) == len(before[0]) and not implausible
+            if all_kept and not any(self.in_last_model(a)[1] for a in self.accepted):
+                return True
+            self.accepted, self.fit, self.context, self.rejected = before
+            if implausible:
+                self.reject(rival.candidate, implausible, final=True)
+        return False
+
+    def _exchange(self, replacements: Sequence[Replacement], *, final: bool = True) -> None:
+        """Replace accepted effects, and fit the model again from the first of them on.
+
+        Parameters
+        ----------
+        replacements : sequence of Replacement
+        final : bool
+            Whether the effects stay rejected, as variants do; otherwise they are rivals.
+        """
+        changed, starts = set(), dict[str, float]()
+        for new in replacements:
+            effect, placement = new.effect, new.candidate.placement
+            self.reject(effect.candidate, new.reason, final=final)
             own = Model.of_placements(self.fit.model.robot, (placement,))
             names = [p.name.rpartition(".")[2] for p in (*own.columns, *own.shapes)]
             units = parameter_units(self.fit.model.robot, placement, names)
-            new = replace(effect, candidate=variant.candidate, units=units, rivals=())
-            self.accepted = [new if a is effect else a for a in self.accepted]
+            accepted = replace(effect, candidate=new.candidate, units=units, rivals=())
+            self.accepted = [accepted if a is effect else a for a in self.accepted]
             changed.add(effect.fit)
-            starts |= {p.label: float(x) for p, x in zip(own.shapes, variant.shapes, strict=True)}
-        if changed:
-            self.fit_again(changed, starts=starts)
-        return bool(changed)
+            starts |= {p.label: float(x) for p, x in zip(own.shapes, new.shapes, strict=True)}
+        self.fit_again(changed, starts=starts)
 
     def _implausible(self, placement: Placement, fit: Fit) -> str:
         """Return which parameter of an effect is physically implausible, or an empty text."""

@@ -207,6 +207,18 @@ class SearchProblem(ABC):
     def remove(self, out: Sequence[Placement], reason: str) -> None:
         """Remove accepted effects, and keep the reason."""
 
+    @property
+    def refitted(self) -> bool:
+        """Whether the model is fitted again with every accepted effect."""
+        return False
+
+    def exchange_rival(self) -> bool:
+        """Exchange an accepted effect for a better rival; whether there was one.
+
+        Changes of a model that is kept are not exchanged.
+        """
+        return False
+
     def last_noise(self) -> tuple[Noise, ...]:
         """Return the autoregressive noise of each joint, estimated in the last model."""
         return self.coloured

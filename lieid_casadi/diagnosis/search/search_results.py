@@ -72,6 +72,8 @@ class AcceptedEffect:
         With this effect and those accepted before; None if the model is kept.
     selected : float
         Fraction of block-bootstrap repetitions of the screening in which it is selected again.
+    selected_with_rivals : float
+        The same for the effect or one of its rivals.
     rival_pairs : tuple of (Candidate, Candidate)
         Pairs of candidates that together could take its place.
     """
@@ -86,6 +88,7 @@ class AcceptedEffect:
     rivals: tuple[tuple[Candidate, str], ...]
     fit: Fit | None = None
     selected: float = float("nan")
+    selected_with_rivals: float = float("nan")
     rival_pairs: tuple[tuple[Candidate, Candidate], ...] = ()
 
 
@@ -120,6 +123,26 @@ def parameter_units(
     model = Model.of_placements(robot, (placement,))
     units = {p.name.rpartition(".")[2]: p.unit for p in (*model.columns, *model.shapes)}
     return {name: units[name] for name in parameters}
+
+
+@dataclass(frozen=True, eq=False)
+class Replacement:
+    """A candidate that is to take the place of an accepted effect.
+
+    Attributes
+    ----------
+    effect : AcceptedEffect
+    candidate : Candidate
+    shapes : (s,)
+        Shape parameters of the candidate.
+    reason : str
+        Why the effect is removed.
+    """
+
+    effect: AcceptedEffect
+    candidate: Candidate
+    shapes: Array
+    reason: str
 
 
 @dataclass(frozen=True)

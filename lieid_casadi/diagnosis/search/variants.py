@@ -14,7 +14,7 @@ from lieid_casadi.diagnosis.screening.candidates import Candidate, shape_grid
 from lieid_casadi.diagnosis.screening.held_out import HeldOut
 from lieid_casadi.diagnosis.screening.screen import screen
 from lieid_casadi.diagnosis.search.search_problem import SearchProblem
-from lieid_casadi.diagnosis.search.search_results import AcceptedEffect
+from lieid_casadi.diagnosis.search.search_results import AcceptedEffect, Replacement
 from lieid_casadi.effects import Effect, Placement
 from lieid_casadi.effects.registry import make
 
@@ -24,7 +24,7 @@ NEAREST = 3  # values of a shape parameter that a variant shares with the accept
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """A variant that holds better than the accepted effect.
+    """A variant that holds on held-out data.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Variant:
     held_out: HeldOut
 
 
-def better_variant(problem: SearchProblem, effect: AcceptedEffect) -> Variant | None:
+def better_variant(problem: SearchProblem, effect: AcceptedEffect) -> Replacement | None:
     """Return the variant of an accepted effect with the least held-out error, or None.
 
     The error of the effect's joint must be smaller by the least fall that counts for an effect,
@@ -59,11 +59,17 @@ def better_variant(problem: SearchProblem, effect: AcceptedEffect) -> Variant | 
     def is_better(variant: Variant) -> bool:
         then = variant.held_out
         least = now.after[joint] * _least_ratio(problem, variant.candidate, own)
+        if then.parts is not now.parts or then.after[joint] >= least:
+            return False
         judged = now.judged | then.judged
-        return bool(then.after[joint] < least and np.all(then.gain[judged] > now.gain[judged]))
+        return bool(np.all(then.gain[judged] > now.gain[judged]))
 
     found = [v for v in _held_out(problem, wanted, without) if is_better(v)]
-    return min(found, key=lambda variant: float(variant.held_out.after[joint]), default=None)
+    if not found:
+        return None
+    best = min(found, key=lambda variant: float(variant.held_out.after[joint]))
+    reason = f"{best.candidate.placement.label} has a smaller held-out error in its place"
+    return Replacement(effect, best.candidate, best.shapes, reason)
 
 
 def _least_ratio(problem: SearchProblem, variant: Candidate, own: Candidate) -> float:

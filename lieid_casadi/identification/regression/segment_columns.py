@@ -160,6 +160,25 @@ def effect_signals(segment: Processed, shapes: Array, load: Array | None) -> dic
     return signals
 
 
+def model_along(
+    compiled: Compiled,
+    segment: Processed,
+    shapes: Array,
+    parameters: Array,
+    *,
+    fitted: bool = True,
+) -> ModelAlongSegment:
+    """Return the model along a segment; the parameters are those of `effects_along`."""
+    load = compiled.inverse_dynamics(
+        segment.q, segment.dq, segment.ddq, parameters[: 10 * compiled.n]
+    )
+    signals: dict[str, Any] = effect_signals(segment, shapes, load)
+    columns = compiled.effect_columns(
+        segment.q, segment.dq, segment.ddq, **signals, joint_effects_only=True
+    )
+    return ModelAlongSegment(compiled, segment, parameters, columns, fitted, shapes)
+
+
 def effects_along(
     compiled: Compiled,
     segment: Processed,
@@ -180,18 +199,15 @@ def effects_along(
     fitted : bool
         Whether the model was fitted to this segment. Drift is zero on other segments.
     """
-    n, width = compiled.n, len(compiled.model.columns)
-    load = None
-    if parameters is not None:
-        parameters = np.concatenate([parameters, np.zeros(10 * n + width - len(parameters))])
-        load = compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, parameters[: 10 * n])
-    signals: dict[str, Any] = effect_signals(segment, shapes, load)
-    columns = compiled.effect_columns(
-        segment.q, segment.dq, segment.ddq, **signals, joint_effects_only=True
-    )
     if parameters is None:
-        return columns
-    arm = ModelAlongSegment(compiled, segment, parameters, columns, fitted, shapes)
+        signals: dict[str, Any] = effect_signals(segment, shapes, None)
+        return compiled.effect_columns(
+            segment.q, segment.dq, segment.ddq, **signals, joint_effects_only=True
+        )
+    every = np.zeros(10 * compiled.n + len(compiled.model.columns))
+    every[: len(parameters)] = parameters
+    arm = model_along(compiled, segment, shapes, every, fitted=fitted)
+    columns = arm.joint_columns
     first, own, filled = 0, 0, None
     for p in compiled.model.placements:
         last = first + len(p.effect.coefficients)
