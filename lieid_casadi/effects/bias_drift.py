@@ -16,10 +16,10 @@ from lieid_casadi.effects.registry import register
 class BiasDrift(ArmEffect):
     """A bias that grows with time: τ = r·(t − t̄), r in N·m/s, t̄ the mean time of the recording.
 
-    It does not carry over to another recording: predictions of other recordings and exported
-    code omit it. A model has one rate r for all recordings of its fit; the diagnosis states other
-    rates in each recording as a difference between the recordings. Revealed by long recordings of repeated motion. Confused with `warm_up` and with
-    an offset in short recordings.
+    It does not carry over to another recording: predictions of other recordings and exported code
+    omit it. A model has one rate r for all recordings of its fit; the diagnosis states other rates
+    in each recording as a difference between the recordings. Revealed by long recordings of
+    repeated motion. Confused with `warm_up` and with an offset in short recordings.
     """
 
     name = "bias_drift"
