@@ -75,6 +75,6 @@ def _rest_of(comparison: Comparison, joint: int) -> str:
     if not np.isfinite(moving):
         return f"{at_rest}never in motion)"
     return (
-        f"{at_rest}{moving:.3g} {unit} in motion; {comparison.at_rest[joint]:.0%} of the time "
-        "at rest)"
+        f"{at_rest}{moving:.3g} {unit} in motion; {100 * comparison.at_rest[joint]:.2g} % of the "
+        "time at rest)"
     )

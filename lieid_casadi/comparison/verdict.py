@@ -10,6 +10,7 @@ from lieid_casadi.comparison.table import digits, percent
 from lieid_casadi.errors import FrictionAtRestWarning, SameRecordingWarning
 from lieid_casadi.recording.joint_names import joints_text
 
+AT_NOISE = 1.05  # times the noise floor, below which the multiple is not stated
 AS_NOISE = 1.3  # times the noise floor, up to which an error is explained by noise
 BEYOND_NOISE = 2.0  # times the noise floor, from which an error is certainly systematic
 
@@ -70,6 +71,8 @@ def _noise(c: Comparison, remedy: str) -> str:
     """Compare the error in motion with the noise floor."""
     ratio = np.nan_to_num(_over_noise(c), nan=0.0)
     floor = "the noise floor"
+    if ratio.max() < AT_NOISE:
+        return f"The error in motion is within 5 % of {floor}: no systematic error is detectable."
     if ratio.max() <= AS_NOISE:
         return (
             f"The error in motion is at most {ratio.max():.2g} times {floor}: "

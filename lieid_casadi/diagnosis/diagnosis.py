@@ -161,6 +161,13 @@ class Diagnosis:
         return held_out, [values for values in errors if values is not None]
 
     @property
+    def reference(self) -> tuple[str, Array]:
+        """Name and values (n,), N·m, of what the errors of a complete model are."""
+        if self.expected is None:
+            return "noise floor", self.noise_floor
+        return "expected", self.expected
+
+    @property
     def additions(self) -> tuple[tuple[DiagnosisStep, ...], ...]:
         """The steps, those together whose effects were added to the model at once.
 

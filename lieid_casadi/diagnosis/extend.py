@@ -99,7 +99,7 @@ class Extension:
         return draw_errors(
             list(self.held_out),
             ["before", f"+ {', '.join(self.added)}"],
-            floor=None,
+            reference=None,
             recordings=f"{recordings}, joints in motion",
             ax=ax,
         )

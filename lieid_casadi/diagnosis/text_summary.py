@@ -105,17 +105,17 @@ def error_table(d: Diagnosis) -> Table:
     rows: list[list[object]] = [
         [name, *map(float, values)] for name, values in zip(d.model_names, errors, strict=True)
     ]
+    reference, values = d.reference
+    rows.append([reference, *map(float, values)])
     if d.expected is None:
-        reference, source = "noise floor", SOURCES[d.noise_source]
+        source = SOURCES[d.noise_source]
         note = "Each row adds effects to the row above and fits all parameters again."
-        rows.append([reference, *map(float, d.noise_floor)])
     else:
-        reference, source = "expected", "held-out error of the fit"
+        source = "held-out error of the fit"
         note = (
             "The model is kept. Near velocity reversals, where the sign of dry friction is "
             "uncertain, errors count less, in all rows."
         )
-        rows.append([reference, *map(float, d.expected)])
     return make_table(
         f"RMS error on the {measured}, N·m (low-pass {d.fit.processing.cutoff:.3g} Hz; "
         f"{reference}: {source})",

@@ -18,20 +18,20 @@ Array = NDArray[np.float64]
 
 
 def plot_waterfall(d: Diagnosis, ax: Axes | None = None) -> Figure:
-    """Draw the error of each joint for all models, and the noise floor; not shown.
+    """Draw the error of each joint for all models, and that of a complete model; not shown.
 
     See `draw_errors`.
     """
     recordings, errors = d.shown
     labels = ["first model", *d.model_names[1:]]
-    return draw_errors(errors, labels, floor=d.noise_floor, recordings=recordings, ax=ax)
+    return draw_errors(errors, labels, reference=d.reference, recordings=recordings, ax=ax)
 
 
 def draw_errors(
     series: Sequence[Array],
     labels: Sequence[str],
     *,
-    floor: Array | None,
+    reference: tuple[str, Array] | None,
     recordings: str,
     ax: Axes | None,
 ) -> Figure:
@@ -43,8 +43,8 @@ def draw_errors(
         Error of each joint, N·m, one array per model.
     labels : sequence of str
         One per model.
-    floor : (n,) or None
-        Noise floor, N·m.
+    reference : (str, (n,)) or None
+        Name and values of the errors of a complete model, N·m: the noise floor.
     recordings : str
         On which the errors were measured: ``test``.
     ax : Axes, optional
@@ -66,11 +66,12 @@ def draw_errors(
         at = np.arange(joints) - 0.4 + (k + 0.5) * width
         colour = "0.6" if k == 0 else colours(0.15 + 0.75 * k / len(series))
         ax.bar(at, values / series[0], width, label=labels[k], color=colour)
-    if series and floor is not None:
-        for j, part in enumerate(floor / series[0]):
+    name, values = reference or ("", np.zeros(0))
+    if series:
+        for j, part in enumerate(values / series[0][: len(values)]):
             ax.plot([j - 0.4, j + 0.4], [part, part], "k--", linewidth=1.0)
     ax.set_xticks(range(joints), [f"{j + 1}" for j in range(joints)])
-    ax.set_xlabel("joint" if floor is None else "joint (dashed: noise floor)")
+    ax.set_xlabel(f"joint (dashed: {name})" if name else "joint")
     ax.set_ylabel(f"RMS error on the {recordings}\nfirst model = 1")
     ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure

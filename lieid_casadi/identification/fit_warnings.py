@@ -142,7 +142,7 @@ def at_rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
     resting = has_dry_friction(model) & (share > SHARE_AT_REST)
     if not resting.any():
         return []
-    joints = ", ".join(f"joint {j + 1} {share[j]:.0%}" for j in np.flatnonzero(resting))
+    joints = ", ".join(f"joint {j + 1} ({100 * share[j]:.0f} %)" for j in np.flatnonzero(resting))
     return [
         FrictionAtRestWarning(
             "friction is undetermined at rest; samples at rest were excluded from the fit: "

@@ -23,6 +23,8 @@ def test_a_correct_model_has_no_systematic_error(fit):
     text = verdict(comparison)
     assert text.startswith("run 2 (8.96 s): the error in motion is ")
     assert "no systematic error is detectable" in text
+    text = verdict(replace(comparison, noise_floor=0.99 * comparison.rms_moving))
+    assert "The error in motion is within 5 % of the noise floor: no systematic" in text
 
 
 def test_the_joint_with_a_systematic_error_is_named(fit):

@@ -282,6 +282,7 @@ def test_the_table_of_changes_has_one_row_for_all_of_them():
     table = error_table(found)
     assert [row[0] for row in table.rows][1:] == ["+ coulomb:1 + viscous:1", "expected"]
     assert "noise floor" not in table.title
+    assert found.plot().axes[0].get_xlabel() == "joint (dashed: expected)"
     assert "test error, N·m" not in evidence_table(found).headings
 
 
