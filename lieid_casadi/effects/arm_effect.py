@@ -33,6 +33,13 @@ class SegmentModel(Protocol):
         """q, dq, ddq (K, n)."""
 
     @property
+    def friction_known(self) -> NDArray[np.bool_]:
+        """Whether the friction of each joint is determined (K, n).
+
+        At rest it is not, but a prediction takes it for zero there.
+        """
+
+    @property
     def load(self) -> Array:
         """Rigid torque (K, n), N·m."""
 

@@ -8,6 +8,7 @@ import casadi as ca
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
 from lieid_casadi.effects.effect import Coefficient
+from lieid_casadi.effects.memory_of_rest import where_known
 from lieid_casadi.effects.registry import register
 from lieid_casadi.effects.torque_delay import delayed_change
 
@@ -43,7 +44,9 @@ class TimeShift(ArmEffect):
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns of the formula."""
-        return delayed_change(arm.t, arm.torque, float(values[0]))[:, :, None]
+        delay = float(values[0])
+        change = delayed_change(arm.t, arm.torque, delay)
+        return where_known(change, arm.t, arm.friction_known, delay)[:, :, None]
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
         """Return zeros: a controller needs the torque at the instant."""

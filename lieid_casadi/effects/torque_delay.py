@@ -9,6 +9,7 @@ import numpy as np
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient
+from lieid_casadi.effects.memory_of_rest import where_known
 from lieid_casadi.effects.registry import register
 
 LEAST = 1e-3  # s; below it the column is the derivative, not the difference quotient
@@ -46,7 +47,9 @@ class TorqueDelay(ArmEffect):
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns of the formula."""
-        change = delayed_change(arm.t, arm.torque[:, [joint]], float(values[0]))
+        delay = float(values[0])
+        change = delayed_change(arm.t, arm.torque[:, [joint]], delay)
+        change = where_known(change, arm.t, arm.friction_known[:, [joint]], delay)
         return on_joint(change[:, 0], joint, arm.torque.shape[1])
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:

@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient
+from lieid_casadi.effects.memory_of_rest import where_known
 from lieid_casadi.effects.registry import register
 
 LEAST = 1e-3  # s; below it the column is the derivative, not the difference quotient
@@ -66,11 +67,20 @@ class TorqueLowpass(ArmEffect):
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns of the formula."""
         if not self.whole_arm:
-            change = self._change(arm.t, arm.torque[:, [joint]], float(values[0]))
+            change = self._change(arm, slice(joint, joint + 1), float(values[0]))
             return on_joint(change[:, 0], joint, arm.torque.shape[1])
-        return self._change(arm.t, arm.torque, float(values[0]))[:, :, None]
+        return self._change(arm, slice(None), float(values[0]))[:, :, None]
 
-    def _change(self, t: Array, torque: Array, time_constant: float) -> Array:
+    def _change(self, arm: SegmentModel, joints: slice, time_constant: float) -> Array:
+        """Return (F_T(τ) − τ)/T of some joints, zero where it depends on unknown friction.
+
+        Its memory counts as its mean delay, so that it is compared with a delay on the same rows.
+        """
+        change = self._filtered_change(arm.t, arm.torque[:, joints], time_constant)
+        delay = self._order * time_constant
+        return where_known(change, arm.t, arm.friction_known[:, joints], delay)
+
+    def _filtered_change(self, t: Array, torque: Array, time_constant: float) -> Array:
         """Return (F_T(τ) − τ)/T, and its limit for small T."""
         if time_constant < LEAST:
             return np.asarray(-self._order * np.gradient(torque, t, axis=0))

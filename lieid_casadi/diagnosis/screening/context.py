@@ -125,7 +125,7 @@ class ScreeningContext:
             _on_runs(rows, runs, values)
             for values in (matrices, torque, rows.residuals(fit.values))
         )
-        signals = [SegmentSignals.of(fit, s) for s in segments]
+        signals = [SegmentSignals.of(fit, s, model_fixed=model_fixed) for s in segments]
         scanned = 0
 
         def scan(effect: Effect, joint: int) -> Array:

@@ -40,9 +40,19 @@ class SegmentSignals:
     arm: ModelAlongSegment
 
     @classmethod
-    def of(cls, fit: Fit, segment: Processed) -> SegmentSignals:
-        """Return the signals of a segment; the load is that of the fit."""
+    def of(cls, fit: Fit, segment: Processed, *, model_fixed: bool = False) -> SegmentSignals:
+        """Return the signals of a segment; the load is that of the fit.
+
+        Parameters
+        ----------
+        fit : Fit
+        segment : Processed
+        model_fixed : bool
+            Whether the model is not fitted again. Its friction at starts and stops then does not
+            adapt to the segment, and friction at rest counts as unknown.
+        """
         arm = model_along(fit.compiled, segment, fit.shapes, fit.parameters)
+        arm = replace(arm, unknown_at_rest=model_fixed)
         load = arm.load
         shape = segment.q.shape
         temperature, error = segment.temperature, segment.command_error

@@ -35,6 +35,8 @@ class ModelAlongSegment:
         Whether the model was fitted to this segment.
     shapes : (s,)
         Shape parameters of the effects.
+    unknown_at_rest : bool
+        Whether friction at rest counts as unknown, otherwise as zero.
     """
 
     compiled: Compiled
@@ -43,6 +45,7 @@ class ModelAlongSegment:
     joint_columns: Array
     fitted: bool
     shapes: Array
+    unknown_at_rest: bool = False
 
     @property
     def t(self) -> Array:
@@ -53,6 +56,12 @@ class ModelAlongSegment:
     def motion(self) -> tuple[Array, Array, Array]:
         """q, dq, ddq (K, n)."""
         return self.segment.q, self.segment.dq, self.segment.ddq
+
+    @property
+    def friction_known(self) -> NDArray[np.bool_]:
+        """Whether the friction of each joint is determined (K, n)."""
+        moving = self.segment.moving
+        return moving if self.unknown_at_rest else np.ones_like(moving)
 
     @property
     def _links(self) -> Array:
