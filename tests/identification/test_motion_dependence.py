@@ -9,11 +9,14 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.identification.uncertainty.motion_dependence import explainable, motion_ratio_of
 
+SURE = np.ones(900)
+
 
 def test_stationary_noise_has_ratio_one():
     random = np.random.default_rng(0)
     ratios = [
-        motion_ratio_of(random.standard_normal(900), np.arange(900), 1.0, 30) for _ in range(200)
+        motion_ratio_of(random.standard_normal(900), SURE, np.arange(900), 1.0, 30)
+        for _ in range(200)
     ]
     assert np.mean(np.array(ratios) > 1.0) < 0.12  # the test's level is 5 %
     assert np.max(ratios) < 1.4
@@ -22,7 +25,28 @@ def test_stationary_noise_has_ratio_one():
 def test_varying_residual_has_a_ratio_above_one():
     random = np.random.default_rng(1)
     size = np.where(np.arange(900) // 150 % 2, 0.3, 1.5)
-    assert motion_ratio_of(size * random.standard_normal(900), np.arange(900), 1.0, 30) > 1.3
+    assert motion_ratio_of(size * random.standard_normal(900), SURE, np.arange(900), 1.0, 30) > 1.3
+
+
+def test_the_ratio_grows_without_a_jump():
+    pattern = np.repeat(np.arange(30) % 3 - 1.0, 30)
+    sizes = np.linspace(0.0, 0.9, 2000)
+    ratios = [
+        motion_ratio_of(np.sqrt(1.0 + size * pattern), SURE, np.arange(900), 1.0, 30)
+        for size in sizes
+    ]
+    assert ratios[0] == 1.0
+    assert ratios[-1] > 1.3
+    assert np.max(np.diff(ratios)) < 0.05
+
+
+def test_rows_with_uncertain_friction_are_no_dependence_on_the_motion():
+    random = np.random.default_rng(3)
+    uncertain = np.arange(900) % 150 < 12
+    residual = random.standard_normal(900) * np.where(uncertain, 10.0, 1.0)
+    weights = np.where(uncertain, 0.3, 1.0)
+    assert motion_ratio_of(residual, weights, np.arange(900), 1.0, 30) == 1.0
+    assert motion_ratio_of(weights * residual, SURE, np.arange(900), 1.0, 30) > 1.2
 
 
 def test_explainable_part_is_that_of_the_columns():

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.held_out_parts import Parts
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 #: Part of the information on a direction of the model that the other rows must contain. With less
 #: the direction keeps its value of the whole fit when a part is held out.
 LEAST_INFORMATION = 0.3
@@ -26,10 +26,10 @@ LEAST_INFORMATION = 0.3
 class HeldOut:
     """Held-out errors without and with further columns.
 
-    A part judges the columns if the gain that their coefficients predict there exceeds the given
-    number of standard deviations of its noise, and the error that the uncertainty of coefficients
-    from the other parts would cause. The columns hold if the sum of squares falls on every part
-    that judges them, and on all parts together.
+    A part judges the columns if the gain that their coefficients predict there exceeds a number of
+    standard deviations of its noise (`HeldOutRows.deviations_of_each`), and the error that the
+    uncertainty of coefficients from the other parts would cause. The columns hold if the sum of
+    squares falls on every part that judges them, and on all parts together.
 
     Attributes
     ----------
@@ -94,13 +94,24 @@ class HeldOutRows:
     redundancy : (n,)
         Rows of each joint per independent sample of its noise.
     deviations : float
-        See `HeldOut`.
+        Standard deviations that a part needs to judge columns; see `HeldOut`.
+    jointly : bool
+        Whether that is what one part alone would need, and each of several needs more.
     """
 
     parts: tuple[Parts, ...]
     scale: Array
     redundancy: Array
     deviations: float
+    jointly: bool = False
+
+    def deviations_of_each(self, count: int) -> float:
+        """Return the standard deviations that each of several parts needs to judge columns.
+
+        If they judge jointly, all of them together reject right columns as rarely as one part
+        alone (Bonferroni).
+        """
+        return float(norm.isf(norm.sf(self.deviations) / (count if self.jointly else 1)))
 
     def errors(self, columns: Array, baseline: Baseline, *, blocks: bool = False) -> HeldOut:
         """Return the held-out errors of a baseline without and with further columns.
@@ -125,6 +136,7 @@ def _held_out(columns: Array, baseline: Baseline, parts: Parts, rows: HeldOutRow
     rest = baseline.outside(baseline.padded(columns))
     values = _solved(rest, baseline.residual)
     count, n = len(parts.names), len(rows.redundancy)
+    least = rows.deviations_of_each(count) ** 2
     gain, judged = np.zeros(count), np.zeros(count, dtype=bool)
     squares = np.zeros((2, n))
     joint = np.repeat(np.arange(n), np.diff(baseline.ends[: n + 1]))
@@ -137,7 +149,9 @@ def _held_out(columns: Array, baseline: Baseline, parts: Parts, rows: HeldOutRow
         before, own = both[held, 0], both[held, 1:]
         after = before - own @ _solved(both[used, 1:], both[used, 0])
         gain[k] = float(np.sum(before**2) - np.sum(after**2))
-        judged[k] = _judges(own, both[used, 1:], values, rows, joint[held[: len(joint)]])
+        judged[k] = _judges(
+            own, both[used, 1:], values, rows.redundancy[joint[held[: len(joint)]]], least
+        )
         for i, error in enumerate((before, after)):
             squares[i] += np.bincount(
                 joint[held[: len(joint)]],
@@ -185,7 +199,7 @@ def _solved(columns: Array, values: Array) -> Array:
     return np.asarray(np.linalg.lstsq(columns / size, values, rcond=1e-6)[0] / size)
 
 
-def _judges(own: Array, others: Array, values: Array, rows: HeldOutRows, joint: Indices) -> bool:
+def _judges(own: Array, others: Array, values: Array, redundant: Array, least: float) -> bool:
     """Whether a part can judge columns with the coefficients of all rows.
 
     Parameters
@@ -196,20 +210,20 @@ def _judges(own: Array, others: Array, values: Array, rows: HeldOutRows, joint: 
         The same on the rows that are used when the part is held out.
     values : (k,)
         Coefficients.
-    rows : HeldOutRows
-    joint : (R_k,) int
-        Joint of each row of the part.
+    redundant : (R_k,)
+        Rows of the part per independent sample of their noise.
+    least : float
+        Square of the standard deviations that the part needs.
     """
     predicted = (own @ values) ** 2
     expected = float(predicted.sum())
     if expected == 0.0:
         return False
-    redundancy = float(predicted @ rows.redundancy[joint]) / expected
+    redundancy = float(predicted @ redundant) / expected
     size = np.linalg.norm(others, axis=0)
     if not size.all():
         return False
     covariance = np.linalg.pinv((others / size).T @ (others / size), rcond=1e-10)
     inner = (own / size).T @ (own / size)
     uncertain = float(np.sum(inner * covariance)) * redundancy
-    least = rows.deviations**2
     return expected > 4.0 * least * redundancy and expected > least * uncertain

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,20 +18,17 @@ from lieid_casadi.diagnosis.screening.baseline import Baseline, with_groups
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
+from lieid_casadi.diagnosis.screening.held_out import HeldOutRows
 from lieid_casadi.diagnosis.screening.screen import SelectionState
 from lieid_casadi.diagnosis.search.candidate_selection import at_estimate, with_possible_rivals
 from lieid_casadi.diagnosis.search.effect_search import unexplained_parts
 from lieid_casadi.diagnosis.search.fixed_model import (
     fixed_parameters,
+    implausible_offer,
     relative_fall,
     rms_by_joint,
     with_prior,
     without_columns,
-)
-from lieid_casadi.diagnosis.search.parameter_checks import (
-    implausible_size,
-    is_unresolved,
-    unresolved_text,
 )
 from lieid_casadi.diagnosis.search.search_problem import Offer, SearchProblem, joint_of
 from lieid_casadi.diagnosis.search.search_results import (
@@ -71,6 +69,14 @@ class ChangedEffects(SearchProblem):
         self.model = with_prior(context, white)
         self._fixed_model = without_columns(context, white)
         self._points: list[bytes] = []  # grid point of each accepted effect
+
+    @cached_property
+    def held_out_rows(self) -> HeldOutRows:
+        """The held-out parts, which judge jointly.
+
+        Where the model is not fitted again, the limit of the error excludes wrong effects as well.
+        """
+        return replace(super().held_out_rows, jointly=True)
 
     def baseline(self, noise: Sequence[Noise], candidates: CandidateColumns[Candidate]) -> Baseline:
         """Return the baseline of the model, within its uncertainty, and all accepted changes."""
@@ -113,7 +119,7 @@ class ChangedEffects(SearchProblem):
         for offer in offers:
             fall = relative_fall(offer.state.baseline, offer.columns, len(self.white))
             joint = int(np.argmax(np.where(raised, fall, -np.inf)))
-            unresolved = self._unresolved(offer) or self._implausible(offer)
+            unresolved = implausible_offer(offer, self.context.segments, self.options)
             reason = unresolved or self.insignificant(offer.significance)
             reason = reason or offer.held_out.reason or self._small(float(fall[joint]))
             if reason:
@@ -287,21 +293,3 @@ class ChangedEffects(SearchProblem):
         for own in columns:
             kept = kept.with_columns(own)
         return rms_by_joint(kept, len(self.white))
-
-    def _implausible(self, offer: Offer) -> str:
-        """Return which coefficient is larger than on any real arm, or an empty text."""
-        state, candidate = offer.state, offer.candidate
-        with_others = state.with_groups(offer.others)
-        point = candidate.grid[state.candidates.point[offer.group]]
-        parameters = fixed_parameters(candidate, point, with_others, offer.columns)
-        return implausible_size(candidate.effect, parameters)
-
-    def _unresolved(self, offer: Offer) -> str:
-        """Return which shape parameter is not resolved by the motion, or an empty text."""
-        candidate = offer.candidate
-        point = candidate.grid[offer.state.candidates.point[offer.group]]
-        for shape, value in zip(candidate.effect.shapes, point, strict=False):
-            if is_unresolved(shape, value, self.context.segments, candidate.joint, self.options):
-                label = f"{candidate.name}.{shape.name}:{candidate.joint + 1}"
-                return unresolved_text(label, float(value), shape.unit)
-        return ""

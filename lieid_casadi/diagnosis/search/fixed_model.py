@@ -7,12 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.screening.model_factor import ModelFactor
 from lieid_casadi.diagnosis.search.candidate_selection import LEAST_OWN_PART
+from lieid_casadi.diagnosis.search.parameter_checks import implausible_size, unresolved_point
+from lieid_casadi.diagnosis.search.search_problem import Offer
 from lieid_casadi.identification.uncertainty.noise_model import Noise
+from lieid_casadi.recording import Processed
 
 #: Relative to the largest variance: below it a parameter counts as exactly known.
 LEAST_VARIANCE = 1e-12
@@ -39,6 +43,26 @@ def fixed_parameters(
     coefficients = {c.name: float(v) for c, v in zip(effect.coefficients, values, strict=True)}
     shapes = point[: len(effect.shapes)]
     return coefficients | {s.name: float(v) for s, v in zip(effect.shapes, shapes, strict=True)}
+
+
+def implausible_offer(
+    offer: Offer, segments: Sequence[Processed], options: DiagnosisOptions
+) -> str:
+    """Return which parameter is not resolved, or larger than on any real arm; empty if none.
+
+    Parameters
+    ----------
+    offer : Offer
+    segments : sequence of Processed
+    options : DiagnosisOptions
+    """
+    candidate = offer.candidate
+    point = candidate.grid[offer.state.candidates.point[offer.group]]
+    with_others = offer.state.with_groups(offer.others)
+    parameters = fixed_parameters(candidate, point, with_others, offer.columns)
+    return unresolved_point(candidate, point, segments, options) or implausible_size(
+        candidate.effect, parameters
+    )
 
 
 def without_columns(context: ScreeningContext, noise: Sequence[Noise]) -> Baseline:

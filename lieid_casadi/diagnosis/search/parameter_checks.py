@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lieid_casadi.diagnosis.options import DiagnosisOptions
-from lieid_casadi.diagnosis.screening.candidates import shape_limits
+from lieid_casadi.diagnosis.screening.candidates import Candidate, shape_limits
 from lieid_casadi.effects import Effect, Placement, Shape
 from lieid_casadi.identification import Fit
 from lieid_casadi.recording import Processed
+
+Array = NDArray[np.float64]
 
 
 def implausible_sign(fit: Fit, placement: Placement) -> str:
@@ -53,6 +58,26 @@ def unresolved_shape(
             shape = shapes[parameter.name.rpartition(".")[2]]
             if is_unresolved(shape, value, segments, placement.joint, options):
                 return unresolved_text(parameter.label, value, parameter.unit)
+    return ""
+
+
+def unresolved_point(
+    candidate: Candidate, point: Array, segments: Sequence[Processed], options: DiagnosisOptions
+) -> str:
+    """Return which shape parameter of a grid point is not resolved, or an empty text.
+
+    Parameters
+    ----------
+    candidate : Candidate
+    point : (s,)
+        Of its grid.
+    segments : sequence of Processed
+    options : DiagnosisOptions
+    """
+    for shape, value in zip(candidate.effect.shapes, point, strict=False):
+        if is_unresolved(shape, value, segments, candidate.joint, options):
+            label = f"{candidate.name}.{shape.name}:{candidate.joint + 1}"
+            return unresolved_text(label, float(value), shape.unit)
     return ""
 
 

@@ -11,6 +11,7 @@ from lieid_casadi.recording.processing.process import Processed
 
 Array = NDArray[np.float64]
 BLOCK = 2.0  # s
+CERTAIN = 0.9  # weight above which dry friction adds less than half of the noise
 FEWEST_ROWS = 8  # of a block whose mean square is used
 LEVEL = 0.95  # of the test that blocks differ more than by chance
 QUANTILE = 1.28  # standard deviations: one block in ten is above
@@ -19,16 +20,26 @@ MOST_EXPLAINABLE = 0.9  # of the residual
 
 
 def motion_ratio_of(
-    residual: Array, at: NDArray[np.intp], redundancy: float, rows_per_block: int
+    residual: Array,
+    weights: Array,
+    at: NDArray[np.intp],
+    redundancy: float,
+    rows_per_block: int,
 ) -> float:
     """Return the RMS residual that one tenth of the motion exceeds, relative to that of all of it.
 
-    It is 1 if blocks of the residual differ no more than by chance (χ² test at the 95 % level).
+    The variance of the blocks' mean squares counts by what exceeds the 95 % level of its χ²
+    distribution under noise alone. The ratio is therefore 1 if blocks differ no more than by
+    chance, and it grows from there without a jump.
 
     Parameters
     ----------
     residual : (N,)
         Of one joint.
+    weights : (N,)
+        Of its rows, 0 to 1. Those where dry friction is uncertain are left out: an uncertain sign
+        of the velocity gives large errors near rests and reversals, which are not evenly spread
+        over the motion.
     at : (N,) int
         Instants.
     redundancy : float
@@ -36,6 +47,8 @@ def motion_ratio_of(
     rows_per_block : int
         Instants per block.
     """
+    sure = weights > CERTAIN
+    residual, at = (weights * residual)[sure], at[sure]
     _, block, counts = np.unique(at // rows_per_block, return_inverse=True, return_counts=True)
     squares = np.bincount(block, weights=residual**2) / counts
     squares, counts = squares[counts >= FEWEST_ROWS], counts[counts >= FEWEST_ROWS]
@@ -45,8 +58,7 @@ def motion_ratio_of(
     chance = float(np.mean(2.0 * redundancy / counts))
     most = chance * float(chi2.ppf(LEVEL, len(relative) - 1)) / (len(relative) - 1)
     variance = float(np.var(relative, ddof=1))
-    beyond = variance - chance if variance > most else 0.0
-    return float(np.sqrt(1.0 + QUANTILE * np.sqrt(beyond)))
+    return float(np.sqrt(1.0 + QUANTILE * np.sqrt(max(variance - most, 0.0))))
 
 
 def explainable(residual: Array, columns: Array) -> float:

@@ -208,7 +208,7 @@ def residual_noise(
         noise = noise_of(residual, run)
         weights = run.weights(noise.spread)
         redundancy = 1.0 + 2.0 * float(np.sum(_correlations(noise) ** 2))
-        ratio = motion_ratio_of(weights * residual, at, redundancy, max(block, 1))
+        ratio = motion_ratio_of(residual, weights, at, redundancy, max(block, 1))
         part = explainable(weights * residual, weights[:, None] * columns[at])
         found.append(replace(noise, motion_ratio=ratio / float(np.sqrt(1.0 - part))))
     return tuple(found)
