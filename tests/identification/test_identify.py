@@ -162,7 +162,7 @@ def test_samples_at_rest_are_excluded_and_reported():
     fit = lieid.identify(model, recording, processing=CUTOFF)
     assert np.abs((fit.values - true_base(model, arm)) / fit.std).max() < 5.0
     (warning,) = [w for w in fit.warnings if isinstance(w, FrictionAtRestWarning)]
-    assert re.search("joint 1 (19|20)%", str(warning))
+    assert re.search(r"joint 1 \((19|20) %\)", str(warning))
 
 
 def test_directions_that_are_not_excited_are_reported():
