@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
+from scipy.special import chdtrc, gammaln
 from scipy.stats import chi2
 
 from lieid_casadi.diagnosis.screening.screen import Screening
@@ -60,7 +60,8 @@ class HypothesisFamily:
     def log10_p(self, gain: float, rank: int) -> float:
         """Return log₁₀ of the family-wise p-value of a gain with ``rank`` degrees of freedom."""
         half, rank = 0.5 * gain, max(rank, 1)
-        log_p = float(chi2.logsf(gain, rank))
+        with np.errstate(divide="ignore"):
+            log_p = float(np.log(chdtrc(rank, max(gain, 0.0))))
         if not np.isfinite(log_p):  # underflow in the far tail
             log_p = (0.5 * rank - 1.0) * np.log(half) - half - float(gammaln(0.5 * rank))
         if log_p < -30.0:
