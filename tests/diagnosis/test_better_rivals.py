@@ -52,7 +52,7 @@ def better(monkeypatch, *, selected, errors, accepted=(), rivals=()):
     rivals : sequence of (Candidate, str)
     """
     own, rival = candidate("torque_delay"), candidate("presliding")
-    effect = SimpleNamespace(candidate=own, joint=0, rivals=rivals)
+    effect = SimpleNamespace(candidate=own, joint=0, rivals=rivals, selected=selected[0])
     parts = object()
 
     def held_out(columns, without, *, blocks):

@@ -83,6 +83,8 @@ def better_rival(
     tried : collection of (str, str)
         Labels of effects and rivals that were compared before.
     """
+    if not _may_have_one(problem, effect):
+        return None
     place = alternatives(effect, problem)
     found = competition(place, problem)
     comparison = _Comparison(problem, effect, place.without, found)
@@ -104,6 +106,13 @@ def better_rival(
             continue
         return Replacement(effect, rival, rival.grid[0, : len(rival.effect.shapes)], why)
     return None
+
+
+def _may_have_one(problem: SearchProblem, effect: AcceptedEffect) -> bool:
+    """Whether another candidate may be selected more often, or a rival be on other joints too."""
+    own = effect.candidate
+    counts = [_other_joints(problem, c.effect.label, own.joint) for c, _ in effect.rivals]
+    return effect.selected < 0.5 or max(counts, default=0) >= COMMON_JOINTS
 
 
 def _other_joints(problem: SearchProblem, label: str, joint: int) -> int:
