@@ -62,6 +62,7 @@ def better(monkeypatch, *, selected, errors, accepted=(), rivals=()):
         )
 
     problem = SimpleNamespace(
+        options=DiagnosisOptions(),
         held_out_rows=SimpleNamespace(errors=held_out),
         accepted=[effect, *(SimpleNamespace(candidate=c) for c in accepted)],
     )
@@ -86,7 +87,8 @@ def test_a_rival_that_is_selected_more_often_and_holds_as_well_takes_the_place(m
 
 
 @pytest.mark.parametrize(
-    ("selected", "errors"), [((0.2, 0.8), (0.4, 0.5)), ((0.8, 0.2), (0.5, 0.4))]
+    ("selected", "errors"),
+    [((0.2, 0.8), (0.4, 0.5)), ((0.8, 0.2), (0.5, 0.4)), ((0.44, 0.56), (0.5, 0.4))],
 )
 def test_a_rival_must_be_selected_more_often_and_hold_as_well(monkeypatch, selected, errors):
     assert better(monkeypatch, selected=selected, errors=errors) is None

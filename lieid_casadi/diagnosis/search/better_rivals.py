@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
+import numpy as np
+
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.search.alternatives import alternatives
@@ -27,9 +29,15 @@ class _Comparison:
     def is_more_frequent(self, k: int) -> bool:
         """Whether a competitor is selected more often, and its held-out error is not larger."""
         own, rival = self.effect.candidate, self.found.others[k].candidate
-        more = self.found.others_selected[k] > self.found.selected
-        frequent = more and not self._has_common_cause(own, rival)
+        frequent = self._exceeds(k) and not self._has_common_cause(own, rival)
         return bool(frequent and self._holds(self.found.others[k], no_larger=True))
+
+    def _exceeds(self, k: int) -> bool:
+        """Whether a competitor wins more often by more than the error of as few repetitions."""
+        now, then = self.found.selected, float(self.found.others_selected[k])
+        options = self.problem.options
+        deviation = np.sqrt((now + then - (then - now) ** 2) / options.stability_draws)
+        return bool(then - now > options.rival_deviations * deviation)
 
     def is_common(self, k: int) -> bool:
         """Whether a rival is an effect of several other joints, and the accepted one of none."""
@@ -70,10 +78,11 @@ def better_rival(
 
     An effect is accepted beside those that were accepted before it. In the final model another
     candidate may explain the same part of the residual better. It takes the effect's place if it
-    is selected more often on resampled blocks of time, where Schwarz's penalty counts for both,
-    and if its held-out error is not larger. Of rivals that the data do not separate, the one that
-    is an effect of several other joints takes the place of one that is an effect of no other
-    joint: a common cause is more likely than a further one.
+    is selected more often on resampled blocks of time, by more than the random error of these
+    repetitions, where Schwarz's penalty counts for both, and if its held-out error is not larger.
+    Of rivals that the data do not separate, the one that is an effect of several other joints
+    takes the place of one that is an effect of no other joint: a common cause is more likely than
+    a further one.
 
     Parameters
     ----------
