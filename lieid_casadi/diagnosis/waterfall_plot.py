@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from lieid_casadi.diagnosis.diagnosis import Diagnosis
 
 Array = NDArray[np.float64]
+LABEL_WIDTH = 30  # characters of a line of the legend
 
 
 def plot_waterfall(d: Diagnosis, ax: Axes | None = None) -> Figure:
@@ -65,13 +67,14 @@ def draw_errors(
     for k, values in enumerate(series):
         at = np.arange(joints) - 0.4 + (k + 0.5) * width
         colour = "0.6" if k == 0 else colours(0.15 + 0.75 * k / len(series))
-        ax.bar(at, values / series[0], width, label=labels[k], color=colour)
+        label = fill(labels[k], LABEL_WIDTH, break_long_words=False)
+        ax.bar(at, values / series[0], width, label=label, color=colour)
     name, values = reference or ("", np.zeros(0))
     if series:
         for j, part in enumerate(values / series[0][: len(values)]):
             ax.plot([j - 0.4, j + 0.4], [part, part], "k--", linewidth=1.0)
     ax.set_xticks(range(joints), [f"{j + 1}" for j in range(joints)])
     ax.set_xlabel(f"joint (dashed: {name})" if name else "joint")
-    ax.set_ylabel(f"RMS error on the {recordings}\nfirst model = 1")
+    ax.set_ylabel(f"RMS error on the {recordings}\nfirst model = 1".replace(", ", ",\n"))
     ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure

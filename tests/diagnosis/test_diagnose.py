@@ -367,6 +367,7 @@ def test_table_and_figure_show_the_same_errors_of_joints_in_motion():
     np.testing.assert_array_equal(errors[-1], lieid.compare(found.fit, test).rms_moving)
     axes = found.plot().axes[0]
     assert "joints in motion" in axes.get_ylabel()
+    assert max(map(len, axes.get_ylabel().splitlines())) < 40  # the height of the figure
     heights = [bar.get_height() for bar in axes.patches]
     np.testing.assert_allclose(heights, np.concatenate([e / errors[0] for e in errors]))
     since = lieid.diagnose(lieid.identify(MODEL, train), test)
