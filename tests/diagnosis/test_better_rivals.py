@@ -76,7 +76,8 @@ def better(monkeypatch, *, selected, errors, accepted=(), rivals=()):
     monkeypatch.setattr(better_rivals, "alternatives", lambda effect, problem: place)
     monkeypatch.setattr(better_rivals, "competition", lambda place, problem: found)
     replacement = better_rivals.better_rival(problem, effect, set())
-    assert better_rivals.better_rival(problem, effect, {("torque_delay:1", "presliding:1")}) is None
+    labels = {"presliding:1", *(c.placement.label for c in accepted)}
+    assert better_rivals.better_rival(problem, effect, {frozenset(labels)}) is None
     return replacement
 
 

@@ -72,7 +72,7 @@ class _Comparison:
 
 
 def better_rival(
-    problem: SearchProblem, effect: AcceptedEffect, tried: Collection[tuple[str, str]]
+    problem: SearchProblem, effect: AcceptedEffect, tried: Collection[frozenset[str]]
 ) -> Replacement | None:
     """Return the rival that is to be named in place of an accepted effect, or None.
 
@@ -89,8 +89,8 @@ def better_rival(
     problem : SearchProblem
     effect : AcceptedEffect
         With its rivals in the final model.
-    tried : collection of (str, str)
-        Labels of effects and rivals that were compared before.
+    tried : collection of frozenset of str
+        Labels of all effects of models that were fitted before: none is fitted again.
     """
     if not _may_have_one(problem, effect):
         return None
@@ -98,10 +98,11 @@ def better_rival(
     found = competition(place, problem)
     comparison = _Comparison(problem, effect, place.without, found)
     label = effect.candidate.placement.label
+    others = frozenset(a.candidate.placement.label for a in problem.accepted) - {label}
     for k in found.ranked:
         rival = found.others[k].candidate
         name = rival.placement.label
-        if (label, name) in tried:
+        if others | {name} in tried:
             continue
         if comparison.is_more_frequent(k):
             why = (

@@ -68,7 +68,7 @@ class MissingEffects(AcceptedModel):
     ) -> None:
         super().__init__(first, refit, seed=seed)
         self.ask = ask
-        self._compared: set[tuple[str, str]] = set()  # effects and rivals in their place
+        self._tried: set[frozenset[str]] = set()  # labels of the models with a rival
 
     def run(self, report: Callable[[str, float], None]) -> None:
         """Add effects until none is accepted, then fit all shape parameters together."""
@@ -209,12 +209,13 @@ class MissingEffects(AcceptedModel):
         The rival must pass all tests in the model fitted with it, and so must the other effects.
         """
         for effect in list(self.accepted):
-            rival = better_rival(self, effect, self._compared)
+            rival = better_rival(self, effect, self._tried)
             if rival is None:
                 continue
             place = rival.candidate.placement
-            labels = effect.candidate.placement.label, place.label
-            self._compared |= {labels, labels[::-1]}
+            labels = frozenset(p.label for p in self.placements)
+            replaced = labels - {effect.candidate.placement.label} | {place.label}
+            self._tried |= {labels, replaced}
             before = self.accepted, self.fit, self.context, list(self.rejected)
             self._exchange([rival], final=False)
             self.fit_shapes()
