@@ -138,7 +138,7 @@ class DiagnosisOptions:
     held_out_duration: float = 3.0
     #: Standard deviations of the noise that the gain expected on a held-out part must exceed for
     #: the part to judge an effect. Statistics: a right effect fails on such a part with a
-    #: probability below 2.5 %; as a change, on any of the parts.
+    #: probability below 2.5 %.
     held_out_deviations: float = 2.0
 
     # --- Search for missing effects --------------------------------------------------------------

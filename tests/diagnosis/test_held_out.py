@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.special import gammaln
-from scipy.stats import norm
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -108,14 +107,6 @@ def test_columns_that_no_part_can_judge_are_not_confirmed():
         found = rows.errors(column, baseline)
         assert found.holds
         assert found.judged.any() == found.is_confirmed == judged
-
-
-@pytest.mark.parametrize("count", [1, 2, 5])
-def test_several_parts_reject_as_rarely_as_one(count):
-    rows, _, _ = two_recordings(1.0, 1.0)
-    assert rows.deviations_of_each(count) == pytest.approx(OPTIONS.held_out_deviations)
-    each = norm.sf(replace(rows, jointly=True).deviations_of_each(count))
-    assert count * each == pytest.approx(norm.sf(OPTIONS.held_out_deviations))
 
 
 def test_held_out_errors_are_those_of_fits_without_the_part():

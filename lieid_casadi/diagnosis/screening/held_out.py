@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.held_out_parts import Parts
@@ -27,7 +26,7 @@ class HeldOut:
     """Held-out errors without and with further columns.
 
     A part judges the columns if the gain that their coefficients predict there exceeds a number of
-    standard deviations of its noise (`HeldOutRows.deviations_of_each`), and the error that the
+    standard deviations of its noise (`HeldOutRows.deviations`), and the error that the
     uncertainty of coefficients from the other parts would cause. The columns hold if the sum of
     squares falls on every part that judges them, and on all parts together.
 
@@ -95,23 +94,12 @@ class HeldOutRows:
         Rows of each joint per independent sample of its noise.
     deviations : float
         Standard deviations that a part needs to judge columns; see `HeldOut`.
-    jointly : bool
-        Whether that is what one part alone would need, and each of several needs more.
     """
 
     parts: tuple[Parts, ...]
     scale: Array
     redundancy: Array
     deviations: float
-    jointly: bool = False
-
-    def deviations_of_each(self, count: int) -> float:
-        """Return the standard deviations that each of several parts needs to judge columns.
-
-        If they judge jointly, all of them together reject right columns as rarely as one part
-        alone (Bonferroni).
-        """
-        return float(norm.isf(norm.sf(self.deviations) / (count if self.jointly else 1)))
 
     def errors(self, columns: Array, baseline: Baseline, *, blocks: bool = False) -> HeldOut:
         """Return the held-out errors of a baseline without and with further columns.
@@ -136,7 +124,7 @@ def _held_out(columns: Array, baseline: Baseline, parts: Parts, rows: HeldOutRow
     rest = baseline.outside(baseline.padded(columns))
     values = _solved(rest, baseline.residual)
     count, n = len(parts.names), len(rows.redundancy)
-    least = rows.deviations_of_each(count) ** 2
+    least = rows.deviations**2
     gain, judged = np.zeros(count), np.zeros(count, dtype=bool)
     squares = np.zeros((2, n))
     joint = np.repeat(np.arange(n), np.diff(baseline.ends[: n + 1]))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,6 @@ from lieid_casadi.diagnosis.screening.baseline import Baseline, with_groups
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
-from lieid_casadi.diagnosis.screening.held_out import HeldOutRows
 from lieid_casadi.diagnosis.screening.screen import SelectionState
 from lieid_casadi.diagnosis.search.candidate_selection import at_estimate, with_possible_rivals
 from lieid_casadi.diagnosis.search.effect_search import unexplained_parts
@@ -69,14 +67,6 @@ class ChangedEffects(SearchProblem):
         self.model = with_prior(context, white)
         self._fixed_model = without_columns(context, white)
         self._points: list[bytes] = []  # grid point of each accepted effect
-
-    @cached_property
-    def held_out_rows(self) -> HeldOutRows:
-        """The held-out parts, which judge jointly.
-
-        Where the model is not fitted again, the limit of the error excludes wrong effects as well.
-        """
-        return replace(super().held_out_rows, jointly=True)
 
     def baseline(self, noise: Sequence[Noise], candidates: CandidateColumns[Candidate]) -> Baseline:
         """Return the baseline of the model, within its uncertainty, and all accepted changes."""
