@@ -267,7 +267,7 @@ def _folds(segments: Sequence[Processed], state: FitState) -> tuple[Fold, ...]:
     first = segments[0]
     step = first.filtered_time[1] - first.filtered_time[0] if len(first.filtered_time) > 1 else 1.0
     block = max(int(BLOCK_OVER_CUTOFF / first.cutoff / step), 1)
-    return fold_factors(state.rows, state.weighting.noise, block=block)
+    return fold_factors(state.rows, state.weighting.noise, state.solution.values, block=block)
 
 
 def _provenance(recordings: Sequence[Recording | RecordingStream]) -> Provenance:

@@ -9,13 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled.triangular_factors import Triangle
-from lieid_casadi.identification.regression.least_squares import Factor, combine, widened
+from lieid_casadi.identification.regression.least_squares import (
+    RANK_TOLERANCE,
+    Factor,
+    combine,
+    widened,
+)
 from lieid_casadi.identification.regression.rows import Rows
 
 Array = NDArray[np.float64]
 Estimate = Callable[[Factor], Array]
 FOLDS = 3
 BLOCK_OVER_CUTOFF = 12.0  # block length, periods of the cut-off: many times the filter's response
+#: Part of the information on a direction of the parameters that the rows that are not held out
+#: must have. With less, its standard deviation without them is more than ten times that of the
+#: fit, and the held-out error shows this extrapolation, not the fit.
+LEAST_INFORMATION = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +34,7 @@ class Fold:
     Attributes
     ----------
     rest : Factor
-        Of all other rows, weighted.
+        Of all other rows, weighted, and of what `with_whole_fit` adds.
     held : tuple of Factor
         Of the held-out rows, one per joint, not weighted.
     """
@@ -38,7 +47,7 @@ class Fold:
         return np.array([factor.misfit(values) for factor in self.held])
 
 
-def fold_factors(rows: Rows, noise: Array, *, block: int) -> tuple[Fold, ...]:
+def fold_factors(rows: Rows, noise: Array, values: Array, *, block: int) -> tuple[Fold, ...]:
     """Return the folds; blocks of consecutive instants are assigned to them in turn.
 
     Parameters
@@ -46,6 +55,8 @@ def fold_factors(rows: Rows, noise: Array, *, block: int) -> tuple[Fold, ...]:
     rows : Rows
     noise : (n,)
         Standard deviation of the residual per joint, N·m; rows are weighted by its inverse.
+    values : (p,)
+        Of the fit of all rows.
     block : int
         Instants per block.
     """
@@ -68,16 +79,45 @@ def fold_factors(rows: Rows, noise: Array, *, block: int) -> tuple[Fold, ...]:
     folds = []
     for held, own in enumerate(parts):
         others = [factor for k, part in enumerate(parts) if k != held for factor in part]
-        weights = np.tile(1.0 / noise, FOLDS - 1)
-        folds.append(Fold(combine(others, weights), own))
+        rest = combine(others, np.tile(1.0 / noise, FOLDS - 1))
+        folds.append(Fold(with_whole_fit(rest, combine(own, 1.0 / noise), values), own))
     return tuple(folds)
+
+
+def with_whole_fit(rest: Factor, held: Factor, values: Array) -> Factor:
+    """Return a factor whose solution keeps values of the whole fit where it has little information.
+
+    These are the directions on which ``rest`` has less than `LEAST_INFORMATION` of the
+    information of all rows. What a fit cannot determine is in its covariance.
+
+    Parameters
+    ----------
+    rest, held : Factor
+        Weighted, of the other rows and of the held-out rows.
+    values : (p,)
+        Of the fit of all rows.
+    """
+    whole = combine([rest, held], [1.0, 1.0]).r[:, :-1]
+    scale = np.linalg.norm(whole, axis=0)
+    scale[scale == 0.0] = 1.0
+    u, sizes, vt = np.linalg.svd(whole / scale, full_matrices=False)
+    excited = sizes > RANK_TOLERANCE * sizes.max(initial=0.0)
+    along = rest.r[:, :-1] @ ((vt[excited].T / sizes[excited]) / scale[:, None])
+    parts, directions = np.linalg.eigh(along.T @ along)
+    few = parts < LEAST_INFORMATION
+    if not few.any():
+        return rest
+    missing = np.sqrt(np.clip(1.0 - parts[few], 0.0, None))
+    added = missing[:, None] * (directions[:, few].T @ (u[:, excited].T @ whole))
+    return combine([rest, Factor(np.column_stack([added, added @ values]), 0)], [1.0, 1.0])
 
 
 def cross_validated_rms(folds: Sequence[Fold], estimate: Estimate) -> Array:
     """Return the RMS (n,) of each joint's held-out rows, N·m; NaN for a joint without rows.
 
-    Each fold is predicted with the linear parameters of the others. Weights, load and shape
-    parameters are those of the whole fit.
+    Each fold is predicted with the linear parameters of the others, along directions on which
+    these have little information with those of the whole fit. Weights, load and shape parameters
+    are those of the whole fit.
 
     Parameters
     ----------
