@@ -72,14 +72,24 @@ def main(words: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         _say(f"lieid {args.command}: interrupted")
         return INTERRUPTED
-    except BrokenPipeError:
-        # the reader of the output has closed it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # the reader of the output has closed it
+        _discard_unwritten()
         return DONE
     except Exception as error:  # the outermost frame: every error gets a status
         if args.debug:
             raise
-        return _status(args, error)
+        status = _status(args, error)
+        if words is None:
+            _discard_unwritten()
+        return status
+
+
+def _discard_unwritten() -> None:
+    """Discard what stdout cannot write: Python would try again at its end and exit with 120."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _joined(words: Sequence[str]) -> list[str]:
