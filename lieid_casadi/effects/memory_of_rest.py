@@ -12,9 +12,9 @@ def where_known(change: Array, t: Array, known: NDArray[np.bool_], past: float) 
     """Return a change of torque (K, n), zero where it depends on unknown friction.
 
     At rest friction has any value up to its level, and the instants at which a joint starts and
-    stops are known to one sample. A delayed or filtered torque depends on them for as long as its
-    memory reaches: a step of friction there, wrong by one sample, would exceed all that the delay
-    of the smooth motion causes.
+    stops have an error of up to one sample. A delayed or filtered torque depends on them for as
+    long as its memory reaches: a step of friction there, wrong by one sample, would exceed all
+    that the delay of the smooth motion causes.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ def measured(arm, motion, seed):
 
 
 def test_a_delay_is_estimated_from_the_moves():
-    """The instants at which joints start and stop are known to one sample only."""
+    """The instants at which joints start and stop have an error of up to one sample."""
     arm = plant.demo_arm(ROBOT, hidden=None)
     arm = replace(arm, friction=replace(arm.friction, coulomb=4.0 * arm.friction.coulomb))
     before = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=1)

@@ -67,7 +67,19 @@ class ColumnStore:
         runs: Sequence[Runs],
         options: DiagnosisOptions,
     ) -> ShapeScan:
-        """Return the scan of an effect's one shape parameter on a joint; see `ShapeScan.of`."""
+        """Return the scan of an effect's one shape parameter on a joint.
+
+        Parameters
+        ----------
+        effect : Effect
+        joint : int
+            From 0.
+        signals : sequence of SegmentSignals
+            One per segment.
+        runs : sequence of Runs
+            One per joint.
+        options : DiagnosisOptions
+        """
         key = effect.label, joint
         found = self.scans.get(key)
         if found is None:

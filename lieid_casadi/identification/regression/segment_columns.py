@@ -177,7 +177,18 @@ def model_along(
     *,
     fitted: bool = True,
 ) -> ModelAlongSegment:
-    """Return the model along a segment; the parameters are those of `effects_along`."""
+    """Return the model along a segment.
+
+    Parameters
+    ----------
+    compiled : Compiled
+    segment : Processed
+    shapes : (s,)
+    parameters : (10 n + m,)
+        Link parameters and effect coefficients.
+    fitted : bool
+        Whether the model was fitted to this segment. Drift is zero on other segments.
+    """
     load = compiled.inverse_dynamics(
         segment.q, segment.dq, segment.ddq, parameters[: 10 * compiled.n]
     )
