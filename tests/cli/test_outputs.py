@@ -141,7 +141,8 @@ def test_a_file_size_limit_is_status_2(work):
     """The limit stops a write with SIGXFSZ or EFBIG; the old file is intact."""
     old = Path("fit.json").read_bytes()
     limit = len(old) // 2 // 1024
-    command = f"ulimit -f {limit}; exec {sys.executable} -m lieid_casadi.cli.main"
+    # without writing bytecode (-B), which Python would leave truncated for all that follows
+    command = f"ulimit -f {limit}; exec {sys.executable} -B -m lieid_casadi.cli.main"
     command += " identify two_link run.csv --effects '' -o fit.json --json result.json"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr

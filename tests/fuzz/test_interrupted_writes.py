@@ -117,7 +117,9 @@ def test_an_operation_that_fails_leaves_old_and_new_files(tmp_path, monkeypatch,
 def test_a_file_size_limit_leaves_the_old_outputs(work, name):
     assert main(COMMANDS[name].split()) == 0
     before = outputs()
-    limited = f"ulimit -f 1; exec {' '.join(LIEID)} {COMMANDS[name]}"
+    # without writing bytecode, which Python would leave truncated for all that follows
+    command = [LIEID[0], "-B", *LIEID[1:]]
+    limited = f"ulimit -f 1; exec {' '.join(command)} {COMMANDS[name]}"
     done = subprocess.run(["bash", "-c", limited], capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
     assert done.stderr.count("\n") == 1
