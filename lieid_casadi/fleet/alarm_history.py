@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from datetime import UTC, date, datetime
 
 from lieid_casadi.errors import FleetError
-from lieid_casadi.fleet.alarms import Alarm, updated_alarms
-from lieid_casadi.fleet.arm_history import ArmHistory, read_arms
+from lieid_casadi.fleet.alarm import Alarm
+from lieid_casadi.fleet.alarms import updated_alarms
+from lieid_casadi.fleet.arm_history import ArmHistory
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.judging import judge_night
+from lieid_casadi.fleet.read_arms import read_arms
 
 COLUMNS = ", ".join(Alarm.__dataclass_fields__)
 

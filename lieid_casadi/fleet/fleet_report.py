@@ -7,10 +7,11 @@ from datetime import date
 
 import numpy as np
 
+from lieid_casadi.fleet.alarm import Alarm
 from lieid_casadi.fleet.alarm_history import read_alarms
-from lieid_casadi.fleet.alarms import Alarm
-from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
+from lieid_casadi.fleet.arm_history import ERROR, ArmHistory
 from lieid_casadi.fleet.history import History
+from lieid_casadi.fleet.read_arms import read_arms
 from lieid_casadi.fleet.suggested_actions import suggested_action
 from lieid_casadi.fleet.trend_plot import plot_trends
 from lieid_casadi.report import Section, data_uri, render

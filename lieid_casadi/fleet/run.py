@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 
+from lieid_casadi.fleet.alarm import Alarm
 from lieid_casadi.fleet.alarm_history import judge_new_nights
-from lieid_casadi.fleet.alarms import Alarm
 from lieid_casadi.fleet.cluster import RunOptions, dashboard_of, dask_client
 from lieid_casadi.fleet.config import Fleet
 from lieid_casadi.fleet.history import History

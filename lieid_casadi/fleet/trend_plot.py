@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.comparison.plot_style import ERROR as ERROR_COLOUR
 from lieid_casadi.comparison.plot_style import GRID, SMALL, new_figure, title
-from lieid_casadi.fleet.alarms import Alarm
+from lieid_casadi.fleet.alarm import Alarm
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, Quantity
 
 if TYPE_CHECKING:
