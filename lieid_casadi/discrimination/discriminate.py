@@ -4,29 +4,28 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.discrimination.discrimination import Discrimination
+from lieid_casadi.discrimination.feasible_motions import FeasibleMotions, feasible_motions
 from lieid_casadi.discrimination.independent_samples import independent_rate
 from lieid_casadi.discrimination.rival_effects import RivalEffects
 from lieid_casadi.discrimination.separability import (
     noncentrality,
     noncentrality_needed,
-    rival_pair,
+    rival_pairs,
     separable_pairs,
 )
 from lieid_casadi.discrimination.trajectory_search import (
-    FeasibleMotions,
     SearchedMotion,
     best_starts,
     random_search,
 )
 from lieid_casadi.errors import ExcitationError, ModelError
-from lieid_casadi.excitation.basis import families
-from lieid_casadi.excitation.basis.trajectory import Parametrization
 from lieid_casadi.excitation.fitted_arm import FittedArm
 from lieid_casadi.excitation.limits.default_limits import (
     MARGIN,
@@ -34,20 +33,13 @@ from lieid_casadi.excitation.limits.default_limits import (
     default_limits,
     unchecked_limits,
 )
-from lieid_casadi.excitation.limits.joint_limits import (
-    MotionRange,
-    check_duration,
-    check_start_pose,
-    motion_range,
-)
-from lieid_casadi.excitation.limits.start_pose import check_at_rest, find_start_pose
-from lieid_casadi.excitation.limits.symbolic_limits import Limit, sets_of
+from lieid_casadi.excitation.limits.joint_limits import motion_range
+from lieid_casadi.excitation.limits.symbolic_limits import Limit
 from lieid_casadi.identification import Fit
 from lieid_casadi.recording import Recording
 
 Array = NDArray[np.float64]
 TRIED = 12  # random motions from which separability and sizes are determined
-SAMPLES = 200
 REFINED = 3  # of the best random motions
 
 
@@ -151,9 +143,9 @@ def discriminate(
     arm, robot = FittedArm.of(fit), fit.model.robot
     if limits is None:
         limits = default_limits(robot, margin=margin)
-    feasible = _feasible(
-        arm, duration, harmonics, samples, start_pose,
-        motion_range(robot, acceleration, margin=margin), limits,
+    feasible = feasible_motions(
+        arm, motion_range(robot, acceleration, margin=margin), limits,
+        duration=duration, harmonics=harmonics, samples=samples, start_pose=start_pose,
     )  # fmt: skip
     rivals = RivalEffects(
         fit, effects, sizes or {}, independent_rate=independent_rate(fit, recordings),
@@ -164,13 +156,7 @@ def discriminate(
     first = [feasible.motion(z) for z in drawn[:TRIED]]
     rivals.assign_sizes(first)
     separable = separable_pairs(rivals, [rivals.columns_along(motion) for motion in first])
-    needed = {(a, b): noncentrality_needed(rivals.effects[a].parameters, level)
-              for a, b in separable}  # fmt: skip
-
-    def criterion(z: Array) -> float:
-        stacked = rivals.columns_along(feasible.motion(z))
-        return min(noncentrality(rivals, stacked, *pair) / needed[pair] for pair in separable)
-
+    criterion = _WorstPair.of(rivals, feasible, separable, level)
     values = []
     for k, z in enumerate(drawn):
         progress("random motions", 0.3 * k / starts)
@@ -182,13 +168,7 @@ def discriminate(
     best, violation = feasible.verified(max(refined, key=lambda motion: motion.value).z)
     rivals.refine_grids()
     stacked = rivals.columns_along(feasible.motion(best))
-    pairs = tuple(
-        rival_pair(
-            rivals, stacked, pair, separable=pair in separable, level=level,
-            samples=feasible.samples,
-        )
-        for pair in rivals.pairs
-    )  # fmt: skip
+    pairs = rival_pairs(rivals, stacked, separable, level=level, samples=feasible.samples)
     worst = max(p.needed / p.noncentrality for p in pairs if p.separable)
     median = float(np.median(values))
     return Discrimination(
@@ -201,6 +181,37 @@ def discriminate(
         checked=checked_limits(feasible.range, limits, arm),
         unchecked=unchecked_limits(robot, limits, feasible.left_out, arm),
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _WorstPair:
+    """The criterion: the smallest ratio, over the pairs, of noncentrality to the one needed.
+
+    Its inverse is the number of periods after which the test separates all pairs.
+    """
+
+    rivals: RivalEffects
+    feasible: FeasibleMotions
+    needed: Mapping[tuple[int, int], float]
+
+    @classmethod
+    def of(
+        cls,
+        rivals: RivalEffects,
+        feasible: FeasibleMotions,
+        pairs: Sequence[tuple[int, int]],
+        level: float,
+    ) -> _WorstPair:
+        effects = rivals.effects
+        needed = {(a, b): noncentrality_needed(effects[a].parameters, level) for a, b in pairs}
+        return cls(rivals, feasible, needed)
+
+    def __call__(self, z: Array) -> float:
+        stacked = self.rivals.columns_along(self.feasible.motion(z))
+        return min(
+            noncentrality(self.rivals, stacked, *pair) / needed
+            for pair, needed in self.needed.items()
+        )
 
 
 def _refined(
@@ -243,32 +254,3 @@ def _check_options(fit: Fit, level: float, starts: int, evaluations: int, rate: 
         raise ModelError(
             f"the fit has no noise on {', '.join(silent)}; expected a fit to measured recordings"
         )
-
-
-def _feasible(
-    fit: FittedArm,
-    duration: float,
-    harmonics: int,
-    samples: int | None,
-    start_pose: ArrayLike | None,
-    joints: MotionRange,
-    limits: Sequence[Limit],
-) -> FeasibleMotions:
-    """Return the motions within the limits; see `discriminate` for the parameters."""
-    robot = fit.model.robot
-    basis = families.make("fourier", duration=duration, harmonics=harmonics)
-    if samples is None:
-        samples = max(SAMPLES, 8 * basis.size)
-    if samples < 4 * basis.size:
-        raise ExcitationError(f"samples: {samples}; expected at least {4 * basis.size}")
-    check_duration(robot, joints, duration)
-    sets, left_out = sets_of(limits, robot, fit)
-    every = (joints.constraint_set(), *sets)
-    if start_pose is None:
-        pose = find_start_pose(joints, every)
-    else:
-        pose = np.asarray(start_pose, dtype=float)
-        check_start_pose(robot, joints, pose)
-        check_at_rest(pose, every)
-    parametrization = Parametrization(basis, pose, True, joints.units)
-    return FeasibleMotions(parametrization, joints, sets, samples, left_out)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from scipy.optimize import brentq
@@ -80,41 +80,44 @@ def separable_pairs(rivals: RivalEffects, tried: Sequence[StackedColumns]) -> li
     return separable
 
 
-def rival_pair(
+def rival_pairs(
     rivals: RivalEffects,
     stacked: StackedColumns,
-    pair: tuple[int, int],
+    separable: Collection[tuple[int, int]],
     *,
-    separable: bool,
     level: float,
     samples: int,
-) -> RivalPair:
-    """Return the result for one pair along a motion.
+) -> tuple[RivalPair, ...]:
+    """Return the result for each pair along a motion.
 
     Parameters
     ----------
     rivals : RivalEffects
     stacked : StackedColumns
         Along the motion.
-    pair : (int, int)
-        Indices of the true and of the rival effect.
-    separable : bool
+    separable : collection of (int, int)
+        Pairs (true, rival) that some motion can separate.
     level : float
     samples : int
         N of the motion.
     """
-    true, other = (rivals.effects[k] for k in pair)
-    left = stacked.unexplained(*pair, true.coefficients)
-    torque = left.reshape(samples, -1) * np.sqrt(samples) / rivals.torque_weight()
-    return RivalPair(
-        true=true.label,
-        rival=other.label,
-        noncentrality=float(left @ left),
-        needed=noncentrality_needed(true.parameters, level),
-        remaining=_remaining(rivals, stacked, *pair),
-        separable=separable,
-        residual=torque,
-    )
+    weight = rivals.torque_weight()
+    found = []
+    for pair in rivals.pairs:
+        true, other = (rivals.effects[k] for k in pair)
+        left = stacked.unexplained(*pair, true.coefficients)
+        found.append(
+            RivalPair(
+                true=true.label,
+                rival=other.label,
+                noncentrality=float(left @ left),
+                needed=noncentrality_needed(true.parameters, level),
+                remaining=_remaining(rivals, stacked, *pair),
+                separable=pair in separable,
+                residual=left.reshape(samples, -1) * np.sqrt(samples) / weight,
+            )
+        )
+    return tuple(found)
 
 
 def _part_outside_model(stacked: StackedColumns, index: int, rivals: RivalEffects) -> float:

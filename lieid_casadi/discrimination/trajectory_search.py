@@ -1,133 +1,18 @@
-"""Motions within limits, and a random search for the best of them."""
+"""Random search for the best of the motions within limits."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import NoSolution
-from lieid_casadi.excitation.basis.trajectory import (
-    MotionSamples,
-    Parametrization,
-    SampledBasis,
-    period_grid,
-)
-from lieid_casadi.excitation.design_problem import FINE
-from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
-from lieid_casadi.excitation.limits.joint_limits import MotionRange
+from lieid_casadi.discrimination.feasible_motions import FeasibleMotions
 
 Array = NDArray[np.float64]
-COARSE = 4  # points per sample of the criterion, on which limits are checked during the search
-USED = 0.998  # part of each limit that is used
-SHRINK = 0.9  # factor by which a motion outside of the limits is reduced
 GROWTH = 1.5  # of the step after a success
 INITIAL_STEP, SMALLEST_STEP = 0.3, 1e-3  # relative to the RMS of z
-
-
-@dataclass(frozen=True, eq=False)
-class FeasibleMotions:
-    """Motions within limits, as vectors z of free coefficients.
-
-    Attributes
-    ----------
-    parametrization : Parametrization
-    range : MotionRange
-        Joint limits.
-    sets : tuple of ConstraintSet
-        Further limits.
-    samples : int
-        Of the criterion over a period.
-    left_out : tuple of str
-        Quantities that the further limits leave out.
-    """
-
-    parametrization: Parametrization
-    range: MotionRange
-    sets: tuple[ConstraintSet, ...]
-    samples: int
-    left_out: tuple[str, ...] = ()
-
-    def motion(self, z: Array) -> MotionSamples:
-        """Return the samples of the criterion over one period."""
-        return self._grid(1).motion(z)
-
-    def within(self, z: Array) -> Array:
-        """Return z shrunk towards the start pose until all limits hold on the coarse grid.
-
-        Joint limits shrink their own joint alone, exactly; the others shrink all joints.
-
-        Raises
-        ------
-        NoSolution
-            No motion of this form is within the limits, however small.
-        """
-        z = self._within_joints(z)
-        for _ in range(50):
-            motion = self._coarse.motion(z)
-            if all((s.excess(s.values(motion)).max(axis=1) <= 0.0).all() for s in self.sets):
-                return z
-            z = SHRINK * z
-        remedies = "; ".join(s.remedy for s in self.sets)
-        raise NoSolution(f"no motion around the start pose is within the limits; relax: {remedies}")
-
-    def verified(self, z: Array) -> tuple[Array, float]:
-        """Return z shrunk until the limits hold on the fine grid, and the largest violation.
-
-        The violation is relative to the scale of each limit; negative values are margins.
-        """
-        fine = self._grid(FINE)
-        for _ in range(50):
-            motion = fine.motion(z)
-            worst = max(
-                float((s.excess(s.values(motion)).max(axis=1) / s.scale).max())
-                for s in (self.range.constraint_set(), *self.sets)
-            )
-            if worst <= 0.0:
-                return z, worst
-            z = USED * z
-        raise NoSolution(
-            "no motion around the start pose is within the limits on a fine grid; "
-            "choose another start pose"
-        )
-
-    def drawn(self, random: np.random.Generator) -> Array:
-        """Return a random motion within limits, with a random amplitude for each joint."""
-        n = self.parametrization.n
-        z = random.standard_normal((n, self.parametrization.size // n))
-        # far outside, so that the joint limits determine the amplitude; then a part of it
-        inside = self._within_joints(np.ravel(100.0 * z)).reshape(n, -1)
-        return self.within(np.ravel(inside * random.uniform(0.1, 1.0, (n, 1))))
-
-    def _within_joints(self, z: Array) -> Array:
-        motion = self._coarse.motion(z)
-        pose = self.parametrization.pose
-        swing = motion.q - pose
-        ratios = [
-            swing.max(axis=0) / (self.range.position[:, 1] - pose),
-            -swing.min(axis=0) / (pose - self.range.position[:, 0]),
-            np.abs(motion.dq).max(axis=0) / self.range.velocity,
-            np.abs(motion.ddq).max(axis=0) / self.range.acceleration,
-        ]
-        worst = np.maximum(np.max(ratios, axis=0) / USED, 1.0)
-        return np.ravel(z.reshape(len(pose), -1) / worst[:, None])
-
-    @cached_property
-    def _coarse(self) -> SampledBasis:
-        return self._grid(COARSE)
-
-    @cached_property
-    def _grids(self) -> dict[int, SampledBasis]:
-        return {}
-
-    def _grid(self, factor: int) -> SampledBasis:
-        if factor not in self._grids:
-            times = period_grid(self.parametrization.basis.duration, factor * self.samples)
-            self._grids[factor] = SampledBasis(self.parametrization, times)
-        return self._grids[factor]
 
 
 @dataclass(frozen=True, eq=False)
