@@ -1,77 +1,27 @@
-"""Inputs and results of CasADi that the self-test of exported C compares with."""
+"""Variables of the template of the self-test of exported C."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.exporters.c.expressions import ExportExpressions, ExportSymbols, ModelNumbers
 from lieid_casadi.exporters.c.functions import (
     RIGID_ARGUMENTS,
     SAMPLE_ARGUMENTS,
     WITHOUT_NUMBERS,
     ExportForm,
 )
+from lieid_casadi.exporters.c.self_test_data import (
+    SelfTestData,
+    SelfTestNumbers,
+    self_test_data,
+)
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.robot.inertia import parameter_transport
 
 Array = NDArray[np.float64]
-PACE = 2.0  # rad/s of the motion q = … cos(PACE·t): it reverses at t = 0, 1.57 and 3.14 s
-TIMES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.3, 0.8, 1.56, 1.58, 1.6, 2.2, 3.05, 3.15)  # s
-_ALSO = {  # results that the test of a function needs besides its own
-    "regressor": ("rigid_torque",),
-    "friction": ("rigid_torque",),
-    "torque": ("rigid_torque",),
-    "effect_columns": ("rigid_torque", "friction"),
-    "base_regressor": ("rigid_torque", "torque"),
-    "forward_dynamics": ("rigid_torque", "torque"),
-}
-PAYLOAD = (0.3, 0.006, -0.009, 0.015, 2e-3, 3e-4, 2.5e-3, -2e-4, 1e-4, 1.8e-3)  # SI, of a test
-SMOOTHING = 0.05  # v0, rad/s, of the smooth sign
-
-
-@dataclass(frozen=True, eq=False)
-class SelfTestData:
-    """Samples of one motion (K, ·) and the results of each function (K, size).
-
-    Results named ``…_smooth`` belong to the sign tanh(q̇/v0), v0 (n,); the others to the sharp one.
-    ``acceleration_scale`` (n,) is what errors of forward dynamics are relative to.
-    """
-
-    inputs: dict[str, Array]
-    v0: Array
-    results: dict[str, Array]
-    acceleration_scale: Array | None
-
-
-@dataclass(frozen=True, eq=False)
-class SelfTestNumbers:
-    """Numbers with which the functions are called; others than the fit's where they are inputs."""
-
-    link_parameters: Array
-    effect_coefficients: Array
-    shapes: Array
-    payload: Array
-
-    @classmethod
-    def of(cls, fit: Fit, form: ExportForm) -> SelfTestNumbers:
-        """Return the fit's numbers, changed where they are inputs."""
-        links, coefficients, shapes = fit.link_parameters, fit.effect_coefficients, fit.shapes
-        if "parameters" in form.runtime:
-            links, coefficients, shapes = 1.1 * links, 0.9 * coefficients, 1.05 * shapes
-        payload = np.array(PAYLOAD) if "payload" in form.runtime else np.zeros(10)
-        return cls(*(form.precision.rounded(x) for x in (links, coefficients, shapes, payload)))
-
-    def links(self, fit: Fit) -> Array:
-        """Return link parameters (10 n,) with the payload."""
-        made = self.link_parameters.copy()
-        made[-10:] += parameter_transport(fit.model.robot.tool) @ self.payload
-        return made
 
 
 def self_test_content(fit: Fit, names: Collection[str], form: ExportForm) -> dict[str, Any]:
@@ -86,46 +36,25 @@ def self_test_content(fit: Fit, names: Collection[str], form: ExportForm) -> dic
     """
     tested = SelfTestNumbers.of(fit, form)
     stored = self_test_data(fit, names, form)
-    inputs, results = stored.inputs, stored.results
     rigid = [name for name in RIGID_ARGUMENTS if name in names]
     calls = [name for name in SAMPLE_ARGUMENTS if name in names]
-    read = {name for function in rigid for name in RIGID_ARGUMENTS[function]}
-    if calls:
-        read |= {"q", "dq", "ddq", "temperature", "time"}
-    # "time" is a function of C
-    arrays = [(f"{x}_" if x == "time" else x, inputs[x].ravel()) for x in inputs if x in read]
-    arrays += [("v0", stored.v0)] if calls else []
-    loaded = any(SAMPLE_ARGUMENTS[name] == "load" for name in calls)
-    if not (loaded or {"rigid_torque", "regressor"} & set(names)):
-        results.pop("rigid_torque", None)  # only the load of other results
+    results = _compared(stored.results, names, calls)
+    parameters = _identified(fit)
+    arrays = _inputs_read(stored, rigid, calls)
     arrays += [(name, values.ravel()) for name, values in results.items()]
-    numbers = {
-        "link_parameters": fit.link_parameters,
-        "base_parameters": fit.values,
-        "effect_coefficients": fit.effect_coefficients,
-        "shapes": fit.shapes,
-    }
-    parameters = {name: values for name, values in numbers.items() if len(values)}
     arrays += list(parameters.items())
     if form.runtime:
-        links = tested.links(fit)
-        every = np.concatenate([links, tested.effect_coefficients])
-        factors = {
-            "regressor": ("link_parameters", links),
-            "base_regressor": ("base_parameters", fit.model.base.combination @ every),
-            "effect_columns": ("effect_coefficients", tested.effect_coefficients),
-        }
-        arrays += [
-            (f"tested_{x}", values) for name, (x, values) in factors.items() if name in names
-        ]
+        arrays += _factors(fit, tested, names)
     if stored.acceleration_scale is not None:
         arrays.append(("acceleration_scale", stored.acceleration_scale))
     sizes = {name: values.shape[1] for name, values in results.items()}
-    reports = ["begin", *(["states", "held_states"] if "states" in results else [])]
     products = {"effect_columns", "base_regressor"} & set(names)
-    reports += [*calls, *(["products"] if products else [])]
+    reports = [
+        "begin", *(["states", "held_states"] if "states" in results else []),
+        *calls, *(["products"] if products else []),
+    ]  # fmt: skip
     return {
-        "samples": len(inputs["q"]),
+        "samples": len(stored.inputs["q"]),
         "largest": max(fit.model.n, *sizes.values()),
         "arrays": arrays,
         "parameters": [(name, len(values)) for name, values in parameters.items()],
@@ -134,12 +63,7 @@ def self_test_content(fit: Fit, names: Collection[str], form: ExportForm) -> dic
             for name in rigid
         ],
         "own": "tested" if form.runtime else None,
-        "numbers_given": [
-            (name, getattr(tested, name))
-            for name in ("link_parameters", "effect_coefficients", "shapes", "payload")
-            if len(getattr(tested, name))
-            and ("payload" if name == "payload" else "parameters") in form.runtime
-        ],
+        "numbers_given": _numbers_given(tested, form),
         "effect_calls": [(name, SAMPLE_ARGUMENTS[name], sizes[name]) for name in calls],
         "multiplies": bool(products) or "regressor" in names,
         "signs": [("", "NULL"), ("_smooth", "v0")] if calls else [],
@@ -148,128 +72,60 @@ def self_test_content(fit: Fit, names: Collection[str], form: ExportForm) -> dic
     }
 
 
-def self_test_data(fit: Fit, names: Collection[str], form: ExportForm) -> SelfTestData:
-    """Evaluate the model, with numbers as inputs, along a motion through the joints' ranges.
-
-    Joints start at rest, so that sgn(0) = 0 occurs. The torque of forward dynamics is that of the
-    motion.
-
-    Parameters
-    ----------
-    fit : Fit
-    names : collection of str
-        Functions whose results are compared.
-    form : ExportForm
-    """
-    inputs = {name: form.precision.rounded(x) for name, x in _motion(fit).items()}
-    v0 = form.precision.rounded(np.full(fit.model.n, SMOOTHING))
-    wanted = {*names, *(further for name in names for further in _ALSO.get(name, ()))}
-    machine = _Evaluator(fit, SelfTestNumbers.of(fit, form))
-    results = machine.rigid(inputs, [name for name in RIGID_ARGUMENTS if name in wanted])
-    effects = [name for name in SAMPLE_ARGUMENTS if name in wanted]
-    if effects:
-        inputs["load"] = form.precision.rounded(results["rigid_torque"])
-        for ending, sign in (("", np.sign(inputs["dq"])), ("_smooth", np.tanh(inputs["dq"] / v0))):
-            for name, values in machine.effects(inputs | {"sign": sign}, effects).items():
-                results[name + ending] = values
-    scale = None
-    if "forward_dynamics" in effects:
-        scale = machine.acceleration_scale(inputs, results["torque"])
-    return SelfTestData(inputs, v0, results, scale)
-
-
-def _motion(fit: Fit) -> dict[str, Array]:
-    robot, random = fit.model.robot, np.random.default_rng(1)
-    lower = np.nan_to_num(robot.limit("position_lower"), nan=-np.pi, posinf=np.pi, neginf=-np.pi)
-    upper = np.nan_to_num(robot.limit("position_upper"), nan=np.pi, posinf=np.pi, neginf=-np.pi)
-    time = np.array(TIMES)
-    reach = random.uniform(-0.3, 0.3, robot.n) * np.minimum(upper - lower, 2.0 * np.pi)
-    angle = PACE * time[:, None]
-    middle = 0.5 * (lower + upper)
-    q = middle + random.uniform(-0.1, 0.1, robot.n) * (upper - lower) + reach * np.cos(angle)
-    mean = 0.0 if fit.temperature_mean is None else fit.temperature_mean
-    return {
-        "q": q,
-        "dq": -reach * PACE * np.sin(angle),
-        "ddq": -reach * PACE**2 * np.cos(angle),
-        "dq_r": random.normal(0.0, 1.0, q.shape),
-        "ddq_r": random.normal(0.0, 3.0, q.shape),
-        "temperature": mean + random.uniform(-10.0, 10.0, q.shape),
-        "time": time[:, None],
-    }
-
-
-class _Evaluator:
-    """Evaluation of the functions of a fit by CasADi, with the numbers as inputs."""
-
-    def __init__(self, fit: Fit, tested: SelfTestNumbers) -> None:
-        self._fit, model = fit, fit.model
-        self._now, self._before = ExportSymbols.of(fit), ExportSymbols.of(fit, "before_")
-        links = ca.SX.sym("links", 10 * model.n)
-        coefficients = ca.SX.sym("coefficients", len(model.columns))
-        shapes = ca.SX.sym("shapes", len(model.shapes))
-        numbers = ModelNumbers(links, links, coefficients, shapes, {})
-        self._expressions = ExportExpressions(fit, self._now, numbers)
-        self._arguments = [*_all(self._now), *_all(self._before), links, coefficients, shapes]
-        self._numbers = [tested.links(fit), tested.effect_coefficients, tested.shapes]
-
-    def rigid(self, inputs: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
-        """Return results (K, size) of functions of the motion."""
-        return {name: self._along(getattr(self._expressions, name), inputs) for name in names}
-
-    def effects(self, inputs: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
-        """Return results (K, size) of functions of a sample, and the states."""
-        e, model, count = self._expressions, self._fit.model, len(inputs["q"])
-        results: dict[str, Array] = {}
-        if model.states:
-            states = np.tile(model.initial_states, (count, 1))
-            after = self._function(e.advance(self._before))
-            for k in range(1, count):
-                states[k] = self._at(after, inputs | {"states": states}, k, k - 1)
-            results["states"] = states
-            inputs = inputs | {"states": states}
-        for name in names:  # the torque before forward dynamics, in the order of the functions
-            results[name] = self._along(getattr(e, name), inputs | results)
+def _compared(
+    results: dict[str, Array], names: Collection[str], calls: Sequence[str]
+) -> dict[str, Array]:
+    """Return the results that the C code reads: without a rigid torque that nothing needs."""
+    loaded = any(SAMPLE_ARGUMENTS[name] == "load" for name in calls)
+    if loaded or {"rigid_torque", "regressor"} & set(names):
         return results
-
-    def acceleration_scale(self, inputs: dict[str, Array], torque: Array) -> Array:
-        """Return Σ_j |M⁻¹|_ij·max|τ_j| (n,), the largest of the samples.
-
-        A rounding error of the torques, relative to each one's size, changes the acceleration by
-        this times the relative error.
-        """
-        n = self._fit.model.n
-        mass = self._along(self._expressions.loaded_mass_matrix, inputs).reshape(-1, n, n)
-        return np.asarray((np.abs(np.linalg.inv(mass)) @ np.abs(torque).max(axis=0)).max(axis=0))
-
-    def _along(self, matrix: ca.SX, inputs: dict[str, Array]) -> Array:
-        function = self._function(matrix)
-        return np.array([self._at(function, inputs, k, k) for k in range(len(inputs["q"]))])
-
-    def _function(self, matrix: ca.SX) -> ca.Function:
-        return ca.Function("f", self._arguments, [ca.densify(matrix)])
-
-    def _at(self, function: ca.Function, inputs: dict[str, Array], now: int, before: int) -> Array:
-        """Return a matrix at sample ``now``, row after row."""
-        values = [*self._row(inputs, now), *self._row(inputs, before), *self._numbers]
-        return np.array(function(*values)).ravel()
-
-    def _row(self, inputs: dict[str, Array], k: int) -> list[Array]:
-        n, model = self._fit.model.n, self._fit.model
-        mean = 0.0 if self._fit.temperature_mean is None else self._fit.temperature_mean
-        row = {name: values[k] for name, values in inputs.items()}
-        zero, q = np.zeros(n), row["q"]
-        return [
-            q, np.sin(q), np.cos(q), row["dq"], row["ddq"], row["dq_r"], row["ddq_r"],
-            row.get("sign", zero), row.get("load", zero), row.get("torque", zero),
-            row["temperature"] - mean,
-            row["time"], row.get("states", np.zeros(len(model.states))),
-        ]  # fmt: skip
+    return {name: values for name, values in results.items() if name != "rigid_torque"}
 
 
-def _all(symbols: ExportSymbols) -> list[ca.SX]:
-    m, s = symbols.motion, symbols
+def _identified(fit: Fit) -> dict[str, Array]:
+    """Return the identified numbers; those of which the model has none are left out."""
+    numbers = {
+        "link_parameters": fit.link_parameters,
+        "base_parameters": fit.values,
+        "effect_coefficients": fit.effect_coefficients,
+        "shapes": fit.shapes,
+    }
+    return {name: values for name, values in numbers.items() if len(values)}
+
+
+def _inputs_read(
+    stored: SelfTestData, rigid: Sequence[str], calls: Sequence[str]
+) -> list[tuple[str, Array]]:
+    """Return the inputs that the tested functions read, by their names in C."""
+    read = {name for function in rigid for name in RIGID_ARGUMENTS[function]}
+    if calls:
+        read |= {"q", "dq", "ddq", "temperature", "time"}
+    # "time" is a function of C
+    arrays = [
+        (f"{name}_" if name == "time" else name, values.ravel())
+        for name, values in stored.inputs.items()
+        if name in read
+    ]
+    return [*arrays, ("v0", stored.v0)] if calls else arrays
+
+
+def _factors(fit: Fit, tested: SelfTestNumbers, names: Collection[str]) -> list[tuple[str, Array]]:
+    """Return what each exported matrix is multiplied by, where numbers are inputs."""
+    links = tested.links(fit)
+    every = np.concatenate([links, tested.effect_coefficients])
+    factors = {
+        "regressor": ("tested_link_parameters", links),
+        "base_regressor": ("tested_base_parameters", fit.model.base.combination @ every),
+        "effect_columns": ("tested_effect_coefficients", tested.effect_coefficients),
+    }
+    return [factor for name, factor in factors.items() if name in names]
+
+
+def _numbers_given(tested: SelfTestNumbers, form: ExportForm) -> list[tuple[str, Array]]:
+    """Return the numbers that are inputs of the exported functions."""
     return [
-        m.q, m.sin, m.cos, m.dq, m.ddq, s.dq_r, s.ddq_r, s.sign, s.load, s.torque,
-        s.temperature, s.time, s.states,
-    ]  # fmt: skip
+        (name, getattr(tested, name))
+        for name in ("link_parameters", "effect_coefficients", "shapes", "payload")
+        if len(getattr(tested, name))
+        and ("payload" if name == "payload" else "parameters") in form.runtime
+    ]

@@ -1,0 +1,155 @@
+"""Variables of the templates of exported C."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.exporters.c.functions import (
+    RIGID_ARGUMENTS,
+    SAMPLE_ARGUMENTS,
+    ExportedFunctions,
+    ExportForm,
+)
+from lieid_casadi.exporters.c.numbers import Precision
+from lieid_casadi.exporters.c.text import comment, numbered
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.model import Model, Parameter
+
+
+def template_variables(
+    fit: Fit, prefix: str, made: ExportedFunctions, form: ExportForm
+) -> dict[str, Any]:
+    """Return the variables that all templates share.
+
+    Parameters
+    ----------
+    fit : Fit
+    prefix : str
+        Of files and functions.
+    made : ExportedFunctions
+    form : ExportForm
+    """
+    return {
+        **_of_form(prefix, form),
+        **_of_fit(fit, form.precision),
+        **_of_model(fit.model, form.precision),
+        **_of_functions(fit.model, made),
+    }
+
+
+def _of_form(prefix: str, form: ExportForm) -> dict[str, Any]:
+    return {
+        "precision": form.precision,
+        "real": form.precision.real,
+        "runtime": form.runtime,
+        # the argument of run-time numbers: of a function, of `advance`, in calls of these
+        "N": f"const {prefix}_numbers *numbers, " if form.runtime else "",
+        "M": f", const {prefix}_numbers *numbers" if form.runtime else "",
+        "B": "&numbers, " if form.runtime else "",
+        "C": ", &numbers" if form.runtime else "",
+        "p": prefix,
+        "P": prefix.upper(),
+    }
+
+
+def _of_fit(fit: Fit, precision: Precision) -> dict[str, Any]:
+    """Return the identified numbers and where they are from."""
+    from lieid_casadi import __version__
+
+    model = fit.model
+    base = [model.base.expression(k) for k in range(model.base.count)]
+    return {
+        "version": __version__,
+        "method": fit.method,
+        "recordings": [
+            {"name": comment(s.name), "sha256": comment(s.sha256)}
+            for s in fit.provenance.recordings
+        ],
+        "links": [
+            {"label": parameter.label, "number": _initializer(value, precision)}
+            for parameter, value in zip(model.link_parameters, fit.link_parameters, strict=True)
+        ],
+        "base": _rows(precision, model.base_columns, fit.values, base, fit.std),
+        "coefficients": _rows(precision, model.columns, fit.effect_coefficients),
+        "shapes": _rows(precision, model.shapes, fit.shapes, stds=fit.std[len(fit.values) :]),
+    }
+
+
+def _of_model(model: Model, precision: Precision) -> dict[str, Any]:
+    """Return joints, units, effects and the states of these."""
+    robot = model.robot
+    kinds = {joint.revolute for joint in robot.joints}
+    formulas = {p.effect.label: p.effect.formula for p in model.placements}
+    return {
+        "robot": comment(robot.name),
+        "n": model.n,
+        "joints": [{"name": comment(j.name), "revolute": j.revolute} for j in robot.joints],
+        "turns": True in kinds,
+        "slides": False in kinds,
+        "units": _units(kinds),
+        "effects": comment(", ".join(model.effects)),
+        "formulas": [{"label": comment(k), "formula": comment(v)} for k, v in formulas.items()],
+        "states": [
+            {
+                "place": place,
+                "label": comment(state.label),
+                "unit": comment(state.unit),
+                "initial": f"{state.initial:g}",
+                "number": precision.number(state.initial),
+            }
+            for place, state in enumerate(model.states)
+        ],
+        "coefficient_lines": numbered(f"{c.label} [{c.unit}]" for c in model.columns),
+        "base_lines": numbered(f"{c.label} [{c.unit}]" for c in model.base_columns),
+    }
+
+
+def _of_functions(model: Model, made: ExportedFunctions) -> dict[str, Any]:
+    """Return the bodies of the exported functions and what they read."""
+    used = [function.used for name, function in made.bodies.items() if name in SAMPLE_ARGUMENTS]
+    used += [made.advance.used] if made.advance else []
+    return {
+        "bodies": made.bodies,
+        "rigid": [name for name in RIGID_ARGUMENTS if name in made.bodies],
+        "of_samples": [name for name in SAMPLE_ARGUMENTS if name in made.bodies],
+        "advance": made.advance,
+        "remembers_load": made.remembers_load,
+        "advance_reads_load": made.advance_reads_load,
+        "reads_load": any("load" in p.effect.signals for p in model.placements),
+        "reads": {name.removeprefix("before_") for names in used for name in names},
+        "sizes": [(name, f.operations) for name, f in made.bodies.items()],
+    }
+
+
+def _rows(
+    precision: Precision,
+    parameters: Sequence[Parameter],
+    values: NDArray[np.float64],
+    labels: Sequence[str] | None = None,
+    stds: NDArray[np.float64] | None = None,
+) -> list[dict[str, str]]:
+    """Return value, name and unit of parameters, safe in a comment."""
+    return [
+        {
+            "label": comment(parameter.label if labels is None else labels[k]),
+            "unit": comment(parameter.unit),
+            "number": _initializer(values[k], precision),
+            "std": "" if stds is None else f"{stds[k]:.3g}",
+        }
+        for k, parameter in enumerate(parameters)
+    ]
+
+
+def _initializer(value: float, precision: Precision) -> str:
+    return precision.number(value).strip("()")
+
+
+def _units(kinds: set[bool]) -> dict[str, str]:
+    turning = {"q": "rad", "dq": "rad/s", "ddq": "rad/s²", "tau": "N·m"}
+    sliding = {"q": "m", "dq": "m/s", "ddq": "m/s²", "tau": "N"}
+    pairs = [units for kind, units in ((True, turning), (False, sliding)) if kind in kinds]
+    return {key: " or ".join(units[key] for units in pairs) for key in turning}
