@@ -32,24 +32,7 @@ def add_parser(commands: Any) -> None:
         "from the effects of its model) or what has changed since a fit (FIT REC…).",
     )
     shared_options.add_robot(parser, fit=True)
-    parser.add_argument(
-        "recordings",
-        nargs="*",
-        type=InputPath,
-        metavar="REC",
-        help="with a FIT and without --train: recordings measured since the fit",
-    )
-    parser.add_argument(
-        "--train", nargs="+", type=InputPath, default=[], metavar="A", help="recordings to fit"
-    )
-    parser.add_argument(
-        "--test",
-        nargs="+",
-        type=InputPath,
-        default=[],
-        metavar="B",
-        help="recordings to test on, which are not fitted",
-    )
+    _add_recordings(parser)
     parser.add_argument(
         "--method",
         choices=("ols", "wls", "robust"),
@@ -87,6 +70,27 @@ def add_parser(commands: Any) -> None:
     shared_options.add_threads(parser)
     defaults = {name: parser.get_default(name) for name in ONLY_WITH_TRAIN}
     parser.set_defaults(run=run, only_with_train=defaults)
+
+
+def _add_recordings(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "recordings",
+        nargs="*",
+        type=InputPath,
+        metavar="REC",
+        help="with a FIT and without --train: recordings measured since the fit",
+    )
+    parser.add_argument(
+        "--train", nargs="+", type=InputPath, default=[], metavar="A", help="recordings to fit"
+    )
+    parser.add_argument(
+        "--test",
+        nargs="+",
+        type=InputPath,
+        default=[],
+        metavar="B",
+        help="recordings to test on, which are not fitted",
+    )
 
 
 def run(args: argparse.Namespace) -> None:

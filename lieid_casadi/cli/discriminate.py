@@ -43,6 +43,17 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--level", type=number, default=0.95, metavar="P", help="confidence level; default: 0.95"
     )
+    _add_motion(parser)
+    motion_limits.add_limits(parser)
+    _add_search(parser)
+    shared_options.add_effects_file(parser)
+    shared_options.add_recording_options(parser)
+    shared_options.add_outputs(parser)
+    shared_options.add_threads(parser)
+    parser.set_defaults(run=run)
+
+
+def _add_motion(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--duration",
         type=number,
@@ -57,7 +68,9 @@ def add_parser(commands: Any) -> None:
         "--start-pose", type=number, nargs="+", metavar="Q",
         help="pose at the start and the end, rad; default: a pose found within all limits",
     )  # fmt: skip
-    motion_limits.add_limits(parser)
+
+
+def _add_search(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate",
         type=number,
@@ -75,11 +88,6 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--seed", type=seed, default=0, metavar="N", help="seed of the search; default: 0"
     )
-    shared_options.add_effects_file(parser)
-    shared_options.add_recording_options(parser)
-    shared_options.add_outputs(parser)
-    shared_options.add_threads(parser)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

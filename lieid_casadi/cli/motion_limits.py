@@ -43,6 +43,11 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         help=argparse.SUPPRESS,
     )
     group.add_argument("--no-torque", action="store_true", help="do not check torque limits")
+    _add_workspace(group)
+
+
+def _add_workspace(group: argparse._ArgumentGroup) -> None:
+    """Add the limits that the links and the tool keep."""
     group.add_argument(
         "--cartesian-speed", type=number, default=TOOL_SPEED, metavar="M/S",
         help="highest speed of the tool and of the joint centres, m/s; default: 1.5",

@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output, shared_options
+from lieid_casadi.errors import warning_list
 from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def run(args: argparse.Namespace) -> None:
         "base_parameter_count": base.count,
         "base_parameters": parameters,
         "dropped": [base.names[k] for k in base.dropped],
-        "warnings": [{"name": type(w).__name__, "message": str(w)} for w in robot.warnings],
+        "warnings": warning_list(robot.warnings),
     }
     if args.symbolic:
         content["lengths"] = lengths

@@ -117,7 +117,7 @@ def compare_segments(
         worst=largest_errors(series),
         series=series,
         cutoff=segments[0].cutoff,
-        recordings=tuple(Source(r.name, r.source_hash) for r in recordings),
+        recordings=tuple(Source.of(r) for r in recordings),
         duration=float(sum(s.time[-1] - s.time[0] for s in series)),
         warnings=(),
     )

@@ -141,7 +141,7 @@ class Comparison:
             "warnings": warning_list(self.warnings),
             "cutoff": self.cutoff,
             "duration": self.duration,
-            "recordings": [{"name": r.name, "sha256": r.sha256} for r in self.recordings],
+            "recordings": [r.to_dict() for r in self.recordings],
         }
 
     def plot(self, ax: Axes | None = None, *, joint: int | None = None) -> Figure:

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import LieidWarning
+from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.excitation.approach_motion import RestToRest
 from lieid_casadi.excitation.basis.trajectory import MotionSamples, Trajectory
 from lieid_casadi.excitation.criteria.quality import Quality
 from lieid_casadi.excitation.solvers.tracker import IterationRecord
+from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
 
 if TYPE_CHECKING:
@@ -212,8 +213,8 @@ class Excitation:
             "starts": [
                 {
                     "seed": s.seed,
-                    "condition_number": _finite(s.condition_number),
-                    "neg_log_det": _finite(s.neg_log_det),
+                    "condition_number": number_or_none(s.condition_number),
+                    "neg_log_det": number_or_none(s.neg_log_det),
                     "seconds": s.seconds,
                 }
                 for s in self.starts
@@ -222,7 +223,7 @@ class Excitation:
             "build_seconds": self.build_seconds,
             "interrupted": self.interrupted,
             "coefficients": self.coefficients,
-            "warnings": [{"name": type(w).__name__, "message": str(w)} for w in self.warnings],
+            "warnings": warning_list(self.warnings),
         }
 
     def summary(self) -> str:
@@ -266,10 +267,6 @@ class Excitation:
             f"Excitation({self.model.robot.name}, {self.duration:.4g} s, "
             f"condition number {self.condition_number:.4g})"
         )
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def active_limits(quantities: Sequence[tuple[str, float]]) -> tuple[ActiveLimit, ...]:

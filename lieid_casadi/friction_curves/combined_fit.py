@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.effects import Placement
-from lieid_casadi.errors import LieidWarning
+from lieid_casadi.errors import LieidWarning, unique_warnings
 from lieid_casadi.friction_curves.constant_speed import steady_columns
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
 from lieid_casadi.identification.fit import Fit
@@ -246,7 +246,7 @@ def _warnings(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> tuple[Li
     found = [*first_stage.warnings]
     for own in friction.values():
         found += [*own.curve.warnings, *own.warnings]
-    return tuple({(type(w), str(w)): w for w in found}.values())
+    return unique_warnings(found)
 
 
 def _rms(errors: Sequence[Array]) -> Array:

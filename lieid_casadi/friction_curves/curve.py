@@ -95,7 +95,7 @@ class FrictionCurve:
             "load_source": self.load_source,
             "load_error": number_or_none(self.load_error),
             "cutoff": self.cutoff,
-            "recordings": [{"name": r.name, "sha256": r.sha256} for r in self.recordings],
+            "recordings": [r.to_dict() for r in self.recordings],
             "warnings": warning_list(self.warnings),
         }
 

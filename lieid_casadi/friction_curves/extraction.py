@@ -17,6 +17,7 @@ from lieid_casadi.errors import (
     ModelError,
     RecordingError,
     RobotError,
+    unique_warnings,
 )
 from lieid_casadi.friction_curves.binning import group_pairs, standard_errors
 from lieid_casadi.friction_curves.curve import FrictionCurve
@@ -101,12 +102,13 @@ def friction_curve(
     ]
     mismatch = float("nan") if links is None else _rms(motion.half_sum(remaining))
     found += _load_warnings(mismatch, _rms(motion.half_sum(rigid)), joint, source)
+    speed, load_torque = motion.matching.speed, motion.half_sum(series)
     data = CurveData(
         robot=robot,
         segments=segments,
         load=tuple(_in_joint(x, joint, robot.n) for x in series),
         matching=motion.matching,
-        groups=group_pairs(motion.matching.speed, motion.half_sum(series), motion.matching.stretch),
+        groups=group_pairs(speed, load_torque, motion.matching.stretch),
         friction=motion.half_difference(remaining),
         temperature_mean=mean,
     )
@@ -114,21 +116,21 @@ def friction_curve(
         joint=joint,
         joint_name=robot.joints[joint].name,
         unit="N·m" if robot.joints[joint].revolute else "N",
-        speed=data.groups.mean(motion.matching.speed),
-        load=data.groups.mean(np.abs(motion.half_sum(series))),
+        speed=data.groups.mean(speed),
+        load=data.groups.mean(np.abs(load_torque)),
         friction=data.groups.mean(data.friction),
         std=standard_errors(
             data.groups,
             data.friction,
             motion.matching.stretch,
             motion.matching.samples,
-            np.column_stack([motion.matching.speed, np.abs(motion.half_sum(series))]),
+            np.column_stack([speed, np.abs(load_torque)]),
         ),
         count=data.groups.count,
         load_source=source,
         load_error=mismatch,
         cutoff=segments[0].cutoff,
-        recordings=tuple(Source(r.name, r.source_hash) for r in given),
+        recordings=tuple(Source.of(r) for r in given),
         warnings=_unique(found),
         data=data,
     )
@@ -247,5 +249,4 @@ def _name(recordings: Sequence[Recording]) -> str:
 
 def _unique(found: Sequence[LieidWarning]) -> tuple[LieidWarning, ...]:
     """Remove repeated warnings, and those of joints that stand still as they should."""
-    kept = {(type(w), str(w)): w for w in found if not isinstance(w, JointStillWarning)}
-    return tuple(kept.values())
+    return unique_warnings([w for w in found if not isinstance(w, JointStillWarning)])

@@ -153,8 +153,8 @@ class DriveGains:
             "rms_current": numbers_or_none(self.rms_current),
             "relative_rms": numbers_or_none(self.relative_rms),
             "cutoff": self.cutoff,
-            "unloaded": [{"name": r.name, "sha256": r.sha256} for r in self.unloaded],
-            "loaded": [{"name": r.name, "sha256": r.sha256} for r in self.loaded],
+            "unloaded": [r.to_dict() for r in self.unloaded],
+            "loaded": [r.to_dict() for r in self.loaded],
             "warnings": warning_list(self.warnings),
         }
 

@@ -166,8 +166,8 @@ def _result(
         rms_current=rms / np.where(moves, np.abs(gains), np.nan),
         relative_rms=relative,
         cutoff=float(options.cutoff or np.nan),
-        unloaded=tuple(Source(r.name, r.source_hash) for r in recordings[0]),
-        loaded=tuple(Source(r.name, r.source_hash) for r in recordings[1]),
+        unloaded=tuple(Source.of(r) for r in recordings[0]),
+        loaded=tuple(Source.of(r) for r in recordings[1]),
         warnings=(),
     )
 

@@ -276,7 +276,7 @@ def _provenance(recordings: Sequence[Recording | RecordingStream]) -> Provenance
     first = recordings[0]
     return Provenance(
         __version__,
-        tuple(Source(r.name, r.source_hash) for r in recordings),
+        tuple(Source.of(r) for r in recordings),
         first.torque_constants if len({r.torque_constants for r in recordings}) == 1 else None,
         first.units if len({r.units for r in recordings}) == 1 else (),
     )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from lieid_casadi.recording import Recording, RecordingStream
+
 
 @dataclass(frozen=True)
 class Source:
@@ -11,6 +13,15 @@ class Source:
 
     name: str
     sha256: str
+
+    @classmethod
+    def of(cls, recording: Recording | RecordingStream) -> Source:
+        """Return name and hash of a recording."""
+        return cls(recording.name, recording.source_hash)
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the source for JSON: ``{name, sha256}``."""
+        return {"name": self.name, "sha256": self.sha256}
 
 
 @dataclass(frozen=True)

@@ -268,7 +268,7 @@ class PayloadEstimate:
                 for part in self.friction
             ],
             "cutoff": self.cutoff,
-            "recordings": [{"name": r.name, "sha256": r.sha256} for r in self.recordings],
+            "recordings": [r.to_dict() for r in self.recordings],
             "warnings": warning_list(self.warnings),
         }
 

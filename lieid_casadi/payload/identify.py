@@ -137,7 +137,7 @@ def identify_payload(
     report("done", 1.0)
     return replace(
         result,
-        recordings=tuple(Source(r.name, r.source_hash) for r in given),
+        recordings=tuple(Source.of(r) for r in given),
         warnings=unique_warnings(found),
     )
 

@@ -113,14 +113,10 @@ def simulate(
         t=np.concatenate([part.t for part in parts]),
         q=np.concatenate([part.q for part in parts]),
         dq=np.concatenate([part.dq for part in parts]),
-        refitted_to=_sources(training if each_effect else ()),
-        recordings=_sources(given),
+        refitted_to=tuple(Source.of(r) for r in training) if each_effect else (),
+        recordings=tuple(Source.of(r) for r in given),
         warnings=unique_warnings([*_not_simulated(fit), *_warnings(runs)]),
     )
-
-
-def _sources(recordings: Sequence[Recording]) -> tuple[Source, ...]:
-    return tuple(Source(r.name, r.source_hash) for r in recordings)
 
 
 def _not_simulated(fit: Fit) -> list[LieidWarning]:

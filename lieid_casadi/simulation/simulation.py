@@ -98,8 +98,8 @@ class Simulation:
             "rms_whole": numbers_or_none(self.rms_whole),
             "refitted": None if self.refitted is None else self.refitted.to_dict(),
             "without": [{"effect": name, **drift.to_dict()} for name, drift in self.without],
-            "refitted_to": _sources(self.refitted_to),
-            "recordings": _sources(self.recordings),
+            "refitted_to": [r.to_dict() for r in self.refitted_to],
+            "recordings": [r.to_dict() for r in self.recordings],
             "warnings": warning_list(self.warnings),
         }
 
@@ -117,7 +117,3 @@ class Simulation:
     def __repr__(self) -> str:
         degrees = ", ".join(f"{x:.3g}" for x in np.degrees(self.drift.rms))
         return f"<Simulation over {self.window:g} s windows: RMS drift {degrees} deg>"
-
-
-def _sources(recordings: tuple[Source, ...]) -> list[dict[str, str]]:
-    return [{"name": r.name, "sha256": r.sha256} for r in recordings]
