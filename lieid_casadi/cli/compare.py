@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import effects_file, output, shared_options
 from lieid_casadi.cli.option_types import InputPath, PictureFile
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def add_parser(commands: Any) -> None:
         help="draw measured, predicted and residual torque",
     )
     shared_options.add_recording_options(parser)
-    shared_options.add_effects_file(parser)
+    effects_file.add_option(parser)
     shared_options.add_outputs(parser, html=True)
     shared_options.add_threads(parser)
     parser.set_defaults(run=run)
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.report import comparison_report
     from lieid_casadi.simulation import window_drift
 
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     fit = Fit.load(args.fit)
     recordings = shared_options.recordings_of(args.recordings, args, fit)
     comparison = compare(fit, recordings)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options, torque_options
+from lieid_casadi.cli import effects_file, output, shared_options, torque_options
 from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile, part, seed
 from lieid_casadi.errors import UsageError
 
@@ -131,7 +131,7 @@ def _missing(args: argparse.Namespace) -> Diagnosis:
         )
     if not args.train:
         raise UsageError("no recordings to fit; expected lieid diagnose ROBOT --train A… --test B…")
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     robot = shared_options.robot_of(args)
     fit = Fit.load(args.robot) if _is_fit(args) else None
     train = shared_options.recordings_of(args.train, args, fit or robot)
@@ -168,7 +168,7 @@ def _changed(args: argparse.Namespace) -> Diagnosis:
     if unused:
         names = join_words([f"--{name.replace('_', '-')}" for name in unused])
         output.say(f"Without --train, model and filter are those of the fit: {names} not used.")
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     fit = Fit.load(args.robot)
     recordings = shared_options.recordings_of(args.recordings, args, fit)
     with output.progress("diagnose") as report:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import motion_limits, output, shared_options
+from lieid_casadi.cli import effects_file, motion_limits, output, shared_options
 from lieid_casadi.cli.excite import INTERRUPTED
 from lieid_casadi.cli.option_types import InputPath, number, seed
 from lieid_casadi.errors import UsageError
@@ -46,7 +46,7 @@ def add_parser(commands: Any) -> None:
     _add_motion(parser)
     motion_limits.add_limits(parser)
     _add_search(parser)
-    shared_options.add_effects_file(parser)
+    effects_file.add_option(parser)
     shared_options.add_recording_options(parser)
     shared_options.add_outputs(parser)
     shared_options.add_threads(parser)
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     from lieid_casadi.identification import Fit
 
     folder = Path(args.output)
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     sizes = sizes_of(args.size)
     fit = Fit.load(args.fit)
     with output.progress("discriminate") as report:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import effects_file, output, shared_options
 from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "name", nargs="?", metavar="NAME", help="effect to describe; default: list all effects"
     )
-    shared_options.add_effects_file(parser)
+    effects_file.add_option(parser)
     shared_options.add_outputs(parser)
     parser.set_defaults(run=run)
 
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.effects.description import describe
     from lieid_casadi.effects.registry import REGISTER
 
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     labels = sorted(REGISTER) if args.name is None else [args.name]
     effects = [make(label) for label in labels]
     files = output.Files()

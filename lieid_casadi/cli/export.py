@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import effects_file, output, shared_options
 from lieid_casadi.cli.option_types import InputPath
 from lieid_casadi.errors import UsageError
 
@@ -35,7 +35,7 @@ def add_parser(commands: Any) -> None:
         help="numbers that are arguments of the C functions: payload, parameters; default: none",
     )
     parser.add_argument("--float32", action="store_true", help="C in single precision")
-    shared_options.add_effects_file(parser)
+    effects_file.add_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> None:
     for option, given in (("--runtime", args.runtime is not None), ("--float32", args.float32)):
         if given and args.to != "c":
             raise UsageError(f"{option} applies to C code; expected --to c")
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     fit = Fit.load(args.fit)
     made = export(
         fit,

@@ -6,7 +6,7 @@ import argparse
 from math import isnan
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import effects_file, output, shared_options
 from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile
 from lieid_casadi.tables import make_table
 
@@ -45,7 +45,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--plot", type=PictureFile, metavar="FILE", help="draw the errors before and after"
     )
-    shared_options.add_effects_file(parser)
+    effects_file.add_option(parser)
     shared_options.add_recording_options(parser)
     shared_options.add_outputs(parser)
     shared_options.add_threads(parser)
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.diagnosis.extend import extend
     from lieid_casadi.identification import Fit
 
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     fit = Fit.load(args.fit)
     train = shared_options.recordings_of(args.train, args, fit)
     test = shared_options.recordings_of(args.test, args, fit)

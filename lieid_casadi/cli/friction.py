@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import effects_file, output, shared_options
 from lieid_casadi.cli.option_types import InputPath, PictureFile, number, seed
 from lieid_casadi.errors import UsageError
 
@@ -57,7 +57,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--seed", type=seed, default=0, metavar="N", help="seed of the search; default: 0"
     )
-    shared_options.add_effects_file(parser)
+    effects_file.add_option(parser)
     shared_options.add_recording_options(parser)
     parser.add_argument(
         "--cutoff", type=number, metavar="HZ", help="cut-off frequency of the low-pass filter"
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> None:
     )
     from lieid_casadi.recording import Processing
 
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     robot = shared_options.robot_of(args)
     if not 1 <= args.joint <= robot.n:
         raise UsageError(f"--joint {args.joint}: {robot.name} has joints 1 to {robot.n}")

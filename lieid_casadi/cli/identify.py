@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options, torque_options
+from lieid_casadi.cli import effects_file, output, shared_options, torque_options
 from lieid_casadi.cli.drive_options import known_mass
 from lieid_casadi.cli.option_types import FrictionRun, InputPath, OutputFile
 from lieid_casadi.errors import UsageError
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.identification import identify
     from lieid_casadi.report import comparison_report, fit_report
 
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     robot = shared_options.robot_of(args)
     in_memory = bool(args.friction_runs or args.known_mass)
     recordings = shared_options.recordings_of(args.train, args, robot) if in_memory else []

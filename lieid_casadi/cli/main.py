@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from lieid_casadi import __version__
-from lieid_casadi.cli import shared_options
+from lieid_casadi.cli import effects_file, shared_options
 from lieid_casadi.cli.option_types import check_paths, writes_to_stdout
 from lieid_casadi.cli.output import visible
 
@@ -117,7 +117,7 @@ def _status(args: argparse.Namespace, error: Exception) -> int:
         place = "" if error.filename is None else f"{error.filename}: "
         _say(f"lieid {command}: {place}{error.strerror or text}")
         return BAD_INPUT
-    if own_code is not None and (line := shared_options.exception_in_file(own_code, error)):
+    if own_code is not None and (line := effects_file.exception_in(own_code, error)):
         _say(f"lieid {command}: {' '.join(line.split())}")
         return BAD_INPUT
     _say(f"lieid {command}: internal error: {type(error).__name__}: {text} (--debug shows where)")

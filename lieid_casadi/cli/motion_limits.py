@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from lieid_casadi.cli import shared_options
+from lieid_casadi.cli import effects_file, shared_options
 from lieid_casadi.cli.option_types import InputPath, number
 from lieid_casadi.errors import UsageError
 
@@ -159,6 +159,6 @@ def arm_of(args: argparse.Namespace) -> tuple[Model | Fit, Robot]:
     for name, is_given in given.items():
         if is_given:
             raise UsageError(f"{name}: a fit ({args.robot}) has its own robot and effects")
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     fit = Fit.load(args.robot)
     return fit, fit.model.robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import effects_file, output, shared_options
 from lieid_casadi.cli.option_types import InputPath, PictureFile, number
 from lieid_casadi.errors import UsageError
 
@@ -50,7 +50,7 @@ def add_parser(commands: Any) -> None:
         help="standard deviation of the torque constants, %%: one number for an error that all "
         "joints share, or one per joint; default: 0",
     )
-    shared_options.add_effects_file(parser)
+    effects_file.add_option(parser)
     shared_options.add_recording_options(parser)
     shared_options.add_outputs(parser, html=True)
     shared_options.add_threads(parser)
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.payload import identify_payload
     from lieid_casadi.report import payload_report
 
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     fit = Fit.load(args.fit)
     recordings = shared_options.recordings_of(args.recordings, args, fit)
     with output.progress("payload") as report:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import effects_file, output, shared_options
 from lieid_casadi.cli.option_types import InputPath, OutputFile
 
 
@@ -29,7 +29,7 @@ def add_parser(commands: Any) -> None:
         help="CSV file with the columns t,tau1…taun",
     )
     shared_options.add_recording_options(parser)
-    shared_options.add_effects_file(parser)
+    effects_file.add_option(parser)
     shared_options.add_threads(parser)
     parser.set_defaults(run=run)
 
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> None:
 
     from lieid_casadi.identification import Fit
 
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     fit = Fit.load(args.fit)
     (recording,) = shared_options.recordings_of([args.recording], args, fit)
     torque = fit.predict(recording)

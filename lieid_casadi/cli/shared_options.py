@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lieid_casadi.cli import effects_file
 from lieid_casadi.cli.drive_options import (
     add_dataset_options,
     add_drive_options,
@@ -36,7 +37,7 @@ def add_robot(parser: argparse.ArgumentParser, *, fit: bool = False) -> None:
         help="URDF, MJCF or YAML file, or a bundled name"
         + (", or a fit (JSON)" if fit else "; the robot of a fit (JSON)"),
     )
-    parser.add_argument("--tip", metavar="LINK", help="last link of the chain (URDF)")
+    parser.add_argument("--tip", metavar="LINK", help="last link of the chain (URDF, MJCF)")
     parser.add_argument("--lock", nargs="+", default=[], metavar="JOINT", help="joints to lock")
 
 
@@ -96,17 +97,7 @@ def add_effects(parser: argparse.ArgumentParser, *, default: str | None = DEFAUL
         metavar="A,B:2+3,…",
         help=f"effects of the model; B:2+3 is B on joints 2 and 3; default: {stated}",
     )
-    add_effects_file(parser)
-
-
-def add_effects_file(parser: argparse.ArgumentParser) -> None:
-    """Add --effects-file, a Python file of the user that is executed."""
-    parser.add_argument(
-        "--effects-file",
-        type=InputPath,
-        metavar="F.py",
-        help="Python file that registers your own effects; it is executed",
-    )
+    effects_file.add_option(parser)
 
 
 def add_outputs(parser: argparse.ArgumentParser, *, html: bool = False) -> None:
@@ -174,7 +165,7 @@ def model_of(args: argparse.Namespace) -> Model:
     """Return the model of the robot with --effects."""
     from lieid_casadi.model import Model
 
-    load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     return Model(robot_of(args), args.effects)
 
 
@@ -252,49 +243,3 @@ def processing_of(args: argparse.Namespace) -> Processing:
     return Processing(
         cutoff=args.cutoff, average_periods=args.average_periods, smoother=args.smoothing
     )
-
-
-def load_effects_file(path: str | None) -> None:
-    """Run the user's own Python file, which registers effects.
-
-    Raises
-    ------
-    UsageError
-        The file does not exist, or an exception was raised in it; the message names the line.
-    """
-    if path is None:
-        return
-    import runpy
-
-    if not Path(path).is_file():
-        raise UsageError(f"{path}: no such file; --effects-file expects your own Python file")
-    try:
-        runpy.run_path(path)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # SystemExit too, and what others derive from it
-        raise UsageError(exception_in_file(path, error) or f"{path}: {error}") from error
-
-
-def exception_in_file(path: str, error: BaseException) -> str | None:
-    """Return a line that names where in a Python file an exception was raised; None if elsewhere.
-
-    Parameters
-    ----------
-    path : str
-        As it was executed.
-    error : BaseException
-        With its traceback.
-    """
-    import traceback
-
-    lines = [
-        frame.lineno
-        for frame in traceback.extract_tb(error.__traceback__)
-        if frame.filename == path
-    ]
-    if isinstance(error, SyntaxError) and error.filename == path:
-        lines.append(error.lineno)
-    if not lines:
-        return None
-    return f"{path}, line {lines[-1]}: {type(error).__name__}: {error}"

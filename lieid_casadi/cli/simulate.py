@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import effects_file, output, shared_options
 from lieid_casadi.cli.drive_options import drives_of
 from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile, number
 from lieid_casadi.errors import UsageError
@@ -56,7 +56,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--plot", type=PictureFile, metavar="FILE", help="draw the drift per joint")
     shared_options.add_recording_options(parser)
-    shared_options.add_effects_file(parser)
+    effects_file.add_option(parser)
     shared_options.add_outputs(parser)
     shared_options.add_threads(parser)
     parser.set_defaults(run=run)
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> None:
 
     if not args.window > 0.0:
         raise UsageError(f"--window {args.window:g}: expected seconds above 0")
-    shared_options.load_effects_file(args.effects_file)
+    effects_file.load(args.effects_file)
     fit = Fit.load(args.fit)
     recordings = shared_options.recordings_of(args.recordings, args, fit)
     own = argparse.Namespace(**vars(args) | {"episodes": args.train_episodes})

@@ -7,7 +7,7 @@ import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import effects_file, output, shared_options
 from lieid_casadi.cli.option_types import InputPath
 from lieid_casadi.errors import UsageError
 
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.workbench.server import ServerOptions, serve
 
     setup = WorkerSetup(
-        prepare=functools.partial(shared_options.load_effects_file, args.effects_file),
+        prepare=functools.partial(effects_file.load, args.effects_file),
         robot=functools.partial(load_robot, args),
         read=functools.partial(read_recordings, args),
     )

@@ -10,7 +10,7 @@ from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.errors import FrictionAtRestWarning, LieidWarning, SameRecordingWarning
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.provenance import Source
-from lieid_casadi.identification.regression.design_matrix import has_dry_friction
+from lieid_casadi.identification.regression.column_properties import has_dry_friction
 
 _NUMBER = r"(?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?"
 _PART = re.compile(rf"(?:@| episodes )(?P<start>{_NUMBER}):(?P<end>{_NUMBER})$")

@@ -16,7 +16,7 @@ from lieid_casadi.errors import (
     RelativeTorqueWarning,
     UnidentifiableWarning,
 )
-from lieid_casadi.identification.regression.design_matrix import has_dry_friction
+from lieid_casadi.identification.regression.column_properties import has_dry_friction
 from lieid_casadi.identification.regression.fixed_point import ROUNDS, FitState
 from lieid_casadi.identification.regression.least_squares import (
     Factor,

@@ -15,7 +15,7 @@ from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording.arrays import Mask, hash_of_arrays, read_only
 from lieid_casadi.recording.faults import require_sound
 from lieid_casadi.recording.measurement import OPTIONAL_SIGNALS, Measurement
-from lieid_casadi.recording.readers.file_part import split_part
+from lieid_casadi.recording.readers.file_part import part_label, rows_of_part, split_part
 from lieid_casadi.recording.readers.registry import (
     INFLATE_LIMIT,
     ReadOptions,
@@ -24,7 +24,7 @@ from lieid_casadi.recording.readers.registry import (
     write_measurement,
 )
 from lieid_casadi.recording.readers.tables import measurement_of_columns
-from lieid_casadi.recording.sample_timing import gap_limit, sample_rate
+from lieid_casadi.recording.sample_timing import sample_rate, segment_edges
 from lieid_casadi.recording.torque_source import torque_of_commands, torque_of_currents
 from lieid_casadi.recording.units import convert_units, unit_factors
 from lieid_casadi.robot.drive import Drive
@@ -236,30 +236,22 @@ class Recording(Measurement):
         RecordingError
             Fewer than two rows are left.
         """
-        low = -np.inf if start is None else float(start)
-        high = np.inf if end is None else float(end)
-        first, last = np.searchsorted(self.t, [low, high], side="left")
-        part = f"@{'' if start is None else format(start, 'g')}:" + (
-            "" if end is None else format(end, "g")
-        )
+        first, last = rows_of_part(self.t, start, end)
+        part = part_label(start, end)
         if last - first < 2:
             raise RecordingError(
                 f"{self.title}{part}: {max(last - first, 0)} rows in that part, "
                 f"expected some of {self.t[0]:g} to {self.t[-1]:g} s"
             )
-        return replace(self.rows(int(first), int(last)), name=self.name + part)
+        return replace(self.rows(first, last), name=self.name + part)
 
     def segments(self) -> list[Self]:
         """Return the stretches without a gap and with one payload label.
 
         A gap is a step in time above five median steps and 0.05 s.
         """
-        breaks = np.diff(self.t) > gap_limit(self.t)
-        if self.payload_label is not None:
-            labels = np.asarray(self.payload_label)
-            breaks |= labels[1:] != labels[:-1]
-        edges = [0, *(np.nonzero(breaks)[0] + 1).tolist(), len(self)]
-        return [self.rows(a, b) for a, b in pairwise(edges)]
+        edges = segment_edges(self.t, self.payload_label)
+        return [self.rows(first, last) for first, last in pairwise(edges)]
 
     def with_torque_constants(self, constants: ArrayLike) -> Self:
         """Return the recording with tau = constants · current; constants (n,), N·m/A.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lieid_casadi.errors import RecordingError
@@ -27,6 +29,23 @@ def sample_period(t: Array) -> float:
 def gap_limit(t: Array) -> float:
     """Return the step in time, s, beyond which two samples belong to different segments."""
     return max(GAP_PERIODS * sample_period(t), GAP_SECONDS)
+
+
+def segment_edges(t: Array, labels: Sequence[str] | None = None) -> list[int]:
+    """Return the first row of each segment and, last, the number of rows.
+
+    Parameters
+    ----------
+    t
+        (N,) stamps, s.
+    labels
+        (N,) label of the payload; a segment has one.
+    """
+    breaks = np.diff(t) > gap_limit(t)
+    if labels is not None:
+        payload = np.asarray(labels)
+        breaks |= payload[1:] != payload[:-1]
+    return [0, *(np.nonzero(breaks)[0] + 1).tolist(), t.size]
 
 
 def dropout_limit(t: Array) -> float:

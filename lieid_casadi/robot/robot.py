@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import RobotError
-from lieid_casadi.robot import bundled
+from lieid_casadi.robot.description_file import read_description
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.geometry import expressions
 from lieid_casadi.robot.joint import Limits, RobotDescription
@@ -57,7 +57,7 @@ class Robot(RobotDescription):
         path : str or Path
             File, or ``panda``, ``panda_luo2024``, ``so101``, ``two_link``.
         tip : str, optional
-            Last link of a URDF's chain.
+            Last link of a URDF's chain, or body at which an MJCF's chain ends.
         lock : sequence of str
             Joints of a URDF to lock at zero.
 
@@ -66,25 +66,7 @@ class Robot(RobotDescription):
         RobotError
             If the file is missing, of another type, or not a serial arm.
         """
-        if str(path) in bundled.NAMES:
-            if tip is not None or lock:
-                raise RobotError(f"{path}: --tip and --lock apply to URDF files only")
-            return cls.parse_yaml(bundled.text(str(path)), origin=str(path))
-        suffix = Path(path).suffix.lower()
-        if suffix == ".xml" and "<mujoco" in read_text(path):
-            if lock:
-                raise RobotError(f"{path}: --lock applies to URDF files only")
-            return cls.from_mjcf(path, tip=tip)
-        if suffix in (".urdf", ".xml"):
-            return cls.from_urdf(path, tip=tip, lock=lock)
-        if suffix in (".yaml", ".yml"):
-            if tip is not None or lock:
-                raise RobotError(f"{path}: --tip and --lock apply to URDF files only")
-            return cls.from_yaml(path)
-        names = ", ".join(bundled.NAMES)
-        raise RobotError(
-            f"{path}: expected a .urdf, .xml (URDF or MJCF) or .yaml file, or one of {names}"
-        )
+        return cls._of(read_description(path, tip=tip, lock=lock))
 
     @classmethod
     def from_urdf(

@@ -116,7 +116,8 @@ def serial_chain(
         branch = [joint.name for joint in free if joint not in chain]
         if branch:
             raise RobotError(
-                f"{origin}: not one serial chain: {', '.join(branch)} branch off "
+                f"{origin}: not one serial chain: {', '.join(branch)} "
+                f"{'branches' if len(branch) == 1 else 'branch'} off "
                 f"{' → '.join(j.name for j in chain)}; choose --tip LINK or --lock JOINT…"
             )
     if not chain:

@@ -26,8 +26,9 @@ from lieid_casadi.identification.feasible.feasible_warnings import at_bounds, dr
 from lieid_casadi.identification.feasible.options import FeasibleOptions
 from lieid_casadi.identification.feasible.problem import FeasibleProblem
 from lieid_casadi.identification.feasible.reference_bodies import reference_bodies
+from lieid_casadi.identification.regression.column_properties import varying_columns
 from lieid_casadi.identification.regression.cross_validation import Fold, cross_validated_rms
-from lieid_casadi.identification.regression.design_matrix import Design, varying_columns
+from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState, has_settled
 from lieid_casadi.identification.regression.least_squares import Factor, combine, joint_factors
 from lieid_casadi.identification.regression.rows import Rows

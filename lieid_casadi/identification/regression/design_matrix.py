@@ -10,7 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.compiled import Compiled
-from lieid_casadi.effects import ArmEffect
+from lieid_casadi.identification.regression.column_properties import (
+    active_columns,
+    has_dry_friction,
+    varying_columns,
+)
 from lieid_casadi.identification.regression.motion_columns import FilteredColumns, MotionColumns
 from lieid_casadi.identification.regression.rows import ChunkedRows
 from lieid_casadi.identification.regression.rows import JointRows as JointRows
@@ -62,7 +66,7 @@ class Design:
         kept = self.model.base.kept - 10 * self.model.n
         self._effects = np.flatnonzero(kept >= 0)  # positions among the base columns
         self._effect_index = kept[kept >= 0]  # columns of the model's effects
-        self._active = _active_columns(compiled)
+        self._active = active_columns(compiled)
         self._use = [_fit_rows(self.model, segment) for segment in self.segments]
         self._torque = [s.filter(_torque(s)) for s in self.segments]
         windows = [(k, w) for k, s in enumerate(self.segments) for w in s.windows]
@@ -250,52 +254,9 @@ def _starts(lengths: Sequence[int]) -> Indices:
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
 
 
-def varying_columns(model: Model) -> NDArray[np.bool_]:
-    """Mark the effect columns (m,) that depend on shape parameters or on the load."""
-    return np.array(
-        [
-            bool(p.effect.shapes) or "load" in p.effect.signals or isinstance(p.effect, ArmEffect)
-            for p in model.placements
-            for _ in p.effect.coefficients
-        ],
-        dtype=bool,
-    )
-
-
-def has_dry_friction(model: Model) -> NDArray[np.bool_]:
-    """Mark the joints (n,) with an effect whose torque is undetermined at rest."""
-    dry = np.zeros(model.n, dtype=bool)
-    for placement in model.placements:
-        if placement.effect.dry or "sign" in placement.effect.signals:
-            dry[placement.joint] = True
-    return dry
-
-
 def _fit_rows(model: Model, segment: Processed) -> NDArray[np.bool_]:
     """Mark the filtered rows (M, n) that enter a fit: all but those at rest under dry friction."""
     return segment.filtered_moving | ~has_dry_friction(model)
-
-
-def _active_columns(compiled: Compiled) -> list[NDArray[np.intp]]:
-    """Return the base columns that can act on each joint."""
-    model, functions = compiled.model, compiled.functions
-    acts = np.zeros((model.n, model.base.count), dtype=bool)
-    rigid = functions.base_regressor
-    acts[rigid.rows, rigid.columns] = True
-    position = {int(k): i for i, k in enumerate(model.base.kept)}
-    effects = functions.effect_columns
-    for row, column in zip(effects.rows, effects.columns, strict=True):
-        kept = position.get(10 * model.n + int(column))
-        if kept is not None:
-            acts[row, kept] = True
-    first = 10 * model.n
-    for p in model.placements:
-        last = first + len(p.effect.coefficients)
-        if isinstance(p.effect, ArmEffect):
-            rows = p.joint if p.effect.reach == "joint" else slice(None)
-            acts[rows, [position[k] for k in range(first, last) if k in position]] = True
-        first = last
-    return [np.flatnonzero(row) for row in acts]
 
 
 def _torque(segment: Processed) -> Array:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.identification.regression.design_matrix import Design, Rows, varying_columns
+from lieid_casadi.identification.regression.column_properties import varying_columns
+from lieid_casadi.identification.regression.design_matrix import Design, Rows
 from lieid_casadi.identification.regression.least_squares import LeastSquaresSolution, solve
 from lieid_casadi.identification.regression.shape_fit import fit_shapes
 from lieid_casadi.identification.regression.weights import ESTIMATORS, Weighting

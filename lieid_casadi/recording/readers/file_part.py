@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lieid_casadi.errors import RecordingError
+from lieid_casadi.recording.arrays import Array
 
 _PART = re.compile(r"(?P<path>.+)@(?P<start>[^:@/]*):(?P<end>[^:@/]*)")
 
@@ -27,6 +28,19 @@ def split_part(path: str | Path) -> tuple[Path, float | None, float | None]:
     if first is not None and last is not None and not first < last:
         raise RecordingError(f"{path}: found {first:g} to {last:g} s, expected T0 < T1")
     return Path(match["path"]), first, last
+
+
+def part_label(start: float | None, end: float | None) -> str:
+    """Return how a part is written behind a path: ``@T0:T1``, without the ends that are open."""
+    return "@" + ":".join("" if limit is None else format(limit, "g") for limit in (start, end))
+
+
+def rows_of_part(t: Array, start: float | None, end: float | None) -> tuple[int, int]:
+    """Return the first row with t ≥ start and the first with t ≥ end (t: (N,), increasing, s)."""
+    low = -np.inf if start is None else float(start)
+    high = np.inf if end is None else float(end)
+    first, last = np.searchsorted(t, [low, high], side="left")
+    return int(first), int(last)
 
 
 def _end(path: str | Path, text: str) -> float | None:

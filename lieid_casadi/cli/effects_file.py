@@ -1,0 +1,65 @@
+"""The option --effects-file: a Python file that registers effects of the user."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from lieid_casadi.cli.option_types import InputPath
+from lieid_casadi.errors import UsageError
+
+
+def add_option(parser: argparse.ArgumentParser) -> None:
+    """Add --effects-file, a Python file of the user that is executed."""
+    parser.add_argument(
+        "--effects-file",
+        type=InputPath,
+        metavar="F.py",
+        help="Python file that registers your own effects; it is executed",
+    )
+
+
+def load(path: str | None) -> None:
+    """Run the user's own Python file, which registers effects.
+
+    Raises
+    ------
+    UsageError
+        The file does not exist, or an exception was raised in it; the message names the line.
+    """
+    if path is None:
+        return
+    import runpy
+
+    if not Path(path).is_file():
+        raise UsageError(f"{path}: no such file; --effects-file expects your own Python file")
+    try:
+        runpy.run_path(path)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit too, and what others derive from it
+        raise UsageError(exception_in(path, error) or f"{path}: {error}") from error
+
+
+def exception_in(path: str, error: BaseException) -> str | None:
+    """Return a line that names where in a Python file an exception was raised; None if elsewhere.
+
+    Parameters
+    ----------
+    path : str
+        As it was executed.
+    error : BaseException
+        With its traceback.
+    """
+    import traceback
+
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename == path
+    ]
+    if isinstance(error, SyntaxError) and error.filename == path:
+        lines.append(error.lineno)
+    if not lines:
+        return None
+    return f"{path}, line {lines[-1]}: {type(error).__name__}: {error}"
