@@ -18,7 +18,7 @@ from lieid_casadi.diagnosis.residual.residual_description import describe_parts
 from lieid_casadi.diagnosis.residual.test_results import TrainAndTest, with_test_results
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 from lieid_casadi.diagnosis.review.partial_candidates import with_candidates
-from lieid_casadi.diagnosis.review.review import reviewed_parts
+from lieid_casadi.diagnosis.review.review import exchange_rivals, reviewed_parts
 from lieid_casadi.diagnosis.screening.aliases import Aliases, aliases
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.diagnosis.search.missing_effects import MissingEffects
@@ -92,7 +92,11 @@ def diagnose_missing(
         context = context.with_apart(difference[1])
         problem = MissingEffects(context, refit, seed=seed, ask=ask)
     problem.run(lambda step, fraction: report(step, 0.1 + 0.8 * fraction))
-    report("describe the residual", 0.9)
+    if len(problem.fit.shapes):  # rivals are compared before a fit that takes longer than any step
+        report("compare rivals", 0.9)
+        exchange_rivals(problem)
+        problem.fit_shapes()
+    report("describe the residual", 0.95)
     parts = _unexplained(problem, tests)
     problem.complete()
     steps = _steps(problem, comparisons)

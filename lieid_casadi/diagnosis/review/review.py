@@ -38,6 +38,13 @@ def reviewed_parts(problem: SearchProblem) -> tuple[Unexplained, ...]:
             return parts
 
 
+def exchange_rivals(problem: SearchProblem) -> None:
+    """Exchange accepted effects for better rivals."""
+    problem.accepted = [_with_alternatives(effect, problem) for effect in problem.accepted]
+    while problem.exchange_rival():
+        pass
+
+
 def review(problem: SearchProblem) -> None:
     """Keep the accepted effects that pass all tests in the last model, with their evidence there.
 
@@ -54,9 +61,10 @@ def review(problem: SearchProblem) -> None:
             failed = [(e, reason) for e, reason in zip(effects, reasons, strict=True) if reason]
         if not failed:
             problem.accepted = [_with_alternatives(effect, problem) for effect in effects]
-            if problem.exchange_rival():
-                continue
-            return
+            if not problem.exchange_rival():
+                return
+            problem.fit_shapes()
+            continue
         effect, reason = min(failed, key=lambda pair: _explained(pair[0]))
         problem.remove([effect.candidate.placement], f"in the final model {reason}")
 

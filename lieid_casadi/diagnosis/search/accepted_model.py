@@ -19,11 +19,10 @@ from lieid_casadi.diagnosis.search.pilot_noise import final_noise, pilot_noise
 from lieid_casadi.diagnosis.search.pruning import baseline_without, columns_of
 from lieid_casadi.diagnosis.search.search_problem import SearchProblem, joint_of
 from lieid_casadi.diagnosis.search.search_results import AcceptedEffect, RejectedEffect, with_fit
-from lieid_casadi.diagnosis.search.successive_fits import Refit, fitted_again
+from lieid_casadi.diagnosis.search.successive_fits import Refit, fitted_again, start_near
 from lieid_casadi.diagnosis.search.worth import below_worth
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
 Array = NDArray[np.float64]
@@ -106,7 +105,7 @@ class AcceptedModel(SearchProblem):
         """Fit all shape parameters together; the steps have taken them from the grids."""
         if not self.accepted or not len(self.fit.shapes):
             return
-        fit = self.refit(self.fit.model, ShapeStart(self.fit.shapes), uncertainty=True)
+        fit = self._fitted_again(held=False)
         for placement in self.placements:
             reason = implausible_sign(fit, placement) or unresolved_shape(
                 fit, placement, self.segments, self.options
@@ -121,8 +120,12 @@ class AcceptedModel(SearchProblem):
     def complete(self) -> None:
         """Fit the last model with the uncertainty of its parameters."""
         if self.accepted and np.isnan(self.fit.covariance).any():
-            held = ShapeStart(self.fit.shapes, held=True)
-            self._replace_last(self.refit(self.fit.model, held, uncertainty=True))
+            self._replace_last(self._fitted_again(held=True))
+
+    def _fitted_again(self, *, held: bool) -> Fit:
+        """Return another fit of the last model, with the uncertainty of its parameters."""
+        start = start_near(self.fit, self.fit.model, self.fit.shapes, held=held)
+        return self.refit(self.fit.model, start, uncertainty=True)
 
     def _replace_last(self, fit: Fit) -> None:
         """Replace the last fit by another one of the same model."""

@@ -29,19 +29,21 @@ from lieid_casadi.diagnosis.search.search_problem import Offer, logger
 from lieid_casadi.diagnosis.search.search_results import (
     AcceptedEffect,
     Proposal,
+    RejectedEffect,
     Replacement,
     fitted_parameters,
     parameter_units,
 )
-from lieid_casadi.diagnosis.search.successive_fits import Refit
+from lieid_casadi.diagnosis.search.successive_fits import Refit, start_near
 from lieid_casadi.diagnosis.search.variants import better_variant
 from lieid_casadi.diagnosis.search.worth import below_worth
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
+#: Accepted effects, fit with them, screening context and rejected effects.
+_State = tuple[list[AcceptedEffect], Fit, ScreeningContext, list[RejectedEffect]]
 REDUNDANT = "no longer needed after a later effect was added"
 
 
@@ -69,14 +71,14 @@ class MissingEffects(AcceptedModel):
         super().__init__(first, refit, seed=seed)
         self.ask = ask
         self._tried: set[frozenset[str]] = set()  # labels of the models with a rival
+        self._unexchanged: _State | None = None  # before rivals were exchanged
 
     def run(self, report: Callable[[str, float], None]) -> None:
-        """Add effects until none is accepted, then fit all shape parameters together."""
+        """Add effects until none is accepted, and exchange them for better variants."""
         search(self, self.options.most_steps, "most_steps", report)
         while self._exchange_variants():
             self.reconsider()
             search(self, self.options.most_steps, "most_steps", report)
-        self.fit_shapes()
 
     def refined_grids(
         self, state: SelectionState, groups: Sequence[int], refined: set[str]
@@ -160,7 +162,8 @@ class MissingEffects(AcceptedModel):
         larger = Model.of_placements(
             self.fit.model.robot, (*self.fit.model.placements, *placements)
         )
-        return self.refit(larger, ShapeStart(np.concatenate(shapes), held=True))
+        start = start_near(self.fit, larger, np.concatenate(shapes), held=True)
+        return self.refit(larger, start)
 
     def _add(self, offers: Sequence[Offer], fit: Fit) -> None:
         for offer in offers:
@@ -216,17 +219,31 @@ class MissingEffects(AcceptedModel):
             labels = frozenset(p.label for p in self.placements)
             replaced = labels - {effect.candidate.placement.label} | {place.label}
             self._tried |= {labels, replaced}
-            before = self.accepted, self.fit, self.context, list(self.rejected)
+            before = self._state()
             self._exchange([rival], final=False)
-            self.fit_shapes()
             implausible = self._implausible(place, self.fit)
-            all_kept = len(self.accepted) == len(before[0]) and not implausible
-            if all_kept and not any(self.in_last_model(a)[1] for a in self.accepted):
+            if not implausible and not any(self.in_last_model(a)[1] for a in self.accepted):
+                self._unexchanged = self._unexchanged or before
                 return True
-            self.accepted, self.fit, self.context, self.rejected = before
+            self._return_to(before)
             if implausible:
                 self.reject(rival.candidate, implausible, final=True)
         return False
+
+    def fit_shapes(self) -> None:
+        """Fit all shape parameters together; return to the former effects if a rival fails then."""
+        before, count = self._unexchanged, len(self.accepted)
+        self._unexchanged = None
+        super().fit_shapes()
+        if before is not None and len(self.accepted) < count:
+            self._return_to(before)
+            super().fit_shapes()
+
+    def _state(self) -> _State:
+        return self.accepted, self.fit, self.context, list(self.rejected)
+
+    def _return_to(self, state: _State) -> None:
+        self.accepted, self.fit, self.context, self.rejected = state
 
     def _exchange(self, replacements: Sequence[Replacement], *, final: bool = True) -> None:
         """Replace accepted effects, and fit the model again from the first of them on.

@@ -55,7 +55,9 @@ def recording_differences(problem: SearchProblem) -> tuple[Difference, ...]:
     signals that is the same in all recordings.
     """
     found = _best(problem)
-    return () if found is None else _differences(problem, found)
+    if found is None or not _is_significant(problem, found):
+        return ()
+    return _differences(problem, found)
 
 
 def leading_difference(
@@ -76,7 +78,7 @@ def leading_difference(
     penalty = schwarz_penalty(baseline, problem.least_gain)
     common = SelectionState(candidates, baseline, problem.options).given([])
     of_the_arm = penalized_gain(common, np.diff(baseline.ends), penalty)
-    if of_the_arm.max() >= found.score:
+    if of_the_arm.max() >= found.score or not _is_significant(problem, found):
         return None
     return _differences(problem, found), _columns(problem, found)
 
@@ -89,7 +91,7 @@ def _columns(problem: SearchProblem, found: _Found) -> tuple[Array, ...]:
 
 
 def _best(problem: SearchProblem) -> _Found | None:
-    """Return what best explains a difference between the recordings, if it is significant."""
+    """Return what best explains a difference between the recordings."""
     parts = problem.held_out_rows.parts[0]
     if not parts.recordings:
         return None
@@ -105,9 +107,7 @@ def _best(problem: SearchProblem) -> _Found | None:
         if each is not None
     ]
     best = max(found, key=lambda each: each.score, default=None)
-    if best is None or _log10_p(problem, best) > np.log10(problem.options.significance):
-        return None
-    if _is_the_same_in_all(problem, baseline, baseline.with_columns(best.columns)):
+    if best is None or _is_the_same_in_all(problem, baseline, baseline.with_columns(best.columns)):
         return None
     return best
 
@@ -212,6 +212,10 @@ def _differences(problem: SearchProblem, found: _Found) -> tuple[Difference, ...
         )
         for k, own in zip(found.recordings, values.reshape(len(found.recordings), -1), strict=True)
     )
+
+
+def _is_significant(problem: SearchProblem, found: _Found) -> bool:
+    return _log10_p(problem, found) <= float(np.log10(problem.options.significance))
 
 
 def _log10_p(problem: SearchProblem, found: _Found) -> float:

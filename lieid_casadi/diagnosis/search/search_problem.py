@@ -219,6 +219,10 @@ class SearchProblem(ABC):
         """
         return False
 
+    def fit_shapes(self) -> None:
+        """Fit all shape parameters together; those of changes of a kept model stay as they are."""
+        return
+
     def last_noise(self) -> tuple[Noise, ...]:
         """Return the autoregressive noise of each joint, estimated in the last model."""
         return self.coloured

@@ -6,11 +6,14 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.search.search_results import AcceptedEffect, with_fit
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.model import Model
+
+Array = NDArray[np.float64]
 
 
 class Refit(Protocol):
@@ -26,6 +29,28 @@ class Refit(Protocol):
         uncertainty : bool
             Whether the covariance is computed; no step of a search needs it.
         """
+
+
+def start_near(fit: Fit, model: Model, shapes: Array, *, held: bool = False) -> ShapeStart:
+    """Return the start of a fit of another model: links and coefficients of effects in both.
+
+    Parameters
+    ----------
+    fit : Fit
+    model : Model
+        Of the same robot.
+    shapes : (s,)
+        Shape parameters of the model.
+    held : bool
+        Whether they stay fixed.
+    """
+    known = {
+        column.label: float(value)
+        for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True)
+    }
+    coefficients = [known.get(column.label, 0.0) for column in model.columns]
+    parameters = np.concatenate([fit.link_parameters, coefficients])
+    return ShapeStart(shapes, held=held, parameters=parameters)
 
 
 def fitted_again(
@@ -68,7 +93,7 @@ def fitted_again(
             placements = [effect.candidate.placement for effect in family]
             model = Model.of_placements(fit.model.robot, (*fit.model.placements, *placements))
             held = np.array([shapes[p.label] for p in model.shapes])
-            fit = refit(model, ShapeStart(held, held=True))
+            fit = refit(model, start_near(fit, model, held, held=True))
         else:
             fit = before
         effects += [with_fit(effect, fit) for effect in family]

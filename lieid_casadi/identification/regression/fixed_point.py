@@ -46,10 +46,21 @@ class FitState:
 
 @dataclass(frozen=True, eq=False)
 class ShapeStart:
-    """Shape parameters (s,) to start from, near the solution; with ``held`` they stay fixed."""
+    """Values to start from, near the solution.
+
+    Attributes
+    ----------
+    values : (s,)
+        Shape parameters.
+    held : bool
+        Whether they stay fixed.
+    parameters : (10 n + m,), optional
+        Link parameters and effect coefficients that give the first load; by default it is zero.
+    """
 
     values: Array
     held: bool = False
+    parameters: Array | None = None
 
 
 def fixed_point(
@@ -75,20 +86,19 @@ def fixed_point(
     """
     model = design.model
     estimator = ESTIMATORS[method]
-    shapes, links = model.initial_shapes if start is None else start.values, None
-    held = start is not None and start.held
+    start, searched = start or ShapeStart(model.initial_shapes), start is not None
+    shapes, links = start.values, start.parameters
     iterate = bool(varying_columns(model).any())
     loaded = any("load" in p.effect.signals for p in model.placements)
     if any(isinstance(p.effect, ArmEffect) and p.effect.shapes for p in model.placements):
         # a fit without the effect is biased by it; the nominal bodies are nearer to the arm
         loaded, links = True, nominal_parameters(model) if model.robot.has_inertia else None
-    searched = start is not None
     before: Array | None = None
     for round_ in range(ROUNDS):
         rows = design.rows(shapes, links)
         weighting = estimator(rows)
         # shapes of load-dependent effects need a load first
-        if len(shapes) and not held and not (loaded and links is None):
+        if len(shapes) and not start.held and not (loaded and links is None):
             shapes = fit_shapes(design, shapes, links, weighting.noise, search=not searched)
             searched = True
             rows = design.rows(shapes, links)
