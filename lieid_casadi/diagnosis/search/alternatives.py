@@ -38,6 +38,8 @@ class Alternatives:
         Of the final model without the effect.
     columns : (R, k)
         Of the effect, whitened.
+    own_gain : float
+        Fall of the sum of squares by the effect.
     alone, both : Screening
         Of the candidates, one group each, without the effect and in addition to it.
     """
@@ -45,6 +47,7 @@ class Alternatives:
     effect: AcceptedEffect
     without: Baseline
     columns: Array
+    own_gain: float
     alone: Screening
     both: Screening
 
@@ -52,12 +55,6 @@ class Alternatives:
     def candidates(self) -> Columns:
         """The candidates, one group each, whitened."""
         return self.alone.candidates
-
-    @property
-    def own_gain(self) -> float:
-        """Fall of the sum of squares by the effect."""
-        after = self.without.with_columns(self.columns)
-        return float(np.sum(self.without.residual**2) - np.sum(after.residual**2))
 
 
 def alternatives(effect: AcceptedEffect, problem: SearchProblem) -> Alternatives:
@@ -99,7 +96,7 @@ def alternatives(effect: AcceptedEffect, problem: SearchProblem) -> Alternatives
     if len(possible) < len(wanted):
         candidates = _evaluated(possible, problem)
     return Alternatives(
-        effect, without, columns,
+        effect, without, columns, own_gain,
         screen(candidates, without, options),
         screen(candidates, after, options),
     )  # fmt: skip
