@@ -49,14 +49,16 @@ def difference_sentences(differing: Sequence[Difference]) -> list[str]:
     for label in dict.fromkeys(difference.label for difference in differing):
         own = [difference for difference in differing if difference.label == label]
         where, names = location(own[0].joints), join_words([n for d in own for n in d.recordings])
-        if len(own) == 1:
+        if own[0].is_change:
+            what = f"is not the same in {names} as in the others ({_values(own[0])} more)"
+        elif len(own) == 1:
             what = f"would explain {names} and not the others"
         else:
             values = [f"{_values(each)} in {join_words(each.recordings)}" for each in own]
             what = f"has other values in each of them ({', '.join(values)})"
         found.append(
-            f"The training recordings differ from each other: {own[0].effect} on {where} {what}, "
-            "so it is not an effect of the arm."
+            f"The training recordings differ from each other: {own[0].effect} on {where} {what}"
+            + ("." if own[0].is_change else ", so it is not an effect of the arm.")
         )
     return found
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lieid_casadi.diagnosis.options import Penalty
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns, JointColumns
+from lieid_casadi.diagnosis.screening.candidate_evaluation import evaluate_candidates
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.evidence import HypothesisFamily
 from lieid_casadi.diagnosis.screening.screen import SelectionState, screen
@@ -19,6 +20,8 @@ from lieid_casadi.diagnosis.search.forward_selection import penalized_gain
 from lieid_casadi.diagnosis.search.pilot_noise import final_noise
 from lieid_casadi.diagnosis.search.search_problem import SearchProblem
 from lieid_casadi.diagnosis.search.search_results import Difference
+from lieid_casadi.effects import ArmEffect
+from lieid_casadi.model import Model
 
 Array = NDArray[np.float64]
 Columns = CandidateColumns[Candidate]
@@ -30,6 +33,8 @@ class _Found:
 
     Attributes
     ----------
+    among : CandidateColumns
+        Not whitened: the candidates, or the effects of the model.
     recordings : tuple of int
         A single one; all of them for an effect with other coefficients in each.
     group : int
@@ -39,6 +44,7 @@ class _Found:
         Whitened; those of each recording are zero on the others.
     """
 
+    among: Columns
     recordings: tuple[int, ...]
     group: int
     score: float
@@ -48,8 +54,9 @@ class _Found:
 def recording_differences(problem: SearchProblem) -> tuple[Difference, ...]:
     """Return the effect that best explains what differs between the training recordings.
 
-    The candidates are screened once more with columns that are zero on all recordings but one,
-    and effects that belong to a recording (a drift) with coefficients of their own in each.
+    The candidates and the model's own effects are screened with columns that are zero on all
+    recordings but one, and effects that belong to a recording (a drift) with coefficients of their
+    own in each.
     The best one is a difference if it is significant, worth naming, explains little more with other
     coefficients on the other recordings, and more of its joint than a smooth function of the
     signals that is the same in all recordings.
@@ -85,8 +92,8 @@ def leading_difference(
 
 def _columns(problem: SearchProblem, found: _Found) -> tuple[Array, ...]:
     """Return the columns (N_j, k) of a difference on each joint, not whitened."""
-    context, held = problem.context, problem.held_out_rows.parts[0].held
-    parts = [_only_on(context.candidates, held == k).dense(found.group) for k in found.recordings]
+    held = problem.held_out_rows.parts[0].held
+    parts = [_only_on(found.among, held == k).dense(found.group) for k in found.recordings]
     return tuple(np.hstack(own) for own in zip(*parts, strict=True))
 
 
@@ -95,33 +102,56 @@ def _best(problem: SearchProblem) -> _Found | None:
     parts = problem.held_out_rows.parts[0]
     if not parts.recordings:
         return None
-    white = problem.white
-    candidates, baseline = problem.candidates(white), problem.current_baseline(white)
-    if not len(candidates.size):
-        return None
-    only = [_only_on(candidates, parts.held == k) for k in range(len(parts.names))]
+    white, baseline = problem.white, problem.current_baseline(problem.white)
     penalty = schwarz_penalty(baseline, problem.least_gain)
-    found = [
-        each
-        for each in (_on_one(problem, only, baseline, penalty), _on_each(only, baseline, penalty))
-        if each is not None
-    ]
-    best = max(found, key=lambda each: each.score, default=None)
+    found = []
+    own, candidates = _own_effects(problem), problem.context.candidates
+    for among, whitened in (
+        (candidates, problem.candidates(white)),
+        (own, own.whitened(white, problem.context.runs)),
+    ):
+        if not len(among.size):
+            continue
+        only = [_only_on(whitened, parts.held == k) for k in range(len(parts.names))]
+        found += [
+            _on_one(problem, among, only, baseline, penalty),
+            _on_each(among, only, baseline, penalty),
+        ]
+    best = max((f for f in found if f is not None), key=lambda each: each.score, default=None)
     if best is None or _is_the_same_in_all(problem, baseline, baseline.with_columns(best.columns)):
         return None
     return best
 
 
+def _own_effects(problem: SearchProblem) -> Columns:
+    """Return the columns of the model's effects on single joints, at their shape parameters."""
+    context, fit = problem.context, problem.context.fit
+    shapes = dict(zip((shape.label for shape in fit.model.shapes), fit.shapes, strict=True))
+    own = []
+    for placement in fit.model.placements:
+        if not isinstance(placement.effect, ArmEffect):
+            alone = Model.of_placements(fit.model.robot, (placement,))
+            point = [float(shapes[shape.label]) for shape in alone.shapes]
+            own.append(Candidate(placement, np.array(point).reshape(1, -1)))
+    return evaluate_candidates(own, context.signals, context.runs, context.store)
+
+
 def _on_one(
-    problem: SearchProblem, only: Sequence[Columns], baseline: Baseline, penalty: Penalty
+    problem: SearchProblem,
+    among: Columns,
+    only: Sequence[Columns],
+    baseline: Baseline,
+    penalty: Penalty,
 ) -> _Found | None:
     """Return the candidate that best explains one recording and little of the others.
 
     Parameters
     ----------
     problem : SearchProblem
+    among : CandidateColumns
+        Not whitened.
     only : sequence of CandidateColumns
-        Zero except on one recording each.
+        The same whitened, zero except on one recording each.
     baseline : Baseline
     penalty : Penalty
     """
@@ -138,10 +168,12 @@ def _on_one(
     gain = float(gains[best].gain[group])
     if scores[best, group] <= 0.0 or elsewhere > options.least_rival_gain * gain:
         return None
-    return _Found((best,), group, float(scores[best, group]), columns)
+    return _Found(among, (best,), group, float(scores[best, group]), columns)
 
 
-def _on_each(only: Sequence[Columns], baseline: Baseline, penalty: Penalty) -> _Found | None:
+def _on_each(
+    among: Columns, only: Sequence[Columns], baseline: Baseline, penalty: Penalty
+) -> _Found | None:
     """Return the effect that best explains all recordings with coefficients of its own in each.
 
     Only effects whose coefficients belong to a recording are considered; another effect with
@@ -149,8 +181,10 @@ def _on_each(only: Sequence[Columns], baseline: Baseline, penalty: Penalty) -> _
 
     Parameters
     ----------
+    among : CandidateColumns
+        Not whitened.
     only : sequence of CandidateColumns
-        Zero except on one recording each.
+        The same whitened, zero except on one recording each.
     baseline : Baseline
     penalty : Penalty
     """
@@ -163,7 +197,7 @@ def _on_each(only: Sequence[Columns], baseline: Baseline, penalty: Penalty) -> _
         gain = _gain(columns, baseline)
         score = gain - penalty.per_parameter * candidate.parameters * len(only)
         if gain >= penalty.part * rows[candidate.joint] and score > 0.0:
-            found.append(_Found(tuple(range(len(only))), group, score, columns))
+            found.append(_Found(among, tuple(range(len(only))), group, score, columns))
     return max(found, key=lambda each: each.score, default=None)
 
 
@@ -198,19 +232,21 @@ def _gain(columns: Array, baseline: Baseline) -> float:
 def _differences(problem: SearchProblem, found: _Found) -> tuple[Difference, ...]:
     """Return one difference for each recording with coefficients of its own."""
     baseline = problem.current_baseline(problem.white)
-    candidate = problem.candidates(problem.white).owner(found.group)
+    candidate: Candidate = found.among.owner(found.group)
     values = baseline.coefficients(found.columns, least=1e-6)
     names = [c.name for c in candidate.effect.coefficients]
     recordings = problem.held_out_rows.parts[0].names
+    own = {p.label for p in problem.context.fit.model.placements}
     return tuple(
         Difference(
             candidate.placement.label,
             candidate.name,
             candidate.joints,
             (recordings[k],),
-            {name: float(value) for name, value in zip(names, own, strict=True)},
+            {name: float(x) for name, x in zip(names, each, strict=True)},
+            candidate.placement.label in own,
         )
-        for k, own in zip(found.recordings, values.reshape(len(found.recordings), -1), strict=True)
+        for k, each in zip(found.recordings, values.reshape(len(found.recordings), -1), strict=True)
     )
 
 
@@ -221,22 +257,24 @@ def _is_significant(problem: SearchProblem, found: _Found) -> bool:
 def _log10_p(problem: SearchProblem, found: _Found) -> float:
     """Return log₁₀ of the p-value of a difference; the family has all recordings.
 
-    Drifts of several recordings are not attributed to the noise, which would resemble them.
+    Drifts of several recordings and other values of the model's own effects, an offset among them,
+    are not attributed to the noise, which would resemble them.
     """
     noise, context = problem.last_noise(), problem.context
-    if len(found.recordings) > 1:
+    if len(found.recordings) > 1 or found.among is not context.candidates:
         noise = final_noise(context, _columns(problem, found))
     candidates, baseline = problem.candidates(noise), problem.current_baseline(noise)
-    instants = context.held_out_rows(noise, noise).parts[0]
-    only = [_only_on(candidates, instants.held == k) for k in found.recordings]
+    recordings = context.held_out_rows(noise, noise).parts[0]
+    on = [recordings.held == k for k in found.recordings]
     family = HypothesisFamily.of(
-        screen(only[0], baseline, None),
+        screen(_only_on(candidates, on[0]), baseline, None),
         seed=problem.seed,
         draws=problem.options.bootstrap_draws,
-        further=context.scanned,
+        further=context.scanned + len(context.fit.model.placements),
     )
-    tests = HypothesisFamily(family.tests * len(instants.names))
-    columns = np.hstack([own.stacked(found.group) for own in only])
+    tests = HypothesisFamily(family.tests * len(recordings.names))
+    among = found.among.whitened(noise, context.runs)
+    columns = np.hstack([_only_on(among, rows).stacked(found.group) for rows in on])
     after = baseline.with_columns(columns)
     gain = float(np.sum(baseline.residual**2) - np.sum(after.residual**2))
     dispersion = baseline.dispersion(columns, len(context.runs))

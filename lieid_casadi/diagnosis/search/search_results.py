@@ -176,6 +176,8 @@ class Difference:
         Names of the recordings that it explains.
     parameters : dict
         Coefficients there.
+    is_change : bool
+        Whether the model has the effect: the coefficients are changes of its own.
     """
 
     label: str
@@ -183,6 +185,7 @@ class Difference:
     joints: tuple[int, ...]
     recordings: tuple[str, ...]
     parameters: dict[str, float]
+    is_change: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for JSON, joints from 1."""
@@ -191,6 +194,7 @@ class Difference:
             "joints": [j + 1 for j in self.joints],
             "recordings": list(self.recordings),
             "parameters": self.parameters,
+            "is_change": self.is_change,
         }
 
 

@@ -1,0 +1,37 @@
+"""Friction of the model that is not the same in all training recordings is stated as such."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+
+ROBOT = lieid.robots.two_link()
+MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
+MORE = {"coulomb": 1.0, "viscous": 1.0, "offset": 1.0}  # N·m, N·m·s/rad, N·m
+
+
+def recording(seed, name, more=None):
+    """Return a recording of an arm whose joint 1 has more friction of one kind."""
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    if more is not None:
+        value = getattr(arm.friction, more) + np.array([MORE[more], 0.0])
+        arm = replace(arm, friction=replace(arm.friction, **{more: value}))
+    motion = plant.FourierTrajectory(ROBOT, base_frequency=0.1, seed=seed)
+    t = np.arange(0.0, 10.0, 0.004)
+    sensors = plant.demo_sensors(ROBOT)
+    return plant.measure_along(arm, t, *motion.at(t), sensors=sensors, seed=seed, name=name)
+
+
+@pytest.mark.parametrize("effect", MORE)
+def test_friction_that_is_larger_in_one_recording_is_stated(effect):
+    train = [recording(1, "first"), recording(2, "second", effect), recording(3, "third")]
+    diagnosis = lieid.diagnose(MODEL, train)
+    assert not diagnosis.steps
+    (found,) = diagnosis.differing
+    assert (found.label, found.recordings, found.is_change) == (f"{effect}:1", ("second",), True)
+    (value,) = found.parameters.values()
+    assert value == pytest.approx(MORE[effect], rel=0.1)
+    assert f"{effect} on joint 1 is not the same in second as in the others" in diagnosis.sentence
