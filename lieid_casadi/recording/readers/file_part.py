@@ -36,7 +36,15 @@ def part_label(start: float | None, end: float | None) -> str:
 
 
 def rows_of_part(t: Array, start: float | None, end: float | None) -> tuple[int, int]:
-    """Return the first row with t ≥ start and the first with t ≥ end (t: (N,), increasing, s)."""
+    """Return the first row with t ≥ start, and the first with t ≥ end.
+
+    Parameters
+    ----------
+    t
+        (N,) stamps, s, increasing.
+    start, end
+        s; None: from the first row, to the last.
+    """
     low = -np.inf if start is None else float(start)
     high = np.inf if end is None else float(end)
     first, last = np.searchsorted(t, [low, high], side="left")
