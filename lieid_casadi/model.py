@@ -92,9 +92,19 @@ class Model:
         return model
 
     def with_effect(self, effect: str | Effect, *, joints: Sequence[int] | None = None) -> Model:
-        """Return this model with one more effect; ``joints`` count from 0, None is every joint.
+        """Return this model with one more effect, where it does not have it already.
 
-        Placements that the model has already are not repeated.
+        Parameters
+        ----------
+        effect : str or Effect
+            Name, such as ``"stribeck"`` or, with joints from 1, ``"stribeck:4"``.
+        joints : sequence of int, optional
+            Joints from 0; every joint, or those in the name, if left out.
+
+        Raises
+        ------
+        EffectError
+            Unknown effect or joint.
         """
         have = {placement.label for placement in self.placements}
         new = [p for p in place(effect, self.robot.n, joints) if p.label not in have]
@@ -119,13 +129,7 @@ class Model:
     def columns(self) -> tuple[Parameter, ...]:
         """The effects' linear coefficients, in the order of their columns."""
         return tuple(
-            Parameter(
-                f"{p.effect.label}.{c.name}",
-                p.joint,
-                _unit(c.unit, p, self.robot),
-                c.lower,
-                c.upper,
-            )
+            self._parameter(p, c.name, c.unit, lower=c.lower, upper=c.upper)
             for p in self.placements
             for c in p.effect.coefficients
         )
@@ -134,14 +138,7 @@ class Model:
     def shapes(self) -> tuple[Parameter, ...]:
         """The effects' shape parameters."""
         return tuple(
-            Parameter(
-                f"{p.effect.label}.{s.name}",
-                p.joint,
-                _unit(s.unit, p, self.robot),
-                s.lower,
-                s.upper,
-                s.initial,
-            )
+            self._parameter(p, s.name, s.unit, lower=s.lower, upper=s.upper, initial=s.initial)
             for p in self.placements
             for s in p.effect.shapes
         )
@@ -155,12 +152,7 @@ class Model:
     def states(self) -> tuple[Parameter, ...]:
         """What effects with memory carry along, in the order of the state vector."""
         return tuple(
-            Parameter(
-                f"{p.effect.label}.{s.name}",
-                p.joint,
-                _unit(s.unit, p, self.robot),
-                initial=s.initial,
-            )
+            self._parameter(p, s.name, s.unit, initial=s.initial)
             for p in self.placements
             for s in p.effect.states
         )
@@ -262,6 +254,11 @@ class Model:
             if state:
                 rates += p.effect.state_rates(signals.of(p.joint, p.source, state), shape)
         return ca.vertcat(*rates)
+
+    def _parameter(self, p: Placement, name: str, unit: str, **numbers: float) -> Parameter:
+        """Return a parameter of a placed effect; ``numbers`` are bounds and start value."""
+        label = f"{p.effect.label}.{name}"
+        return Parameter(label, p.joint, _unit(unit, p, self.robot), **numbers)
 
     def _named(
         self, shapes: ca.SX, states: ca.SX | None

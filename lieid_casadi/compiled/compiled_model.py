@@ -36,6 +36,17 @@ def compile(
         Samples per vector register (8, 4, 2 or 1); the most that the processor has if left out.
         Results have the same bits with any number of lanes.
 
+    Returns
+    -------
+    Compiled
+
+    Raises
+    ------
+    ModelError
+        Neither a model nor a robot.
+    RobotError
+        The robot's geometry contains symbols.
+
     Examples
     --------
     >>> import lieid_casadi as lieid

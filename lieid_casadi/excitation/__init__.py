@@ -13,11 +13,11 @@ from lieid_casadi.excitation.limits.expression_limit import (
     jerk_limit,
 )
 from lieid_casadi.excitation.limits.link_geometry import capsules_of, load_capsules
+from lieid_casadi.excitation.limits.self_collision import SelfCollision
 from lieid_casadi.excitation.limits.symbolic_limits import CartesianSpeed, Limit
 from lieid_casadi.excitation.limits.torque_limit import Torque
 from lieid_casadi.excitation.limits.workspace import (
     Obstacle,
-    SelfCollision,
     Wall,
     floor,
     workspace_box,

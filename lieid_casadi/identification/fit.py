@@ -196,7 +196,13 @@ class Fit:
         check_joints(self.model, recording)
 
     def save(self, path: str | Path) -> None:
-        """Write the fit as JSON, atomically. The file contains the robot."""
+        """Write the fit as JSON, atomically. The file contains the robot.
+
+        Raises
+        ------
+        OutputError
+            The file cannot be written.
+        """
         from lieid_casadi.identification.fit_file import save
 
         save(self, path)

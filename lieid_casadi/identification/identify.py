@@ -72,9 +72,9 @@ def identify(
         With torques. Segments are never joined across a gap. Of a stream, which is read in
         parts, one part is checked.
     method : {"ols", "wls", "robust", "feasible"}
-        Rows weighted by the inverse of each joint's noise, not weighted, or weighted against
-        outliers (Huber); or weighted by noise with physically consistent inertias, dissipative
-        friction, and coefficients within their bounds.
+        ``ols``: least squares without weights. ``wls``: each joint weighted by the inverse of its
+        noise. ``robust``: further weights against outliers (Huber). ``feasible``: as ``wls``, with
+        physically consistent inertias, dissipative friction, and coefficients within their bounds.
     processing : Processing, optional
         Filter options; the cut-off is chosen from the spectrum if not stated.
     feasible : FeasibleOptions, optional
@@ -96,6 +96,15 @@ def identify(
         Recordings that do not match the model; an unknown method; a negative nominal mass.
     NoSolution
         Method ``feasible`` found no solution; the message says why and what to relax.
+
+    Notes
+    -----
+    Torque and regressor columns go through the same zero-phase low-pass filter. Shape parameters
+    are found by variable projection (Golub, Pereyra, SIAM J. Numer. Anal. 1973). Standard
+    deviations account for the correlation of the residual in time (Newey, West, Econometrica
+    1987). ``feasible`` requires positive definite pseudo-inertias (Wensing, Kim, Slotine, RA-L
+    2018) and is regularized by the entropic divergence from the nominal bodies (Lee, Wensing,
+    Park, T-RO 2020).
 
     Examples
     --------

@@ -133,6 +133,11 @@ def predict(fit: Fit, recording: Recording) -> Array:
     recording : Recording
         Of N rows; torques are not needed.
 
+    Returns
+    -------
+    (N, n) ndarray
+        Torque of all effects, those on the measurement included, N·m.
+
     Raises
     ------
     ModelError, EffectError

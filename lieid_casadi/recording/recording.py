@@ -225,8 +225,7 @@ class Recording(Measurement):
             Fewer than two rows, NaN or Inf, time that does not increase.
         """
         require_sound(measurement)
-        fields = cls.__dataclass_fields__
-        return cls(**{field: getattr(measurement, field) for field in fields})
+        return cls(**{field: getattr(measurement, field) for field in cls.__dataclass_fields__})
 
     def cut(self, start: float | None = None, end: float | None = None) -> Self:
         """Return the part with start ≤ t < end, s, on the recording's own clock.
@@ -288,7 +287,11 @@ class Recording(Measurement):
         write_measurement(self, Path(path))
 
     def with_torque(self, constants: ArrayLike | None, drives: Sequence[Drive] | None) -> Self:
-        """Return the recording with torque from commands or currents where it has none."""
+        """Return the recording, with torque from commands or currents where it has none.
+
+        ``drives`` (n) are control laws, ``constants`` (n,) N·m/A; raises as `with_drives` and
+        `with_torque_constants`.
+        """
         if self.tau is not None:
             return self
         if self.command is not None and drives is not None:

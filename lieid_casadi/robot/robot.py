@@ -72,7 +72,7 @@ class Robot(RobotDescription):
     def from_urdf(
         cls, path: str | Path, *, tip: str | None = None, lock: Sequence[str] = ()
     ) -> Robot:
-        """Read a URDF file; see :func:`lieid_casadi.robot.urdf.read_urdf`.
+        """Read a URDF file; see :func:`lieid_casadi.robot.urdf.read_urdf`. Raises as `load`.
 
         Parameters
         ----------
@@ -93,12 +93,19 @@ class Robot(RobotDescription):
         path : str or Path
         tip : str, optional
             Body at which the chain ends.
+
+        Raises
+        ------
+        RobotError
+            Not a model of MuJoCo, or not a serial arm.
+        MissingDependency
+            MuJoCo is not installed.
         """
         return cls._of(read_mjcf(path, tip=tip))
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Robot:
-        """Read a YAML file; see :mod:`lieid_casadi.robot.yaml_file`."""
+        """Read a YAML file; see :mod:`lieid_casadi.robot.yaml_file`. Raises as `load`."""
         return cls.parse_yaml(read_text(path), origin=str(path))
 
     @classmethod
@@ -171,18 +178,7 @@ class Robot(RobotDescription):
         lock: Sequence[str] = (),
         origin: str = "URDF",
     ) -> Robot:
-        """Return the robot of a URDF text; see :func:`lieid_casadi.robot.urdf.read_urdf`.
-
-        Parameters
-        ----------
-        text : str
-        tip : str, optional
-            Last link of the chain.
-        lock : sequence of str
-            Joints to lock at zero.
-        origin : str
-            Named in errors, such as the file's path.
-        """
+        """See `from_urdf`; ``text`` is that of the file, ``origin`` is named in errors."""
         return cls._of(read_urdf(text, tip=tip, lock=lock, origin=origin))
 
     @classmethod

@@ -12,9 +12,10 @@ from lieid_casadi.excitation.limits.capsules import Capsule, skeleton
 from lieid_casadi.excitation.limits.expression_limit import ExpressionLimit
 from lieid_casadi.excitation.limits.joint_limits import MotionRange
 from lieid_casadi.excitation.limits.link_geometry import capsules_of
+from lieid_casadi.excitation.limits.self_collision import SelfCollision
 from lieid_casadi.excitation.limits.symbolic_limits import CartesianSpeed, Limit
 from lieid_casadi.excitation.limits.torque_limit import Torque, torque_limits
-from lieid_casadi.excitation.limits.workspace import SelfCollision, Wall, floor
+from lieid_casadi.excitation.limits.workspace import Wall, floor
 from lieid_casadi.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -48,6 +49,11 @@ def default_limits(
         Between links, m.
     capsules : sequence of Capsule, optional
         Links. Default: those of `capsules_of`.
+
+    Returns
+    -------
+    tuple of Limit
+        `Torque`, `CartesianSpeed`, `floor` and `SelfCollision`, as far as they apply.
     """
     limits: list[Limit] = []
     if robot.has_inertia and np.isfinite(torque_limits(robot)).any():

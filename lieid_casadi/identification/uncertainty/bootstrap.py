@@ -99,7 +99,8 @@ def bootstrap(
 ) -> Bootstrap:
     """Repeat a fit on resampled blocks of its recordings.
 
-    Weights and shape parameters are those of the fit.
+    The block bootstrap of Künsch (Annals of Statistics 17(3), 1989), with blocks that do not
+    overlap. Weights and shape parameters are those of the fit.
 
     Parameters
     ----------
@@ -107,12 +108,17 @@ def bootstrap(
     recordings : Recording or sequence of Recording
         Training recordings of the fit.
     resamples : int
+        Number B of repeated fits.
     seed : int
         Of the random numbers.
     feasible : FeasibleOptions, optional
         As given to `identify`; the regularization is that of the fit.
     progress : callable, optional
         Called with a stage's name and the fraction done.
+
+    Returns
+    -------
+    Bootstrap
 
     Raises
     ------
