@@ -54,10 +54,17 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
     check_recordings(fit.model, given)
     found = [w for recording in given for w in check_with_model(fit.compiled, recording)]
     found += [w for r in given for w in check_torque_constants(fit.provenance, r)]
-    # Averaging over periods would reduce the error of the test.
+    return compare_segments(fit, given, compared_segments(fit, given), warnings=found)
+
+
+def compared_segments(fit: Fit, recordings: Sequence[Recording]) -> tuple[Processed, ...]:
+    """Return the segments of recordings, processed as those of a fit, without averaged periods.
+
+    Averaging over periods would reduce the error of the test.
+    """
     options = replace(fit.processing, average_periods=False)
-    segments, _ = center_temperature(process(given, options), fit.temperature_mean)
-    return compare_segments(fit, given, segments, warnings=found)
+    segments, _ = center_temperature(process(recordings, options), fit.temperature_mean)
+    return segments
 
 
 def compare_segments(

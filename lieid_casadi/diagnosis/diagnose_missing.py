@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.comparison import Comparison, compare
+from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.compiled import compile
 from lieid_casadi.diagnosis.diagnosis import Diagnosis
 from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep
@@ -70,7 +71,6 @@ def diagnose_missing(
     """
     segments, _ = center_temperature(process(train, first.processing), first.temperature_mean)
     known = tuple(FilteredColumns() for _ in segments)
-    comparisons = FitComparisons(tests)
 
     def refit(larger: Model, start: ShapeStart, *, uncertainty: bool = False) -> Fit:
         return identify_segments(
@@ -99,10 +99,10 @@ def diagnose_missing(
     report("describe the residual", 0.95)
     parts = _unexplained(problem, tests)
     problem.complete()
-    steps = _steps(problem, comparisons)
-    before = comparisons.of(first)
-    fitted = compare(problem.fit, train)
-    last = comparisons.of(problem.fit) or fitted
+    compared = _comparisons(problem, tests)
+    steps = _steps(problem, compared)
+    before, fitted = compared.get(first), compare(problem.fit, train)
+    last = compared.get(problem.fit, fitted)
     most = options.largest_error_over_floor
     parts += errors_above(problem.fit.rms_cv, fitted.noise_floor, most, parts)
     differing = leading + recording_differences(problem)
@@ -133,33 +133,32 @@ def diagnose_missing(
     )
 
 
-class FitComparisons:
-    """Comparisons of fits with the test recordings, each computed once.
+def _comparisons(problem: MissingEffects, tests: Sequence[Recording]) -> dict[Fit, Comparison]:
+    """Return the comparison of each fit with the test recordings; none without a test.
 
-    Parameters
-    ----------
-    tests : sequence of Recording
-        May be empty.
+    The noise floor, which takes as long as the rest, is that of the first and of the last fit.
     """
+    if not tests:
+        return {}
+    first = problem.first.fit
+    found = {fit: compare(fit, tests) for fit in dict.fromkeys((first, problem.fit))}
+    segments = compared_segments(first, tests)
+    for fit in {accepted.fit for accepted in problem.accepted} - found.keys():
+        assert fit is not None
+        found[fit] = compare_segments(fit, tests, segments, with_noise=False)
+    return found
 
-    def __init__(self, tests: Sequence[Recording]) -> None:
-        self._tests, self._compared = tests, dict[Fit, Comparison]()
 
-    def of(self, fit: Fit) -> Comparison | None:
-        """Return the comparison of a fit, None without a test."""
-        if self._tests and fit not in self._compared:
-            self._compared[fit] = compare(fit, self._tests)
-        return self._compared.get(fit)
-
-
-def _steps(problem: MissingEffects, comparisons: FitComparisons) -> tuple[DiagnosisStep, ...]:
+def _steps(
+    problem: MissingEffects, compared: Mapping[Fit, Comparison]
+) -> tuple[DiagnosisStep, ...]:
     steps = []
     before = last = problem.first.fit
     for accepted in problem.accepted:
         assert accepted.fit is not None
         if accepted.fit is not last:  # members of a family share a fit
             before, last = last, accepted.fit
-        test, earlier = comparisons.of(last), comparisons.of(before)
+        test, earlier = compared.get(last), compared.get(before)
         confirmed = None
         if test is not None and earlier is not None:
             confirmed = bool(test.rms_moving[accepted.joint] < earlier.rms_moving[accepted.joint])
