@@ -155,5 +155,7 @@ def _at_estimates(
 def _is_possible(candidates: Columns, group: int, without: Baseline) -> bool:
     """Whether the coefficients of a group, added to a baseline, are as small as on real arms."""
     candidate = candidates.owner(group)
+    if all(np.isinf(c.limit) for c in candidate.effect.coefficients):
+        return True
     values = fixed_parameters(candidate, candidate.grid[0], without, candidates.stacked(group))
     return not implausible_size(candidate.effect, values)
