@@ -69,34 +69,8 @@ def diagnose_missing(
     report : callable
         Called with a stage's name and the fraction done.
     """
-    segments, _ = center_temperature(process(train, first.processing), first.temperature_mean)
-    known = tuple(FilteredColumns() for _ in segments)
-
-    def refit(larger: Model, start: ShapeStart, *, uncertainty: bool = False) -> Fit:
-        return identify_segments(
-            compile(larger),
-            segments,
-            method=method,
-            start=start,
-            uncertainty=uncertainty,
-            known=known,
-            temperature_mean=first.temperature_mean,
-            provenance=first.provenance,
-        )
-
-    context = ScreeningContext.of(first, segments, options, known=known)
-    problem = MissingEffects(context, refit, seed=seed, ask=ask)
-    leading: tuple[Difference, ...] = ()
-    while (difference := leading_difference(problem)) is not None:
-        leading += difference[0]
-        context = context.with_apart(difference[1])
-        problem = MissingEffects(context, refit, seed=seed, ask=ask)
-    problem.run(lambda step, fraction: report(step, 0.1 + 0.8 * fraction))
-    if len(problem.fit.shapes):  # rivals are compared before a fit that takes longer than any step
-        report("compare rivals", 0.9)
-        exchange_rivals(problem)
-        problem.fit_shapes()
-    report("describe the residual", 0.95)
+    problem, leading = _problem(first, train, method=method, options=options, seed=seed, ask=ask)
+    _search(problem, report)
     parts = _unexplained(problem, tests)
     problem.complete()
     compared = _comparisons(problem, tests)
@@ -131,6 +105,54 @@ def diagnose_missing(
         limits_reached=tuple(problem.limits_reached),
         seed=seed,
     )
+
+
+def _problem(
+    first: Fit,
+    train: Sequence[Recording],
+    *,
+    method: Method,
+    options: DiagnosisOptions,
+    seed: int,
+    ask: Callable[[Proposal], bool] | None,
+) -> tuple[MissingEffects, tuple[Difference, ...]]:
+    """Return the search problem, and leading differences between the recordings, set apart in it.
+
+    The parameters are those of `diagnose_missing`.
+    """
+    segments, _ = center_temperature(process(train, first.processing), first.temperature_mean)
+    known = tuple(FilteredColumns() for _ in segments)
+
+    def refit(larger: Model, start: ShapeStart, *, uncertainty: bool = False) -> Fit:
+        return identify_segments(
+            compile(larger),
+            segments,
+            method=method,
+            start=start,
+            uncertainty=uncertainty,
+            known=known,
+            temperature_mean=first.temperature_mean,
+            provenance=first.provenance,
+        )
+
+    context = ScreeningContext.of(first, segments, options, known=known)
+    problem = MissingEffects(context, refit, seed=seed, ask=ask)
+    leading: tuple[Difference, ...] = ()
+    while (difference := leading_difference(problem)) is not None:
+        leading += difference[0]
+        context = context.with_apart(difference[1])
+        problem = MissingEffects(context, refit, seed=seed, ask=ask)
+    return problem, leading
+
+
+def _search(problem: MissingEffects, report: Callable[[str, float], None]) -> None:
+    """Add effects, and fit all their shape parameters."""
+    problem.run(lambda step, fraction: report(step, 0.1 + 0.8 * fraction))
+    if len(problem.fit.shapes):  # rivals are compared before a fit that takes longer than any step
+        report("compare rivals", 0.9)
+        exchange_rivals(problem)
+        problem.fit_shapes()
+    report("describe the residual", 0.95)
 
 
 def _comparisons(problem: MissingEffects, tests: Sequence[Recording]) -> dict[Fit, Comparison]:
