@@ -25,6 +25,7 @@ from lieid_casadi.diagnosis.search.fixed_model import (
     implausible_offer,
     relative_fall,
     rms_by_joint,
+    unconfirmed,
     with_prior,
     without_columns,
 )
@@ -111,7 +112,9 @@ class ChangedEffects(SearchProblem):
             joint = int(np.argmax(np.where(raised, fall, -np.inf)))
             unresolved = implausible_offer(offer, self.context.segments, self.options)
             reason = unresolved or self.insignificant(offer.significance)
-            reason = reason or offer.held_out.reason or self._small(float(fall[joint]))
+            alone = self._is_alone(offer.candidate)
+            reason = reason or unconfirmed(offer.held_out, alone=alone)
+            reason = reason or self._small(float(fall[joint]))
             if reason:
                 self.reject(offer.candidate, reason, final=bool(unresolved))
             else:
@@ -248,7 +251,15 @@ class ChangedEffects(SearchProblem):
             joint=joint,
             torque_rms=self.torque_rms(joint),
         )
-        return found, held_out.reason or self._small(float(fall[joint]))
+        reason = unconfirmed(held_out, alone=self._is_alone(effect.candidate))
+        return found, reason or self._small(float(fall[joint]))
+
+    def _is_alone(self, candidate: Candidate) -> bool:
+        """Whether no other accepted change acts on the one joint of a candidate."""
+        label = candidate.placement.label
+        others = [a.candidate for a in self.accepted if a.candidate.placement.label != label]
+        same = [c for c in others if c.joint == candidate.joint and not c.reaches_all]
+        return candidate.reaches_all or not same
 
     def _small(self, fall: float) -> str:
         """Return why a relative fall of the error is too small, or an empty text."""

@@ -11,6 +11,7 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
+from lieid_casadi.diagnosis.screening.held_out import HeldOut
 from lieid_casadi.diagnosis.screening.model_factor import ModelFactor
 from lieid_casadi.diagnosis.search.candidate_selection import LEAST_OWN_PART
 from lieid_casadi.diagnosis.search.parameter_checks import implausible_size, unresolved_point
@@ -63,6 +64,31 @@ def implausible_offer(
     return unresolved_point(candidate, point, segments, options) or implausible_size(
         candidate.effect, parameters
     )
+
+
+def unconfirmed(held_out: HeldOut, *, alone: bool) -> str:
+    """Return why held-out data do not confirm a change, or an empty text.
+
+    Beside the rule of `HeldOut`, the error must also fall without the block of time where it falls
+    most. Otherwise a few samples support the change, for example those of one reversal at which
+    the sign of the velocity is wrong. Recordings may differ in what they excite, so that one of
+    several suffices. Beside another change of its joint, some part must be able to judge it: the
+    other one may describe its own torque at reversals with an error.
+
+    Parameters
+    ----------
+    held_out : HeldOut
+    alone : bool
+        Whether no other change of the joint is accepted.
+    """
+    gain, parts = held_out.gain, held_out.parts
+    if held_out.reason:
+        return held_out.reason
+    if not (alone or held_out.is_confirmed):
+        return "its effect on each held-out part is within the noise"
+    if not parts.recordings and gain.sum() <= gain.max():
+        return f"the error of held-out data falls on {parts.names[int(np.argmax(gain))]} alone"
+    return ""
 
 
 def without_columns(context: ScreeningContext, noise: Sequence[Noise]) -> Baseline:
