@@ -178,3 +178,8 @@ class Comparison:
         from lieid_casadi.comparison.table import html_view
 
         return html_view(self)
+
+    def __repr__(self) -> str:
+        pairs = zip(self.rms_moving, self.units, strict=True)
+        errors = ", ".join(f"{rms:.3g} {unit}" for rms, unit in pairs)
+        return f"<Comparison over {self.duration:.4g} s: RMS error in motion {errors}>"

@@ -215,3 +215,6 @@ class Discrimination:
 
     def _repr_html_(self) -> str:
         return html(self.summary())
+
+    def __repr__(self) -> str:
+        return f"<Discrimination of {' and '.join(self.sizes)}: {self.seconds:.4g} s>"

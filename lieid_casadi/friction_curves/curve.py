@@ -109,3 +109,9 @@ class FrictionCurve:
         from lieid_casadi.friction_curves.result_tables import curve_table
 
         return html(curve_table(self))
+
+    def __repr__(self) -> str:
+        return (
+            f"<FrictionCurve of {self.joint_name}: {len(self)} points, "
+            f"{self.speed.min():.3g} to {self.speed.max():.3g} rad/s>"
+        )

@@ -167,3 +167,9 @@ class FrictionFit:
         from lieid_casadi.friction_curves.result_tables import parameter_table
 
         return html(parameter_table(self))
+
+    def __repr__(self) -> str:
+        return (
+            f"<FrictionFit of {self.curve.joint_name}: {', '.join(self.effects)}; "
+            f"RMS error {self.rms:.3g} {self.curve.unit}>"
+        )

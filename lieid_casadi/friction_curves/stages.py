@@ -59,6 +59,10 @@ class StagedFit:
             "friction": [own.to_dict() for own in self.friction.values()],
         }
 
+    def __repr__(self) -> str:
+        joints = ", ".join(str(joint + 1) for joint in self.friction)
+        return f"<StagedFit: {self.fit!r}, friction runs of joints {joints or 'none'}>"
+
 
 def identify_in_stages(
     model: Model,

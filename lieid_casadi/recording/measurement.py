@@ -22,7 +22,7 @@ FIELDS = {
 OPTIONAL_SIGNALS = ("dq", "tau", "ddq", "temperature", "current", "command")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Measurement:
     """Signals of an arm with n joints at N instants, SI units; arrays are read-only.
 
@@ -111,6 +111,13 @@ class Measurement:
 
     def __len__(self) -> int:
         return int(self.t.size)
+
+    def __repr__(self) -> str:
+        measured = [name for name in ("q", *OPTIONAL_SIGNALS) if getattr(self, name) is not None]
+        return (
+            f"<{type(self).__name__} {self.name or 'without name'}: {self.n} joints, {len(self)} "
+            f"rows, {', '.join(measured)}>"
+        )
 
     def rows(self, first: int, last: int) -> Self:
         """Return rows first … last − 1 (from 0)."""

@@ -30,7 +30,7 @@ from lieid_casadi.recording.units import convert_units, unit_factors
 from lieid_casadi.robot.drive import Drive
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording(Measurement):
     """A valid measurement on an arm: loaded from a file or made from arrays, SI units.
 

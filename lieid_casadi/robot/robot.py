@@ -26,7 +26,7 @@ from lieid_casadi.robot.yaml_file import read_yaml
 logger = logging.getLogger("lieid_casadi")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Robot(RobotDescription):
     """A serial chain of revolute and prismatic joints.
 
@@ -191,6 +191,9 @@ class Robot(RobotDescription):
         for warning in d.warnings:
             logger.warning("%s", warning)
         return cls(d.name, d.joints, d.gravity, d.tool, d.source, d.warnings, d.tool_name)
+
+    def __repr__(self) -> str:
+        return f"<Robot {self.name}: {self.n} joints>"
 
     @property
     def n(self) -> int:

@@ -81,6 +81,12 @@ class Bootstrap:
         """Standard deviations of the base values (p,)."""
         return np.asarray(self.values.std(axis=0, ddof=1))
 
+    def __repr__(self) -> str:
+        return (
+            f"<Bootstrap: {len(self.values)} resamples of {self.block_count} blocks of "
+            f"{self.block_seconds:.3g} s>"
+        )
+
     def interval(self, level: float = 0.95) -> tuple[Array, Array]:
         """Return lower and upper bounds (p,) of the central ``level`` of the resamples."""
         tail = 0.5 * (1.0 - level)
