@@ -70,9 +70,10 @@ class FrictionAgreement:
     def __str__(self) -> str:
         k = self.worst
         return (
-            f"joint {self.joint + 1}: {self.verdict}; the difference is {self.relative:.1%} of the "
-            f"friction ({self._p_text}), largest at {self.speed[k]:.3g} rad/s and "
-            f"{self.load[k]:.3g} N·m load: {self.first[k]:.4g} and {self.second[k]:.4g} N·m, "
+            f"joint {self.joint + 1}: {self.verdict}; the difference is "
+            f"{100.0 * self.relative:.1f} % of the friction ({self._p_text}), largest at "
+            f"{self.speed[k]:.3g} rad/s and {self.load[k]:.3g} N·m load: {self.first[k]:.4g} and "
+            f"{self.second[k]:.4g} N·m, "
             f"standard deviation of the difference {self.std[k]:.2g} N·m"
         )
 
@@ -84,7 +85,7 @@ class FrictionAgreement:
         if self.relative <= NEGLIGIBLE:
             return (
                 "the two determinations differ by more than their uncertainties, but by less than "
-                f"{NEGLIGIBLE:.0%} of the friction"
+                f"{100.0 * NEGLIGIBLE:.0f} % of the friction"
             )
         return "the two determinations disagree"
 

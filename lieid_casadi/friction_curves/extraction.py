@@ -221,9 +221,10 @@ def _load_warnings(
     return [
         LoadMismatchWarning(
             f"joint {joint + 1}: the mean torque of both directions differs from the model's rigid "
-            f"torque by {mismatch:.3g} N·m RMS, which is {mismatch / max(size, 1e-300):.0%} of the "
-            "rigid torque; check inertias, tool, torque constants and the offset of the torque "
-            f"signal. The friction torque is not affected, {consequence}"
+            f"torque by {mismatch:.3g} N·m RMS, which is "
+            f"{100.0 * mismatch / max(size, 1e-300):.0f} % of the rigid torque; check inertias, "
+            "tool, torque constants and the offset of the torque signal. The friction torque is "
+            f"not affected, {consequence}"
         )
     ]
 

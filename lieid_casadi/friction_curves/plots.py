@@ -100,7 +100,8 @@ def plot_agreement(agreement: FrictionAgreement, ax: Axes | None = None) -> Figu
     ax.legend(fontsize=plot_style.SMALL, loc="best")
     plot_style.title(
         ax,
-        f"joint {a.joint + 1}: {'agree' if a.agree else 'disagree'}, differ by {a.relative:.1%}",
+        f"joint {a.joint + 1}: {'agree' if a.agree else 'disagree'}, "
+        f"differ by {100.0 * a.relative:.1f} %",
     )
     plot_style.label(ax, x="|q̇| [rad/s]", y="friction [N·m]")
     ax.set_xlim(left=0.0)

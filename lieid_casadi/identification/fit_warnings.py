@@ -92,7 +92,7 @@ def aliases(model: Model, independent: Array) -> list[LieidWarning]:
             found.append(
                 AliasWarning(
                     f"{base.names[k]} is weak: the other columns explain all but "
-                    f"{independent[position]:.1%} of its column on this recording"
+                    f"{100.0 * independent[position]:.1f} % of its column on this recording"
                 )
             )
     return found

@@ -67,9 +67,9 @@ def require_positive_mass_matrix(fit: Fit, runs: Sequence[Run]) -> None:
     if least.min() <= 0.0:
         raise ModelError(
             "the mass matrix of the fit is not positive definite in "
-            f"{np.mean(least <= 0.0):.0%} of the measured poses, so that accelerations have the "
-            "wrong sign; identify with "
-            "--method feasible (and with the effect armature if torque is that of motor currents)"
+            f"{100.0 * np.mean(least <= 0.0):.0f} % of the measured poses, so that accelerations "
+            "have the wrong sign; identify with --method feasible (and with the effect armature "
+            "if torque is that of motor currents)"
         )
 
 

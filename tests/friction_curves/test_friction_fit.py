@@ -214,7 +214,7 @@ def test_verdict_states_uncertainties_that_are_too_small(fit, whole):
     assert not agreement.agree
     assert agreement.p_value < 1e-6
     assert "agree" not in str(agreement)
-    assert "differ by more than their uncertainties, but by less than 5%" in str(agreement)
+    assert "differ by more than their uncertainties, but by less than 5 %" in str(agreement)
     assert "agree within their uncertainties" in str(compare_friction(fit, fit))
 
 

@@ -179,7 +179,7 @@ def test_memory_of_presliding_moves_along():
 def test_an_indefinite_mass_matrix_is_refused():
     fit = fit_of("coulomb")
     fit = replace(fit, parameters=fit.parameters * np.r_[-np.ones(20), 1.0, 1.0])
-    with pytest.raises(ModelError, match=r"not positive definite in 100%.*--method feasible"):
+    with pytest.raises(ModelError, match=r"not positive definite in 100 %.*--method feasible"):
         lieid.simulate(fit, in_mujoco(fit_of("coulomb"), seconds=2.0))
 
 
