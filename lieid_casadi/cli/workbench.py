@@ -52,7 +52,7 @@ def add_parser(commands: Any) -> None:
         parser.add_argument(
             f"--{name}", nargs="+", type=InputPath, default=[], metavar="REC", help=meaning
         )
-    parser.add_argument("--tip", metavar="LINK", help="last link of the chain (URDF)")
+    parser.add_argument("--tip", metavar="LINK", help="last link of the chain (URDF, MJCF)")
     parser.add_argument("--lock", nargs="+", default=[], metavar="JOINT", help="joints to lock")
     shared_options.add_effects(parser, default="")
     shared_options.add_recording_options(parser)

@@ -31,6 +31,7 @@ int main()
 {
   Controller controller;
   if (controller.on_init() != CallbackReturn::SUCCESS) return fail("on_init");
+  std::fprintf(stderr, "expected refusal: ");  // the plug-in logs why
   if (controller.on_configure({}) != CallbackReturn::ERROR) return fail("no joints: not refused");
   std::vector<std::string> joints;
   for (int j = 0; j < n; j++) joints.push_back("joint" + std::to_string(j + 1));

@@ -119,7 +119,7 @@ class OpenPanel:
     def _robot_fields(self) -> _Fields:
         ui.label("Robot or fit").classes("panel-title")
         with ui.column().classes("gap-1 w-full") as self._robot_row:
-            robot = named(_field("URDF, YAML or fit file, or a bundled name"), "open-robot")
+            robot = named(_field("URDF, MJCF, YAML or fit file, or a bundled name"), "open-robot")
         with ui.row().classes("w-full no-wrap gap-2"):
             tip, lock = _field("last link (URDF)"), _field("joints to lock (URDF)")
         mode = ui.select(MODES, value="missing", label="with a fit").props("dense")
