@@ -34,12 +34,15 @@ from hidden_effects.table import confusion_picture, show  # noqa: E402
 #: Packages whose code determines the results.
 PACKAGES = (
     "comparison",
+    "compiled",
     "diagnosis",
     "dynamics",
     "effects",
+    "expressions",
     "identification",
     "plant",
     "recording",
+    "robot",
 )
 
 
