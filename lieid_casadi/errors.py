@@ -93,6 +93,10 @@ class FrictionAtRestWarning(LieidWarning):
     """Friction is undetermined at rest: samples were excluded, or increase a test's error."""
 
 
+class LateFrictionWarning(LieidWarning):
+    """Dry friction that reverses later than the velocity, by stiction or a delayed signal."""
+
+
 class NominalInertiaWarning(LieidWarning):
     """A stated inertia that is physically impossible."""
 

@@ -15,6 +15,7 @@ from lieid_casadi.diagnosis.residual.error_above_floor import errors_above
 from lieid_casadi.diagnosis.residual.projected_residual import ProjectedResidual
 from lieid_casadi.diagnosis.residual.residual_description import describe_parts
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+from lieid_casadi.diagnosis.review.late_reversals import late_reversals
 from lieid_casadi.diagnosis.review.partial_candidates import with_candidates
 from lieid_casadi.diagnosis.review.review import reviewed_parts
 from lieid_casadi.diagnosis.screening.aliases import aliases
@@ -93,7 +94,9 @@ def diagnose_changed(
         aliases=aliases(context.candidates.whitened(problem.white, context.runs), problem.model),
         tried=len(context.candidates.owners),
         fit=fit,
-        warnings=unique_warnings([*before.warnings, *_uncertain(problem, uncertain)]),
+        warnings=unique_warnings(
+            [*before.warnings, *_uncertain(problem, uncertain), *late_reversals(problem)]
+        ),
         train=fit.provenance.recordings,
         test=before.recordings,
         baseline_moving=first,

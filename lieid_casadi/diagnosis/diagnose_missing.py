@@ -18,6 +18,7 @@ from lieid_casadi.diagnosis.residual.projected_residual import ProjectedResidual
 from lieid_casadi.diagnosis.residual.residual_description import describe_parts
 from lieid_casadi.diagnosis.residual.test_results import TrainAndTest, with_test_results
 from lieid_casadi.diagnosis.residual.unexplained import Unexplained
+from lieid_casadi.diagnosis.review.late_reversals import late_reversals
 from lieid_casadi.diagnosis.review.partial_candidates import with_candidates
 from lieid_casadi.diagnosis.review.review import exchange_rivals, reviewed_parts
 from lieid_casadi.diagnosis.screening.aliases import Aliases, aliases
@@ -202,6 +203,7 @@ def _warnings(
     """Return the warnings of the first and the last fit and of the test, each once."""
     first = problem.first.fit
     warnings = [*first.warnings, *problem.fit.warnings, *_same_recording(first, tests)]
+    warnings += late_reversals(problem)
     return unique_warnings([*warnings, *(() if before is None else before.warnings)])
 
 

@@ -129,6 +129,9 @@ class Effect(ABC):
     on_torque_signal : bool
         Whether it acts on the signal of a torque sensor or current, which arms under position
         control do not have.
+    delays_torque : bool
+        Whether it delays the torque, so that a joint that sticks for a moment at reversals looks
+        the same on its dry friction.
     energy : str or None
         ``"armature"`` or ``"offset"`` if link parameters can produce the same torque.
     option : str
@@ -177,6 +180,7 @@ class Effect(ABC):
     per_recording: ClassVar[bool] = False
     commanded: ClassVar[bool] = False
     on_torque_signal: ClassVar[bool] = False
+    delays_torque: ClassVar[bool] = False
     energy: ClassVar[str | None] = None
     option: str = ""
     options: ClassVar[Mapping[str, str]] = {}

@@ -12,6 +12,7 @@ from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 from lieid_casadi.diagnosis.review.final_rivals import with_final_rivals
 from lieid_casadi.diagnosis.review.stability import with_stability
 from lieid_casadi.diagnosis.screening.evidence import HypothesisFamily
+from lieid_casadi.diagnosis.screening.late_friction import beside_late_friction
 from lieid_casadi.diagnosis.screening.screen import screen
 from lieid_casadi.diagnosis.search.alternatives import alternatives
 from lieid_casadi.diagnosis.search.pruning import without_partial_effects
@@ -57,7 +58,7 @@ def review(problem: SearchProblem) -> None:
         failed = [(effect, reason) for effect, reason in examined if reason]
         if not failed:
             effects = _with_significance(problem, [effect for effect, _ in examined])
-            reasons = [problem.insignificant(effect.significance) for effect in effects]
+            reasons = [_insignificant(problem, effect) for effect in effects]
             failed = [(e, reason) for e, reason in zip(effects, reasons, strict=True) if reason]
         if not failed:
             problem.accepted = [_with_alternatives(effect, problem) for effect in effects]
@@ -102,14 +103,26 @@ def _with_significance(
     ]
 
 
+def _insignificant(problem: SearchProblem, effect: AcceptedEffect) -> str:
+    """Return the reason for which an accepted effect counts as noise; empty if it does not."""
+    reason = problem.insignificant(effect.significance)
+    if reason and effect.candidate.effect.delays_torque:
+        return f"beside dry friction that reverses late, {reason}"
+    return reason
+
+
 def _significance(
     problem: SearchProblem,
     noise: Sequence[Noise],
     family: HypothesisFamily,
     placement: Placement,
 ) -> Significance:
-    """Return the evidence for an accepted effect in addition to all the others."""
+    """Return the evidence for an accepted effect in addition to all the others.
+
+    A delay of torque must explain more than dry friction that reverses late.
+    """
     without = problem.baseline_without(placement, noise)
+    without = beside_late_friction(without, problem.context, noise, placement)
     columns = problem.columns_of(placement, noise)
     n = len(problem.context.runs)
     after = without.with_columns(columns)

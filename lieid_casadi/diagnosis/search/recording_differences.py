@@ -14,6 +14,7 @@ from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns,
 from lieid_casadi.diagnosis.screening.candidate_evaluation import evaluate_candidates
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.evidence import HypothesisFamily
+from lieid_casadi.diagnosis.screening.late_friction import beside_late_friction
 from lieid_casadi.diagnosis.screening.screen import SelectionState, screen
 from lieid_casadi.diagnosis.search.candidate_selection import schwarz_penalty
 from lieid_casadi.diagnosis.search.forward_selection import penalized_gain
@@ -275,6 +276,8 @@ def _log10_p(problem: SearchProblem, found: _Found) -> float:
     tests = HypothesisFamily(family.tests * len(recordings.names))
     among = found.among.whitened(noise, context.runs)
     columns = np.hstack([_only_on(among, rows).stacked(found.group) for rows in on])
+    placement = found.among.owner(found.group).placement
+    baseline = beside_late_friction(baseline, context, noise, placement)
     after = baseline.with_columns(columns)
     gain = float(np.sum(baseline.residual**2) - np.sum(after.residual**2))
     dispersion = baseline.dispersion(columns, len(context.runs))
