@@ -8,9 +8,19 @@ import pytest
 from lieid_casadi.diagnosis.review import review
 
 
-@dataclass
+class Ripple:
+    delays_torque = False
+
+
+@dataclass(frozen=True)
 class Placed:
-    placement: str
+    label: str
+    effect = Ripple
+
+
+@dataclass
+class Chosen:
+    placement: Placed
 
 
 @dataclass
@@ -25,7 +35,7 @@ class Accepted:
 
     @property
     def candidate(self):
-        return Placed(self.name)
+        return Chosen(Placed(self.name))
 
     @property
     def errors(self):
@@ -47,8 +57,9 @@ class Problem:
         return False
 
     def remove(self, placements, reason):
-        self.accepted = [a for a in self.accepted if a.name not in placements]
-        self.removed |= dict.fromkeys(placements, reason)
+        labels = [placement.label for placement in placements]
+        self.accepted = [a for a in self.accepted if a.name not in labels]
+        self.removed |= dict.fromkeys(labels, reason)
 
 
 @pytest.fixture(autouse=True)

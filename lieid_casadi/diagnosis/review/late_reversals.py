@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
 
-from lieid_casadi.diagnosis.screening.late_friction import late_friction
+from lieid_casadi.diagnosis.screening.late_friction import late_friction, p_of_columns
 from lieid_casadi.diagnosis.search.search_problem import SearchProblem
 from lieid_casadi.errors import LateFrictionWarning
 
@@ -27,11 +26,10 @@ def late_reversals(problem: SearchProblem) -> list[LateFrictionWarning]:
             continue
         after = baseline.with_columns(column)
         gain = float(np.sum(baseline.residual**2) - np.sum(after.residual**2))
-        p = n * chi2.sf(gain / baseline.dispersion(column, n), 1)
-        rows = int(np.diff(baseline.ends)[joint])
         delay = float(baseline.coefficients(column, least=LEAST_OWN_PART)[0])
-        significant = p <= problem.options.significance and gain >= problem.least_gain * rows
-        if significant and delay > 0.0:
+        worth = gain >= problem.least_gain * int(np.diff(baseline.ends)[joint])
+        p = n * p_of_columns(baseline, column, n)
+        if worth and delay > 0.0 and p <= problem.options.significance:
             late.append(f"joint {joint + 1} ({1e3 * delay:.2g} ms)")
     if not late:
         return []
@@ -39,6 +37,6 @@ def late_reversals(problem: SearchProblem) -> list[LateFrictionWarning]:
         LateFrictionWarning(
             f"dry friction reverses later than the velocity: {', '.join(late)}. A joint may stick "
             "for a moment at reversals, or its torque signal may be delayed; only fast changes of "
-            "torque away from reversals can tell"
+            "torque away from reversals distinguish the two"
         )
     ]

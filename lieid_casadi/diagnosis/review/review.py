@@ -12,7 +12,7 @@ from lieid_casadi.diagnosis.residual.unexplained import Unexplained
 from lieid_casadi.diagnosis.review.final_rivals import with_final_rivals
 from lieid_casadi.diagnosis.review.stability import with_stability
 from lieid_casadi.diagnosis.screening.evidence import HypothesisFamily
-from lieid_casadi.diagnosis.screening.late_friction import beside_late_friction
+from lieid_casadi.diagnosis.screening.late_friction import p_beside_late_friction
 from lieid_casadi.diagnosis.screening.screen import screen
 from lieid_casadi.diagnosis.search.alternatives import alternatives
 from lieid_casadi.diagnosis.search.pruning import without_partial_effects
@@ -104,11 +104,20 @@ def _with_significance(
 
 
 def _insignificant(problem: SearchProblem, effect: AcceptedEffect) -> str:
-    """Return the reason for which an accepted effect counts as noise; empty if it does not."""
+    """Return the reason for which an accepted effect counts as noise; empty if it does not.
+
+    A delay of torque must explain more than dry friction that reverses late.
+    """
     reason = problem.insignificant(effect.significance)
-    if reason and effect.candidate.effect.delays_torque:
-        return f"beside dry friction that reverses late, {reason}"
-    return reason
+    placement = effect.candidate.placement
+    if reason or not placement.effect.delays_torque:
+        return reason
+    noise, limit = problem.last_noise(), problem.options.significance
+    without, own = problem.baseline_without(placement, noise), problem.columns_of(placement, noise)
+    p = p_beside_late_friction(without, own, problem.context, noise, placement)
+    if p <= limit:
+        return ""
+    return f"not significant beside dry friction that reverses late: p = {p:.2g} (limit {limit:g})"
 
 
 def _significance(
@@ -117,12 +126,8 @@ def _significance(
     family: HypothesisFamily,
     placement: Placement,
 ) -> Significance:
-    """Return the evidence for an accepted effect in addition to all the others.
-
-    A delay of torque must explain more than dry friction that reverses late.
-    """
+    """Return the evidence for an accepted effect in addition to all the others."""
     without = problem.baseline_without(placement, noise)
-    without = beside_late_friction(without, problem.context, noise, placement)
     columns = problem.columns_of(placement, noise)
     n = len(problem.context.runs)
     after = without.with_columns(columns)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
@@ -23,26 +24,57 @@ from lieid_casadi.recording import Processed
 Array = NDArray[np.float64]
 
 
-def beside_late_friction(
-    baseline: Baseline, context: ScreeningContext, noise: Sequence[Noise], placement: Placement
-) -> Baseline:
-    """Return the baseline that an effect must improve: with late dry friction if it delays torque.
+def p_beside_late_friction(
+    baseline: Baseline,
+    columns: Array,
+    context: ScreeningContext,
+    noise: Sequence[Noise],
+    placement: Placement,
+    rows: Sequence[NDArray[np.bool_]] | None = None,
+) -> float:
+    """Return the p-value of an effect in addition to late dry friction, 0 if it delays no torque.
+
+    Two explanations are compared, so that it is not multiplied by the number of candidates.
 
     Parameters
     ----------
     baseline : Baseline
         Without the effect.
+    columns : (R, k)
+        Of the effect, whitened as the baseline is.
     context : ScreeningContext
     noise : sequence of Noise
-        By which the baseline is whitened.
+        By which they are whitened.
     placement : Placement
         Of the effect.
+    rows : sequence of (R,) bool, optional
+        Friction is late by another time on each of these sets of rows; by default by one time.
     """
     if not placement.effect.delays_torque:
-        return baseline
-    joints = range(len(context.runs)) if placement.effect.whole_arm else [placement.joint]
-    late = context.whitened(noise, late_friction(context, joints))
-    return baseline.with_columns(np.concatenate(late))
+        return 0.0
+    n = len(context.runs)
+    joints = range(n) if placement.effect.whole_arm else [placement.joint]
+    late = np.concatenate(context.whitened(noise, late_friction(context, joints)))
+    if rows is not None:
+        late = np.hstack([late * own[:, None] for own in rows])
+    return p_of_columns(baseline.with_columns(late), columns, n)
+
+
+def p_of_columns(baseline: Baseline, columns: Array, n: int) -> float:
+    """Return the p-value of columns in addition to a baseline.
+
+    Parameters
+    ----------
+    baseline : Baseline
+    columns : (R, k)
+        Whitened as the baseline is.
+    n : int
+        Number of joints.
+    """
+    after = baseline.with_columns(columns)
+    gain = float(np.sum(baseline.residual**2) - np.sum(after.residual**2))
+    statistic = gain / baseline.dispersion(columns, n)
+    return float(chi2.sf(statistic, max(after.rank - baseline.rank, 1)))
 
 
 def late_friction(context: ScreeningContext, joints: Sequence[int]) -> tuple[Array, ...]:

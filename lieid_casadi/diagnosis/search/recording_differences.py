@@ -14,7 +14,7 @@ from lieid_casadi.diagnosis.screening.candidate_columns import CandidateColumns,
 from lieid_casadi.diagnosis.screening.candidate_evaluation import evaluate_candidates
 from lieid_casadi.diagnosis.screening.candidates import Candidate
 from lieid_casadi.diagnosis.screening.evidence import HypothesisFamily
-from lieid_casadi.diagnosis.screening.late_friction import beside_late_friction
+from lieid_casadi.diagnosis.screening.late_friction import p_beside_late_friction
 from lieid_casadi.diagnosis.screening.screen import SelectionState, screen
 from lieid_casadi.diagnosis.search.candidate_selection import schwarz_penalty
 from lieid_casadi.diagnosis.search.forward_selection import penalized_gain
@@ -252,16 +252,12 @@ def _differences(problem: SearchProblem, found: _Found) -> tuple[Difference, ...
 
 
 def _is_significant(problem: SearchProblem, found: _Found) -> bool:
-    return _log10_p(problem, found) <= float(np.log10(problem.options.significance))
-
-
-def _log10_p(problem: SearchProblem, found: _Found) -> float:
-    """Return log₁₀ of the p-value of a difference; the family has all recordings.
+    """Whether a difference is significant in a family of tests that has all recordings.
 
     Drifts of several recordings and other values of the model's own effects, an offset among them,
     are not attributed to the noise, which would resemble them.
     """
-    noise, context = problem.last_noise(), problem.context
+    noise, context, limit = problem.last_noise(), problem.context, problem.options.significance
     if len(found.recordings) > 1 or found.among is not context.candidates:
         noise = final_noise(context, _columns(problem, found))
     candidates, baseline = problem.candidates(noise), problem.current_baseline(noise)
@@ -276,12 +272,13 @@ def _log10_p(problem: SearchProblem, found: _Found) -> float:
     tests = HypothesisFamily(family.tests * len(recordings.names))
     among = found.among.whitened(noise, context.runs)
     columns = np.hstack([_only_on(among, rows).stacked(found.group) for rows in on])
-    placement = found.among.owner(found.group).placement
-    baseline = beside_late_friction(baseline, context, noise, placement)
     after = baseline.with_columns(columns)
     gain = float(np.sum(baseline.residual**2) - np.sum(after.residual**2))
     dispersion = baseline.dispersion(columns, len(context.runs))
-    return tests.log10_p(gain / dispersion, after.rank - baseline.rank)
+    log10_p = tests.log10_p(gain / dispersion, after.rank - baseline.rank)
+    placement = found.among.owner(found.group).placement
+    beside = p_beside_late_friction(baseline, columns, context, noise, placement, on)
+    return log10_p <= float(np.log10(limit)) and beside <= limit
 
 
 def _only_on(candidates: Columns, rows: NDArray[np.bool_]) -> Columns:
