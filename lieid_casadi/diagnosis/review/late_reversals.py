@@ -24,8 +24,7 @@ def late_reversals(problem: SearchProblem) -> list[LateFrictionWarning]:
         column = columns[:, [joint]]
         if not column.any():
             continue
-        after = baseline.with_columns(column)
-        gain = float(np.sum(baseline.residual**2) - np.sum(after.residual**2))
+        gain = baseline.fall(baseline.with_columns(column))
         delay = float(baseline.coefficients(column, least=LEAST_OWN_PART)[0])
         worth = gain >= problem.least_gain * int(np.diff(baseline.ends)[joint])
         p = n * p_of_columns(baseline, column, n)

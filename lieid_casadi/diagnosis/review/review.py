@@ -130,10 +130,6 @@ def _significance(
     without = problem.baseline_without(placement, noise)
     columns = problem.columns_of(placement, noise)
     n = len(problem.context.runs)
-    after = without.with_columns(columns)
-    dispersion = without.dispersion(columns, n)
-    gain = float(np.sum(without.residual**2) - np.sum(after.residual**2)) / dispersion
-    degrees, rows = max(after.rank - without.rank, 1), int(without.ends[n])
-    return Significance(
-        family.log10_p(gain, degrees), gain, degrees, rows, family.tests, dispersion
-    )
+    statistic, degrees, dispersion = without.evidence(columns, n)
+    log10_p, rows = family.log10_p(statistic, degrees), int(without.ends[n])
+    return Significance(log10_p, statistic, degrees, rows, family.tests, dispersion)

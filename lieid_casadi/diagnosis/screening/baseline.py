@@ -113,6 +113,24 @@ class Baseline:
         residual = self.residual - new @ (new.T @ self.residual)
         return replace(self, added=np.hstack([self.added, new]), residual=residual)
 
+    def fall(self, larger: Baseline) -> float:
+        """Return the fall of the sum of squares to a baseline with further columns."""
+        return float(np.sum(self.residual**2) - np.sum(larger.residual**2))
+
+    def evidence(self, columns: Array, n: int) -> tuple[float, int, float]:
+        """Return the evidence for further columns (…, k) on n joints.
+
+        Returns
+        -------
+        statistic : float
+            Fall of the sum of squares, divided by the dispersion.
+        degrees : int
+            Degrees of freedom of its chi-square distribution without an effect.
+        dispersion : float
+        """
+        larger, dispersion = self.with_columns(columns), self.dispersion(columns, n)
+        return self.fall(larger) / dispersion, max(larger.rank - self.rank, 1), dispersion
+
     def dispersion(self, columns: Array, n: int) -> float:
         """Return the mean square of the residual after columns (…, k) are fitted, at least 1.
 

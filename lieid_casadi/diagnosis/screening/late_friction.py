@@ -71,10 +71,8 @@ def p_of_columns(baseline: Baseline, columns: Array, n: int) -> float:
     n : int
         Number of joints.
     """
-    after = baseline.with_columns(columns)
-    gain = float(np.sum(baseline.residual**2) - np.sum(after.residual**2))
-    statistic = gain / baseline.dispersion(columns, n)
-    return float(chi2.sf(statistic, max(after.rank - baseline.rank, 1)))
+    statistic, degrees, _ = baseline.evidence(columns, n)
+    return float(chi2.sf(statistic, degrees))
 
 
 def late_friction(context: ScreeningContext, joints: Sequence[int]) -> tuple[Array, ...]:

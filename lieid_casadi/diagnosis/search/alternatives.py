@@ -68,7 +68,7 @@ def alternatives(effect: AcceptedEffect, problem: SearchProblem) -> Alternatives
     without = problem.baseline_without(own.placement)
     columns = _own_columns(effect, problem, without)
     after = without.with_columns(columns)
-    own_gain = float(np.sum(without.residual**2) - np.sum(after.residual**2))
+    own_gain = without.fall(after)
     every = problem.candidates(problem.white)
     gain = screen(every, without, options).gain
     taken = {(a.candidate.name, a.candidate.joints) for a in problem.accepted}

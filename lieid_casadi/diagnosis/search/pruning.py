@@ -109,7 +109,7 @@ def _partial_effects(
         in_addition = "nothing that held-out data confirm" if adds else "little"
         before, after = effect.errors[:, part.joint] ** 2
         own, rest = before - after, part.fraction * problem.accepted[-1].errors[1, part.joint] ** 2
-        gain = float(np.sum(without.residual**2) - np.sum(full.residual**2))
+        gain = without.fall(full)
         share = min(
             max(own, 0.0) / (max(own, 0.0) + rest),
             gain / _smooth_gain(part, smooth, without, folds),
@@ -183,9 +183,9 @@ def gain_with_smooth(full: Baseline, without: Baseline, smooth: Array) -> float:
     smooth : (R, k)
         Columns of smooth functions.
     """
-    alone = float(np.sum(without.residual**2) - np.sum(full.residual**2))
+    alone = without.fall(full)
     small, large = (b.with_columns(smooth) for b in (without, full))
-    with_smooth = float(np.sum(small.residual**2) - np.sum(large.residual**2))
+    with_smooth = small.fall(large)
     return with_smooth / alone if alone > 0.0 else 1.0
 
 

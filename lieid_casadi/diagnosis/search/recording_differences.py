@@ -226,8 +226,7 @@ def _is_the_same_in_all(problem: SearchProblem, without: Baseline, with_it: Base
 
 def _gain(columns: Array, baseline: Baseline) -> float:
     """Return the fall of the sum of squares when columns (R, k) are added to a baseline."""
-    after = baseline.with_columns(columns).residual
-    return float(np.sum(baseline.residual**2) - np.sum(after**2))
+    return baseline.fall(baseline.with_columns(columns))
 
 
 def _differences(problem: SearchProblem, found: _Found) -> tuple[Difference, ...]:
@@ -272,10 +271,8 @@ def _is_significant(problem: SearchProblem, found: _Found) -> bool:
     tests = HypothesisFamily(family.tests * len(recordings.names))
     among = found.among.whitened(noise, context.runs)
     columns = np.hstack([_only_on(among, rows).stacked(found.group) for rows in on])
-    after = baseline.with_columns(columns)
-    gain = float(np.sum(baseline.residual**2) - np.sum(after.residual**2))
-    dispersion = baseline.dispersion(columns, len(context.runs))
-    log10_p = tests.log10_p(gain / dispersion, after.rank - baseline.rank)
+    statistic, degrees, _ = baseline.evidence(columns, len(context.runs))
+    log10_p = tests.log10_p(statistic, degrees)
     placement = found.among.owner(found.group).placement
     beside = p_beside_late_friction(baseline, columns, context, noise, placement, on)
     return log10_p <= float(np.log10(limit)) and beside <= limit

@@ -101,7 +101,7 @@ def rivals_of_columns(
         much: the true torque may have neither form.
     """
     candidates, with_columns = alone.candidates, with_others.with_columns(columns)
-    own = float(np.sum(with_others.residual**2) - np.sum(with_columns.residual**2))
+    own = with_others.fall(with_columns)
     found: list[RivalGroup] = []
     taken = set(excluded)
     for rival in map(int, np.argsort(-alone.gain)):
