@@ -3,30 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ModelError
 
-Array = NDArray[np.float64]
 _FLOAT = np.dtype(np.float64)
 
 
 def samples(name: str, values: ArrayLike, width: int, count: int | None = None) -> Array:
     """Return values as float64 (N, width), of any strides.
 
-    Parameters
-    ----------
-    name : str
-        Named in errors.
-    values : (N, width)
-    width : int
-    count : int, optional
-        The N that is expected; any if left out.
-
-    Raises
-    ------
-    ModelError
-        Another shape, or not real numbers.
+    ``name``: named in errors; ``values`` (N, width); ``count``: the N that is expected; any if left
+    out.
+    Raises `ModelError`: another shape, or not real numbers.
     """
     array = _real(name, values)
     if array.ndim != 2 or array.shape[1] != width or count not in (None, len(array)):
@@ -46,12 +36,7 @@ def times(values: ArrayLike, count: int) -> Array:
 def constants(name: str, values: ArrayLike, width: int) -> Array:
     """Return values that are the same for every sample as contiguous float64.
 
-    Parameters
-    ----------
-    name : str
-        Named in errors.
-    values : (width,)
-    width : int
+    ``name``: named in errors; ``values`` (width,).
     """
     array = _real(name, values)
     if array.shape != (width,):

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.batch_evaluation import Evaluation
 from lieid_casadi.compiled.library import Runtime
 
-Array = NDArray[np.float64]
 BUFFER_BYTES = 1 << 19  # half of a common second-level cache
 PADDING = 8  # doubles between rows: strides of a power of two map to the same cache lines
 

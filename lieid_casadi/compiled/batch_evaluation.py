@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.kernel_source import CONSTANT_ARGUMENTS
 from lieid_casadi.compiled.library import BatchArgument, BatchPlan, Kernel, KernelCall, Runtime
 from lieid_casadi.compiled.threads import slices
 from lieid_casadi.expressions.model_functions import SparseFunction
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 LAST_LEVEL_CACHE = 8 << 20  # bytes; larger results bypass the caches
@@ -79,12 +79,8 @@ class BoundEvaluation(ABC):
     def columns(self, first: int, last: int, out: Array) -> None:
         """Write the values of some samples.
 
-        Parameters
-        ----------
-        first, last : int
-            Samples first … last − 1.
-        out : (nnz, ≥ last − first)
-            Row k receives value k of the layout.
+        ``first``, ``last``: samples first … last − 1; ``out`` (nnz, ≥ last − first): row k receives
+        value k of the layout.
         """
 
 
@@ -191,12 +187,7 @@ class MachineEvaluation(Evaluation):
     def values(self, values: Mapping[str, Array], first: int, last: int) -> Array:
         """Return the values (nnz, last − first) of some samples in the layout's order.
 
-        Parameters
-        ----------
-        values : mapping
-            Arrays by the names of arguments.
-        first, last : int
-            Samples first … last − 1.
+        ``values``: arrays by the names of arguments; ``first``, ``last``: samples first … last − 1.
         """
         parts = []
         for sparse in self.functions:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import array_checks
 from lieid_casadi.compiled.batch_evaluation import (
     CompiledEvaluation,
@@ -19,7 +20,6 @@ from lieid_casadi.compiled.memory_states import states_along
 from lieid_casadi.compiled.threads import default_threads
 from lieid_casadi.model import Model
 
-Array = NDArray[np.float64]
 # Functions that consist of several parts side by side; the others are one part of the same name.
 _PARTS = {
     "base_regressor": ("base_regressor", "base_effects"),

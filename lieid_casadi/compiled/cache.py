@@ -75,10 +75,7 @@ def is_whole(path: Path) -> bool:
 def store(key: str, library: bytes) -> Path:
     """Write a library to the cache, or to a private temporary folder if the cache is not usable.
 
-    Raises
-    ------
-    OSError
-        Neither can be written.
+    Raises `OSError`: neither can be written.
     """
     folder = cache_folder()
     reason = "the home directory is unknown"

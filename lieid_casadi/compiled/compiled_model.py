@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import array_checks
 from lieid_casadi.compiled.base_regressor_blocks import BaseBlocks
 from lieid_casadi.compiled.rigid_functions import RigidFunctions
@@ -12,8 +12,6 @@ from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ModelError
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 def compile(

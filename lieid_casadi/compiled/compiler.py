@@ -79,10 +79,7 @@ class Compiler:
 def find_compiler() -> Compiler:
     """Return the compiler of ``$CC``, else the first of cc, gcc, clang on the path.
 
-    Raises
-    ------
-    CompilerError
-        There is none, or the quoting in ``$CC`` is wrong.
+    Raises `CompilerError`: there is none, or the quoting in ``$CC`` is wrong.
     """
     try:
         stated = shlex.split(os.environ.get("CC", ""))
@@ -102,20 +99,10 @@ def find_compiler() -> Compiler:
 def build(compiler: Compiler, target: Target, source: Path, library: Path, include: Path) -> None:
     """Compile one C file to a shared library.
 
-    Parameters
-    ----------
-    compiler : Compiler
-    target : Target
-        Instruction set.
-    source, library : Path
-        The C file, and the file to write.
-    include : Path
-        Folder of the headers.
-
-    Raises
-    ------
-    CompilerError
-        The compiler failed, or took longer than ``LIEID_COMPILER_TIMEOUT`` seconds (30).
+    ``target``: instruction set; ``source``, ``library``: the C file, and the file to write;
+    ``include``: folder of the headers.
+    Raises `CompilerError`: the compiler failed, or took longer than ``LIEID_COMPILER_TIMEOUT``
+    seconds (30).
     """
     command = [
         *compiler.command, *FLAGS, *target.flags, f"-DLIEID_LANES={target.lanes}", f"-I{include}",

@@ -53,10 +53,7 @@ def kernel_source(sparse: SparseFunction) -> str:
     matrix row i, columns ascending, to ``rows[i] + k * ld``. Further symbols hold the shape, the
     place of each nonzero (row after row) and the arguments with their widths, 0 if unused.
 
-    Raises
-    ------
-    UnsupportedOperation
-        An operation of the expression has no C form.
+    Raises `UnsupportedOperation`: an operation of the expression has no C form.
     """
     function = sparse.function
     names = [str(function.name_in(k)) for k in range(function.n_in())]

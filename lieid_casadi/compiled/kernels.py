@@ -56,10 +56,7 @@ RIGID = frozenset(
 class Kernels:
     """The kernels of one model for one instruction set; safe to use from several threads.
 
-    Parameters
-    ----------
-    lanes : int, optional
-        Samples per register; the most that this processor has if left out.
+    ``lanes``: samples per register; the most that this processor has if left out.
     """
 
     def __init__(self, functions: KernelFunctions, lanes: int | None = None) -> None:
@@ -130,10 +127,7 @@ class CompilerFailure:
 def target_of(lanes: int | None) -> Target:
     """Return the fastest instruction set of this processor, or that of ``lanes`` samples.
 
-    Raises
-    ------
-    CompilerError
-        The processor has no registers of that many lanes.
+    Raises `CompilerError`: the processor has no registers of that many lanes.
     """
     targets = available_targets()
     if lanes is None:

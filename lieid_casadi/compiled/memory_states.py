@@ -6,25 +6,20 @@ import ctypes
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.kernel_source import CONSTANT_ARGUMENTS
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.expressions import memory
 
-Array = NDArray[np.float64]
 BEFORE = "before_"  # prefix of arguments that belong to the sample before
 
 
 def states_along(kernels: Kernels, signals: Mapping[str, Array]) -> Array:
     """Return the states (N, S) at every sample of one segment; see `memory.states_along`.
 
-    Parameters
-    ----------
-    kernels : Kernels
-        Those of one lane, because each sample depends on the one before it.
-    signals : mapping
-        Arrays by name.
+    ``kernels``: those of one lane, because each sample depends on the one before it; ``signals``:
+    arrays by name.
     """
     compiled = kernels.get(["memory"])
     if compiled is None:

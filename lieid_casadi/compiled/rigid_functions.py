@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.batch_functions import BatchFunctions
-
-Array = NDArray[np.float64]
 
 
 class RigidFunctions(BatchFunctions):
@@ -24,14 +22,8 @@ class RigidFunctions(BatchFunctions):
     ) -> Array:
         """Return the full regressor Y (N, n, 10 n) of the rigid torque.
 
-        Parameters
-        ----------
-        q, dq, ddq : (N, n)
-            rad, rad/s, rad/s².
-        out : (N, n, 10 n), optional
-            Array to write to.
-        threads : int, optional
-            Threads for this call.
+        ``q``, ``dq``, ``ddq`` (N, n): rad, rad/s, rad/s²; ``out`` (N, n, 10 n): array to write to;
+        ``threads``: threads for this call.
         """
         return self._matrix("regressor", self._motion(q, dq, ddq), out, threads)
 
@@ -50,16 +42,8 @@ class RigidFunctions(BatchFunctions):
         q̇_r, q̈_r are the reference motion of an adaptive controller (Slotine, Li, "On the adaptive
         control of robot manipulators", IJRR 1987).
 
-        Parameters
-        ----------
-        q, dq : (N, n)
-            rad, rad/s.
-        dq_r, ddq_r : (N, n)
-            rad/s, rad/s².
-        out : (N, n, 10 n), optional
-            Array to write to.
-        threads : int, optional
-            Threads for this call.
+        ``q``, ``dq`` (N, n): rad, rad/s; ``dq_r``, ``ddq_r`` (N, n): rad/s, rad/s²; ``out`` (N, n,
+        10 n): array to write to; ``threads``: threads for this call.
         """
         values = self._samples(q=q, dq=dq, dq_r=dq_r, ddq_r=ddq_r)
         return self._matrix("slotine_li_regressor", values, out, threads)
@@ -76,16 +60,8 @@ class RigidFunctions(BatchFunctions):
     ) -> Array:
         """Return the rigid torque (N, n) of link parameters (10 n,), N·m.
 
-        Parameters
-        ----------
-        q, dq, ddq : (N, n)
-            rad, rad/s, rad/s².
-        parameters : (10 n,)
-            Link parameters.
-        out : (N, n), optional
-            Array to write to.
-        threads : int, optional
-            Threads for this call.
+        ``q``, ``dq``, ``ddq`` (N, n): rad, rad/s, rad/s²; ``parameters`` (10 n,): link parameters;
+        ``out`` (N, n): array to write to; ``threads``: threads for this call.
         """
         values = self._motion(q, dq, ddq) | self._links(parameters)
         return self._vector("inverse_dynamics", values, out, threads)
@@ -100,16 +76,8 @@ class RigidFunctions(BatchFunctions):
     ) -> Array:
         """Return M(q) (N, n, n), kg·m².
 
-        Parameters
-        ----------
-        q : (N, n)
-            rad.
-        parameters : (10 n,)
-            Link parameters.
-        out : (N, n, n), optional
-            Array to write to.
-        threads : int, optional
-            Threads for this call.
+        ``q`` (N, n): rad; ``parameters`` (10 n,): link parameters; ``out`` (N, n, n): array to
+        write to; ``threads``: threads for this call.
         """
         values = self._samples(q=q) | self._links(parameters)
         return self._matrix("mass_matrix", values, out, threads)
@@ -125,16 +93,8 @@ class RigidFunctions(BatchFunctions):
     ) -> Array:
         """Return C(q, q̇) (N, n, n) with Ṁ − 2C skew-symmetric.
 
-        Parameters
-        ----------
-        q, dq : (N, n)
-            rad, rad/s.
-        parameters : (10 n,)
-            Link parameters.
-        out : (N, n, n), optional
-            Array to write to.
-        threads : int, optional
-            Threads for this call.
+        ``q``, ``dq`` (N, n): rad, rad/s; ``parameters`` (10 n,): link parameters; ``out`` (N, n,
+        n): array to write to; ``threads``: threads for this call.
         """
         values = self._samples(q=q, dq=dq) | self._links(parameters)
         return self._matrix("coriolis_matrix", values, out, threads)
@@ -149,16 +109,8 @@ class RigidFunctions(BatchFunctions):
     ) -> Array:
         """Return G(q) (N, n), N·m.
 
-        Parameters
-        ----------
-        q : (N, n)
-            rad.
-        parameters : (10 n,)
-            Link parameters.
-        out : (N, n), optional
-            Array to write to.
-        threads : int, optional
-            Threads for this call.
+        ``q`` (N, n): rad; ``parameters`` (10 n,): link parameters; ``out`` (N, n): array to write
+        to; ``threads``: threads for this call.
         """
         values = self._samples(q=q) | self._links(parameters)
         return self._vector("gravity", values, out, threads)
@@ -168,13 +120,6 @@ class RigidFunctions(BatchFunctions):
     ) -> Array:
         """Return the tool's Jacobian (N, 6, n), [ω; v] in base axes.
 
-        Parameters
-        ----------
-        q : (N, n)
-            rad.
-        out : (N, 6, n), optional
-            Array to write to.
-        threads : int, optional
-            Threads for this call.
+        ``q`` (N, n): rad; ``out`` (N, 6, n): array to write to; ``threads``: threads for this call.
         """
         return self._matrix("jacobian", self._samples(q=q), out, threads)

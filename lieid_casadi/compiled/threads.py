@@ -19,12 +19,7 @@ def default_threads() -> int:
 def slices(samples: int, threads: int, lanes: int) -> list[tuple[int, int]]:
     """Return the first and last + 1 of the samples of each thread; all but the last whole lanes.
 
-    Parameters
-    ----------
-    samples, threads : int
-        How many there are.
-    lanes : int
-        Samples per vector register.
+    ``samples``, ``threads``: how many there are; ``lanes``: samples per vector register.
     """
     count = min(threads, samples // SAMPLES_PER_THREAD)
     if count <= 1:

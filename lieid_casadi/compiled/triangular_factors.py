@@ -14,14 +14,13 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.base_regressor_blocks import BaseBlocks
 from lieid_casadi.compiled.kernels import reducer
 from lieid_casadi.compiled.library import Reducer, Runtime
 
-Array = NDArray[np.float64]
 BLOCK = 512  # rows reduced at once
 PADDING = 8  # doubles between columns, see `blocks`
 MOST_LANES = 8
@@ -88,13 +87,7 @@ class Triangle:
 def block_triangles(blocks: BaseBlocks, torque: Array, threads: int) -> list[Array]:
     """Return the factor (p_i + 1, p_i + 1) of [columns | torque] of each joint.
 
-    Parameters
-    ----------
-    blocks : BaseBlocks
-    torque : (N, n)
-        N·m.
-    threads : int
-        Each takes one stretch of the samples.
+    ``torque`` (N, n): N·m; ``threads``: each takes one stretch of the samples.
     """
     count = max(min(threads, blocks.samples // SAMPLES_PER_THREAD), 1)
     edges = [blocks.samples * k // count for k in range(count + 1)]

@@ -169,10 +169,7 @@ def _of_polynomials(robot: Robot) -> Robot:
 def _check(base: BaseParameters, robot: Robot, extra: Sequence[EnergyColumn | None]) -> None:
     """Compare with the base parameters of numbers, at random values of the symbols.
 
-    Raises
-    ------
-    ModelError
-        They differ: a polynomial was not recognized as zero.
+    Raises `ModelError`: they differ: a polynomial was not recognized as zero.
     """
     names = [str(symbol) for symbol in robot.symbols]
     random = np.random.default_rng(0).uniform(0.2, 0.9, len(names))

@@ -57,13 +57,7 @@ def mass_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
     Summed from the tip: the links from j on move as one body when joint j alone moves (composite
     rigid bodies; Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 6).
 
-    Parameters
-    ----------
-    robot : Robot
-    motion : Motion
-        Symbols q, q̇ (n,).
-    parameters : (10 n,)
-        Link parameters.
+    ``motion``: symbols q, q̇ (n,); ``parameters`` (10 n,): link parameters.
     """
     matrix, links = ca.SX(robot.n, robot.n), _links(parameters)
     poses, xi = relative_poses(robot, motion), axes(robot)
@@ -98,13 +92,7 @@ def coriolis_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
     2021. B = [[L, 0], [−P̂, 0]] with the momentum P = Σ m·u and L = −Σ m·r̂·û, whose sums over
     the links of a composite body are again such a pair.
 
-    Parameters
-    ----------
-    robot : Robot
-    motion : Motion
-        Symbols q, q̇ (n,).
-    parameters : (10 n,)
-        Link parameters.
+    ``motion``: symbols q, q̇ (n,); ``parameters`` (10 n,): link parameters.
     """
     matrix, links = ca.SX(robot.n, robot.n), _links(parameters)
     poses, xi = relative_poses(robot, motion), axes(robot)
@@ -162,15 +150,8 @@ def gravity(
 ) -> ca.SX:
     """Return G(q) = ξᵀBᵀEBΓ_{V0}A₀ (n,): the torque at rest.
 
-    Parameters
-    ----------
-    robot : Robot
-    motion : Motion
-        Its positions are used.
-    parameters : (10 n,)
-        Link parameters.
-    gravity : (3,), optional
-        Gravity in the base frame in place of the robot's, m/s².
+    ``motion``: its positions are used; ``parameters`` (10 n,): link parameters; ``gravity`` (3,):
+    gravity in the base frame in place of the robot's, m/s².
     """
     zero = ca.SX(robot.n, 1)
     still = Motion(motion.q, motion.sin, motion.cos, zero, zero)

@@ -32,11 +32,8 @@ def _cleaned(entry: Any) -> Any:
 def eliminated(rows: Entries, order: list[int] | None = None) -> tuple[Entries, list[int]]:
     """Return the reduced echelon form of rows (r, k) and the pivots' columns (r,).
 
-    Parameters
-    ----------
-    rows : (m, k)
-    order : list of int, optional
-        Columns in the order in which pivots are sought; any pivot of one term if left out.
+    ``rows`` (m, k); ``order``: columns in the order in which pivots are sought; any pivot of one
+    term if left out.
     """
     rest: list[Entries] = list(cleaned(rows))
     done: list[Entries] = []
@@ -60,10 +57,7 @@ def _pivot(
     The simplest entry is chosen, the largest of several; with ``order`` in the first column that
     has any. An entry of several terms is a pivot if it divides all of its row.
 
-    Raises
-    ------
-    ModelError
-        There are entries, but none divides its row.
+    Raises `ModelError`: there are entries, but none divides its row.
     """
     groups = [list(range(len(rest[0])))] if order is None else [[column] for column in order]
     for group in groups:

@@ -26,10 +26,7 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 class Laurent:
     """A sum of coefficients times products of powers of lengths.
 
-    Parameters
-    ----------
-    terms : mapping
-        Powers → coefficient.
+    ``terms``: powers → coefficient.
     """
 
     __slots__ = ("terms",)
@@ -112,10 +109,7 @@ class Laurent:
 def reciprocal(value: Any) -> Any:
     """Return 1/value of a number or of a polynomial of one term.
 
-    Raises
-    ------
-    ModelError
-        A polynomial of several terms, whose reciprocal is none.
+    Raises `ModelError`: a polynomial of several terms, whose reciprocal is none.
     """
     if not isinstance(value, Laurent):
         return 1.0 / value
@@ -196,10 +190,8 @@ def _value(name: str, values: Mapping[str, Any]) -> Any:
 def polynomial(expression: ca.SX) -> Any:
     """Return an SX expression as a polynomial in its symbols.
 
-    Raises
-    ------
-    ModelError
-        It has other operations than sums, products, and the cosine and sine of a symbol.
+    Raises `ModelError`: it has other operations than sums, products, and the cosine and sine of a
+    symbol.
     """
     symbols = ca.symvar(expression)
     function = ca.Function("entry", [ca.vertcat(*symbols)], [expression])
@@ -246,12 +238,8 @@ _ARITHMETIC: dict[int, Any] = {
 def polynomials(array: NDArray[Any], *, snap: float) -> NDArray[Any]:
     """Return numbers and SX expressions as floats and polynomials.
 
-    Parameters
-    ----------
-    array : (…)
-        dtype float or object.
-    snap : float
-        Numbers that differ from a whole number by less are that number.
+    ``array`` (…): dtype float or object; ``snap``: numbers that differ from a whole number by less
+    are that number.
     """
     made = np.empty(array.shape, dtype=object)
     for index, entry in np.ndenumerate(array):

@@ -85,14 +85,8 @@ def exp(screw: Geometry, q: ca.SX, sin: ca.SX, cos: ca.SX) -> Pose:
     ``sin`` and ``cos`` are those of q, passed in so that generated code can take them as
     inputs. A prismatic screw (ω = 0) uses q alone.
 
-    Parameters
-    ----------
-    screw : (6,)
-        [ω; v] with |ω| = 1, or ω = 0 and |v| = 1.
-    q : ca.SX
-        Angle in rad, or displacement in m.
-    sin, cos : ca.SX
-        Of q.
+    ``screw`` (6,): [ω; v] with |ω| = 1, or ω = 0 and |v| = 1; ``q``: angle in rad, or displacement
+    in m; ``sin``, ``cos``: of q.
     """
     omega, v = screw[:3], screw[3:]
     if constant(omega).nnz() == 0:

@@ -35,12 +35,8 @@ class Motion:
     def of(cls, q: ca.SX, dq: ca.SX | None = None, ddq: ca.SX | None = None) -> Motion:
         """Return the motion of given expressions.
 
-        Parameters
-        ----------
-        q : (n,)
-            rad (m for a prismatic joint).
-        dq, ddq : (n,), optional
-            Structurally zero if left out.
+        ``q`` (n,): rad (m for a prismatic joint); ``dq``, ``ddq`` (n,): structurally zero if left
+        out.
         """
         zero = ca.SX(q.shape[0], 1)
         dq, ddq = (zero if rate is None else rate for rate in (dq, ddq))

@@ -45,11 +45,7 @@ class EnergyColumn:
 def null_space(robot: Robot, extra: Sequence[EnergyColumn | None] = ()) -> Matrix:
     """Return a basis (d, 10 n + e) of parameter changes that no motion reveals.
 
-    Parameters
-    ----------
-    robot : Robot
-    extra : sequence of length e
-        See `lieid_casadi.dynamics.base_parameters.base_parameters`.
+    ``extra``: see `lieid_casadi.dynamics.base_parameters.base_parameters`.
     """
     n, width = robot.n, 10 * robot.n + len(extra)
     chain = _Functionals(robot.gravity.astype(object if robot.has_symbols else float))

@@ -66,15 +66,8 @@ def link_accelerations(
     With a reference, q̈ is q̈_r and every product of two velocities becomes half the sum of the two
     mixed products: the bilinear form whose torque is C(q, q̇)·q̇_r with Ṁ − 2C skew-symmetric.
 
-    Parameters
-    ----------
-    robot : Robot
-    motion : Motion
-        Symbols q, q̇, q̈ (n,).
-    reference : ReferenceMotion, optional
-        Second motion q̇_r, q̈_r (n,).
-    gravity : (3,), optional
-        In the base frame, m/s²; the robot's if left out.
+    ``motion``: symbols q, q̇, q̈ (n,); ``reference``: second motion q̇_r, q̈_r (n,); ``gravity``
+    (3,): in the base frame, m/s²; the robot's if left out.
     """
     rates = [motion.dq] if reference is None else [motion.dq, reference.dq]
     ddq = motion.ddq if reference is None else reference.ddq
@@ -153,17 +146,9 @@ def inverse_dynamics(
 ) -> ca.SX:
     """Return the rigid torque (n,) by the backward recursion, Eq. 3.
 
-    Parameters
-    ----------
-    robot : Robot
-    motion : Motion
-        Symbols q, q̇, q̈ (n,).
-    parameters : (10 n,)
-        Link parameters.
-    tool_wrench : (6,), optional
-        [m; f] that the tool exerts on its surroundings, at the tool's origin, in tool axes.
-    gravity : (3,), optional
-        Gravity in the base frame in place of the robot's, m/s².
+    ``motion``: symbols q, q̇, q̈ (n,); ``parameters`` (10 n,): link parameters; ``tool_wrench``
+    (6,): [m; f] that the tool exerts on its surroundings, at the tool's origin, in tool axes;
+    ``gravity`` (3,): gravity in the base frame in place of the robot's, m/s².
     """
     poses, xi = relative_poses(robot, motion), axes(robot)
     wrench = ca.SX(6, 1)

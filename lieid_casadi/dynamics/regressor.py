@@ -27,13 +27,7 @@ def slotine_li_regressor(robot: Robot, motion: Motion, reference: ReferenceMotio
 
     For adaptive control: Slotine, Li, "On the adaptive control of robot manipulators", IJRR 1987.
 
-    Parameters
-    ----------
-    robot : Robot
-    motion : Motion
-        Symbols q, q̇ (n,).
-    reference : ReferenceMotion
-        Symbols q̇_r, q̈_r (n,).
+    ``motion``: symbols q, q̇ (n,); ``reference``: symbols q̇_r, q̈_r (n,).
     """
     return _projected(robot, motion, link_accelerations(robot, motion, reference=reference))
 

@@ -102,14 +102,8 @@ class StackedMatrices:
 def stacked_matrices(robot: Robot, motion: Motion, parameters: ca.SX) -> StackedMatrices:
     """Return the matrices of Eqs. 4-5 at a motion.
 
-    Parameters
-    ----------
-    robot : Robot
-        Its geometry and gravity.
-    motion : Motion
-        q, q̇ (n,).
-    parameters : (10 n,)
-        Link parameters.
+    ``robot``: its geometry and gravity; ``motion``: q, q̇ (n,); ``parameters`` (10 n,): link
+    parameters.
     """
     n, poses, xi = robot.n, relative_poses(robot, motion), axes(robot)
     back = [adjoint(g.inverse()) for g in poses]

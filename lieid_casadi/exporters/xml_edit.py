@@ -31,10 +31,7 @@ class Element:
 class XmlText:
     """An XML text with edits that are applied together.
 
-    Parameters
-    ----------
-    text : str
-        Well-formed.
+    ``text``: well-formed.
     """
 
     def __init__(self, text: str) -> None:
@@ -62,12 +59,7 @@ class XmlText:
     def replace_child(self, parent: Element, tag: str, text: str) -> None:
         """Replace the first child of a tag by a text, or add it.
 
-        Parameters
-        ----------
-        parent : Element
-        tag : str
-        text : str
-            XML of the new element.
+        ``text``: XML of the new element.
         """
         child = parent.find(tag)
         if child is None:

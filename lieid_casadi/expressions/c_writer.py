@@ -89,22 +89,11 @@ def statements(
 ) -> Statements:
     """Return the C statements that evaluate a function of SX with one vector result.
 
-    Parameters
-    ----------
-    function : casadi.Function
-    dialect : Dialect
-    read : callable
-        Argument and element → the name of the value and the C that reads it.
-    write : callable
-        Element of the result and C of its value → the statement that writes it.
-    inputs_in_place : bool
-        Whether ``lines`` declare each input before its first use. Otherwise the caller declares
-        them from ``inputs``, before all lines, so that results may overwrite arguments.
-
-    Raises
-    ------
-    UnsupportedOperation
-        An operation without a C form.
+    ``read``: argument and element → the name of the value and the C that reads it; ``write``:
+    element of the result and C of its value → the statement that writes it. ``inputs_in_place``:
+    whether ``lines`` declare each input before its first use. Otherwise the caller declares them
+    from ``inputs``, before all lines, so that results may overwrite arguments.
+    Raises `UnsupportedOperation`: an operation without a C form.
     """
     lines: list[str] = []
     inputs: dict[Input, None] = {}  # ordered, each once

@@ -87,12 +87,8 @@ def _solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
 def obstacle(torque: TorqueExpressions, *, remedy: str) -> str:
     """Return why numbers have no forward dynamics within the joint limits; empty if they have.
 
-    Parameters
-    ----------
-    torque : TorqueExpressions
-        With numbers as values; symbols are not tried.
-    remedy : str
-        What to do about a mass matrix that is not positive definite.
+    ``torque``: with numbers as values; symbols are not tried; ``remedy``: what to do about a mass
+    matrix that is not positive definite.
     """
     if not torque.values.numeric or torque.model.robot.symbols:
         return ""

@@ -64,16 +64,8 @@ class Frame:
 def frame_of(robot: Robot, name: str) -> Frame:
     """Return the kinematics of the tool or of a link frame.
 
-    Parameters
-    ----------
-    robot : Robot
-    name : str
-        ``tool``, ``link1`` … ``linkn``, or the name of a joint or of its link.
-
-    Raises
-    ------
-    ModelError
-        If no frame has that name.
+    ``name``: ``tool``, ``link1`` … ``linkn``, or the name of a joint or of its link.
+    Raises `ModelError` if no frame has that name.
     """
     symbols = geometry_inputs(robot)
     if name == "tool":

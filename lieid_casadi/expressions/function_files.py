@@ -14,10 +14,7 @@ from lieid_casadi.errors import ModelError
 def write_functions(path: Path, functions: Sequence[ca.Function]) -> None:
     """Write functions into one file by its suffix, ``.casadi`` or ``.c``.
 
-    Raises
-    ------
-    ModelError
-        If the name ends in neither.
+    Raises `ModelError` if the name ends in neither.
     """
     from lieid_casadi.atomic_file import atomic_binary
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ModelError
 from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
 
-Array = NDArray[np.float64]
 INPUT_NAMES = (
     "q", "dq", "ddq", "tau", "load", "states", "temperature", "time", "payload", "parameters",
     "effects", "shapes", "x", "xdot", "u",
@@ -42,16 +40,9 @@ class Values:
     ) -> Values:
         """Return constants.
 
-        Parameters
-        ----------
-        parameters : (10 n,)
-            Link parameters, SI.
-        effects : (m,)
-            Effect coefficients.
-        shapes : (s,)
-            Shape parameters.
-        temperature_mean : (n,), optional
-            Mean temperature of the training recordings, °C.
+        ``parameters`` (10 n,): link parameters, SI; ``effects`` (m,): effect coefficients;
+        ``shapes`` (s,): shape parameters; ``temperature_mean`` (n,): mean temperature of the
+        training recordings, °C.
         """
         links, coefficients, shape = (ca.SX(ca.DM(x)) for x in (parameters, effects, shapes))
         return cls(links, coefficients, shape, True, temperature_mean)
@@ -76,10 +67,7 @@ class Values:
 def geometry_inputs(robot: Robot) -> dict[str, ca.SX]:
     """Return the symbols of a robot's geometry by name.
 
-    Raises
-    ------
-    ModelError
-        A symbol has the name of an input of the functions.
+    Raises `ModelError`: a symbol has the name of an input of the functions.
     """
     clash = [str(symbol) for symbol in robot.symbols if str(symbol) in INPUT_NAMES]
     if clash:

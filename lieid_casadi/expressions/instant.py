@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import constant
@@ -16,8 +14,6 @@ from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ModelError
 from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,19 +72,9 @@ def arm_effect_columns(
 ) -> ca.SX:
     """Return the columns (n, m) of effects on the whole arm or on the measurement; others are zero.
 
-    Parameters
-    ----------
-    model : Model
-    arm : ArmInstant
-    coefficients : (m,)
-        Linear coefficients, numbers or symbols.
-    measurement : bool
-        Whether the columns are those of effects on the measurement, else on the whole arm.
-
-    Raises
-    ------
-    ModelError
-        An effect on the measurement depends on the motion before the instant.
+    ``coefficients`` (m,): linear coefficients, numbers or symbols; ``measurement``: whether the
+    columns are those of effects on the measurement, else on the whole arm.
+    Raises `ModelError`: an effect on the measurement depends on the motion before the instant.
     """
     columns = ca.SX(model.n, len(model.columns))
     first = 0

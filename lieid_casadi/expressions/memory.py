@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.expressions.model_functions import SIGNAL_NAMES, STEPS, ModelFunctions
-
-Array = NDArray[np.float64]
 
 
 def states_along(functions: ModelFunctions, signals: Mapping[str, Array]) -> Array:
@@ -19,12 +17,8 @@ def states_along(functions: ModelFunctions, signals: Mapping[str, Array]) -> Arr
     whatever the time between them. States are held at samples that are not finite
     (`Effect.next_states`).
 
-    Parameters
-    ----------
-    functions : ModelFunctions
-    signals : mapping
-        ``q`` and, where known, ``dq``, ``ddq``, ``load``, ``temperature`` (N, n) and ``time``
-        (N, 1); ``shapes`` (s,) and ``dead_zone`` (n,). Signals that are left out are zero.
+    ``signals``: ``q`` and, where known, ``dq``, ``ddq``, ``load``, ``temperature`` (N, n) and
+    ``time`` (N, 1); ``shapes`` (s,) and ``dead_zone`` (n,). Signals that are left out are zero.
     """
     samples, model = len(signals["q"]), functions.model
     states = np.empty((samples, len(model.states)))

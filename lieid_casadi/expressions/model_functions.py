@@ -39,13 +39,7 @@ def sparse_function(
 ) -> SparseFunction:
     """Return a `SparseFunction` of an SX matrix.
 
-    Parameters
-    ----------
-    name : str
-    inputs : list of ca.SX
-    names : list of str
-        Of the inputs.
-    matrix : ca.SX
+    ``names``: of the inputs.
     """
     matrix = ca.sparsify(matrix)
     rows, columns = matrix.sparsity().get_triplet()

@@ -5,16 +5,15 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.inputs import Values
 from lieid_casadi.expressions.symbolic_dynamics import SymbolicDynamics
 from lieid_casadi.expressions.torque import TorqueExpressions
 from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 class FittedModel(Protocol):

@@ -5,9 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import constant
 from lieid_casadi.dynamics.motion_symbols import Motion, tool_pose
@@ -19,29 +18,16 @@ from lieid_casadi.expressions.instant import ArmInstant, arm_effect_columns
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.model import Model
 
-Array = NDArray[np.float64]
-
 
 class TorqueExpressions:
     """Torque of a model and its parts, in symbols that this object holds.
 
-    Parameters
-    ----------
-    model : Model
-    values : Values
-    smooth_velocity : (n,) or None
-        Half widths in rad/s of the smooth sign of the velocity; None is the sign itself.
-    as_measured : bool
-        Whether effects of the measurement are part of the torque.
-    payload : bool
-        Whether ten link parameters of a body at the tool are a further symbol.
-    sign : (n,) ca.SX, optional
-        Symbol in place of the sign of the velocity.
-    command_error : (n,) ca.SX, optional
-        Commanded minus measured position, rad, for effects of position-controlled drives; zero if
-        left out: the torque is then that which the drives deliver.
-    motion : Motion, optional
-        Symbols of the motion; its own if left out.
+    ``smooth_velocity`` (n,): half widths in rad/s of the smooth sign of the velocity; None is the
+    sign itself; ``as_measured``: whether effects of the measurement are part of the torque;
+    ``payload``: whether ten link parameters of a body at the tool are a further symbol; ``sign``
+    (n,): symbol in place of the sign of the velocity; ``command_error`` (n,): commanded minus
+    measured position, rad, for effects of position-controlled drives; zero if left out: the torque
+    is then that which the drives deliver; ``motion``: symbols of the motion; its own if left out.
     """
 
     def __init__(
@@ -246,13 +232,8 @@ class TorqueExpressions:
 def with_body(links: ca.SX, body: ca.SX, model: Model) -> ca.SX:
     """Return link parameters with those of a body at the tool added to the last link's.
 
-    Parameters
-    ----------
-    links : (10 n,)
-    body : (10,)
-        Link parameters in the tool frame.
-    model : Model
-        Its robot has the tool.
+    ``links`` (10 n,); ``body`` (10,): link parameters in the tool frame; ``model``: its robot has
+    the tool.
     """
     at_link = closed_form.seen_from_parent(tool_pose(model.robot), body)
     return ca.vertcat(links[:-10], links[-10:] + at_link)

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ModelError
 from lieid_casadi.friction_curves.constant_speed import steady_columns
 from lieid_casadi.friction_curves.curve import FrictionCurve
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 STEP = 1e-5  # finite difference relative to the range of a shape
 RANK = 1e-8  # variance relative to the largest below which a direction is rounding
 SIGNIFICANT = 0.01  # p-value below which the difference exceeds the uncertainties
@@ -131,23 +131,10 @@ def compare_friction(
     The compared quantity is half the difference of the friction torque at ±speed and equal
     load, which does not contain the offset.
 
-    Parameters
-    ----------
-    first, second : FrictionCurve, FrictionFit or Fit
-        A friction curve, a model fitted to one, or a fit of the whole arm.
-    joint : int, optional
-        From 0; by default that of the curve.
-    speed, load : (G,), optional
-        Points of the comparison, rad/s and N·m; by default those of the curve.
-
-    Returns
-    -------
-    FrictionAgreement
-
-    Raises
-    ------
-    ModelError
-        The joints differ, or neither a curve nor speeds are given.
+    ``first``, ``second``: a friction curve, a model fitted to one, or a fit of the whole arm;
+    ``joint``: from 0; by default that of the curve; ``speed``, ``load`` (G,): points of the
+    comparison, rad/s and N·m; by default those of the curve.
+    Raises `ModelError`: the joints differ, or neither a curve nor speeds are given.
     """
     curves = [c for c in (_curve(first), _curve(second)) if c is not None]
     joints = {c.joint for c in curves} | ({joint} if joint is not None else set())

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, diags_array
 
-Array = NDArray[np.float64]
+from lieid_casadi.arrays import Array
+
 MOST_SPEEDS = 40
 FINEST = 0.06  # least relative width of a speed group
 LOADS = 6
@@ -44,16 +45,8 @@ class PairGroups:
 def group_pairs(speed: Array, load: Array, stretch: NDArray[np.intp]) -> PairGroups:
     """Group pairs by speed (logarithmically) and, if it varies, by the magnitude of the load.
 
-    Parameters
-    ----------
-    speed, load : (P,)
-        Speed (positive) and load of each pair, rad/s and N·m.
-    stretch : (P,) int
-        Stretch of motion that each pair comes from.
-
-    Returns
-    -------
-    PairGroups
+    ``speed``, ``load`` (P,): speed (positive) and load of each pair, rad/s and N·m; ``stretch``
+    (P,): stretch of motion that each pair comes from.
     """
     cell = _by_speed(speed) * LOADS + _by_load(np.abs(load))
     _, member, pairs = np.unique(cell, return_inverse=True, return_counts=True)
@@ -81,17 +74,9 @@ def standard_errors(
     means of batches and shrunk towards the variance common to all groups, which dominates in
     groups with few batches. Samples that occur in several pairs count once.
 
-    Parameters
-    ----------
-    groups : PairGroups
-    values : (P,)
-        Value of each pair.
-    stretch : (P,) int
-        Stretch of motion that each pair comes from.
-    samples : (P, 2) int
-        The two samples of each pair.
-    trends : (P, k)
-        Quantities whose linear influence within the groups is not counted as scatter.
+    ``values`` (P,): value of each pair; ``stretch`` (P,): stretch of motion that each pair comes
+    from; ``samples`` (P, 2): the two samples of each pair; ``trends`` (P, k): quantities whose
+    linear influence within the groups is not counted as scatter.
     """
     inside = np.flatnonzero(groups.member >= 0)
     member = groups.member[inside]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.effects import Placement
 from lieid_casadi.errors import LieidWarning, unique_warnings
@@ -21,7 +22,6 @@ from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Recording, process
 
-Array = NDArray[np.float64]
 SPEEDS = np.array([0.03, 0.3, 1.0])  # rad/s at which the columns of friction are not all zero
 HIGH_SPEEDS = np.array([1e3, 1e4])  # rad/s, far above those at which dry friction changes
 GROWTH = 3.0  # ratio of a column at the high speeds above which it grows with speed
@@ -40,17 +40,10 @@ def combine_stages(
     This is the last step of `identify_in_stages`, for friction curves that were measured in
     another way, for example with a known payload.
 
-    Parameters
-    ----------
-    first_stage : Fit
-        Its friction is kept on joints that ``friction`` does not contain.
-    friction : mapping of int to FrictionFit
-        Second stage, by joint from 0.
-    excitation : sequence of Recording
-        Training recordings of the first stage.
-    refit : bool
-        Whether links and friction that grows with speed are identified again from the
-        excitation (third stage).
+    ``first_stage``: its friction is kept on joints that ``friction`` does not contain;
+    ``friction``: second stage, by joint from 0; ``excitation``: training recordings of the first
+    stage; ``refit``: whether links and friction that grows with speed are identified again from the
+    excitation (third stage).
 
     Returns
     -------

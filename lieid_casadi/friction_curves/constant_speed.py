@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
 
-Array = NDArray[np.float64]
 LONG_WAY = 1e3  # rad, after which effects with memory are in steady state
 
 
@@ -24,28 +24,11 @@ def steady_columns(
 ) -> Array:
     """Return half the difference of the effects' columns at +speed and −speed.
 
-    Parameters
-    ----------
-    compiled : Compiled
-        Functions of a model with n joints and m effect columns.
-    joint : int
-        Moving joint, from 0; the others are at rest.
-    speed : (P,)
-        Positive speeds, rad/s.
-    shapes : (s,)
-        Shape parameters of the model's effects.
-    load : (P,) or float
-        Load torque of the joint, N·m.
-    temperature : (P,) or float
-        °C relative to the mean of the training recordings.
-    position : (P,) or float
-        Joint position, rad.
-    time : float
-        Time since the start of the recording, s.
-
-    Returns
-    -------
-    (P, m)
+    ``compiled``: functions of a model with n joints and m effect columns; ``joint``: moving joint,
+    from 0; the others are at rest; ``speed`` (P,): positive speeds, rad/s; ``shapes`` (s,): shape
+    parameters of the model's effects; ``load`` (P,): load torque of the joint, N·m; ``temperature``
+    (P,): °C relative to the mean of the training recordings; ``position`` (P,): joint position,
+    rad; ``time``: time since the start of the recording, s.
     """
     speeds = np.atleast_1d(np.asarray(speed, dtype=float))
     velocities = np.concatenate([speeds, -speeds])

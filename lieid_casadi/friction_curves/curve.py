@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.friction_curves.curve_data import CurveData
 from lieid_casadi.identification.provenance import Source
@@ -17,8 +18,6 @@ from lieid_casadi.tables import html
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.friction_curves.binning import PairGroups
 from lieid_casadi.friction_curves.position_matching import Matching
 from lieid_casadi.recording import Processed
 from lieid_casadi.robot.robot import Robot
 
-Array = NDArray[np.float64]
 MOST_INSTANTS = 30  # of a point and direction, if columns are averaged over a subset
 
 
@@ -60,20 +60,9 @@ class CurveData:
         reversals the filter hardly changes them. Effects with memory are evaluated along the
         segments.
 
-        Parameters
-        ----------
-        compiled : Compiled
-            Functions of a model with m effect columns.
-        joint : int
-            From 0.
-        shapes : (s,)
-            Shape parameters.
-        thinned : bool
-            Average over a subset of each point's instants, for searches.
-
-        Returns
-        -------
-        (G, m)
+        ``compiled``: functions of a model with m effect columns; ``joint``: from 0; ``shapes``
+        (s,): shape parameters; ``thinned``: average over a subset of each point's instants, for
+        searches.
         """
         average, used = self._thinned if thinned else self._whole
         if compiled.model.states:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import (
     JointStillWarning,
@@ -31,7 +31,6 @@ from lieid_casadi.recording import Processed, Processing, Recording, check, proc
 from lieid_casadi.recording.given_recordings import listed
 from lieid_casadi.robot.robot import Robot
 
-Array = NDArray[np.float64]
 LoadSource = Literal["model", "measured"]
 LOAD_MISMATCH = 0.1  # difference relative to the RMS of the load that is reported
 
@@ -52,34 +51,15 @@ def friction_curve(
     passes the same positions in both directions while the other joints stand still. Samples near
     reversals, within the length of the filter, are left out.
 
-    Parameters
-    ----------
-    arm : Robot or Fit
-        Source of link parameters: identified ones and armatures of a fit, or nominal ones.
-    recordings : Recording or sequence of Recording
-        Recordings with torques.
-    joint : int
-        From 0.
-    processing : Processing, optional
-        Filter options; by default the cut-off is chosen from the spectrum.
-    load : {"model", "measured"}, optional
-        Source of the load that friction may depend on: the rigid torque of the model, or the
-        mean torque of both directions. The default is the model for a fit and the measurement
-        for a robot, whose inertias are nominal.
-
-    Returns
-    -------
-    FrictionCurve
-
-    Raises
-    ------
-    RecordingError
-        The joint never moves or moves in one direction only, or passes no position in both
-        directions.
-    ModelError
-        The arm does not have this joint, or recordings have no torque or are of another arm.
-    RobotError
-        ``load="model"`` is given for a robot without inertias.
+    ``arm``: source of link parameters: identified ones and armatures of a fit, or nominal ones;
+    ``recordings``: recordings with torques; ``joint``: from 0; ``processing``: filter options; by
+    default the cut-off is chosen from the spectrum. ``load``: source of the load that friction may
+    depend on: the rigid torque of the model, or the mean torque of both directions. The default is
+    the model for a fit and the measurement for a robot, whose inertias are nominal.
+    Raises `RecordingError`: the joint never moves or moves in one direction only, or passes no
+    position in both directions. Raises `ModelError`: the arm does not have this joint, or
+    recordings have no torque or are of another arm. Raises `RobotError`: ``load="model"`` is given
+    for a robot without inertias.
     """
     given = listed(recordings)
     robot = arm.model.robot if isinstance(arm, Fit) else arm

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import compile
 from lieid_casadi.effects import Effect, Placement
 from lieid_casadi.effects.friction_models import FRICTION_MODELS
@@ -24,7 +24,6 @@ from lieid_casadi.identification.regression.variable_projection import (
 )
 from lieid_casadi.model import Model
 
-Array = NDArray[np.float64]
 SAMPLED_STARTS = 40  # random starting points, the best of which are used
 DESCENTS = 4  # local searches
 FINALISTS = 2  # of them that are continued on all instants
@@ -49,28 +48,11 @@ def fit_friction(
     linear least squares (variable projection). The columns of the effects are matched and
     averaged in the same way as the torque.
 
-    Parameters
-    ----------
-    curve : FrictionCurve
-    effects : str or sequence of str or Effect
-        Name of a friction model (`FRICTION_MODELS`), or effects such as
-        ``"coulomb,viscous,load_friction"``, without joint or with that of the curve.
-    starts : int
-        Number of local searches, at least 1.
-    seed : int
-        Seed of the random starting points.
-
-    Returns
-    -------
-    FrictionFit
-
-    Raises
-    ------
-    EffectError
-        An effect is unknown, acts on or from another joint, or needs a temperature that the
-        recordings do not have.
-    ValueError
-        ``starts`` is below 1.
+    ``effects``: name of a friction model (`FRICTION_MODELS`), or effects such as
+    ``"coulomb,viscous,load_friction"``, without joint or with that of the curve; ``starts``: number
+    of local searches, at least 1; ``seed``: seed of the random starting points.
+    Raises `EffectError`: an effect is unknown, acts on or from another joint, or needs a
+    temperature that the recordings do not have. Raises `ValueError`: ``starts`` is below 1.
     """
     if starts < 1:
         raise ValueError(f"starts is {starts}; expected at least 1")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import (
     BoundWarning,
     ExtrapolationWarning,
@@ -17,7 +17,6 @@ from lieid_casadi.errors import (
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
 from lieid_casadi.identification.regression.shape_range import ShapeRange
 
-Array = NDArray[np.float64]
 PART = 0.05  # of a direction's largest component, above which a parameter is named
 FAR = 0.5  # of the largest measured friction, by which an extrapolation may leave its range
 SLOWEST = 0.05  # of the slowest measured speed, down to which the extrapolation is checked
@@ -27,11 +26,7 @@ POINTS = 80  # speeds
 def friction_fit_warnings(fit: FrictionFit, hidden: Sequence[Array]) -> tuple[LieidWarning, ...]:
     """Return warnings of parameters at bounds or not identifiable, and of implausible friction.
 
-    Parameters
-    ----------
-    fit : FrictionFit
-    hidden : sequence of (m + s,)
-        Directions of coefficients and shapes that the curve does not determine.
+    ``hidden``: directions of coefficients and shapes that the curve does not determine.
     """
     return (*_bounds(fit), *_not_identifiable(fit, hidden), *_uncertain(fit), *_implausible(fit))
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.recording import Processed
 
-Array = NDArray[np.float64]
 LEAST_SAMPLES = 4
 ONE_DIRECTION = 0.99  # least filtered sign of velocity, which excludes samples near reversals
 

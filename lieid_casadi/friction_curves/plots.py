@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieid_casadi.comparison import plot_style
 
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
     from lieid_casadi.friction_curves.curve import FrictionCurve
     from lieid_casadi.friction_curves.friction_fit import FrictionFit
 
-Array = NDArray[np.float64]
 COLOURS = "viridis"
 ONE_LOAD = 0.2  # range of loads, relative to the largest, below which one colour is used
 LINES = 3

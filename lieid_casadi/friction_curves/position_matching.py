@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.friction_curves.one_way_motion import LEAST_SAMPLES, Pass, passes_of
 from lieid_casadi.recording import Processed
 
-Array = NDArray[np.float64]
 SPEED_RATIO = 1.3  # largest ratio of the two speeds of a pair
 OTHERS_APART = 0.03  # rad, largest difference of the other joints' positions in a pair
 SPEED_STEP = 0.05  # relative step in which the speeds of two passes are compared
@@ -66,23 +66,10 @@ def match(segments: Sequence[Processed], joint: int, *, name: str = "recording")
     Each pass is matched with the pass in the opposite direction that covers the same positions
     at the most similar speed, and among equals with the nearest in time.
 
-    Parameters
-    ----------
-    segments : sequence of Processed
-    joint : int
-        From 0.
-    name : str
-        Name of the recordings in messages.
-
-    Returns
-    -------
-    Matching
-
-    Raises
-    ------
-    RecordingError
-        The joint never moves or moves in one direction only; no position is passed in both
-        directions; or only at different speeds, or with the other joints at other positions.
+    ``joint``: from 0; ``name``: name of the recordings in messages.
+    Raises `RecordingError`: the joint never moves or moves in one direction only; no position is
+    passed in both directions; or only at different speeds, or with the other joints at other
+    positions.
     """
     passes = passes_of(segments, joint)
     _check_directions(passes, segments, joint, name)

@@ -39,25 +39,14 @@ def rank_friction_models(
     Models that need a temperature are left out if the recordings have none. Differences of the
     BIC below about 6 are not strong evidence (Kass, Raftery, JASA 1995).
 
-    Parameters
-    ----------
-    curve : FrictionCurve
-    names : sequence of str
-        Names of models in `FRICTION_MODELS`.
-    seed : int
-        Seed of the random starting points.
-    progress : callable, optional
-        Called with the name of a model and the completed fraction (0 to 1).
+    ``names``: names of models in `FRICTION_MODELS`; ``seed``: seed of the random starting points;
+    ``progress``: called with the name of a model and the completed fraction (0 to 1).
+    Raises `EffectError`: a model with this name does not exist.
 
     Returns
     -------
     tuple of RankedFrictionModel
         The model with the smallest BIC first.
-
-    Raises
-    ------
-    EffectError
-        A model with this name does not exist.
     """
     models = [friction_model(name) for name in names]
     fitting = [m for m in models if curve.data.has_temperature or not _needs_temperature(m)]

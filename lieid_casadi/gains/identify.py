@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.compiled import compile
 from lieid_casadi.effects import Effect
@@ -30,7 +31,6 @@ from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.recording.given_recordings import listed
 from lieid_casadi.robot import Robot
 
-Array = NDArray[np.float64]
 WEAK = 0.1  # relative standard deviation above which a gain is reported as not identified
 NO_PAYLOAD = 0.3  # the same of every gain: the payload has no visible effect
 ANOTHER_ARM = 0.3  # residual over the torque's standard deviation, on more than half of the joints

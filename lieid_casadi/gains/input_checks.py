@@ -6,24 +6,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import EffectError, IdentificationError, ModelError
 from lieid_casadi.gains.regression import BODY
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 
-Array = NDArray[np.float64]
 LARGEST_MASS, LARGEST_DISTANCE = 1e5, 100.0  # kg, m: larger payloads are errors of unit
 
 
 def known_payload(mass: float, com: ArrayLike | None) -> Array:
     """Return the payload's parameters (10,), NaN where unknown.
 
-    Raises
-    ------
-    IdentificationError
-        The mass or the centre of mass is not plausible.
+    Raises `IdentificationError`: the mass or the centre of mass is not plausible.
     """
     if not 0.0 < mass <= LARGEST_MASS:
         raise IdentificationError(
@@ -49,10 +46,7 @@ def with_drive_signal(
 
     It is the position error q_cmd − q, in rad, if no recording has currents and all have commands.
 
-    Parameters
-    ----------
-    empty, full : sequence of Recording
-        Recordings without and with the payload.
+    ``empty``, ``full``: recordings without and with the payload.
     """
     every = (*empty, *full)
     if not every or any(r.current is not None or r.command is None for r in every):
@@ -64,20 +58,10 @@ def with_drive_signal(
 def check_input(model: Model, empty: Sequence[Recording], full: Sequence[Recording]) -> None:
     """Raise if effects or recordings are not suitable.
 
-    Parameters
-    ----------
-    model : Model
-    empty, full : sequence of Recording
-        Recordings without and with the payload.
-
-    Raises
-    ------
-    EffectError
-        An effect has shape parameters.
-    IdentificationError
-        A recording is missing, constant, or given as both.
-    ModelError
-        A recording has another number of joints or no currents.
+    ``empty``, ``full``: recordings without and with the payload.
+    Raises `EffectError`: an effect has shape parameters. Raises `IdentificationError`: a recording
+    is missing, constant, or given as both. Raises `ModelError`: a recording has another number of
+    joints or no currents.
     """
     if model.shapes:
         raise EffectError(

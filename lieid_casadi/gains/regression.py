@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import IdentificationError
 from lieid_casadi.gains.total_least_squares import NullVector, most_likely, null_vector
 from lieid_casadi.identification.regression.column_properties import varying_columns
@@ -25,7 +25,6 @@ from lieid_casadi.identification.regression.least_squares import (
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 from lieid_casadi.robot.inertia import parameter_transport
 
-Array = NDArray[np.float64]
 BODY = 10
 MOST_ITERATIONS = 20
 CONVERGED = 1e-5  # relative change of the gains
@@ -67,12 +66,8 @@ class GainSolution:
 class GainProblem:
     """Stacked equations of an arm's runs without and with a payload.
 
-    Parameters
-    ----------
-    unloaded, loaded : Design
-        Design matrices of the same model; their torques are currents in A.
-    known : (10,)
-        Parameters of the payload in the tool frame, NaN where unknown.
+    ``unloaded``, ``loaded``: design matrices of the same model; their torques are currents in A;
+    ``known`` (10,): parameters of the payload in the tool frame, NaN where unknown.
     """
 
     def __init__(self, unloaded: Design, loaded: Design, known: Array) -> None:
@@ -95,10 +90,8 @@ class GainProblem:
     def solve(self) -> GainSolution:
         """Alternate between gains, noise levels and load until the gains converge.
 
-        Raises
-        ------
-        IdentificationError
-            The payload has no effect on the currents that the arm does not explain.
+        Raises `IdentificationError`: the payload has no effect on the currents that the arm does
+        not explain.
         """
         parameters, body = None, np.zeros(BODY)
         rows = self._rows(parameters, body)

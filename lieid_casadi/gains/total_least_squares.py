@@ -15,12 +15,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.identification.regression.least_squares import Factor
 
-Array = NDArray[np.float64]
 RANK = 1e-9  # relative tolerance on singular values of scaled columns
 INDEPENDENT = 1e-6  # least part of the known column that the other columns may not explain
 MOST_EVALUATIONS = 50  # of the nonlinear least-squares search
@@ -45,17 +44,9 @@ class NullVector:
 def null_vector(factor: Factor, noise: Array) -> NullVector | None:
     """Return the null vector, or None if the other columns explain the last column.
 
-    Parameters
-    ----------
-    factor : Factor
-        Triangular factor of the weighted rows: n noisy columns, then q exact columns, the last
-        of which has coefficient 1.
-    noise : (n,)
-        Expected norm of the noise in the weighted rows of each noisy column.
-
-    Returns
-    -------
-    NullVector or None
+    ``factor``: triangular factor of the weighted rows: n noisy columns, then q exact columns, the
+    last of which has coefficient 1; ``noise`` (n,): expected norm of the noise in the weighted rows
+    of each noisy column.
 
     Notes
     -----
@@ -87,18 +78,9 @@ def most_likely(factors: Sequence[Factor], start: NullVector, noise: Array) -> N
 
     The unknowns are 1/k_j, so that a gain with a large uncertainty does not disturb the others.
 
-    Parameters
-    ----------
-    factors : sequence of n Factor
-        Triangular factors of each joint's rows, with the columns of `null_vector`.
-    start : NullVector
-        A point near the minimum.
-    noise : (n,)
-        Standard deviations σ_j of the currents' noise, A.
-
-    Returns
-    -------
-    NullVector
+    ``factors``: triangular factors of each joint's rows, with the columns of `null_vector`;
+    ``start``: a point near the minimum; ``noise`` (n,): standard deviations σ_j of the currents'
+    noise, A.
     """
     n = len(noise)
     moving = [int(j) for j in np.flatnonzero(start.gains)]

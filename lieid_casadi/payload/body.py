@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.robot.inertia import body_inertia, pseudo_inertia
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -62,10 +62,8 @@ DEPENDS_ON = _depends_on()
 def identifiable_quantities(hidden: Array) -> Mask:
     """Mark the physical quantities (10,) that can be identified from the data.
 
-    Parameters
-    ----------
-    hidden : (h, 10)
-        Directions of the parameters that do not change any torque, in comparable units.
+    ``hidden`` (h, 10): directions of the parameters that do not change any torque, in comparable
+    units.
     """
     hidden_parameters = np.abs(hidden).max(axis=0, initial=0.0) > 1e-6
     return np.asarray(~np.any(DEPENDS_ON & hidden_parameters, axis=1))

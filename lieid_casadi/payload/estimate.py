@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning, warning_list
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 NORMAL = 1.959963984540054  # standard deviations on either side of a 95 % interval
 INSIGNIFICANT = 3.0  # a mass below that many standard deviations is not significant
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
 from lieid_casadi.identification.feasible.options import FeasibleOptions
@@ -13,7 +13,6 @@ from lieid_casadi.identification.feasible.problem import FeasibleProblem
 from lieid_casadi.identification.regression.least_squares import Factor
 from lieid_casadi.robot.inertia import link_parameters, pseudo_inertia
 
-Array = NDArray[np.float64]
 DENSITY = 2700.0  # kg/m³, aluminium: density of the reference ball
 ROUNDING = 1e-13  # least variance relative to the largest
 LEAST_MASS = 1e-3  # kg, least mass of the reference ball
@@ -31,19 +30,10 @@ def nearest_feasible_body(parameters: Array, covariance: Array, hidden: Array) -
     estimate is so far from any feasible body that the solver fails, the standard deviations are
     enlarged.
 
-    Parameters
-    ----------
-    parameters : (10,)
-        Estimate: m, m·c, inertia about the tool frame's origin (kg, kg·m, kg·m²).
-    covariance : (10, 10)
-        Covariance of the estimate, zero along the hidden directions.
-    hidden : (h, 10)
-        Directions of the parameters that cannot be identified from the data.
-
-    Raises
-    ------
-    NoSolution
-        The solver fails for every relaxation.
+    ``parameters`` (10,): estimate: m, m·c, inertia about the tool frame's origin (kg, kg·m, kg·m²);
+    ``covariance`` (10, 10): covariance of the estimate, zero along the hidden directions;
+    ``hidden`` (h, 10): directions of the parameters that cannot be identified from the data.
+    Raises `NoSolution`: the solver fails for every relaxation.
     """
     factor = _precision(parameters, covariance, hidden)
     problem = FeasibleProblem(
@@ -68,14 +58,9 @@ def nearest_feasible_body(parameters: Array, covariance: Array, hidden: Array) -
 def distance(body: Array, parameters: Array, covariance: Array, hidden: Array) -> float:
     """Return the distance between a body and an estimate in standard deviations.
 
-    Parameters
-    ----------
-    body, parameters : (10,)
-        Body and estimate: m, m·c, inertia (kg, kg·m, kg·m²).
-    covariance : (10, 10)
-        Covariance of the estimate.
-    hidden : (h, 10)
-        Directions that cannot be identified; they do not count.
+    ``body``, ``parameters`` (10,): body and estimate: m, m·c, inertia (kg, kg·m, kg·m²);
+    ``covariance`` (10, 10): covariance of the estimate; ``hidden`` (h, 10): directions that cannot
+    be identified; they do not count.
     """
     return float(np.sqrt(_precision(parameters, covariance, hidden).misfit(body)))
 

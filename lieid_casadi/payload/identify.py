@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import IdentificationError, LieidWarning, unique_warnings
 from lieid_casadi.identification import Fit
@@ -34,7 +35,6 @@ from lieid_casadi.recording import Processed, Recording, check, process
 from lieid_casadi.recording.given_recordings import listed
 from lieid_casadi.robot.robot import Robot
 
-Array = NDArray[np.float64]
 ROUNDING = 1e-10  # least variance relative to the sum of its terms before cancellation
 REFITTED = ("coulomb", "viscous", "offset")  # effects that change with temperature and wear
 
@@ -168,9 +168,7 @@ def _from_currents(fit: Fit, recordings: Sequence[Recording]) -> bool:
 def _std_of_constants(fit: Fit, std: float | ArrayLike) -> tuple[float, ...]:
     """Return relative standard deviations: one for all joints, or one per joint.
 
-    Raises
-    ------
-    IdentificationError
+    Raises `IdentificationError`.
     """
     values = np.atleast_1d(np.asarray(std, dtype=np.float64))
     sizes = (1, fit.model.n)
@@ -208,9 +206,7 @@ def _checked(fit: Fit, recording: Recording, parameters: Array) -> tuple[LieidWa
 def require_one_load(segments: Sequence[Processed]) -> None:
     """Raise if the column ``load`` contains several payloads.
 
-    Raises
-    ------
-    IdentificationError
+    Raises `IdentificationError`.
     """
     labels = list(dict.fromkeys(s.payload_label for s in segments if s.payload_label is not None))
     if len(labels) > 1:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import (
     ConvergenceWarning,
     FrictionChangedWarning,
@@ -27,7 +28,6 @@ from lieid_casadi.payload.regression import LoadedRun, LoadedRunEstimate
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
 
-Array = NDArray[np.float64]
 WEAK = 0.3  # relative standard deviation above which a quantity is reported as not identified
 MASS = 0.05  # kg: a mass with this standard deviation is reported however small it is
 LENGTH = 0.02  # m: the same for the centre of mass
@@ -67,14 +67,9 @@ def not_identified(
 ) -> tuple[NotIdentified, ...]:
     """Return the quantities that cannot be identified from the recording, with reasons.
 
-    Parameters
-    ----------
-    values, std : (10,)
-        Values and standard deviations in the order of `body.NAMES` (kg, m, kg·m²).
-    identifiable : (10,) bool
-        Quantities that do not involve a hidden direction.
-    hidden : (h, 10)
-        Directions of m, m·c, I that cannot be identified, in comparable units.
+    ``values``, ``std`` (10,): values and standard deviations in the order of `body.NAMES` (kg, m,
+    kg·m²); ``identifiable`` (10,): quantities that do not involve a hidden direction; ``hidden``
+    (h, 10): directions of m, m·c, I that cannot be identified, in comparable units.
     """
     sizes, found = _sizes(values), []
     for k, name in enumerate(NAMES):
@@ -136,16 +131,8 @@ def fit_warnings(fit: Fit, recordings: Sequence[Recording]) -> list[LieidWarning
 def require_same_arm(fit: Fit, estimate: LoadedRunEstimate, run: LoadedRun) -> None:
     """Raise if the residual is too large to be explained by a payload.
 
-    Parameters
-    ----------
-    fit : Fit
-        Without the payload.
-    estimate : LoadedRunEstimate
-    run : LoadedRun
-
-    Raises
-    ------
-    IdentificationError
+    ``fit``: without the payload.
+    Raises `IdentificationError`.
     """
     rows = run.design.rows(fit.shapes, fit.parameters)
     residual, own = estimate.noise, _own_error(fit)
@@ -175,13 +162,8 @@ def changed_friction(
 ) -> list[LieidWarning]:
     """Warn of friction that differs from the fit's, with the mass after refitting it.
 
-    Parameters
-    ----------
-    run : LoadedRun
-    kept, refitted : LoadedRunEstimate
-        Estimates with the fit's friction and with friction refitted.
-    frictional : (p,) bool
-        Base columns of the friction that was refitted.
+    ``kept``, ``refitted``: estimates with the fit's friction and with friction refitted;
+    ``frictional`` (p,): base columns of the friction that was refitted.
     """
     before, after = rms(kept.after), rms(refitted.after)
     fall = np.nan_to_num(1.0 - after / np.where(before > 0.0, before, np.inf))
@@ -210,12 +192,7 @@ def payload_warnings(
 ) -> list[LieidWarning]:
     """Warn of a negative mass, an infeasible body, a large residual, missing convergence.
 
-    Parameters
-    ----------
-    fit : Fit
-    result : PayloadEstimate
-    estimate : LoadedRunEstimate
-        The estimate that the result was made from.
+    ``estimate``: the estimate that the result was made from.
     """
     found: list[LieidWarning] = []
     if result.mass < 0.0:

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.design_matrix import Design, JointRows, Rows
@@ -35,7 +36,6 @@ from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 from lieid_casadi.model import Model
 from lieid_casadi.robot.inertia import parameter_transport
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 BODY = 10
@@ -84,11 +84,7 @@ class LoadedRunEstimate:
 class LoadedRun:
     """Equations of a loaded run for a fit that was made without the payload.
 
-    Parameters
-    ----------
-    fit : Fit
-    design : Design
-        Design matrix of the fit's model along the loaded run.
+    ``design``: design matrix of the fit's model along the loaded run.
     """
 
     def __init__(self, fit: Fit, design: Design) -> None:
@@ -161,14 +157,8 @@ class LoadedRun:
     def errors(self, body: Array, free: NDArray[np.bool_] | None, change: Array) -> list[Array]:
         """Return measured − predicted torque per joint (R,) with a body at the tool.
 
-        Parameters
-        ----------
-        body : (10,)
-            Parameters of the body in the tool frame.
-        free : (p,) bool, optional
-            Base columns that were refitted; drift is always free.
-        change : (f,)
-            Changes of the free values.
+        ``body`` (10,): parameters of the body in the tool frame; ``free`` (p,): base columns that
+        were refitted; drift is always free; ``change`` (f,): changes of the free values.
         """
         chosen = self.drifting if free is None else free | self.drifting
         return self._residuals(self._rows(body), body, np.flatnonzero(chosen), change)

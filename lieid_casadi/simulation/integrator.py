@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.simulation.play import Coordinates
@@ -14,7 +15,6 @@ from lieid_casadi.simulation.runs import Input, Run
 from lieid_casadi.simulation.step import initial_state, step_function
 from lieid_casadi.simulation.torque_signal import with_torque_of_drives
 
-Array = NDArray[np.float64]
 FARTHEST = 1e3  # rad, at which a simulation has left every range
 
 
@@ -31,11 +31,7 @@ class Simulated:
 class Integrator:
     """Integration of runs by the step function of a fit.
 
-    Parameters
-    ----------
-    fit : Fit
-    under : {"command", "torque"}
-        The input.
+    ``under``: the input.
     """
 
     def __init__(self, fit: Fit, under: Input) -> None:

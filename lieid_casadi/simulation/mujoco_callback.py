@@ -21,19 +21,9 @@ def mujoco_callback(fit: Fit, model: Any, *, width: float = WIDTH) -> Callable[[
     exported model has for them: damping, frictionloss and the spring of an offset. Friction at
     rest remains that of frictionloss, which can hold a joint.
 
-    Parameters
-    ----------
-    fit : Fit
-        From which the model was exported.
-    model : mujoco.MjModel
-        The model of ``lieid export --to mjcf``.
-    width : float
-        Half width, rad/s, of the range in which the sign of the velocity is smooth.
-
-    Raises
-    ------
-    ModelError
-        Another number of joints than the fit's, or an effect with memory.
+    ``fit``: from which the model was exported; ``model``: the model of ``lieid export --to mjcf``;
+    ``width``: half width, rad/s, of the range in which the sign of the velocity is smooth.
+    Raises `ModelError`: another number of joints than the fit's, or an effect with memory.
 
     Examples
     --------

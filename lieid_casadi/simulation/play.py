@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.effects.backlash import Backlash, motor_in_play
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.regression.segment_columns import ModelAlongSegment
 from lieid_casadi.recording import Processed
 
-Array = NDArray[np.float64]
 LARGEST = Backlash.coefficients[0].limit  # rad
 
 
@@ -85,11 +84,6 @@ class Coordinates:
         """Return coordinates (K, d) and velocities along a segment, whose motors are measured.
 
         The place of the links in their play is that of `lieid_casadi.effects.backlash`.
-
-        Parameters
-        ----------
-        fit : Fit
-        segment : Processed
         """
         arm = ModelAlongSegment(
             fit.compiled, segment, fit.parameters, np.zeros((len(segment), 0, 0)), False, fit.shapes

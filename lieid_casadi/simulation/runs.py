@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.symbolic import symbolic
 from lieid_casadi.identification.fit import Fit
@@ -16,7 +16,6 @@ from lieid_casadi.identification.recording_checks import check_joints
 from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.recording import Processed, Processing, Recording, process
 
-Array = NDArray[np.float64]
 Input = Literal["command", "torque"]
 STEP = 1e-3  # s, longest step
 POSES = 500  # at which the mass matrix is checked
@@ -25,17 +24,8 @@ POSES = 500  # at which the mass matrix is checked
 def input_of(fit: Fit, recordings: Sequence[Recording], under: Input | None) -> Input:
     """Return the input that all recordings have.
 
-    Parameters
-    ----------
-    fit : Fit
-    recordings : sequence of Recording
-    under : {"command", "torque"} or None
-        The wanted one; commands where all recordings and the fit have them if None.
-
-    Raises
-    ------
-    ModelError
-        A recording lacks it, or has another number of joints.
+    ``under``: the wanted one; commands where all recordings and the fit have them if None.
+    Raises `ModelError`: a recording lacks it, or has another number of joints.
     """
     for recording in recordings:
         check_joints(fit.model, recording)
@@ -124,14 +114,7 @@ class Run:
 def runs_of(fit: Fit, recording: Recording, window: float, under: Input) -> list[Run]:
     """Return the segments of a recording; those too short for the filter are left out.
 
-    Parameters
-    ----------
-    fit : Fit
-        Its filter is used.
-    recording : Recording
-    window : float
-        Length of the windows, s.
-    under : {"command", "torque"}
+    ``fit``: its filter is used; ``window``: length of the windows, s.
     """
     options = Processing(cutoff=fit.processing.cutoff, trim=0.0, order=fit.processing.order)
     made = []

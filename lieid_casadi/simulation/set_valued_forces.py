@@ -24,18 +24,9 @@ def set_valued_forces(
     of motors relative to their links: λ keeps these within what the play leaves, and is zero
     inside of it (Moreau, "Unilateral contact and dry friction", 1988).
 
-    Parameters
-    ----------
-    free : (n + P,)
-        Velocities at the end of the step without these forces.
-    gain : (n + P, n + P)
-        Change of velocity per force.
-    level : (n,)
-        Largest friction, N·m.
-    bounds : tuple of (P,)
-        Least and largest relative velocity.
-    start : (n + P,)
-        Forces of the step before.
+    ``free`` (n + P,): velocities at the end of the step without these forces; ``gain`` (n + P, n +
+    P): change of velocity per force; ``level`` (n,): largest friction, N·m; ``bounds``: least and
+    largest relative velocity; ``start`` (n + P,): forces of the step before.
     """
     n = level.size1()
     forces = ca.SX(start)
@@ -55,14 +46,8 @@ def set_valued_forces(
 def allowed_velocities(twist: ca.SX, half: ca.DM, h: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the least and the largest velocity (P,) of motors relative to their links.
 
-    Parameters
-    ----------
-    twist : (P,)
-        Angle of the motors minus that of their links, rad.
-    half : (P,)
-        Half of the play, rad.
-    h : scalar
-        Step, s.
+    ``twist`` (P,): angle of the motors minus that of their links, rad; ``half`` (P,): half of the
+    play, rad; ``h``: step, s.
     """
     upper, lower = half - twist, -half - twist
     return (
@@ -74,9 +59,6 @@ def allowed_velocities(twist: ca.SX, half: ca.DM, h: ca.SX) -> tuple[ca.SX, ca.S
 def clip(x: Any, lower: Any, upper: Any) -> Any:
     """Return x within bounds.
 
-    Parameters
-    ----------
-    x, lower, upper : scalar or (n,)
-        Numbers or symbols.
+    ``x``, ``lower``, ``upper``: numbers or symbols.
     """
     return ca.fmin(ca.fmax(x, lower), upper)

@@ -147,15 +147,8 @@ def _warnings(runs: Sequence[Run]) -> list[LieidWarning]:
 def _drift_without(label: str, fit: Fit, train: Sequence[Recording], runs: Sequence[Run]) -> Drift:
     """Return the drift of the model without an effect, identified again; NaN without a solution.
 
-    Parameters
-    ----------
-    label : str
-        Of the effect; empty for the complete model.
-    fit : Fit
-        With the effect.
-    train : sequence of Recording
-    runs : sequence of Run
-        To follow.
+    ``label``: of the effect; empty for the complete model; ``fit``: with the effect; ``runs``: to
+    follow.
     """
     kept = [p for p in fit.model.placements if p.effect.label != label]
     model = Model.of_placements(fit.model.robot, kept)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.json_numbers import numbers_or_none
@@ -16,8 +16,6 @@ from lieid_casadi.tables import html
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

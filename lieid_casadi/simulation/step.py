@@ -47,11 +47,7 @@ def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
     (`lieid_casadi.simulation.set_valued_forces`). The level of dry friction follows from the load
     at the acceleration of the step before.
 
-    Parameters
-    ----------
-    fit : Fit
-    drives : sequence of Drive, length n, or None
-        Control laws: the input is the commanded position; None: it is the torque.
+    ``drives``: control laws: the input is the commanded position; None: it is the torque.
 
     Returns
     -------
@@ -120,16 +116,8 @@ def _forces(
 ) -> _Forces:
     """Return the forces of drives, links and friction as expressions of q and dq.
 
-    Parameters
-    ----------
-    torque : TorqueExpressions
-    sign : (n,)
-        Its symbol for the sign of the velocity.
-    error : (n,) or None
-        Its symbol for the commanded minus the measured position.
-    given : (n,)
-        Torque, or commanded position.
-    drives : sequence of Drive or None
+    ``sign`` (n,): its symbol for the sign of the velocity; ``error`` (n,): its symbol for the
+    commanded minus the measured position; ``given`` (n,): torque, or commanded position.
     """
     m, n = torque.motion, torque.n
     zero = ca.SX.zeros(n)
@@ -175,14 +163,8 @@ def _states(
 ) -> ca.SX:
     """Return the states of effects with memory at the end of the step.
 
-    Parameters
-    ----------
-    torque : TorqueExpressions
-    values : Values
-    start, end : tuple of (n,)
-        Positions and velocities of the motors at the start and at the end of the step.
-    h : scalar
-        Length of the step, s.
+    ``start``, ``end``: positions and velocities of the motors at the start and at the end of the
+    step; ``h``: length of the step, s.
     """
     if not torque.states.size1():
         return torque.states
@@ -199,11 +181,7 @@ def _states(
 def initial_state(fit: Fit, x: np.ndarray[Any, Any], dx: np.ndarray[Any, Any]) -> Any:
     """Return the states (·, W) at the start of W windows, without friction and memory.
 
-    Parameters
-    ----------
-    fit : Fit
-    x, dx : (W, d)
-        Angles of motors and links with play, rad, and their velocities, rad/s.
+    ``x``, ``dx`` (W, d): angles of motors and links with play, rad, and their velocities, rad/s.
     """
     windows, d = x.shape
     rest = np.zeros((2 * d, windows))

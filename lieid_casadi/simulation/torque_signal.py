@@ -19,11 +19,7 @@ def with_torque_of_drives(fit: Fit, segment: Processed) -> Processed:
     A fit states the measured torque as that of the drives plus what effects on the measurement add
     (τ_measured = (1 + g)·τ, say). The addition along the measured motion is subtracted.
 
-    Parameters
-    ----------
-    fit : Fit
-    segment : Processed
-        With torque, and with temperatures relative to those of the training recordings.
+    ``segment``: with torque, and with temperatures relative to those of the training recordings.
     """
     own = np.concatenate(
         [

@@ -74,14 +74,7 @@ def window_drift(
 
     The windows are those of `simulate`, of long recordings every k-th.
 
-    Parameters
-    ----------
-    fit : Fit
-    recordings : Recording or sequence of Recording
-    window : float
-        Length of the windows, s.
-    most : int
-        Largest number of windows.
+    ``window``: length of the windows, s; ``most``: largest number of windows.
     """
     names = tuple(joint.name for joint in fit.model.robot.joints)
     try:

@@ -1,55 +1,44 @@
-"""Docstrings of public functions state their parameters, with shapes and units."""
+"""The public functions and methods describe each of their arguments."""
 
-import ast
-from pathlib import Path
+import inspect
+import re
 
-ROOT = Path(__file__).parents[2]
-PACKAGE = ROOT / "lieid_casadi"
-FEWEST = 3  # arguments from which on a Parameters section is required
-LEFT_OUT = ("cli",)  # its functions take the parsed command line
+import lieid_casadi
 
 
-def public_functions(tree):
-    """Yield name, node and whether a base class may document it; private ones are left out."""
-    for node in tree.body:
-        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
-            yield node.name, node, False
-        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-            for method in node.body:
-                if isinstance(method, ast.FunctionDef) and not method.name.startswith("_"):
-                    yield f"{node.name}.{method.name}", method, bool(node.bases)
-
-
-def arguments(function):
-    names = [a.arg for a in (*function.args.posonlyargs, *function.args.args)]
-    names += [a.arg for a in function.args.kwonlyargs]
-    return [name for name in names if name not in ("self", "cls")]
-
-
-def documented(function):
-    text = ast.get_docstring(function) or ""
-    return "Parameters\n---" in text or text.startswith("See `")  # the place that has the section
-
-
-def lacking():
-    """Return the functions without the section; methods of base classes document overrides."""
-    found, inherited = [], set()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        module = path.relative_to(PACKAGE)
-        if module.parts[0] in LEFT_OUT:
+def public_functions():
+    """Yield name, function and its documentation: of a method also that of the class."""
+    for name in lieid_casadi.__all__:
+        each = getattr(lieid_casadi, name)
+        if inspect.isfunction(each):
+            yield name, each, each.__doc__ or ""
+        if not inspect.isclass(each) or issubclass(each, Exception):
             continue
-        for name, function, derived in public_functions(ast.parse(path.read_text("utf-8"))):
-            if documented(function):
-                inherited.add(function.name)
-            elif len(arguments(function)) >= FEWEST:
-                found.append(
-                    (f"lieid_casadi/{module}:{function.lineno}: {name}", function, derived)
-                )
-    return [
-        place for place, function, derived in found if not (derived and function.name in inherited)
-    ]
+        shared = inspect.getdoc(each) or ""
+        for method, member in inspect.getmembers(each):
+            function = getattr(member, "__func__", member)
+            own = str(getattr(function, "__module__", "")).startswith("lieid_casadi")
+            if inspect.isfunction(function) and own and not method.startswith("_"):
+                text = inspect.getdoc(getattr(each, method)) or ""
+                if not text.startswith("See `"):  # the place that describes them
+                    yield f"{name}.{method}", function, f"{text}\n{shared}"
 
 
-def test_functions_with_three_or_more_arguments_have_a_parameters_section():
-    places = lacking()
-    assert not places, "\n".join(places)
+def undescribed():
+    for name, function, text in public_functions():
+        arguments = [
+            parameter.name
+            for parameter in inspect.signature(function).parameters.values()
+            if parameter.kind is not parameter.VAR_KEYWORD and parameter.name not in ("self", "cls")
+        ]
+        if len(arguments) >= 3:
+            yield from (
+                f"{name}: {argument}"
+                for argument in arguments
+                if not re.search(rf"\b{argument}\b", text)
+            )
+
+
+def test_public_functions_with_three_or_more_arguments_describe_them():
+    lacking = list(undescribed())
+    assert not lacking, "\n".join(lacking)

@@ -14,20 +14,9 @@ from lieid_casadi.model import Model
 def with_arm_effects(columns: ca.SX, model: Model, arm: ArmInstant, values: ca.SX) -> ca.SX:
     """Return the effect columns (n, m) with those of effects on the whole arm filled in.
 
-    Parameters
-    ----------
-    columns : (n, m) ca.SX
-        Effect columns; those of effects on the whole arm are replaced.
-    model : Model
-    arm : ArmInstant
-        The arm at the instant.
-    values : (m,)
-        Coefficients, at which these effects are linearized.
-
-    Raises
-    ------
-    ExportError
-        An effect needs more than one instant.
+    ``columns`` (n, m): effect columns; those of effects on the whole arm are replaced; ``arm``: the
+    arm at the instant; ``values`` (m,): coefficients, at which these effects are linearized.
+    Raises `ExportError`: an effect needs more than one instant.
     """
     first = 0
     for p in model.placements:

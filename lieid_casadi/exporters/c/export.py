@@ -106,16 +106,8 @@ def c_files(
 ) -> dict[str, bytes]:
     """Return the content of all files by name.
 
-    Parameters
-    ----------
-    fit : Fit
-    prefix : str
-        Of files and functions.
-    names : sequence of str
-        Functions, in the order of `NAMES`.
-    notes : list of str
-        What the export leaves out.
-    form : ExportForm
+    ``prefix``: of files and functions; ``names``: functions, in the order of `NAMES`; ``notes``:
+    what the export leaves out.
     """
     made = exported_functions(fit, names, form)
     content = template_variables(fit, prefix, made, form) | {

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
 from lieid_casadi.dynamics.motion_symbols import Motion
@@ -24,7 +24,6 @@ from lieid_casadi.expressions.instant import ArmInstant
 from lieid_casadi.expressions.torque import TorqueExpressions, with_body
 from lieid_casadi.identification.fit import Fit
 
-Array = NDArray[np.float64]
 AGREEMENT = 1e-13  # of the torque with fewer parameters, relative; the self-test requires 1e-12
 
 
@@ -87,14 +86,8 @@ class ModelNumbers:
 class ExportExpressions:
     """Functions of a model for given link parameters, coefficients and shape parameters.
 
-    Parameters
-    ----------
-    fit : Fit
-    symbols : ExportSymbols
-        Symbols of the sample.
-    numbers : ModelNumbers
-        In another direction of gravity than the robot's, more link parameters have an effect than
-        its reduced set has.
+    ``symbols``: symbols of the sample; ``numbers``: in another direction of gravity than the
+    robot's, more link parameters have an effect than its reduced set has.
     """
 
     def __init__(self, fit: Fit, symbols: ExportSymbols, numbers: ModelNumbers) -> None:
@@ -149,10 +142,7 @@ class ExportExpressions:
     def effect_columns(self) -> ca.SX:
         """Columns of the effects (n, m).
 
-        Raises
-        ------
-        ExportError
-            An effect needs more than one instant.
+        Raises `ExportError`: an effect needs more than one instant.
         """
         s = self._symbols
         columns = self._model.effect_columns(s.signals, self._shapes, s.states)
@@ -218,11 +208,8 @@ class ExportExpressions:
 def model_numbers(fit: Fit, runtime: Collection[str]) -> ModelNumbers:
     """Return the identified numbers, those of ``runtime`` as symbols.
 
-    Parameters
-    ----------
-    fit : Fit
-    runtime : collection of str
-        Of ``parameters`` (link parameters, coefficients and shape parameters) and ``payload``.
+    ``runtime``: of ``parameters`` (link parameters, coefficients and shape parameters) and
+    ``payload``.
     """
     values = {
         "link_parameters": fit.link_parameters,

@@ -59,16 +59,8 @@ class ExportedFunctions:
 def select(fit: Fit, requested: Sequence[str] | None) -> tuple[list[str], list[str]]:
     """Return the names of the functions to export, in the order of `NAMES`, and notes.
 
-    Parameters
-    ----------
-    fit : Fit
-    requested : sequence of str or None
-        Names of `NAMES`; None stands for all that the fit has.
-
-    Raises
-    ------
-    ExportError
-        A name is not one of `NAMES`, or the fit does not have that function.
+    ``requested``: names of `NAMES`; None stands for all that the fit has.
+    Raises `ExportError`: a name is not one of `NAMES`, or the fit does not have that function.
     """
     wanted = list(NAMES) if requested is None else list(requested)
     unknown = [name for name in wanted if name not in NAMES]
@@ -123,17 +115,9 @@ def exported_functions(
 ) -> ExportedFunctions:
     """Return the C of functions, and of those that they call.
 
-    Parameters
-    ----------
-    fit : Fit
-    names : sequence of str
-        Result of `select`.
-    form : ExportForm
-
-    Raises
-    ------
-    ExportError
-        An effect uses an operation without a C form, or needs more than one instant.
+    ``names``: result of `select`.
+    Raises `ExportError`: an effect uses an operation without a C form, or needs more than one
+    instant.
     """
     now = ExportSymbols.of(fit)
     values = model_numbers(fit, form.runtime)
@@ -209,12 +193,7 @@ def rigid_inputs(
 ) -> dict[str, FunctionInput]:
     """Return the inputs of functions of the motion alone.
 
-    Parameters
-    ----------
-    symbols : ExportSymbols
-    precision : Precision
-    of : str
-        C expression of a sample, such as ``sample->``, whose members are read.
+    ``of``: C expression of a sample, such as ``sample->``, whose members are read.
     """
     motion = symbols.motion
     return {
@@ -231,13 +210,7 @@ def sample_inputs(
 ) -> dict[str, FunctionInput]:
     """Return the inputs of functions of a whole sample and the state.
 
-    Parameters
-    ----------
-    fit : Fit
-    symbols : ExportSymbols
-    precision : Precision
-    of : str
-        C expression of the sample, such as ``sample->``.
+    ``of``: C expression of the sample, such as ``sample->``.
     """
     mean = fit.temperature_mean
     warmth = [

@@ -51,10 +51,7 @@ class Precision:
 
         Numbers beyond the range of the type, such as thresholds, become its largest or least.
 
-        Raises
-        ------
-        ExportError
-            It is infinite or NaN.
+        Raises `ExportError`: it is infinite or NaN.
         """
         if not math.isfinite(value):
             raise ExportError(f"the fit has a number that is {value}; expected finite ones")

@@ -42,13 +42,11 @@ _CLASHES = {
 def check_prefix(prefix: str) -> None:
     """Refuse a prefix that gives no C names, or names that clash.
 
+    Raises `ExportError`.
+
     Examples
     --------
     >>> check_prefix("left_arm")
-
-    Raises
-    ------
-    ExportError
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix, re.ASCII):
         raise ExportError(

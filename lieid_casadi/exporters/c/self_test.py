@@ -6,8 +6,8 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.exporters.c.functions import (
     RIGID_ARGUMENTS,
     SAMPLE_ARGUMENTS,
@@ -21,18 +21,11 @@ from lieid_casadi.exporters.c.self_test_data import (
 )
 from lieid_casadi.identification.fit import Fit
 
-Array = NDArray[np.float64]
-
 
 def self_test_content(fit: Fit, names: Collection[str], form: ExportForm) -> dict[str, Any]:
     """Return the variables of the template of the self-test.
 
-    Parameters
-    ----------
-    fit : Fit
-    names : collection of str
-        The exported functions.
-    form : ExportForm
+    ``names``: the exported functions.
     """
     tested = SelfTestNumbers.of(fit, form)
     stored = self_test_data(fit, names, form)

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.exporters.c.expressions import ExportExpressions, ExportSymbols, ModelNumbers
 from lieid_casadi.exporters.c.functions import RIGID_ARGUMENTS, SAMPLE_ARGUMENTS, ExportForm
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot.inertia import parameter_transport
 
-Array = NDArray[np.float64]
 PACE = 2.0  # rad/s of the motion q = … cos(PACE·t): it reverses at t = 0, 1.57 and 3.14 s
 TIMES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.3, 0.8, 1.56, 1.58, 1.6, 2.2, 3.05, 3.15)  # s
 _ALSO = {  # results that the test of a function needs besides its own
@@ -74,12 +73,7 @@ def self_test_data(fit: Fit, names: Collection[str], form: ExportForm) -> SelfTe
     Joints start at rest, so that sgn(0) = 0 occurs. The torque of forward dynamics is that of the
     motion.
 
-    Parameters
-    ----------
-    fit : Fit
-    names : collection of str
-        Functions whose results are compared.
-    form : ExportForm
+    ``names``: functions whose results are compared.
     """
     inputs = {name: form.precision.rounded(x) for name, x in _motion(fit).items()}
     v0 = form.precision.rounded(np.full(fit.model.n, SMOOTHING))

@@ -57,22 +57,11 @@ def body(
 ) -> FunctionBody:
     """Return the C statements that evaluate a matrix.
 
-    Parameters
-    ----------
-    matrix : casadi.SX (rows, columns)
-    inputs : mapping
-        Local name → symbols.
-    to : str
-        The array (rows · columns) that takes the result; structural zeros are written too.
-    arguments : sequence of str
-        Names of the C function's arguments; those that the inputs do not need are marked as unused.
-    precision : Precision
-        Of all values.
-
-    Raises
-    ------
-    ExportError
-        The expression has an operation without a C form, or a number that is not finite.
+    ``inputs``: local name → symbols; ``to``: the array (rows · columns) that takes the result;
+    structural zeros are written too; ``arguments``: names of the C function's arguments; those that
+    the inputs do not need are marked as unused; ``precision``: of all values.
+    Raises `ExportError`: the expression has an operation without a C form, or a number that is not
+    finite.
     """
     names = list(inputs)
     symbols = [given.symbol for given in inputs.values()]

@@ -25,13 +25,7 @@ def template_variables(
 ) -> dict[str, Any]:
     """Return the variables that all templates share.
 
-    Parameters
-    ----------
-    fit : Fit
-    prefix : str
-        Of files and functions.
-    made : ExportedFunctions
-    form : ExportForm
+    ``prefix``: of files and functions.
     """
     return {
         **_of_form(prefix, form),

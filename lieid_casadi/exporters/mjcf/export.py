@@ -22,26 +22,12 @@ class MjcfExport:
 def export_mjcf(fit: Fit, folder: str | Path, *, force: bool = False) -> MjcfExport:
     """Write ``ROBOT.xml``, a MuJoCo model, into a folder.
 
-    Parameters
-    ----------
-    fit : Fit
-        Of method ``feasible``.
-    folder : str or Path
-        Made if it does not exist; written as a whole or not at all.
-    force : bool
-        Replace what an earlier export wrote into the folder; other files are kept.
-
-    Returns
-    -------
-    MjcfExport
-
-    Raises
-    ------
-    ExportError
-        The fit's masses and inertias are not certified to be physically consistent; the message
-        has the command that makes a fit whose are.
-    OutputError
-        The folder has other content or cannot be written.
+    ``fit``: of method ``feasible``; ``folder``: made if it does not exist; written as a whole or
+    not at all; ``force``: replace what an earlier export wrote into the folder; other files are
+    kept.
+    Raises `ExportError`: the fit's masses and inertias are not certified to be physically
+    consistent; the message has the command that makes a fit whose are. Raises `OutputError`: the
+    folder has other content or cannot be written.
     """
     check_folder(folder, force=force)
     check_possible(fit)

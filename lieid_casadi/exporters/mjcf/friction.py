@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.friction_curves.constant_speed import steady_columns
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import Model
 
-Array = NDArray[np.float64]
 SAMPLES = 400  # of speed, load and position, at which friction is evaluated
 SPEEDS = (0.02, 0.5)  # of the joint's velocity limit, from and to
 UNKNOWN_SPEED = 2.0  # rad/s, velocity limit of a robot that states none
@@ -82,13 +81,7 @@ class _Friction:
 def _of_joint(own: _Friction, joint: int, speed: Array, load: Array, q: Array) -> MujocoFriction:
     """Return the friction of one joint.
 
-    Parameters
-    ----------
-    own : _Friction
-    joint : int
-        From 0.
-    speed, load, q : (P,)
-        rad/s, N·m, rad.
+    ``joint``: from 0; ``speed``, ``load``, ``q`` (P,): rad/s, N·m, rad.
     """
     if not len(own.coefficients):
         return MujocoFriction(0.0, 0.0, 0.0, 0.0)

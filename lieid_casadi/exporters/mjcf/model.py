@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.mjcf.friction import MujocoFriction, mujoco_friction
 from lieid_casadi.exporters.mjcf.notes import notes_of
@@ -19,7 +19,6 @@ from lieid_casadi.robot import Drive, Joint
 from lieid_casadi.robot.inertia import body_inertia
 from lieid_casadi.simulation.play import plays_of
 
-Array = NDArray[np.float64]
 Element = ElementTree.Element
 STEP = 0.002  # s
 #: Stiffness of the spring that produces a constant torque, in parts of that torque per radian: the
@@ -37,15 +36,8 @@ HEAD = """
 def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
     """Return a MuJoCo model and notes on its approximations.
 
-    Parameters
-    ----------
-    fit : Fit
-        With physically consistent inertias.
-
-    Raises
-    ------
-    ExportError
-        A number that is not finite.
+    ``fit``: with physically consistent inertias.
+    Raises `ExportError`: a number that is not finite.
     """
     from lieid_casadi import __version__
 
@@ -120,16 +112,7 @@ def _add_joint(
 ) -> None:
     """Add a joint with its passive torques.
 
-    Parameters
-    ----------
-    parent : Element
-    joint : Joint
-    name : str
-        Unique.
-    fit : Fit
-    index : int
-        Of the joint, from 0.
-    friction : MujocoFriction
+    ``name``: unique; ``index``: of the joint, from 0.
     """
     own = _of_joint(fit, index)
     attributes = {"name": name, **_axis(joint)}
@@ -157,13 +140,7 @@ def _add_play(parent: Element, joint: Joint, name: str, width: float) -> None:
 
     The armature of the actuated joint is then the inertia of the motor alone.
 
-    Parameters
-    ----------
-    parent : Element
-    joint : Joint
-    name : str
-    width : float
-        Play, rad.
+    ``width``: play, rad.
     """
     sides = {"range": _vector([-0.5 * width, 0.5 * width]), "solreflimit": _vector(SIDES)}
     _add(parent, "joint", name=name, **_axis(joint), **sides)
@@ -193,14 +170,7 @@ def _of_joint(fit: Fit, index: int) -> dict[str, float]:
 def _add_actuator(parent: Element, joint: Joint, name: str, own: dict[str, float]) -> None:
     """Add a position actuator with the gains of the drive, or a motor.
 
-    Parameters
-    ----------
-    parent : Element
-    joint : Joint
-    name : str
-        Unique.
-    own : dict
-        Coefficients and shape parameters of the joint's effects by name.
+    ``name``: unique; ``own``: coefficients and shape parameters of the joint's effects by name.
     """
     limit = joint.limits.torque
     attributes = {"name": name, "joint": name}

@@ -25,13 +25,7 @@ EXPRESSED = frozenset(
 
 
 def notes_of(fit: Fit, friction: Sequence[MujocoFriction]) -> list[str]:
-    """Return notes on what the model approximates and leaves out, a sentence each.
-
-    Parameters
-    ----------
-    fit : Fit
-    friction : sequence of MujocoFriction, length n
-    """
+    """Return notes on what the model approximates and leaves out, a sentence each."""
     robot, notes = fit.model.robot, []
     names = {p.effect.name for p in fit.model.placements}
     for j, own in enumerate(friction):

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.exporters.xml_edit import Element
 from lieid_casadi.robot.inertia import (
     body_inertia,
@@ -18,7 +18,6 @@ from lieid_casadi.robot.inertia import (
 )
 from lieid_casadi.robot.pose import pose
 
-Array = NDArray[np.float64]
 SHARE = 0.5  # of the largest possible share, if the rigidly attached links cannot keep all
 KEPT = 0.95  # below this fraction of the possible inertia they keep all
 
@@ -51,12 +50,8 @@ def split(identified: Array, members: Sequence[RigidMember]) -> InertiaSplit:
     Members keep their nominal inertia and the child link gets the rest. If the rest would not be
     physically consistent, masses and inertias of all members are scaled by one factor.
 
-    Parameters
-    ----------
-    identified : (10,)
-        Link parameters in the frame of the joint's child link, positive definite.
-    members : sequence of RigidMember
-        Links that are rigidly attached to the child link.
+    ``identified`` (10,): link parameters in the frame of the joint's child link, positive definite;
+    ``members``: links that are rigidly attached to the child link.
     """
     heavy = tuple(m for m in members if np.any(m.nominal != 0.0))
     carried = np.zeros(10)
@@ -73,14 +68,8 @@ def members_of(
 ) -> list[RigidMember]:
     """Return the links attached to a link by joints that are rigid in the model, held at zero.
 
-    Parameters
-    ----------
-    links : dict
-        Name → element.
-    joints : sequence of Element
-        Joints that are not part of the chain.
-    child : str
-        Name of the link.
+    ``links``: name → element; ``joints``: joints that are not part of the chain; ``child``: name of
+    the link.
     """
     found: list[RigidMember] = []
     places = {child: np.eye(4)}

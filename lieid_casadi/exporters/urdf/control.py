@@ -17,11 +17,6 @@ def with_ros2_control(urdf: str, robot: Robot) -> str:
 
     The hardware is ros2_control's mock component; replace its plugin by that of the arm. The URDF
     of a robot without drives stays as it is.
-
-    Parameters
-    ----------
-    urdf : str
-    robot : Robot
     """
     end = urdf.rfind("</robot>")
     if robot.drives is None or "<ros2_control" in urdf or end < 0:
@@ -44,12 +39,8 @@ def with_ros2_control(urdf: str, robot: Robot) -> str:
 def isaac_joints(robot: Robot, joints: Sequence[SimulatorJoint]) -> str:
     """Return YAML with the fields of Isaac Lab's ``ImplicitActuatorCfg`` for every joint.
 
-    Parameters
-    ----------
-    robot : Robot
-    joints : sequence of SimulatorJoint
-        One per joint of the robot. Isaac Lab's friction is a coefficient without unit, so that
-        dry friction is stated under another name.
+    ``joints``: one per joint of the robot. Isaac Lab's friction is a coefficient without unit, so
+    that dry friction is stated under another name.
     """
     data = {}
     for joint, numbers in zip(robot.joints, joints, strict=True):

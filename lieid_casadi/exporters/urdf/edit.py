@@ -22,10 +22,7 @@ def edited_urdf(fit: Fit, text: str) -> tuple[str, list[str]]:
     All other characters stay as they are: only <inertial> of moving links, and damping and
     friction in <dynamics>, change.
 
-    Parameters
-    ----------
-    text : str
-        The URDF that ``fit.model.robot`` was read from.
+    ``text``: the URDF that ``fit.model.robot`` was read from.
     """
     document, notes = XmlText(text), []
     links = {e.attributes.get("name", ""): e for e in document.root.children if e.tag == "link"}

@@ -35,26 +35,12 @@ def export_urdf(fit: Fit, folder: str | Path, *, force: bool = False) -> UrdfExp
     the model has them, viscous and Coulomb friction; everything else stays as it was. A robot
     from YAML gets a URDF written from its screws.
 
-    Parameters
-    ----------
-    fit : Fit
-        Of method ``feasible``.
-    folder : str or Path
-        Made if it does not exist; written as a whole or not at all.
-    force : bool
-        Replace what an earlier export wrote into the folder; other files are kept.
-
-    Returns
-    -------
-    UrdfExport
-
-    Raises
-    ------
-    ExportError
-        The fit's masses and inertias are not certified to be physically consistent; the message
-        has the command that makes a fit whose are.
-    OutputError
-        The folder has other content or cannot be written.
+    ``fit``: of method ``feasible``; ``folder``: made if it does not exist; written as a whole or
+    not at all; ``force``: replace what an earlier export wrote into the folder; other files are
+    kept.
+    Raises `ExportError`: the fit's masses and inertias are not certified to be physically
+    consistent; the message has the command that makes a fit whose are. Raises `OutputError`: the
+    folder has other content or cannot be written.
     """
     check_folder(folder, force=force)
     text, notes = urdf_text(fit)
@@ -97,10 +83,7 @@ def urdf_text(fit: Fit) -> tuple[str, list[str]]:
 def check_possible(fit: Fit) -> None:
     """Refuse a fit whose masses and inertias are not certified to be physically consistent.
 
-    Raises
-    ------
-    ExportError
-        With the command that makes a fit whose are.
+    Raises `ExportError`: with the command that makes a fit whose are.
     """
     if fit.certificate is not None and fit.certificate.holds and fit.physically_consistent:
         return

@@ -18,10 +18,7 @@ HEAD = """\
 def mjcf_snippet(fit: Fit, *, file: str) -> str:
     """Return an MJCF file with one default class per joint, ``identified_JOINT``, to include.
 
-    Parameters
-    ----------
-    file : str
-        Its name, which its comment shows.
+    ``file``: its name, which its comment shows.
     """
     robot = fit.model.robot
     lines = [

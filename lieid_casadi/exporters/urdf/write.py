@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.exporters.joint_friction import SimulatorJoint
 from lieid_casadi.exporters.urdf.bodies import inertial_text, number
 from lieid_casadi.exporters.xml_text import attribute
@@ -14,7 +14,6 @@ from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.inertia import parameter_transport
 from lieid_casadi.robot.pose import roll_pitch_yaw
 
-Array = NDArray[np.float64]
 ON_AXIS = 1e-12  # m
 REACH = 1e3  # m, limit of prismatic joints without limits, which URDF requires
 
@@ -27,13 +26,7 @@ def written_urdf(
     Link frames are those of the robot; the origin is moved onto the axis of the joint if it is
     not on it.
 
-    Parameters
-    ----------
-    robot : Robot
-    bodies : (n, 10)
-        Link parameters in the robot's link frames.
-    frictions : sequence of SimulatorJoint
-        One per joint.
+    ``bodies`` (n, 10): link parameters in the robot's link frames; ``frictions``: one per joint.
     """
     names = _link_names(robot)
     lines = [
