@@ -60,8 +60,7 @@ def run(args: argparse.Namespace) -> None:
 
 def print_comparison(comparison: Comparison, drift: WindowDrift | None = None) -> None:
     """Print torque errors per joint, the simulation error beside them, and the largest errors."""
-    from lieid_casadi.comparison.table import error_table, largest_errors_table
-    from lieid_casadi.comparison.verdict import verdict
+    from lieid_casadi.comparison.comparison import error_table, largest_errors_table, verdict
     from lieid_casadi.simulation.view import window_table
 
     output.say(verdict(comparison))

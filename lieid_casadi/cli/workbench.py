@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
     from lieid_casadi.recording import Recording
     from lieid_casadi.robot import Robot
-    from lieid_casadi.workbench.state.inputs import WorkbenchInputs
+    from lieid_casadi.workbench.session import WorkbenchInputs
 
 #: Options that a page saves as text, and shows in its commands.
 OPTIONS = (
@@ -79,7 +79,7 @@ def _add_server_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Serve the page until the program is asked to end."""
-    from lieid_casadi.workbench.computing.results import WorkerSetup
+    from lieid_casadi.workbench.recordings import WorkerSetup
     from lieid_casadi.workbench.server import ServerOptions, serve
 
     setup = WorkerSetup(
@@ -104,7 +104,7 @@ def inputs_of(args: argparse.Namespace) -> WorkbenchInputs:
     """
     from lieid_casadi.demo import DEMO_ROBOT
     from lieid_casadi.model import Model
-    from lieid_casadi.workbench.state.inputs import RecordingInput, WorkbenchInputs
+    from lieid_casadi.workbench.session import RecordingInput, WorkbenchInputs
 
     if not args.robot:
         if args.train or args.test:
@@ -165,7 +165,7 @@ def check_recordings(args: argparse.Namespace, inputs: WorkbenchInputs) -> None:
 def demo_inputs() -> WorkbenchInputs:
     """Return the demo's simulated arm; it is recorded on the first call, which takes seconds."""
     from lieid_casadi.demo import DEMO_ROBOT, demo_recordings
-    from lieid_casadi.workbench.state.inputs import RecordingInput, WorkbenchInputs
+    from lieid_casadi.workbench.session import RecordingInput, WorkbenchInputs
 
     with output.progress("measure the simulated arm") as report:
         train, test = demo_recordings(report)

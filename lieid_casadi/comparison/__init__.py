@@ -2,7 +2,6 @@
 
 from lieid_casadi.comparison.compare import compare
 from lieid_casadi.comparison.comparison import Comparison
-from lieid_casadi.comparison.largest_errors import LargeError
-from lieid_casadi.comparison.time_series import Series
+from lieid_casadi.comparison.series import LargeError, Series
 
 __all__ = ["Comparison", "LargeError", "Series", "compare"]

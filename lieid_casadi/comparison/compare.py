@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.comparison.comparison import Comparison
-from lieid_casadi.comparison.comparison_warnings import comparison_warnings
-from lieid_casadi.comparison.largest_errors import largest_errors
 from lieid_casadi.comparison.noise_floor import noise_floor
-from lieid_casadi.comparison.time_series import series_along
-from lieid_casadi.errors import LieidWarning, unique_warnings
+from lieid_casadi.comparison.series import largest_errors, series_along
+from lieid_casadi.errors import (
+    FrictionAtRestWarning,
+    LieidWarning,
+    SameRecordingWarning,
+    unique_warnings,
+)
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.recording_checks import (
@@ -21,11 +26,10 @@ from lieid_casadi.identification.recording_checks import (
     check_torque_constants,
     check_with_model,
 )
+from lieid_casadi.identification.regression.column_properties import has_dry_friction
 from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.recording import Processed, Recording, process
 from lieid_casadi.recording.given_recordings import listed
-
-Array = NDArray[np.float64]
 
 
 def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison:
@@ -154,3 +158,71 @@ def _correlation(a: Array, b: Array) -> Array:
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     norm = np.sqrt(np.sum(a**2, axis=0) * np.sum(b**2, axis=0))
     return _ratio(np.sum(a * b, axis=0), norm)
+
+
+_NUMBER = r"(?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?"
+_PART = re.compile(rf"(?:@| episodes )(?P<start>{_NUMBER}):(?P<end>{_NUMBER})$")
+
+
+def comparison_warnings(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
+    """Return warnings about the comparison, without those of its recordings."""
+    return [*_trained_on(fit, comparison), *_rest(fit, comparison)]
+
+
+def _trained_on(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
+    again = [
+        source.name or "a recording"
+        for source in comparison.recordings
+        if any(_overlap(source, trained) for trained in fit.provenance.recordings)
+    ]
+    if not again:
+        return []
+    return [
+        SameRecordingWarning(
+            f"{', '.join(again)} was used to fit the model: errors are training errors and smaller "
+            "than on other recordings; compare with a recording that was not used"
+        )
+    ]
+
+
+def _overlap(a: Source, b: Source) -> bool:
+    """Return whether two recordings share samples: the same data with overlapping parts."""
+    if not a.sha256 or a.sha256 != b.sha256:
+        return False
+    (start, end), (other_start, other_end) = _part(a.name), _part(b.name)
+    return start < other_end and other_start < end
+
+
+def _part(name: str) -> tuple[float, float]:
+    """Return start and end of a part, s or episodes; infinite if the name states none."""
+    match = _PART.search(name)
+    if match is None:
+        return -np.inf, np.inf
+    return float(match["start"] or -np.inf), float(match["end"] or np.inf)
+
+
+def _rest(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
+    """Return a warning that names joints whose RMS is dominated by rest with dry friction."""
+    resting = np.flatnonzero(has_dry_friction(fit.model) & comparison.rest_dominates)
+    if not resting.size:
+        return []
+    details = ", ".join(_rest_of(comparison, int(j)) for j in resting)
+    moved = bool(np.isfinite(comparison.rms_moving[resting]).any())
+    remedy = "use the RMS in motion for these joints" if moved else "compare a recording in motion"
+    return [
+        FrictionAtRestWarning(
+            f"friction is undetermined at rest and dominates the error of {details}: {remedy}"
+        )
+    ]
+
+
+def _rest_of(comparison: Comparison, joint: int) -> str:
+    """Return a joint's errors at rest and in motion as text."""
+    unit, moving = comparison.units[joint], comparison.rms_moving[joint]
+    at_rest = f"joint {joint + 1} (RMS {comparison.rms_at_rest[joint]:.3g} {unit} at rest, "
+    if not np.isfinite(moving):
+        return f"{at_rest}never in motion)"
+    return (
+        f"{at_rest}{moving:.3g} {unit} in motion; {100 * comparison.at_rest[joint]:.2g} % of the "
+        "time at rest)"
+    )

@@ -1,24 +1,40 @@
-"""Result of a comparison: errors per joint, largest errors, and the time series."""
+"""Result of a comparison: errors per joint, their table and their summary in sentences."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.comparison.largest_errors import LargeError
-from lieid_casadi.comparison.time_series import Series
-from lieid_casadi.errors import LieidWarning, warning_list
+from lieid_casadi.arrays import Array
+from lieid_casadi.comparison import plots
+from lieid_casadi.comparison.noise_floor import SOURCES
+from lieid_casadi.comparison.series import LargeError, Series
+from lieid_casadi.errors import (
+    FrictionAtRestWarning,
+    LieidWarning,
+    SameRecordingWarning,
+    warning_list,
+)
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.json_numbers import numbers_or_none
+from lieid_casadi.recording.joint_names import joints_text
+from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
+AT_NOISE = 1.05  # times the noise floor, below which the multiple is not stated
+AS_NOISE = 1.3  # times the noise floor, up to which an error is explained by noise
+BEYOND_NOISE = 2.0  # times the noise floor, from which an error is certainly systematic
+HEADINGS = (
+    "joint", "in motion", "noise floor", "of torque", "at rest", "all", "raw", "correlation",
+    "bias", "unit",
+)  # fmt: skip
 REST_MATTERS = 0.25  # of a joint's squared error: from this on, rest is reported
 
 
@@ -155,17 +171,22 @@ class Comparison:
             Number of the joint, from 0; the one with the largest relative error if left out and
             ``ax`` is given.
         """
-        from lieid_casadi.comparison.torque_plots import plot_joint, plot_torques
-
         if ax is None and joint is None:
-            return plot_torques(self)
-        return plot_joint(self, self.worst_joint if joint is None else joint, ax)
+            return plots.plot_torques(self.series, self._labels())
+        shown = self.worst_joint if joint is None else joint
+        return plots.plot_joint(self.series, shown, self._labels()[shown], ax)
 
     def plot_errors(self) -> Figure:
         """Plot every joint's error over q, q̇, direction, load and time."""
-        from lieid_casadi.comparison.error_plots import plot_errors
+        return plots.plot_errors(self.series, self._labels())
 
-        return plot_errors(self)
+    def _labels(self) -> list[plots.JointLabel]:
+        return [
+            plots.JointLabel(
+                joint_title(self, j), self.units[j], _error_text(self, j), self.noise_floor[j]
+            )
+            for j in range(self.n)
+        ]
 
     @property
     def worst_joint(self) -> int:
@@ -175,11 +196,174 @@ class Comparison:
         return int(np.argmax(np.nan_to_num(relative, nan=-1.0)))
 
     def _repr_html_(self) -> str:
-        from lieid_casadi.comparison.table import html_view
-
-        return html_view(self)
+        names = ", ".join(source.name or "recording" for source in self.recordings)
+        warnings = [f"{type(w).__name__}: {w}" for w in self.warnings]
+        return html(f"{names}, {self.duration:.4g} s", error_table(self), *warnings)
 
     def __repr__(self) -> str:
         pairs = zip(self.rms_moving, self.units, strict=True)
         errors = ", ".join(f"{rms:.3g} {unit}" for rms, unit in pairs)
         return f"<Comparison over {self.duration:.4g} s: RMS error in motion {errors}>"
+
+
+def error_table(comparison: Comparison) -> Table:
+    """Return the errors, one row per joint, with the columns `HEADINGS`."""
+    c = comparison
+    relative = c.relative_rms_moving
+    rows = [
+        (
+            joint_title(c, j),
+            digits(c.rms_moving[j]),
+            digits(c.noise_floor[j]),
+            percent(relative[j]),
+            digits(c.rms_at_rest[j]),
+            digits(c.rms[j]),
+            digits(c.rms_raw[j]),
+            "–" if math.isnan(c.correlation[j]) else f"{c.correlation[j]:.4f}",
+            digits(c.bias[j], sign="+"),
+            c.units[j],
+        )
+        for j in range(c.n)
+    ]
+    source = SOURCES[c.noise_source]
+    title = (
+        f"Error, measured − predicted (low-pass {c.cutoff:.3g} Hz on both; noise floor: {source})"
+    )
+    note = (
+        f"Error: measured − predicted torque, both filtered by a zero-phase low-pass of "
+        f"{c.cutoff:.3g} Hz; raw: resampled only. In motion, at rest: RMS while the joint moves "
+        "and while it is at rest, where friction is undetermined. Of torque: RMS relative to the "
+        "RMS of the measured torque, both in motion. "
+        f"Noise floor: {source}."
+    )
+    return make_table(title, HEADINGS, rows, note=note)
+
+
+def largest_errors_table(comparison: Comparison) -> Table:
+    """Return the samples with the largest errors, a few for each joint."""
+    headings = ("joint", "recording", "time, s", "error", "measured", "q", "q̇", "unit")
+    rows = [
+        (
+            joint_title(comparison, moment.joint),
+            moment.recording,
+            f"{moment.time:z.2f}",
+            digits(moment.error, sign="+"),
+            digits(moment.measured, sign="+"),
+            f"{moment.q:z.3f}",
+            f"{moment.dq:z.3f}" if moment.moving else "at rest",
+            comparison.units[moment.joint],
+        )
+        for moment in comparison.worst
+    ]
+    return make_table("Largest errors", headings, rows)
+
+
+def joint_title(comparison: Comparison, joint: int) -> str:
+    """Return a joint's number, from 1, and its name unless it is that number."""
+    name = comparison.joint_names[joint]
+    return f"{joint + 1} {name}" if name and name != str(joint + 1) else f"{joint + 1}"
+
+
+def digits(value: float, *, sign: str = "") -> str:
+    """Return three significant digits, an en dash for NaN."""
+    return "–" if math.isnan(value) else f"{value:{sign}#.3g}".rstrip(".")
+
+
+def percent(value: float) -> str:
+    """Return a fraction in percent, an en dash for NaN."""
+    if math.isnan(value):
+        return "–"
+    text = f"{100.0 * value:#.2g}" if value < 0.995 else f"{100.0 * value:.0f}"
+    return text.rstrip(".") + " %"
+
+
+def _error_text(c: Comparison, joint: int) -> str:
+    """Return the size of a joint's error, as a plot states it."""
+    unit = c.units[joint]
+    moving, relative = c.rms_moving[joint], c.relative_rms_moving[joint]
+    if np.isnan(moving):
+        return f"at rest: RMS {digits(c.rms[joint])} {unit}"
+    text = f"in motion: RMS {digits(moving)} {unit}"
+    if np.isfinite(relative):
+        text += f", {percent(relative)} of the torque"
+    if np.isfinite(c.noise_floor[joint]):
+        text += f"; noise floor {digits(c.noise_floor[joint])}"
+    return text
+
+
+def verdict(
+    comparison: Comparison, *, remedy: str = "lieid diagnose searches for missing effects"
+) -> str:
+    """Return how large the error is, and whether it exceeds the noise of the measurement.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    remedy : str
+        What to do about a systematic error.
+    """
+    c = comparison
+    names = ", ".join(source.name or "the recording" for source in c.recordings)
+    trained = any(isinstance(warning, SameRecordingWarning) for warning in c.warnings)
+    training = ", used to fit the model" if trained else ""
+    sentences = [f"{names} ({c.duration:.3g} s{training}): {_size(c)}."]
+    if np.any(np.isfinite(_over_noise(c))):
+        sentences.append(_noise(c, remedy))
+    if any(isinstance(warning, FrictionAtRestWarning) for warning in c.warnings):
+        at_rest = ", ".join(digits(rms) for rms in c.rms_at_rest[c.rest_dominates])
+        sentences.append(
+            f"On {joints_text(c.rest_dominates)} the error at rest, where friction is "
+            f"undetermined, is larger (RMS {at_rest})."
+        )
+    return " ".join(sentences)
+
+
+def _size(c: Comparison) -> str:
+    moves = bool(np.isfinite(c.relative_rms_moving).any())
+    relative, rms = (c.relative_rms_moving, c.rms_moving) if moves else (c.relative_rms, c.rms)
+    relative = relative[np.isfinite(relative)]
+    if not relative.size:
+        return "the measured torque is zero"
+    error = "the error in motion" if moves else "no joint moves; the error at rest"
+    worst = c.worst_joint
+    where = f"joint {worst + 1} (RMS {digits(rms[worst])} {c.units[worst]})"
+    if relative.size == 1 or relative.max() - relative.min() < 5e-4:
+        return f"{error} is {percent(relative.max())} of the torque"
+    return (
+        f"{error} is {percent(relative.min())} to {percent(relative.max())} of the torque, "
+        f"largest on {where}"
+    )
+
+
+def _over_noise(c: Comparison) -> NDArray[np.float64]:
+    """Return the error in motion in multiples of the noise floor (n,).
+
+    NaN for joints that do not move, without measured torque, or without a noise floor.
+    """
+    return np.where((c.noise_floor > 0.0) & (c.torque_rms > 0.0), c.over_noise, np.nan)
+
+
+def _noise(c: Comparison, remedy: str) -> str:
+    """Compare the error in motion with the noise floor."""
+    ratio = np.nan_to_num(_over_noise(c), nan=0.0)
+    floor = "the noise floor"
+    if ratio.max() < AT_NOISE:
+        return f"The error in motion is within 5 % of {floor}: no systematic error is detectable."
+    if ratio.max() <= AS_NOISE:
+        return (
+            f"The error in motion is at most {ratio.max():.2g} times {floor}: "
+            "no systematic error is detectable."
+        )
+    beyond = ratio > BEYOND_NOISE
+    if not beyond.any():
+        return f"The error in motion is at most {ratio.max():.2g} times {floor}."
+    most = int(np.argmax(ratio))
+    if beyond.sum() == 1:
+        size_text = f"On joint {most + 1} the error in motion is {ratio[most]:.2g} times {floor}"
+    else:
+        where = "every joint" if beyond.all() else joints_text(beyond)
+        size_text = (
+            f"On {where} the error in motion is more than {BEYOND_NOISE:g} times {floor}, "
+            f"most on joint {most + 1} ({ratio[most]:.2g} times)"
+        )
+    return f"{size_text}: part of it is systematic; {remedy}."

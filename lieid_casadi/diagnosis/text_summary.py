@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from lieid_casadi.comparison.comparison import percent
 from lieid_casadi.comparison.noise_floor import SOURCES
-from lieid_casadi.comparison.table import percent
 from lieid_casadi.diagnosis.findings import MOST_RIVALS, findings, grouped, location
 from lieid_casadi.diagnosis.wording import join_words
 from lieid_casadi.effects.registry import REGISTER, make

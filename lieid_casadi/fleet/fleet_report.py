@@ -15,7 +15,7 @@ from lieid_casadi.fleet.read_arms import read_arms
 from lieid_casadi.fleet.suggested_actions import suggested_action
 from lieid_casadi.fleet.trend_plot import plot_trends
 from lieid_casadi.report import Section, data_uri, render
-from lieid_casadi.report.section import table_section
+from lieid_casadi.report.page import table_section
 from lieid_casadi.tables import Table, make_table
 
 ARM_SECTIONS_FROM = 5  # number of the first arm's section in the page

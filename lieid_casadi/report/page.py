@@ -1,16 +1,103 @@
-"""Sections as one self-contained HTML file."""
+"""Sections as one self-contained HTML file with embedded figures."""
 
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Sequence
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
+from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.report.section import Section
+from lieid_casadi.tables import Table
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Section:
+    """One part of a report.
+
+    Attributes
+    ----------
+    title : str
+        Heading; empty for none.
+    template : str
+        File in ``report/templates`` that shows ``data``.
+    data : mapping
+        Variables of the template. Text is escaped there, since names of joints and recordings
+        come from files of others.
+    folded : bool
+        Shown as a heading that opens with a click.
+    """
+
+    title: str
+    template: str
+    data: Mapping[str, Any]
+    folded: bool = False
+
+
+def table_section(
+    title: str,
+    *tables: Table,
+    sentences: Sequence[str] = (),
+    facts: Sequence[tuple[str, str]] = (),
+    titles: bool = False,
+    links: Mapping[str, str] | None = None,
+    folded: bool = False,
+) -> Section:
+    """Return a section of tables.
+
+    Parameters
+    ----------
+    title : str
+        Heading; empty for none.
+    tables : Table
+        Those without rows are left out.
+    sentences : sequence of str
+        Shown first, emphasized; several as a list.
+    facts : sequence of (name, value)
+        Shown before the tables.
+    titles : bool
+        Whether each table has its own heading.
+    links : mapping, optional
+        Text of cells → anchor in the page that they link to.
+    folded : bool
+        As in `Section`.
+    """
+    data = {
+        "tables": tables,
+        "sentences": sentences,
+        "facts": facts,
+        "titles": titles,
+        "links": links or {},
+    }
+    return Section(title, "tables.html", data, folded)
+
+
+def data_uri(figure: Figure, *, dpi: float = 110.0, colors: int | None = None) -> str:
+    """Return a figure as a PNG in a ``data:`` URI, of as many colors (a quarter of the bytes).
+
+    Parameters
+    ----------
+    figure : Figure
+    dpi : float
+        Pixels per inch.
+    colors : int, optional
+        All of them if left out.
+    """
+    stream = BytesIO()
+    figure.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
+    if colors is not None:
+        from PIL import Image  # Matplotlib requires it
+
+        picture = Image.open(stream).convert("RGB").quantize(colors)
+        stream = BytesIO()
+        picture.save(stream, "png", optimize=True)
+    return "data:image/png;base64," + b64encode(stream.getvalue()).decode("ascii")
 
 
 def render(title: str, sections: Sequence[Section]) -> str:
@@ -49,7 +136,7 @@ def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     return Environment(
-        loader=PackageLoader("lieid_casadi.report", "sections"),
+        loader=PackageLoader("lieid_casadi.report", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         finalize=_visible,

@@ -1,4 +1,4 @@
-"""Reports and their sections."""
+"""Reports of fits, comparisons, diagnoses and payloads."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from typing import TYPE_CHECKING
 
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.identification import Fit
-from lieid_casadi.report.page import render
-from lieid_casadi.report.section import Section
-from lieid_casadi.report.sections.diagnosis import (
+from lieid_casadi.report.page import Section, render
+from lieid_casadi.report.sections import (
+    dependence_section,
+    descriptions_section,
+    effects_section,
+    errors_section,
     evidence_section,
     finding_section,
-    unexplained_section,
-    waterfall_section,
-)
-from lieid_casadi.report.sections.effects import descriptions_section
-from lieid_casadi.report.sections.errors import errors_section, largest_errors_section
-from lieid_casadi.report.sections.parameters import effects_section, links_section
-from lieid_casadi.report.sections.payload import (
+    largest_errors_section,
+    links_section,
     payload_picture_section,
     payload_section,
     payload_verdict_section,
+    provenance_section,
+    simulation_section,
+    torques_section,
+    training_section,
+    unexplained_section,
+    verdict_section,
+    warnings_section,
+    waterfall_section,
 )
-from lieid_casadi.report.sections.pictures import dependence_section, torques_section
-from lieid_casadi.report.sections.provenance import provenance_section
-from lieid_casadi.report.sections.simulation import simulation_section
-from lieid_casadi.report.sections.training import training_section
-from lieid_casadi.report.sections.verdict import verdict_section
-from lieid_casadi.report.sections.warnings import warnings_section
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis import Diagnosis

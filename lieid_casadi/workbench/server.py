@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from lieid_casadi.errors import MissingDependency, UsageError
-from lieid_casadi.workbench.computing.results import WorkerSetup
-from lieid_casadi.workbench.state.inputs import WorkbenchInputs
+from lieid_casadi.workbench.recordings import WorkerSetup
+from lieid_casadi.workbench.session import WorkbenchInputs
 
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 8765

@@ -2,25 +2,185 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+from collections.abc import Callable, Coroutine
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.errors import LieidError
-from lieid_casadi.workbench.change_notifier import ChangeNotifier
-from lieid_casadi.workbench.computing.results import (
-    ArmMotion,
-    Evaluation,
-    OpenedInputs,
-    WorkerSetup,
+from lieid_casadi.workbench.arm import ArmMotion
+from lieid_casadi.workbench.evaluation import EffectCurve, Evaluation, OpenedInputs, SimulationError
+from lieid_casadi.workbench.recordings import WorkerSetup
+from lieid_casadi.workbench.session import (
+    FoundEffects,
+    ModelStep,
+    PlotView,
+    Session,
+    WorkbenchInputs,
+    save_session,
 )
-from lieid_casadi.workbench.computing.worker import Worker, WorkerError, WorkerStopped
-from lieid_casadi.workbench.computing.worker_process import Failure
-from lieid_casadi.workbench.effect_search import EffectSearch
-from lieid_casadi.workbench.state.inputs import WorkbenchInputs
-from lieid_casadi.workbench.state.plot_view import PlotView
-from lieid_casadi.workbench.state.session import ModelStep, Session
-from lieid_casadi.workbench.state.session_file import save_session
-from lieid_casadi.workbench.step_details import StepDetails
+from lieid_casadi.workbench.worker import Failure, Worker, WorkerError, WorkerStopped
+
+if TYPE_CHECKING:
+    from lieid_casadi.diagnosis import Proposal
+
+
+class ChangeNotifier:
+    """An object whose changes are shown by views."""
+
+    def __init__(self) -> None:
+        self._listeners: list[Callable[[], None]] = []
+        self._tasks: set[asyncio.Task[Any]] = set()
+
+    def listen(self, listener: Callable[[], None]) -> None:
+        """Call ``listener`` after every change."""
+        self._listeners.append(listener)
+
+    def forget(self, listener: Callable[[], None]) -> None:
+        """Do not call ``listener`` any more."""
+        if listener in self._listeners:
+            self._listeners.remove(listener)
+
+    @property
+    def has_viewers(self) -> bool:
+        """Whether a page shows it."""
+        return bool(self._listeners)
+
+    def changed(self) -> None:
+        """Inform all listeners."""
+        for listener in list(self._listeners):
+            listener()
+
+    def background(self, work: Coroutine[Any, Any, None]) -> None:
+        """Run a coroutine beside what the user does."""
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+class EffectSearch:
+    """A diagnosis in a worker process.
+
+    Parameters
+    ----------
+    worker : Worker
+        Stopping it ends the search.
+    changed : callable
+        Called after every progress.
+
+    Attributes
+    ----------
+    activity : (str, float) or None
+        Stage and fraction of the search that runs, None if none runs.
+    arriving : list of Proposal
+        What it has found so far.
+    """
+
+    def __init__(self, worker: Worker, changed: Callable[[], None]) -> None:
+        self._worker, self._changed = worker, changed
+        self.activity: tuple[str, float] | None = None
+        self.arriving: list[Proposal] = []
+
+    async def run(self, inputs: WorkbenchInputs, step: ModelStep) -> FoundEffects:
+        """Return what a diagnosis of a step's model proposes.
+
+        Raises
+        ------
+        WorkerError
+            It failed.
+        WorkerStopped
+            The worker was stopped.
+        """
+        self.activity, self.arriving = ("start", 0.0), []
+        self._changed()
+        try:
+            found: FoundEffects = await self._worker.request(
+                "find", inputs, step, progress=self._progress, found=self._arrived
+            )
+        finally:
+            self.activity = None
+        return found
+
+    def _progress(self, stage: str, fraction: float) -> None:
+        self.activity = (stage, fraction)
+        self._changed()
+
+    def _arrived(self, proposal: Proposal) -> None:
+        self.arriving.append(proposal)
+        self._changed()
+
+
+_NO_CURVES: dict[str, EffectCurve] = {}
+
+
+class StepDetails:
+    """Torque curves of the effects, and the simulation error, of the steps of a session.
+
+    The page is complete without them; what fails is left out.
+
+    Parameters
+    ----------
+    changed : callable
+        Called after every result.
+    """
+
+    def __init__(self, changed: Callable[[], None]) -> None:
+        self._changed = changed
+        self._inputs = WorkbenchInputs()
+        self._curves: dict[object, dict[str, EffectCurve]] = {}
+        self._simulations: dict[object, SimulationError] = {}
+
+    def reset(self, inputs: WorkbenchInputs) -> None:
+        """Forget everything; further results are those of these inputs."""
+        self._inputs, self._curves, self._simulations = inputs, {}, {}
+
+    def curves(self, step: ModelStep) -> dict[str, EffectCurve]:
+        """Return the torque of each effect by its label; empty until computed."""
+        return self._curves.get(step.key, _NO_CURVES)
+
+    def simulation(self, step: ModelStep) -> SimulationError | None:
+        """Return the simulation error; None until computed."""
+        return self._simulations.get(step.key)
+
+    async def load_curves(self, worker: Worker, step: ModelStep, recording: int) -> None:
+        """Compute the torque of each effect along a recording.
+
+        Parameters
+        ----------
+        worker : Worker
+            That has the exact fit.
+        step : ModelStep
+        recording : int
+        """
+        inputs = self._inputs
+        if step.key in self._curves:
+            return
+        with contextlib.suppress(LieidError):
+            curves = await worker.request("curves", inputs, step, recording=recording)
+            if self._inputs is inputs:
+                self._curves[step.key] = curves
+                self._changed()
+
+    async def simulate(self, worker: Worker, shown: Callable[[], ModelStep | None]) -> None:
+        """Compute the simulation error of the step that is shown, unless the worker is busy.
+
+        Parameters
+        ----------
+        worker : Worker
+        shown : callable
+            Returns the step; asked again after every result, so that none waits in between.
+        """
+        inputs = self._inputs
+        with contextlib.suppress(LieidError):
+            while (step := shown()) is not None and self._inputs is inputs and not worker.busy:
+                if step.key in self._simulations:
+                    return
+                found = await worker.request("simulate", inputs, step)
+                if self._inputs is inputs:
+                    self._simulations[step.key] = found
+                    self._changed()
+
 
 KEPT_EVALUATIONS = 24
 

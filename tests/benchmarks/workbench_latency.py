@@ -27,10 +27,14 @@ from real_arms import UR10E
 from workbench.server_process import Page, Server
 
 import lieid_casadi as lieid
-from lieid_casadi.workbench.state.inputs import RecordingInput, WorkbenchInputs
-from lieid_casadi.workbench.state.proposals import FoundEffects, ProposedEffect
-from lieid_casadi.workbench.state.session import Session
-from lieid_casadi.workbench.state.session_file import SessionContent
+from lieid_casadi.workbench.session import (
+    FoundEffects,
+    ProposedEffect,
+    RecordingInput,
+    Session,
+    SessionContent,
+    WorkbenchInputs,
+)
 
 EFFECTS = (
     "load_friction:2", "stribeck:3", "viscous_polynomial:1", "presliding:4", "position_friction:2",

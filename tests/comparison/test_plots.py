@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 import lieid_casadi as lieid
 from lieid_casadi.comparison import plot_style
-from lieid_casadi.comparison.error_plots import binned_mean, intervals
+from lieid_casadi.comparison.plots import binned_mean, intervals
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 from real_arms import UR10E, needs
 
 import lieid_casadi as lieid
-from lieid_casadi.comparison.error_plots import binned_mean
+from lieid_casadi.comparison.plots import binned_mean
 from lieid_casadi.errors import FrictionAtRestWarning
 
 pytestmark = [pytest.mark.real, needs(UR10E / "ur10e.urdf")]

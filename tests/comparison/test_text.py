@@ -8,8 +8,7 @@ import pytest
 from comparison import two_link_data as arm
 
 import lieid_casadi as lieid
-from lieid_casadi.comparison.table import digits, error_table, percent
-from lieid_casadi.comparison.verdict import verdict
+from lieid_casadi.comparison.comparison import digits, error_table, percent, verdict
 from lieid_casadi.errors import LieidWarning
 
 

@@ -12,8 +12,7 @@ import lieid_casadi as lieid
 from lieid_casadi.errors import LieidWarning
 from lieid_casadi.report import Section, comparison_report, fit_report, render
 from lieid_casadi.report.reports import fit_sections
-from lieid_casadi.report.sections.effects import anchors
-from lieid_casadi.report.sections.parameters import value_text
+from lieid_casadi.report.sections import anchors, value_text
 
 EVIL = "<script>alert(1)</script>"
 FETCHING = {"src", "href", "srcset", "data", "action", "poster", "background", "xlink:href"}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lieid_casadi.comparison.plot_style import BACKWARD, ERROR, FORWARD, MEASURED, PREDICTED
-from lieid_casadi.workbench.views.colours import SCALE, SERIES, ratio_colour
-from lieid_casadi.workbench.views.torque_plot import COMPARED
+from lieid_casadi.workbench.elements import SCALE, SERIES, ratio_colour
+from lieid_casadi.workbench.torque_plot import COMPARED
 
 # Machado, Oliveira and Fernandes, IEEE TVCG 15(6), 2009: severity 1, on linear RGB
 BLINDNESS = {

@@ -11,10 +11,10 @@ from workbench.two_link_files import write_recordings
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import build_parser, main
 from lieid_casadi.cli.workbench import inputs_of, load_robot, read_recordings
-from lieid_casadi.workbench.computing.computation import Computation
-from lieid_casadi.workbench.computing.results import WorkerSetup
-from lieid_casadi.workbench.state.commands import python_lines, shell_lines
-from lieid_casadi.workbench.state.session import Session
+from lieid_casadi.workbench.commands import python_lines, shell_lines
+from lieid_casadi.workbench.computation import Computation
+from lieid_casadi.workbench.recordings import WorkerSetup
+from lieid_casadi.workbench.session import Session
 
 STIFFNESS, DAMPING = np.array([300.0, 200.0]), np.array([4.0, 2.5])
 

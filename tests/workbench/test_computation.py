@@ -11,16 +11,12 @@ from workbench.two_link_files import write_recordings
 import lieid_casadi as lieid
 from lieid_casadi.errors import UsageError
 from lieid_casadi.simulation import window_drift
-from lieid_casadi.workbench.computing import recording_parts
-from lieid_casadi.workbench.computing.arm_meshes import TRIANGLE, arm_meshes, stl_bytes
-from lieid_casadi.workbench.computing.arm_motion import arm_motion
-from lieid_casadi.workbench.computing.computation import Computation
-from lieid_casadi.workbench.computing.results import WorkerSetup
-from lieid_casadi.workbench.computing.saved_files import saved_file
-from lieid_casadi.workbench.plot_data import errors_over_signals, series_of, torque_lines
-from lieid_casadi.workbench.state.inputs import RecordingInput, WorkbenchInputs
-from lieid_casadi.workbench.state.proposals import ProposedEffect
-from lieid_casadi.workbench.state.session import Session
+from lieid_casadi.workbench import recordings
+from lieid_casadi.workbench.arm import TRIANGLE, arm_meshes, arm_motion, stl_bytes
+from lieid_casadi.workbench.computation import Computation, saved_file
+from lieid_casadi.workbench.recordings import WorkerSetup
+from lieid_casadi.workbench.session import ProposedEffect, RecordingInput, Session, WorkbenchInputs
+from lieid_casadi.workbench.torque_plot import errors_over_signals, series_of, torque_lines
 
 
 def robot(inputs):
@@ -108,7 +104,7 @@ def test_a_quick_result_leaves_out_what_takes_longer_than_the_fit(inputs, first)
 
 
 def test_long_recordings_are_fitted_in_part_first(inputs, first, monkeypatch):
-    monkeypatch.setattr("lieid_casadi.workbench.computing.computation.QUICK_ROWS", 4000)
+    monkeypatch.setattr("lieid_casadi.workbench.computation.QUICK_ROWS", 4000)
     computation = Computation(SETUP, inputs)
     part = evaluate(computation, first, quick=True)
     whole = evaluate(computation, first)
@@ -118,7 +114,7 @@ def test_long_recordings_are_fitted_in_part_first(inputs, first, monkeypatch):
 
 def test_stretches_are_spread_over_the_recording(two_link_files):
     recording = lieid.Recording.load(two_link_files[0])
-    parts = recording_parts.evenly_spread(recording, 0.6)
+    parts = recordings.evenly_spread(recording, 0.6)
     assert len(parts) == 2
     assert sum(map(len, parts)) == pytest.approx(0.6 * len(recording), rel=0.02)
     assert parts[0].t[0] == recording.t[0]
@@ -184,7 +180,7 @@ def test_the_simulation_error_is_that_of_the_test(computation, first, two_link_f
 
 
 def test_lines_keep_the_extremes_of_every_pixel(computation, first, inputs):
-    title = recording_parts.recording_titles(inputs)[1]
+    title = recordings.recording_titles(inputs)[1]
     series = series_of(evaluate(computation, first), title)
     lines = torque_lines(series, 0, (0.0, 18.0), 40)
     assert len(lines.measured) <= 2 * 41

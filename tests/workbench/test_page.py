@@ -1,7 +1,7 @@
 """The page in a browser: see where the model fails, find what is missing, add it."""
 
 import lieid_casadi as lieid
-from lieid_casadi.workbench.views.elements import figures
+from lieid_casadi.workbench.elements import figures
 
 
 def test_the_missing_effect_is_found_and_added(start, browse, two_link_files):

@@ -4,9 +4,8 @@ import asyncio
 
 import pytest
 
-from lieid_casadi.workbench.computing.results import Evaluation
-from lieid_casadi.workbench.state.inputs import RecordingInput, WorkbenchInputs
-from lieid_casadi.workbench.state.session import Session, StepErrors
+from lieid_casadi.workbench.evaluation import Evaluation
+from lieid_casadi.workbench.session import RecordingInput, Session, StepErrors, WorkbenchInputs
 from lieid_casadi.workbench.workbench import Workbench
 
 INPUTS = WorkbenchInputs(robot="two_link", recordings=(RecordingInput("a.csv", "train"),))

@@ -9,17 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lieid_casadi.cli.main import build_parser
-from lieid_casadi.workbench.state.commands import python_lines, shell_lines
-from lieid_casadi.workbench.state.inputs import (
+from lieid_casadi.workbench.commands import python_lines, shell_lines
+from lieid_casadi.workbench.session import (
     ExcludedRange,
+    ProposedEffect,
     RecordingInput,
+    Session,
+    SessionFileError,
+    StepErrors,
     WorkbenchInputs,
     kept_parts,
-)
-from lieid_casadi.workbench.state.proposals import ProposedEffect
-from lieid_casadi.workbench.state.session import Session, StepErrors
-from lieid_casadi.workbench.state.session_file import (
-    SessionFileError,
     load_session,
     save_session,
     saved_sessions,

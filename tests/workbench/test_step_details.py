@@ -3,10 +3,9 @@
 import asyncio
 from types import SimpleNamespace
 
-from lieid_casadi.workbench.computing.results import SimulationError
-from lieid_casadi.workbench.state.inputs import WorkbenchInputs
-from lieid_casadi.workbench.state.session import ModelStep
-from lieid_casadi.workbench.step_details import StepDetails
+from lieid_casadi.workbench.evaluation import SimulationError
+from lieid_casadi.workbench.session import ModelStep, WorkbenchInputs
+from lieid_casadi.workbench.workbench import StepDetails
 
 FIRST, SECOND = ModelStep("first", ("coulomb:1",)), ModelStep("second", ("viscous:1",))
 

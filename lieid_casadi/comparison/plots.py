@@ -1,0 +1,251 @@
+"""Plots of a comparison: torque over time, and the error over the signals that it may depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.comparison import plot_style
+from lieid_casadi.comparison.series import Series
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+FEWEST_INTERVALS, MOST_INTERVALS = 6, 16
+PER_INTERVAL = 40  # samples, if that gives more than the fewest intervals
+FEWEST_SAMPLES = 5  # of an interval with a mean
+FEW_POINTS = 600  # up to this number, points are drawn larger
+SHOWN = 99.5  # per cent of the errors that are inside the axes
+DIRECTIONS = ((1.0, plot_style.FORWARD), (-1.0, plot_style.BACKWARD), (0.0, plot_style.REST))
+
+
+@dataclass(frozen=True)
+class JointLabel:
+    """What the plots of one joint state: its name, the unit and size of its error, its noise."""
+
+    name: str
+    unit: str
+    error: str
+    noise_floor: float
+
+
+def plot_torques(series: Sequence[Series], labels: Sequence[JointLabel]) -> Figure:
+    """Plot one row per joint: torques on the left, the error on its own scale on the right."""
+    n = len(labels)
+    figure = plot_style.new_figure(13.0, 0.9 + 1.65 * n)
+    axes = figure.subplots(n, 2, sharex=True, squeeze=False, width_ratios=(3, 2))
+    for joint, label in enumerate(labels):
+        torque, error = axes[joint]
+        _draw_torque(series, joint, torque)
+        floor = label.noise_floor if np.isfinite(label.noise_floor) else 0.0
+        error.axhspan(-floor, floor, color=plot_style.NOISE, linewidth=0.0, zorder=0.5)
+        _draw_error(series, joint, error)
+        plot_style.title(torque, f"joint {label.name}")
+        plot_style.title(error, label.error)
+        plot_style.label(torque, y=f"τ [{label.unit}]")
+    for ax in axes[-1]:
+        plot_style.label(ax, x=_clock(series)[1])
+    handles = [*axes[0, 0].get_lines()[:2], *axes[0, 1].get_lines()[:1]]
+    names = ["measured", "predicted", "error = measured − predicted"]
+    if any(np.isfinite(label.noise_floor) for label in labels):
+        handles.append(axes[0, 1].patches[0])
+        names.append("± noise floor")
+    figure.legend(
+        handles, names, loc="outside upper left", ncols=4, frameon=False, fontsize=plot_style.NORMAL
+    )
+    return figure
+
+
+def plot_joint(
+    series: Sequence[Series], joint: int, label: JointLabel, ax: Axes | None = None
+) -> Figure:
+    """Plot measured torque, predicted torque and error of one joint (from 0)."""
+    if ax is None:
+        ax = plot_style.new_figure(9.0, 3.2).subplots()
+    _draw_torque(series, joint, ax)
+    _draw_error(series, joint, ax)
+    plot_style.title(ax, f"joint {label.name}: {label.error}")
+    plot_style.label(ax, x=_clock(series)[1], y=f"τ [{label.unit}]")
+    lines = ax.get_lines()[-3 * len(series) :]
+    ax.legend(
+        [lines[0], lines[1], lines[2 * len(series)]],
+        ["measured", "predicted", "error"],
+        loc="best",
+        ncols=3,
+        fontsize=plot_style.SMALL,
+        framealpha=0.8,
+    )
+    return plot_style.root_figure(ax)
+
+
+def _clock(series: Sequence[Series]) -> tuple[list[Array], str]:
+    return plot_style.axis_times([s.recording for s in series], [s.time for s in series])
+
+
+def _draw_torque(series: Sequence[Series], joint: int, ax: Axes) -> None:
+    plot_style.style(ax)
+    for each, time in zip(series, _clock(series)[0], strict=True):
+        for values, colour, width in (
+            (each.measured, plot_style.MEASURED, 2.4),
+            (each.predicted, plot_style.PREDICTED, 0.9),
+        ):
+            x, y = plot_style.envelope(time, values[:, joint])
+            ax.plot(x, y, color=colour, linewidth=width)
+
+
+def _draw_error(series: Sequence[Series], joint: int, ax: Axes) -> None:
+    plot_style.style(ax)
+    for each, time in zip(series, _clock(series)[0], strict=True):
+        x, y = plot_style.envelope(time, each.error[:, joint])
+        ax.plot(x, y, color=plot_style.ERROR, linewidth=0.8)
+
+
+def plot_errors(series: Sequence[Series], labels: Sequence[JointLabel]) -> Figure:
+    """Plot one row per joint and one column per signal.
+
+    Points are samples, coloured by the direction of motion; thick lines are means over intervals
+    of the signal (over time, of both directions); the band is the noise floor. If friction grows
+    with load, the distance between the two lines grows with the load; an error of inertia or
+    gravity changes both lines in the same way.
+    """
+    figure = plot_style.new_figure(15.0, 0.9 + 1.9 * len(labels))
+    axes = figure.subplots(
+        len(labels), 5, sharey="row", squeeze=False, width_ratios=(3, 3, 1.4, 3, 3)
+    )
+    times, clock = _clock(series)
+    for joint, label in enumerate(labels):
+        _draw_row(series, joint, label, axes[joint], np.concatenate(times))
+    for ax, text in zip(axes[0], _HEADINGS, strict=True):
+        plot_style.title(ax, text)
+    plot_style.label(axes[-1, 4], x=clock)
+    _legend(figure, noise=any(np.isfinite(label.noise_floor) for label in labels))
+    return figure
+
+
+_HEADINGS = ("position q", "speed q̇", "direction", "load τ_load (rigid torque)", "time")
+
+
+def _draw_row(
+    series: Sequence[Series], joint: int, label: JointLabel, axes: Array, time: Array
+) -> None:
+    prismatic = label.unit == "N"
+    error, sign, q, dq, load = (
+        np.concatenate([getattr(s, name)[:, joint] for s in series])
+        for name in ("error", "sign", "q", "dq", "load")
+    )
+    position, speed, direction, over_load, over_time = axes
+    for ax, signal in ((position, q), (speed, dq), (over_load, load), (over_time, time)):
+        _draw_samples(ax, signal, error, sign)
+    for ax, signal, edges in (
+        (position, q, intervals(q)),
+        (speed, dq, intervals(dq, around_zero=True)),
+        (over_load, load, intervals(load)),
+    ):
+        for way, colour in DIRECTIONS[:2]:
+            here = sign == way
+            _draw_mean(ax, signal[here], error[here], edges, colour)
+    _draw_mean(over_time, time, error, intervals(time), plot_style.TEXT)
+    _draw_directions(direction, error, sign)
+    floor = label.noise_floor
+    limit = max(float(np.percentile(np.abs(error), SHOWN)), 0.0) or 1.0
+    for ax in axes:
+        plot_style.style(ax)
+        if np.isfinite(floor):
+            ax.axhspan(-floor, floor, color=plot_style.NOISE, linewidth=0.0, zorder=0.5)
+        ax.axhline(0.0, color=plot_style.TEXT, linewidth=0.6, zorder=0.6)
+    position.set_ylim(-1.1 * limit, 1.1 * limit)
+    name = plot_style.shortened(label.name)
+    plot_style.label(
+        position, x="m" if prismatic else "rad", y=f"joint {name}\nerror [{label.unit}]"
+    )
+    plot_style.label(speed, x="m/s" if prismatic else "rad/s")
+    plot_style.label(over_load, x=label.unit)
+
+
+def _draw_samples(ax: Axes, signal: Array, error: Array, sign: Array) -> None:
+    size = 3.0 if len(error) > FEW_POINTS else 5.0
+    for direction, colour in reversed(DIRECTIONS):
+        use = plot_style.thin(sign == direction)
+        ax.plot(
+            signal[use], error[use], ".", color=colour, alpha=0.4, markersize=size, mew=0.0,
+            rasterized=True, zorder=1.5,
+        )  # fmt: skip
+
+
+def _draw_mean(ax: Axes, signal: Array, error: Array, edges: Array, colour: str) -> None:
+    from matplotlib.patheffects import Normal, Stroke
+
+    centre, mean = binned_mean(signal, error, edges)
+    (line,) = ax.plot(centre, mean, "-o", color=colour, linewidth=1.8, markersize=2.5, zorder=3)
+    line.set_path_effects([Stroke(linewidth=3.4, foreground="white"), Normal()])
+
+
+def intervals(signal: Array, *, around_zero: bool = False) -> Array:
+    """Return the limits (B + 1,) of equal intervals over 99 % of a signal's values.
+
+    With ``around_zero``, zero is a limit, so that no interval contains both directions.
+    """
+    low, high = (float(x) for x in np.percentile(signal, [0.5, 99.5]))
+    count = int(np.clip(len(signal) // PER_INTERVAL, FEWEST_INTERVALS, MOST_INTERVALS))
+    if not (around_zero and low < 0.0 < high):
+        return np.linspace(low, high, count + 1)
+    below = max(1, round(count * -low / (high - low)))
+    above = max(1, count - below)
+    return np.concatenate([np.linspace(low, 0.0, below + 1), np.linspace(0.0, high, above + 1)[1:]])
+
+
+def binned_mean(x: Array, y: Array, edges: Array) -> tuple[Array, Array]:
+    """Return the centre of each interval (B,) and the mean of y in it, NaN with few samples."""
+    count, _ = np.histogram(x, edges)
+    total, _ = np.histogram(x, edges, weights=y)
+    mean = np.where(count >= FEWEST_SAMPLES, total / np.maximum(count, 1), np.nan)
+    return (edges[1:] + edges[:-1]) / 2.0, mean
+
+
+def _draw_directions(ax: Axes, error: Array, sign: Array) -> None:
+    places, names = {-1.0: 0, 0.0: 1, 1.0: 2}, ("−", "rest", "+")
+    for direction, colour in DIRECTIONS:
+        here = error[sign == direction]
+        if len(here) < FEWEST_SAMPLES:
+            continue
+        ax.boxplot(
+            here, positions=[places[direction]], widths=0.6, whis=(5, 95), showfliers=False,
+            patch_artist=True, manage_ticks=False, zorder=2,
+            boxprops={"facecolor": colour, "edgecolor": colour, "alpha": 0.55},
+            medianprops={"color": "black", "linewidth": 1.4},
+            whiskerprops={"color": colour}, capprops={"color": colour},
+        )  # fmt: skip
+    ax.set_xlim(-0.6, 2.6)
+    ax.set_xticks([0, 1, 2], names)
+
+
+def _legend(figure: Figure, *, noise: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    names = {1.0: "moving forward", -1.0: "moving backward", 0.0: "at rest"}
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=colour, marker="o", markersize=4, linewidth=1.8, label=names[key])
+        for key, colour in DIRECTIONS
+    ]
+    handles[2] = Line2D(
+        [], [], color=plot_style.REST, marker="o", markersize=4, linewidth=0, label="at rest"
+    )
+    if noise:
+        handles.append(Patch(color=plot_style.NOISE, label="± noise floor"))
+    figure.legend(
+        handles=handles,
+        title="error = measured − predicted; lines: mean of each interval",
+        title_fontsize=plot_style.NORMAL,
+        loc="outside upper left",
+        alignment="left",
+        ncols=4,
+        frameon=False,
+        fontsize=plot_style.NORMAL,
+    )

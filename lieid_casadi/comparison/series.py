@@ -1,0 +1,217 @@
+"""Measured and predicted torque along a segment, torques of effects, and largest errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.effects import Placement
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.identification.prediction import torque_along
+from lieid_casadi.identification.regression.segment_columns import effects_along
+from lieid_casadi.identification.temperature import relative_temperature
+from lieid_casadi.recording import Processed
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One segment of a test at M instants; all signals are filtered as in the fit.
+
+    Attributes
+    ----------
+    recording : str
+        Name of the recording.
+    time : (M,)
+        s, on the recording's own clock.
+    measured, predicted : (M, n)
+        N·m.
+    q, dq, ddq : (M, n)
+        rad, rad/s, rad/s².
+    sign : (M, n)
+        Direction of motion: −1, 1, or 0 at rest.
+    load : (M, n)
+        τ_load, rigid torque of the model, N·m.
+    temperature : (M, n) or None
+        °C.
+    """
+
+    recording: str
+    time: Array
+    measured: Array
+    predicted: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    sign: Array
+    load: Array
+    temperature: Array | None = None
+
+    @property
+    def error(self) -> Array:
+        """Measured − predicted torque (M, n), N·m."""
+        return self.measured - self.predicted
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """True where a joint moves (M, n)."""
+        return np.asarray(self.sign != 0.0)
+
+
+def series_along(
+    fit: Fit, segment: Processed, *, added: Array | float = 0.0
+) -> tuple[Series, Array]:
+    """Return the series of a segment, and its error (K, n) on the grid, not filtered, N·m.
+
+    Parameters
+    ----------
+    fit : Fit
+    segment : Processed
+        Of K instants.
+    added : (K, n)
+        Torque in addition to the fit's on the grid, N·m.
+    """
+    assert segment.tau is not None  # checked by compare
+    torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes) + added
+    load = fit.compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, fit.link_parameters)
+    dq = segment.filter(segment.dq)
+    temperature = segment.temperature
+    if temperature is not None:
+        temperature = segment.filter(temperature)
+        if fit.temperature_mean is not None:  # temperatures of the segment are relative to it
+            temperature = temperature + fit.temperature_mean
+    series = Series(
+        recording=segment.recording.name,
+        time=segment.filtered_time,
+        measured=segment.filter(segment.tau),
+        predicted=segment.filter(torque),
+        q=segment.filter(segment.q),
+        dq=dq,
+        ddq=segment.filter(segment.ddq),
+        sign=np.where(segment.filtered_moving, np.sign(dq), 0.0),
+        load=segment.filter(load),
+        temperature=temperature,
+    )
+    return series, segment.tau - torque
+
+
+@dataclass(frozen=True, eq=False)
+class EffectTorque:
+    """Torque (K, n) of one placed effect on every joint at the instants of a segment, N·m."""
+
+    placement: Placement
+    torque: Array
+
+
+def effect_torques(fit: Fit, segment: Processed) -> tuple[EffectTorque, ...]:
+    """Return the torque of every placed effect: its columns times its coefficients.
+
+    Their sum and the rigid torque are the model's torque, not filtered.
+
+    Parameters
+    ----------
+    fit : Fit
+    segment : Processed
+        As `process` returns it.
+    """
+    segment = relative_temperature(segment, fit.temperature_mean)
+    columns = effects_along(fit.compiled, segment, fit.shapes, fit.parameters)
+    torques = columns * fit.effect_coefficients
+    found, first = [], 0
+    for placement in fit.model.placements:
+        last = first + len(placement.effect.coefficients)
+        found.append(EffectTorque(placement, torques[:, :, first:last].sum(axis=2)))
+        first = last
+    return tuple(found)
+
+
+PER_JOINT = 3
+APART = 1.0  # s, smallest time between two errors of one joint
+
+
+@dataclass(frozen=True)
+class LargeError:
+    """An instant at which a joint's error is large.
+
+    Attributes
+    ----------
+    recording : str
+    time : float
+        On the recording's clock, s.
+    joint : int
+        From 0.
+    error, measured : float
+        Measured − predicted torque, and measured torque, N·m (N for a prismatic joint).
+    q, dq : float
+        Position and velocity, rad and rad/s (m and m/s for a prismatic joint).
+    moving : bool
+    """
+
+    recording: str
+    time: float
+    joint: int
+    error: float
+    measured: float
+    q: float
+    dq: float
+    moving: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON, with joints from 1."""
+        return {
+            "recording": self.recording,
+            "time": self.time,
+            "joint": self.joint + 1,
+            "error": self.error,
+            "measured": self.measured,
+            "q": self.q,
+            "dq": self.dq,
+            "moving": self.moving,
+        }
+
+
+def largest_errors(
+    series: Sequence[Series], *, per_joint: int = PER_JOINT, apart: float = APART
+) -> tuple[LargeError, ...]:
+    """Return the largest errors of each joint, largest first.
+
+    Parameters
+    ----------
+    series : sequence of Series
+    per_joint : int
+        Number of errors per joint.
+    apart : float
+        Smallest time between two of them, s.
+    """
+    found: list[LargeError] = []
+    for joint in range(series[0].error.shape[1]):
+        candidates = [m for each in series for m in _peaks(each, joint, per_joint, apart)]
+        candidates.sort(key=lambda found: -abs(found.error))
+        found += candidates[:per_joint]
+    return tuple(found)
+
+
+def _peaks(series: Series, joint: int, count: int, apart: float) -> list[LargeError]:
+    size = np.abs(series.error[:, joint])
+    allowed = np.ones(size.size, dtype=bool)
+    peaks: list[LargeError] = []
+    while len(peaks) < count and allowed.any():
+        k = int(np.argmax(np.where(allowed, size, -1.0)))
+        allowed &= np.abs(series.time - series.time[k]) >= apart
+        peaks.append(
+            LargeError(
+                recording=series.recording,
+                time=float(series.time[k]),
+                joint=joint,
+                error=float(series.error[k, joint]),
+                measured=float(series.measured[k, joint]),
+                q=float(series.q[k, joint]),
+                dq=float(series.dq[k, joint]),
+                moving=bool(series.moving[k, joint]),
+            )
+        )
+    return peaks

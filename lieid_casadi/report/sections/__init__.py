@@ -1,1 +1,0 @@
-"""Sections of reports: one per file, with its template."""

@@ -1,0 +1,199 @@
+"""The arm in three dimensions: meshes or capsules of its links, and their poses over time."""
+
+from __future__ import annotations
+
+import logging
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.excitation.limits.link_geometry import capsules_of
+from lieid_casadi.excitation.limits.symbolic_limits import link_poses
+from lieid_casadi.expressions.frames import homogeneous
+from lieid_casadi.recording import Recording
+from lieid_casadi.robot import Robot
+
+FRAMES_PER_SECOND = 20.0
+MOST_FRAMES = 6000  # of a recording; longer ones get fewer per second
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSolid:
+    """A capsule, or the drum that marks a joint, in the frame of a link (0: base).
+
+    Attributes
+    ----------
+    link : int
+        0 for the base, i for the link that joint i (from 1) moves.
+    drum : bool
+        Whether it marks joint ``link``.
+    middle : (3,)
+        m.
+    rotation : (3, 3)
+        Turns the y axis to the axis of the solid.
+    length, radius : float
+        Without the caps of a capsule, m.
+    """
+
+    link: int
+    drum: bool
+    middle: Array
+    rotation: Array
+    length: float
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class ArmMesh:
+    """The mesh of a link in its frame: a binary STL file, m."""
+
+    link: int
+    stl: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class ArmMotion:
+    """Poses of an arm along a recording.
+
+    Attributes
+    ----------
+    times : (F,)
+        s, on the recording's own clock.
+    poses : (F, n + 1, 4, 4)
+        Of the base and the links, in the base frame.
+    centre : (3,)
+        Of the box around all positions, m.
+    radius : float
+        Half the diagonal of this box, m.
+    """
+
+    times: Array
+    poses: Array
+    centre: Array
+    radius: float
+
+
+def arm_motion(robot: Robot, recording: Recording) -> ArmMotion:
+    """Return the poses of the links at measured rows, at most 20 per second."""
+    t = recording.t
+    count = int(min(FRAMES_PER_SECOND * (t[-1] - t[0]) + 2, MOST_FRAMES, len(t)))
+    rows = np.unique(np.searchsorted(t, np.linspace(t[0], t[-1], count)).clip(0, len(t) - 1))
+    q = ca.SX.sym("q", robot.n)
+    symbolic = [homogeneous(pose) for pose in link_poses(robot, Motion.of(q))]
+    function = ca.Function("poses", [q], [ca.horzcat(*symbolic)])
+    values = np.array(function.map(len(rows))(recording.q[rows].T).full())
+    stacked = values.reshape(4, len(rows), robot.n + 1, 4)  # (row, frame, link, column)
+    poses = np.ascontiguousarray(stacked.transpose(1, 2, 0, 3))
+    tool = poses[:, -1] @ robot.tool
+    points = np.concatenate([poses[:, :, :3, 3].reshape(-1, 3), tool[:, :3, 3]])
+    low, high = points.min(axis=0), points.max(axis=0)
+    return ArmMotion(t[rows], poses, 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)))
+
+
+def arm_solids(robot: Robot) -> tuple[ArmSolid, ...]:
+    """Return the links as capsules, and a drum along the axis of each joint, which marks it."""
+    capsules = capsules_of(robot)
+    solids = [_solid(c.link, 0.5 * (c.start + c.end), c.end - c.start, c.radius) for c in capsules]
+    size = float(np.median([c.radius for c in capsules])) if capsules else 0.05
+    for link, joint in enumerate(robot.joints, start=1):
+        direction = joint.axis[:3] if joint.revolute else joint.axis[3:]
+        middle = np.cross(joint.axis[:3], joint.axis[3:])  # nearest the origin on the joint's axis
+        solids.append(_solid(link, middle, 2.6 * size * direction, 0.6 * size, drum=True))
+    return tuple(solids)
+
+
+def _solid(
+    link: int, middle: Array, along: Array, radius: float, *, drum: bool = False
+) -> ArmSolid:
+    """Return a solid whose axis has the direction and length of ``along``."""
+    length = float(np.linalg.norm(along))
+    axis = along / length if length > 0.0 else np.array([0.0, 1.0, 0.0])
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    third = np.cross(helper, axis) / np.linalg.norm(np.cross(helper, axis))
+    rotation = np.column_stack([np.cross(axis, third), axis, third])
+    return ArmSolid(link, drum, np.asarray(middle, dtype=float), rotation, length, float(radius))
+
+
+logger = logging.getLogger("lieid_casadi")
+TRIANGLE = np.dtype(
+    [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+)  # of a binary STL file
+MOST_TRIANGLES = 200_000  # of all links; more are not sent to a browser
+PARENTS = 4  # folders above the URDF in which its packages are looked for
+
+
+def arm_meshes(robot: Robot, file: str) -> tuple[ArmMesh, ...]:
+    """Return the visual meshes of the links in their frames; () if a file of them is not found.
+
+    Parameters
+    ----------
+    robot : Robot
+    file : str
+        The URDF; ``package://NAME/…`` is looked for in the folders above it, in
+        ``ROS_PACKAGE_PATH`` and in ``AMENT_PREFIX_PATH``.
+    """
+    import pinocchio as pin
+
+    source = robot.source
+    if source is None or source.kind != "urdf" or "<mesh" not in source.text:
+        return ()
+    full = pin.buildModelFromXML(source.text)
+    try:
+        shapes = pin.buildGeomFromUrdfString(
+            full, source.text, pin.GeometryType.VISUAL, None, _folders(file)
+        )
+    except (ValueError, RuntimeError) as error:
+        logger.info("meshes of %s: %s", robot.name, " ".join(str(error).split()))
+        return ()
+    links = {joint.name: k + 1 for k, joint in enumerate(robot.joints)}
+    locked = [full.getJointId(name) for name in list(full.names)[1:] if name not in links]
+    reduced, [geometry] = pin.buildReducedModel(full, [shapes], locked, pin.neutral(full))
+    meshes = []
+    for shape in geometry.geometryObjects:
+        triangles = _triangles(shape)
+        if triangles is None:
+            return ()  # primitive shapes; the capsules show the arm
+        meshes.append((links.get(reduced.names[shape.parentJoint], 0), triangles))
+    if sum(len(triangles) for _, triangles in meshes) > MOST_TRIANGLES:
+        return ()
+    return tuple(ArmMesh(link, stl_bytes(triangles)) for link, triangles in meshes)
+
+
+def stl_bytes(triangles: Array) -> bytes:
+    """Return triangles (F, 3, 3), m, as a binary STL file."""
+    rows = np.zeros(len(triangles), TRIANGLE)
+    rows["corners"] = triangles
+    edges = triangles[:, 1:] - triangles[:, :1]
+    normal = np.cross(edges[:, 0], edges[:, 1])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    rows["normal"] = normal / np.where(length > 0.0, length, 1.0)
+    return bytes(80) + np.uint32(len(triangles)).tobytes() + rows.tobytes()
+
+
+def _triangles(shape: Any) -> Array | None:
+    """Return the triangles (F, 3, 3) of a mesh in its link's frame, m; None if it is none."""
+    geometry = shape.geometry
+    if not hasattr(geometry, "num_tris"):
+        return None
+    corners = np.array(
+        [[geometry.tri_indices(k)[c] for c in range(3)] for k in range(geometry.num_tris)],
+        dtype=int,
+    )
+    rotation, origin = np.array(shape.placement.rotation), np.array(shape.placement.translation)
+    points = np.array(geometry.vertices()) @ rotation.T + origin
+    return np.asarray(points[corners.reshape(-1)].reshape(-1, 3, 3))
+
+
+def _folders(file: str) -> list[str]:
+    """Return the folders in which packages are looked for."""
+    folder = Path(file).absolute().parent
+    near = [str(folder), *(str(p) for p in list(folder.parents)[:PARENTS])]
+    stated = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return [*near, *(f for f in stated if f), *(f"{p}/share" for p in prefixes if p)]

@@ -1,0 +1,291 @@
+"""What is open: robot or fit, recordings with their roles, torque constants and units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING
+
+from nicegui import ui
+from nicegui.events import UploadEventArguments
+
+from lieid_casadi.workbench.elements import named
+from lieid_casadi.workbench.session import (
+    RecordingInput,
+    Role,
+    WorkbenchInputs,
+    saved_sessions,
+    upload_folder,
+)
+
+if TYPE_CHECKING:
+    from lieid_casadi.workbench.evaluation import OpenedRecording
+    from lieid_casadi.workbench.session import Session
+    from lieid_casadi.workbench.workbench import Workbench
+
+ROBOT_FILES = (".urdf", ".xml", ".yaml", ".yml", ".json")
+LARGEST_UPLOAD = 4 << 30  # bytes
+RECENT = 6
+#: Options of the command line that are fields of the form.
+OPTIONS = {
+    "stiffness": "stiffness K1,…,Kn [N·m/rad], or unknown",
+    "damping": "damping D1,…,Dn [N·m·s/rad]",
+    "servo": "servo, such as sts3215",
+    "episodes": "episodes A:B (LeRobot)",
+    "calibration": "calibration file, or limits (LeRobot)",
+}
+_DROP = """<script>
+addEventListener('dragover', (event) => event.preventDefault());
+addEventListener('drop', (event) => {
+  if (event.defaultPrevented) return;  // on the field for files
+  event.preventDefault();  // of showing the file in place of the page
+  getElement(ID).$refs.qRef.addFiles(event.dataTransfer.files);
+});
+</script>"""
+MODES = {
+    "missing": "fit the model again",
+    "changed": "keep the fit: what has changed",
+}
+
+
+@dataclass(frozen=True)
+class _Fields:
+    """The inputs of the form."""
+
+    robot: ui.input
+    mode: ui.select
+    effects: ui.input
+    constants: ui.input
+    units: ui.input
+    tip: ui.input
+    lock: ui.input
+    options: dict[str, ui.input]
+
+
+class OpenPanel:
+    """A form for the inputs; errors are shown beside the field that they are about.
+
+    Parameters
+    ----------
+    workbench : Workbench
+    """
+
+    def __init__(self, workbench: Workbench) -> None:
+        self._workbench = workbench
+        self._recordings: list[RecordingInput] = []
+        self._shown: object = None
+        self._error_place: ui.column | None = None
+        with ui.column().classes("panel open-panel") as self._panel:
+            with ui.element("div").classes("open-columns"):
+                with ui.column().classes("gap-1 w-full"):
+                    self._fields = self._robot_fields()
+                with ui.column().classes("gap-1 w-full"):
+                    self._recording_fields()
+                with ui.column().classes("gap-1 w-full"):
+                    ui.label("Recent sessions").classes("panel-title")
+                    self._recent = ui.column().classes("gap-0 w-full")
+            with ui.row().classes("items-center"):
+                button = ui.button("Open these", on_click=self._open)
+                named(button.props("dense no-caps unelevated"), "open")
+                close = ui.button("Close", on_click=self.toggle)
+                named(close.props("dense flat no-caps"), "close-form")
+            self._error = named(ui.label(""), "open-error").classes("error-line")
+        self._panel.set_visibility(False)
+        self._error.set_visibility(False)
+
+    def toggle(self) -> None:
+        """Show or hide the form."""
+        self._panel.set_visibility(not self._panel.visible)
+        if self._panel.visible:
+            self._fill()
+
+    def update(self) -> None:
+        """Show the form where nothing is open, and why the last opening failed."""
+        workbench = self._workbench
+        failure = workbench.failure
+        nothing_open = workbench.opened is None and not workbench.computing
+        if (failure or nothing_open) and self._shown != (failure, nothing_open):
+            if not self._panel.visible:
+                self._fill()
+            self._panel.set_visibility(True)
+        self._shown = (failure, nothing_open)
+        self._error.text = "" if failure is None else failure.text
+        self._error.set_visibility(failure is not None)
+        if failure is not None:
+            self._place_error(self._below if failure.about == "recordings" else self._robot_row)
+
+    def _place_error(self, below: ui.column) -> None:
+        """Show the error below the field that it is about."""
+        if self._error_place is not below:
+            self._error_place = below
+            self._error.move(below)
+
+    def _robot_fields(self) -> _Fields:
+        ui.label("Robot or fit").classes("panel-title")
+        with ui.column().classes("gap-1 w-full") as self._robot_row:
+            robot = named(_field("URDF, MJCF, YAML or fit file, or a bundled name"), "open-robot")
+        with ui.row().classes("w-full no-wrap gap-2"):
+            tip, lock = _field("last link (URDF)"), _field("joints to lock (URDF)")
+        mode = ui.select(MODES, value="missing", label="with a fit").props("dense")
+        named(mode.classes("w-full"), "open-mode")
+        effects = _field("effects; empty: coulomb, viscous, offset, or the fit's")
+        with ui.row().classes("w-full no-wrap gap-2"):
+            constants = named(_field("torque constants K1,…,Kn [N·m/A]"), "open-constants")
+            units = named(_field("units: deg, ms; empty: SI"), "open-units")
+        with ui.expansion("commanded positions, datasets").props("dense").classes("w-full"):
+            options = {name: named(_field(text), f"open-{name}") for name, text in OPTIONS.items()}
+        return _Fields(
+            robot, mode, named(effects, "open-effects"), constants, units, tip, lock, options
+        )
+
+    def _recording_fields(self) -> None:
+        ui.label("Recordings").classes("panel-title")
+        with ui.row().classes("w-full no-wrap items-center gap-2"):
+            self._path = ui.input("path, or FILE@T0:T1").props("dense").classes("grow")
+            named(self._path, "open-recording").on("keydown.enter", self._add_path)
+            button = ui.button("Add", on_click=self._add_path)
+            named(button.props("dense flat no-caps"), "add-recording")
+        upload = ui.upload(
+            multiple=True, auto_upload=True, max_file_size=LARGEST_UPLOAD,
+            label="or drop files of the robot and of recordings here", on_upload=self._uploaded,
+        )  # fmt: skip
+        ui.add_body_html(_DROP.replace("ID", str(upload.id)))
+        named(upload.props("flat bordered dense"), "open-files").classes("w-full upload")
+        self._list = ui.column().classes("gap-0 w-full")
+        self._below = ui.column().classes("gap-0 w-full")
+
+    def _fill(self) -> None:
+        """Show what is open, and the sessions that can be restored."""
+        inputs = self._workbench.session.inputs
+        self._recordings = list(inputs.recordings)
+        self._fields.robot.value = inputs.fit or inputs.robot
+        self._fields.mode.value = inputs.mode
+        self._fields.effects.value = ",".join(inputs.effects)
+        self._fields.constants.value = inputs.torque_constants
+        self._fields.units.value = inputs.units
+        self._fields.tip.value = inputs.tip
+        self._fields.lock.value = " ".join(inputs.lock)
+        for name, field in self._fields.options.items():
+            field.value = dict(inputs.options).get(name, "")
+        self._list_recordings()
+        self._recent.clear()
+        with self._recent:
+            for saved in saved_sessions()[:RECENT]:
+                if saved.name == self._workbench.name:
+                    continue
+                given = saved.session.inputs
+                when = datetime.fromtimestamp(saved.saved).strftime("%d %b %H:%M")
+                names = ", ".join(PurePath(r.path).name for r in given.recordings)
+                robot = PurePath(given.fit or given.robot).name
+                row = ui.item(f"{when}  {robot}: {names}; {saved.session.summary}").props(
+                    "dense clickable"
+                )
+                row.on_click(lambda session=saved.session: self._restore(session))
+                named(row, "restore-session").classes("history-row small")
+
+    async def _restore(self, session: Session) -> None:
+        self._panel.set_visibility(False)
+        await self._workbench.open(session.inputs, session)
+
+    def _list_recordings(self) -> None:
+        self._list.clear()
+        opened = self._workbench.opened
+        known = {} if opened is None else self._warnings()
+        with self._list:
+            for k, recording in enumerate(self._recordings):
+                with ui.row().classes("w-full no-wrap items-center gap-1"):
+                    ui.label(PurePath(recording.path).name).classes("grow ellipsis").tooltip(
+                        recording.path
+                    )
+                    role = ui.toggle(
+                        {"train": "fit", "test": "test"},
+                        value=recording.role,
+                        on_change=lambda event, k=k: self._set_role(k, event.value),
+                    )
+                    named(role.props("dense no-caps size=sm"), f"role-{k + 1}")
+                    button = ui.button(icon="close", on_click=lambda k=k: self._remove(k))
+                    button.props("flat dense round size=sm").props["aria-label"] = "remove"
+                    named(button, f"remove-recording-{k + 1}")
+                for warning in known.get(recording.path, ()):
+                    ui.label(warning).classes("warning small")
+
+    def _warnings(self) -> dict[str, tuple[str, ...]]:
+        """Return the warnings of the recordings that are open, by path."""
+        workbench = self._workbench
+        assert workbench.opened is not None
+        inputs = workbench.session.inputs.recordings
+        if len(inputs) != len(workbench.opened.recordings):
+            return {}
+        return {
+            given.path: opened.warnings
+            for given, opened in zip(inputs, workbench.opened.recordings, strict=True)
+        }
+
+    def _add_path(self) -> None:
+        path = (self._path.value or "").strip()
+        if path:
+            self._add(path)
+            self._path.value = ""
+
+    def _add(self, path: str) -> None:
+        """Add a recording: the first is fitted, later ones are tests."""
+        role: Role = "test" if any(r.role == "train" for r in self._recordings) else "train"
+        self._recordings.append(RecordingInput(path, role))
+        self._list_recordings()
+
+    def _set_role(self, k: int, role: Role) -> None:
+        self._recordings[k] = replace(self._recordings[k], role=role)
+
+    def _remove(self, k: int) -> None:
+        del self._recordings[k]
+        self._list_recordings()
+
+    async def _uploaded(self, event: UploadEventArguments) -> None:
+        name = PurePath(event.file.name.replace("\\", "/")).name
+        if name in ("", ".", ".."):
+            return
+        target = upload_folder(self._workbench.name) / name
+        await event.file.save(target)
+        if not self._panel.visible:  # they were dropped elsewhere on the page
+            self.toggle()
+        if target.suffix.lower() in ROBOT_FILES:
+            self._fields.robot.value = str(target)
+        else:
+            self._add(str(target))
+
+    async def _open(self) -> None:
+        given = self._fields
+        source = (given.robot.value or "").strip()
+        is_fit = Path(source).suffix.lower() == ".json"
+        inputs = WorkbenchInputs(
+            robot="" if is_fit else source,
+            fit=source if is_fit else "",
+            mode=given.mode.value if is_fit else "missing",
+            recordings=tuple(self._recordings),
+            effects=tuple(e for e in (given.effects.value or "").split(",") if e.strip()),
+            torque_constants=(given.constants.value or "").strip(),
+            units=(given.units.value or "").strip(),
+            options=self._options(),
+            tip=(given.tip.value or "").strip(),
+            lock=tuple((given.lock.value or "").split()),
+        )
+        if await self._workbench.open(inputs):
+            if any(r.warnings for r in _opened_recordings(self._workbench)):
+                self._list_recordings()
+            else:
+                self._panel.set_visibility(False)
+
+    def _options(self) -> tuple[tuple[str, str], ...]:
+        """Return the options of the form, and those of the command line that it does not show."""
+        hidden = [o for o in self._workbench.session.inputs.options if o[0] not in OPTIONS]
+        given = [(name, (f.value or "").strip()) for name, f in self._fields.options.items()]
+        return (*((name, text) for name, text in given if text), *hidden)
+
+
+def _field(label: str) -> ui.input:
+    return ui.input(label).props("dense").classes("w-full")
+
+
+def _opened_recordings(workbench: Workbench) -> tuple[OpenedRecording, ...]:
+    return () if workbench.opened is None else workbench.opened.recordings

@@ -1,0 +1,229 @@
+"""Recordings of a page: without what is excluded, evenly thinned, and processed once."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import PurePath
+from typing import Protocol
+
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.comparison import Comparison
+from lieid_casadi.comparison.compare import compare_segments
+from lieid_casadi.compiled import compile
+from lieid_casadi.diagnosis import change_torque
+from lieid_casadi.errors import LieidWarning, RecordingError
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.identify import identify_segments
+from lieid_casadi.identification.recording_checks import check_recordings, check_with_model
+from lieid_casadi.identification.regression.fixed_point import Progress, ShapeStart
+from lieid_casadi.identification.regression.motion_columns import FilteredColumns
+from lieid_casadi.identification.temperature import center_temperature
+from lieid_casadi.model import Model
+from lieid_casadi.recording import Processed, Recording, process
+from lieid_casadi.robot import Robot
+from lieid_casadi.workbench.session import ProposedEffect, WorkbenchInputs
+
+MOST_STRETCHES = 8  # of each recording in a quick fit
+LEAST_DURATION = 5.0  # s, of a stretch; the filter needs a second at each of its ends
+
+
+class LoadRobot(Protocol):
+    """Loads the robot of inputs with the options of the command line."""
+
+    def __call__(self, inputs: WorkbenchInputs) -> Robot:
+        """Return the robot, with the drive laws that are stated."""
+
+
+class ReadRecordings(Protocol):
+    """Reads the recordings of inputs with the limits and options of the command line."""
+
+    def __call__(self, inputs: WorkbenchInputs, source: Robot | Fit) -> list[Recording]:
+        """Return the recordings."""
+
+
+@dataclass(frozen=True)
+class WorkerSetup:
+    """What a worker process runs with: picklable functions of the command line.
+
+    Attributes
+    ----------
+    prepare : callable
+        Called once, before anything is opened: loads the user's file of effects.
+    robot : callable
+        Loads the robot.
+    read : callable
+        Reads recordings.
+    """
+
+    prepare: Callable[[], None]
+    robot: LoadRobot
+    read: ReadRecordings
+
+
+def recording_titles(inputs: WorkbenchInputs) -> list[str]:
+    """Return a short, unique title of each recording: its file name, its path if two are equal."""
+    names = [PurePath(r.path).name for r in inputs.recordings]
+    count = Counter(names)
+    paths = Counter(r.path for r in inputs.recordings)
+    titles = []
+    for k, (name, each) in enumerate(zip(names, inputs.recordings, strict=True)):
+        if count[name] > 1:
+            name = each.path if paths[each.path] == 1 else f"{each.path} ({k + 1})"
+        titles.append(name)
+    return titles
+
+
+def without_excluded(
+    recording: Recording, parts: Sequence[tuple[float | None, float | None]]
+) -> list[Recording]:
+    """Return the parts of a recording that have rows."""
+    kept = []
+    for start, end in parts:
+        if start is None and end is None:
+            return [recording]
+        try:
+            kept.append(recording.cut(start, end))
+        except RecordingError:  # no rows between two excluded stretches
+            continue
+    return kept
+
+
+def evenly_spread(recording: Recording, share: float) -> list[Recording]:
+    """Return stretches that together have this share of a recording, evenly spread over it."""
+    count = int(np.clip(share * recording.duration / LEAST_DURATION, 1, MOST_STRETCHES))
+    edges = np.linspace(0, len(recording), count + 1)
+    length = share * len(recording) / count
+    return [recording.rows(int(first), int(first + length)) for first in edges[:-1]]
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFloor:
+    """Noise floor of each joint (n,), N·m, and its source, as in a `Comparison`."""
+
+    floor: Array
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRecordings:
+    """Recordings with their segments through the filter of a fit.
+
+    Attributes
+    ----------
+    recordings : tuple of Recording
+    segments : tuple of Processed
+        With temperatures relative to the fit's mean.
+    warnings : tuple of LieidWarning
+        Of the checks.
+    """
+
+    recordings: tuple[Recording, ...]
+    segments: tuple[Processed, ...]
+    warnings: tuple[LieidWarning, ...]
+
+    @classmethod
+    def of(cls, fit: Fit, recordings: Sequence[Recording], *, average: bool) -> PreparedRecordings:
+        """Check and process recordings as a fit does.
+
+        Parameters
+        ----------
+        fit : Fit
+        recordings : sequence of Recording
+        average : bool
+            Whether periods are averaged if the fit's options say so; not for a comparison.
+        """
+        check_recordings(fit.model, recordings)
+        options = fit.processing if average else replace(fit.processing, average_periods=False)
+        segments, _ = center_temperature(process(recordings, options), fit.temperature_mean)
+        found = [w for r in recordings for w in check_with_model(fit.compiled, r)]
+        found += [w for segment in segments for w in segment.warnings]
+        return cls(tuple(recordings), segments, tuple(found))
+
+    @cached_property
+    def _known(self) -> tuple[FilteredColumns, ...]:
+        """Filtered columns of each segment, which all fitted models share."""
+        return tuple(FilteredColumns() for _ in self.segments)
+
+    def fitted(
+        self,
+        model: Model,
+        first: Fit,
+        *,
+        start: ShapeStart | None,
+        uncertainty: bool,
+        report: Progress,
+    ) -> Fit:
+        """Return the fit of another model with the method and filter of the first one.
+
+        Parameters
+        ----------
+        model : Model
+        first : Fit
+            Of the same recordings.
+        start : ShapeStart or None
+        uncertainty : bool
+            Whether standard deviations are computed, which takes longer than the fit.
+        report : callable
+            Called with the name of a stage and the fraction done.
+        """
+        check_recordings(model, self.recordings)
+        return identify_segments(
+            compile(model),
+            self.segments,
+            method="wls",
+            start=start,
+            uncertainty=uncertainty,
+            temperature_mean=first.temperature_mean,
+            provenance=first.provenance,
+            known=self._known,
+            warnings=self.warnings,
+            report=report,
+        )
+
+    def compared(
+        self,
+        fit: Fit,
+        changes: Sequence[ProposedEffect],
+        *,
+        noise: NoiseFloor | None,
+        with_noise: bool = True,
+    ) -> Comparison:
+        """Return the comparison of a fit with these recordings, as `compare_segments`.
+
+        Parameters
+        ----------
+        fit : Fit
+        changes : sequence of ProposedEffect
+            Since the fit; their torque is added.
+        noise : NoiseFloor or None
+            That of another model of these recordings, in place of an estimate.
+        with_noise : bool
+            Whether the result has a noise floor.
+        """
+        check_recordings(fit.model, self.recordings)
+        made = compare_segments(
+            fit,
+            self.recordings,
+            self.segments,
+            added=[_torque_of(changes, fit, segment) for segment in self.segments],
+            warnings=self.warnings,
+            with_noise=with_noise and noise is None,
+        )
+        if noise is None or not with_noise:
+            return made
+        # A noise floor never exceeds the error; np.minimum keeps NaN of joints that do not move.
+        floor = np.minimum(noise.floor, made.rms_moving)
+        return replace(made, noise_floor=floor, noise_source=noise.source)
+
+
+def _torque_of(changes: Sequence[ProposedEffect], fit: Fit, segment: Processed) -> Array:
+    """Return the torque (K, n) of changes since a fit on a segment's grid, N·m."""
+    torque = np.zeros_like(segment.q)
+    for change in changes:
+        torque += change_torque(fit, segment, change.label, dict(change.parameters))
+    return torque

@@ -1,0 +1,481 @@
+"""State of one page: what is open, the steps taken so far, and how they are saved."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from lieid_casadi.atomic_file import atomic_binary
+from lieid_casadi.errors import LieidError
+
+Role = Literal["train", "test"]
+Mode = Literal["missing", "changed"]
+
+
+@dataclass(frozen=True)
+class RecordingInput:
+    """A recording that is open: its path, or ``FILE@T0:T1``, and what it is used for."""
+
+    path: str
+    role: Role
+
+
+@dataclass(frozen=True)
+class WorkbenchInputs:
+    """What is open on a page.
+
+    Attributes
+    ----------
+    robot : str
+        Path or bundled name; empty if nothing is open.
+    fit : str
+        Path of a fit in place of the robot, empty without one.
+    mode : str
+        ``missing``: the model is fitted to the training recordings. ``changed``: the fit is kept,
+        and all recordings were measured after it.
+    recordings : tuple of RecordingInput
+    effects : tuple of str
+        Of the first model; of a fit in place of the robot if empty.
+    torque_constants, units : str
+        As on the command line.
+    options : tuple of (str, str)
+        Further options of the command line: name without dashes, and text (``stiffness``, ``12``).
+    tip : str
+    lock : tuple of str
+    """
+
+    robot: str = ""
+    fit: str = ""
+    mode: Mode = "missing"
+    recordings: tuple[RecordingInput, ...] = ()
+    effects: tuple[str, ...] = ()
+    torque_constants: str = ""
+    units: str = ""
+    options: tuple[tuple[str, str], ...] = ()
+    tip: str = ""
+    lock: tuple[str, ...] = ()
+
+    @property
+    def lacking(self) -> tuple[str, str] | None:
+        """What is missing, and whether it is about the ``model`` or the ``recordings``."""
+        if not (self.robot or self.fit):
+            return "no robot; expected a file, or a bundled name such as panda", "model"
+        if not self.recordings:
+            return "no recordings; expected at least one", "recordings"
+        if self.mode == "missing" and not self.paths("train"):
+            return "no recording to fit; set at least one of them to “fit”", "recordings"
+        return None
+
+    def paths(self, role: Role) -> list[str]:
+        """Return the paths of the recordings with this role."""
+        return [r.path for r in self.recordings if r.role == role]
+
+
+@dataclass(frozen=True)
+class ExcludedRange:
+    """A stretch of one recording that is left out, from ``start`` to ``end`` seconds."""
+
+    recording: int
+    start: float
+    end: float
+
+
+def kept_parts(
+    excluded: Sequence[ExcludedRange], recording: int
+) -> list[tuple[float | None, float | None]]:
+    """Return start and end of the stretches of one recording that are used, s.
+
+    None is the recording's own start or end.
+    """
+    ranges = sorted((e.start, e.end) for e in excluded if e.recording == recording)
+    parts: list[tuple[float | None, float | None]] = []
+    start: float | None = None
+    for low, high in ranges:
+        if start is None or low > start:
+            parts.append((start, low))
+        start = high if start is None else max(start, high)
+    return [*parts, (start, None)]
+
+
+@dataclass(frozen=True)
+class ProposedEffect:
+    """An effect that a diagnosis proposes.
+
+    Attributes
+    ----------
+    label : str
+        ``load_friction:2``.
+    effect : str
+        Its name.
+    joints : tuple of int
+        From 1; none for effects on the whole arm.
+    joint : int
+        Where the error falls most, from 0.
+    before, after : float
+        Held-out error on that joint, N·m.
+    selected : float or None
+        Fraction of block-bootstrap repetitions in which it was chosen; None if not computed.
+    confirmed : bool or None
+        Whether the error on the test falls; None without a test.
+    rivals : tuple of (str, str)
+        Labels of rivals, and their kind, ``exact`` or ``data``.
+    value : str
+        Parameters as text, for changes since a fit.
+    parameters : tuple of (str, float)
+        Names and values of coefficients and shape parameters.
+    """
+
+    label: str
+    effect: str
+    joints: tuple[int, ...]
+    joint: int
+    before: float | None
+    after: float | None
+    selected: float | None = None
+    confirmed: bool | None = None
+    rivals: tuple[tuple[str, str], ...] = ()
+    value: str = ""
+    parameters: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class FoundEffects:
+    """Result of a diagnosis.
+
+    Attributes
+    ----------
+    verdict, sentence : str
+    proposed : tuple of ProposedEffect
+    effects : tuple of str
+        Of the model that was diagnosed.
+    unexplained : tuple of str
+        Sentences on the unexplained residual.
+    shapes : tuple of (str, float)
+        Labels and values of the shape parameters with all proposed effects.
+    """
+
+    verdict: str
+    sentence: str
+    proposed: tuple[ProposedEffect, ...]
+    effects: tuple[str, ...]
+    unexplained: tuple[str, ...] = ()
+    shapes: tuple[tuple[str, float], ...] = ()
+
+
+START = "first model"
+
+
+@dataclass(frozen=True)
+class StepErrors:
+    """Errors of one step per joint, N·m, in motion; None where unknown.
+
+    ``shown`` is of the test recordings, or held out by cross-validation without a test.
+    """
+
+    train: tuple[float | None, ...]
+    shown: tuple[float | None, ...]
+    noise_floor: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class ModelStep:
+    """One entry of the history: a model, and what is left out of the recordings.
+
+    Attributes
+    ----------
+    title : str
+    effects : tuple of str
+        Labels of all placements of the model: ``stribeck:4``.
+    excluded : tuple of ExcludedRange
+    errors : StepErrors or None
+        None until they are computed.
+    changes : tuple of ProposedEffect
+        Since a fit that is kept, which are added to its torque.
+    """
+
+    title: str
+    effects: tuple[str, ...]
+    excluded: tuple[ExcludedRange, ...] = ()
+    errors: StepErrors | None = None
+    changes: tuple[ProposedEffect, ...] = ()
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What its torque depends on besides the inputs."""
+        return self.effects, self.excluded, self.changes
+
+    @property
+    def effects_and_changes(self) -> tuple[str, ...]:
+        """Labels of the effects of the model, then of the changes."""
+        return (*self.effects, *(change.label for change in self.changes))
+
+
+@dataclass(frozen=True)
+class Session:
+    """What a page shows, as it is saved.
+
+    Attributes
+    ----------
+    inputs : WorkbenchInputs
+    history : tuple of ModelStep
+    position : int
+        Of the step that is shown; those after it can be restored by `redone`.
+    found : FoundEffects or None
+        Of the last diagnosis.
+    joint : int
+        The selected one, from 0.
+    recording : int
+        The recording that is replayed and plotted.
+    degrees : bool
+        Whether angles are shown in degrees.
+    """
+
+    inputs: WorkbenchInputs = field(default_factory=WorkbenchInputs)
+    history: tuple[ModelStep, ...] = ()
+    position: int = 0
+    found: FoundEffects | None = None
+    joint: int = 0
+    recording: int = 0
+    degrees: bool = False
+
+    @property
+    def step(self) -> ModelStep | None:
+        """The step that is shown."""
+        return self.history[self.position] if self.history else None
+
+    @property
+    def summary(self) -> str:
+        """The changes since the first model, in the order of the history."""
+        return ", ".join(step.title for step in self.history[1:]) or START
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is an earlier step."""
+        return self.position > 0
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether there is a step that was undone."""
+        return self.position + 1 < len(self.history)
+
+    def opened(self, inputs: WorkbenchInputs, effects: Sequence[str]) -> Session:
+        """Return the session of new inputs, with the first model's effects as its only step."""
+        tested = [k for k, r in enumerate(inputs.recordings) if r.role == "test"]
+        return Session(
+            inputs=inputs,
+            history=(ModelStep(START, tuple(effects)),),
+            recording=tested[0] if tested else 0,
+            degrees=self.degrees,
+        )
+
+    def with_effects(self, title: str, effects: Sequence[str]) -> Session:
+        """Return the session with a further step of other effects."""
+        assert self.step is not None
+        return self._then(replace(self.step, title=title, effects=tuple(effects), errors=None))
+
+    def with_effect(self, label: str) -> Session:
+        """Return the session with an effect added; unchanged if the model has it."""
+        assert self.step is not None
+        if label in self.step.effects:
+            return self
+        return self.with_effects(f"+ {label}", (*self.step.effects, label))
+
+    def with_change(self, proposed: ProposedEffect) -> Session:
+        """Return the session with a further step, in which a change since the fit is added."""
+        step = self.step
+        assert step is not None
+        if proposed in step.changes:
+            return self
+        title = f"with the change {proposed.label}"
+        changes = (*step.changes, proposed)
+        return self._then(replace(step, title=title, changes=changes, errors=None))
+
+    def without_effect(self, label: str) -> Session:
+        """Return the session with an effect removed; unchanged if the model lacks it."""
+        assert self.step is not None
+        if label not in self.step.effects:
+            return self
+        return self.with_effects(f"− {label}", [e for e in self.step.effects if e != label])
+
+    def excluding(self, start: float, end: float) -> Session:
+        """Return the session without a stretch of the recording that is shown, s."""
+        assert self.step is not None
+        stretch = ExcludedRange(self.recording, start, end)
+        title = f"without {start:.4g} to {end:.4g} s of recording {self.recording + 1}"
+        return self._then(
+            replace(self.step, title=title, excluded=(*self.step.excluded, stretch), errors=None)
+        )
+
+    def with_errors(self, step: ModelStep, errors: StepErrors) -> Session:
+        """Return the session with the errors of every step that has the same fit as ``step``."""
+        history = tuple(
+            replace(each, errors=errors) if each.key == step.key else each for each in self.history
+        )
+        return replace(self, history=history)
+
+    def at_worst_joint(self) -> Session:
+        """Return the session with the joint selected whose error is most above its noise floor."""
+        errors = None if self.step is None else self.step.errors
+        if errors is None:
+            return self
+        ratios = [
+            error / floor if error and floor else 0.0
+            for error, floor in zip(errors.shown, errors.noise_floor, strict=True)
+        ]
+        return replace(self, joint=ratios.index(max(ratios)))
+
+    def show_recording(self, recording: int) -> Session:
+        """Return the session with another recording in the plots."""
+        return replace(self, recording=recording)
+
+    def undone(self) -> Session:
+        """Return the session one step back."""
+        return replace(self, position=max(self.position - 1, 0))
+
+    def redone(self) -> Session:
+        """Return the session one step forward."""
+        return replace(self, position=min(self.position + 1, max(len(self.history) - 1, 0)))
+
+    def at(self, position: int) -> Session:
+        """Return the session at a step of its history."""
+        return replace(self, position=min(max(position, 0), max(len(self.history) - 1, 0)))
+
+    def _then(self, step: ModelStep) -> Session:
+        history = (*self.history[: self.position + 1], step)
+        return replace(self, history=history, position=len(history) - 1)
+
+
+@dataclass(frozen=True)
+class PlotView:
+    """What the plots show; not saved.
+
+    Attributes
+    ----------
+    window : (float, float) or None
+        First and last time that is visible, s; None for the whole recording.
+    selection : (float, float) or None
+        Range of time that the user has selected, s.
+    compared : int or None
+        Position of the step in the history that the current one is compared with.
+    """
+
+    window: tuple[float, float] | None = None
+    selection: tuple[float, float] | None = None
+    compared: int | None = None
+
+
+SCHEMA = 1
+KEPT_DAYS = 30.0
+_NAME = re.compile(r"[0-9a-f]{16}")
+
+
+class SessionFileError(LieidError):
+    """A saved session that cannot be read."""
+
+
+class SessionContent(msgspec.Struct, forbid_unknown_fields=True):
+    """Content of a file."""
+
+    schema: int
+    session: Session
+
+
+@dataclass(frozen=True)
+class SavedSession:
+    """A session on disk: its name, when it was saved (s since 1970), and its content."""
+
+    name: str
+    saved: float
+    session: Session
+
+
+def session_folder() -> Path:
+    """Return the folder of saved sessions.
+
+    ``$LIEID_WORKBENCH_DIR``, else ``lieid-casadi/workbench`` in ``$XDG_STATE_HOME`` or
+    ``~/.local/state``.
+    """
+    stated = os.environ.get("LIEID_WORKBENCH_DIR")
+    if stated:
+        return Path(stated).absolute()
+    state = Path(os.environ.get("XDG_STATE_HOME", ""))
+    base = state if state.is_absolute() else Path.home() / ".local" / "state"
+    return base / "lieid-casadi" / "workbench"
+
+
+def upload_folder(name: str) -> Path:
+    """Return the folder of files that were dropped on the page of a session."""
+    return session_folder() / name
+
+
+def is_name(text: str) -> bool:
+    """Return whether a text can be the name of a session."""
+    return _NAME.fullmatch(text) is not None
+
+
+def save_session(name: str, session: Session) -> None:
+    """Write a session.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be written.
+    """
+    content = msgspec.to_builtins(SessionContent(SCHEMA, session))
+    with atomic_binary(_file(name)) as file:
+        file.write(msgspec.json.encode(content))
+
+
+def load_session(name: str) -> Session | None:
+    """Return a saved session, None if there is none.
+
+    Raises
+    ------
+    SessionFileError
+        The file is damaged, or of another schema.
+    """
+    file = _file(name)
+    if not is_name(name) or not file.is_file():
+        return None
+    try:
+        content = msgspec.json.decode(file.read_bytes(), type=SessionContent)
+    except (msgspec.MsgspecError, UnicodeDecodeError, OSError) as error:
+        raise SessionFileError(f"{file}: not a saved session ({error})") from error
+    if content.schema != SCHEMA:
+        raise SessionFileError(f"{file}: schema {content.schema}; expected {SCHEMA}")
+    session = content.session
+    if not 0 <= session.position < max(len(session.history), 1):
+        raise SessionFileError(f"{file}: step {session.position} is not in its history")
+    return session
+
+
+def saved_sessions() -> list[SavedSession]:
+    """Return the readable sessions, the last saved first; files older than a month are deleted."""
+    found = []
+    for file in session_folder().glob("*.json"):
+        if not is_name(file.stem):
+            continue
+        saved = file.stat().st_mtime
+        if time.time() - saved > KEPT_DAYS * 86400.0:
+            file.unlink(missing_ok=True)
+            shutil.rmtree(upload_folder(file.stem), ignore_errors=True)
+            continue
+        try:
+            session = load_session(file.stem)
+        except SessionFileError:
+            continue
+        if session is not None and session.history:
+            found.append(SavedSession(file.stem, saved, session))
+    return sorted(found, key=lambda each: -each.saved)
+
+
+def _file(name: str) -> Path:
+    return session_folder() / f"{name}.json"

@@ -1,1 +1,0 @@
-"""What a page shows and saves: inputs, history, proposals."""

@@ -1,1 +1,0 @@
-"""Views of the page, one a file; each shows a `Workbench` and calls its methods."""
