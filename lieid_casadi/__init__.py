@@ -109,7 +109,7 @@ _HOME = {
     "Signals": "lieid_casadi.effects",
     "Simulation": "lieid_casadi.simulation",
     "StagedFit": "lieid_casadi.friction_curves",
-    "SymbolicDynamics": "lieid_casadi.expressions.symbolic_dynamics",
+    "SymbolicDynamics": "lieid_casadi.expressions.symbolic",
     "Symbols": "lieid_casadi.excitation",
     "Torque": "lieid_casadi.excitation",
     "Wall": "lieid_casadi.excitation",
@@ -170,8 +170,7 @@ if TYPE_CHECKING:
     from lieid_casadi.excitation.excitation import Excitation
     from lieid_casadi.excitation.excite import excite
     from lieid_casadi.exporters.export import Export, export
-    from lieid_casadi.expressions.symbolic import symbolic
-    from lieid_casadi.expressions.symbolic_dynamics import SymbolicDynamics
+    from lieid_casadi.expressions.symbolic import SymbolicDynamics, symbolic
     from lieid_casadi.friction_curves.friction import friction
     from lieid_casadi.friction_curves.friction_fit import FrictionFit
     from lieid_casadi.friction_curves.stages import StagedFit, identify_in_stages

@@ -10,20 +10,20 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.kernel_source import CONSTANT_ARGUMENTS
 from lieid_casadi.compiled.kernels import Kernels
-from lieid_casadi.expressions import memory
+from lieid_casadi.expressions import model_functions
 
 BEFORE = "before_"  # prefix of arguments that belong to the sample before
 
 
 def states_along(kernels: Kernels, signals: Mapping[str, Array]) -> Array:
-    """Return the states (N, S) at every sample of one segment; see `memory.states_along`.
+    """Return the states (N, S) at every sample of one segment; see `model_functions.states_along`.
 
     ``kernels``: those of one lane, because each sample depends on the one before it; ``signals``:
     arrays by name.
     """
     compiled = kernels.get(["memory"])
     if compiled is None:
-        return memory.states_along(kernels.functions, signals)
+        return model_functions.states_along(kernels.functions, signals)
     runtime, (kernel,) = compiled
     assert runtime.states is not None
     model, samples = kernels.functions.model, len(signals["q"])

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.dynamics import elimination
+from lieid_casadi.dynamics import laurent
 from lieid_casadi.dynamics.laurent import Laurent, polynomials
 from lieid_casadi.dynamics.null_space import (
     RANK_TOLERANCE,
@@ -190,7 +190,7 @@ def reduce(null: Matrix, names: tuple[str, ...]) -> BaseParameters:
     """Return the base parameters given a basis (d, P) of the invisible parameter changes."""
     columns = len(names)
     if null.dtype == object:
-        reduced, last = elimination.eliminated(null, list(range(columns))[::-1])
+        reduced, last = laurent.eliminated(null, list(range(columns))[::-1])
         dropped = np.array(last, dtype=np.intp)
         kept = np.setdiff1d(np.arange(columns), dropped)
         rows = reduced[:, kept]

@@ -1,8 +1,8 @@
 """Closed form of the dynamics: M, C, G and J as expressions (Luo et al. 2024, Eqs. 4-5).
 
-The products of the paper's stacked matrices (`lieid_casadi.dynamics.stacked_form`) are evaluated
+The products of the paper's stacked matrices (``examples/paper/stacked_form.py``) are evaluated
 block by block, without their zeros: B·ξ is the stack of the link Jacobians
-J_i = Ad⁻¹J_{i−1} + ξ_i·e_iᵀ.
+J_i = Ad⁻¹J_{i−1} + ξ_i·e_iᵀ. Link parameters are vectors (10 n,).
 """
 
 from __future__ import annotations
@@ -10,14 +10,17 @@ from __future__ import annotations
 import casadi as ca
 
 from lieid_casadi.dynamics.lie import (
+    Motion,
     Pose,
+    axes,
     cross,
     hat,
     inverse_adjoint_times,
     inverse_adjoint_transpose_times,
+    relative_poses,
     small_adjoint,
+    tool_pose,
 )
-from lieid_casadi.dynamics.motion_symbols import Motion, axes, relative_poses, tool_pose
 from lieid_casadi.dynamics.recursion import inverse_dynamics, link_poses
 from lieid_casadi.robot.robot import Robot
 
@@ -56,8 +59,6 @@ def mass_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
 
     Summed from the tip: the links from j on move as one body when joint j alone moves (composite
     rigid bodies; Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 6).
-
-    ``motion``: symbols q, q̇ (n,); ``parameters`` (10 n,): link parameters.
     """
     matrix, links = ca.SX(robot.n, robot.n), _links(parameters)
     poses, xi = relative_poses(robot, motion), axes(robot)
@@ -91,8 +92,6 @@ def coriolis_matrix(robot: Robot, motion: Motion, parameters: ca.SX) -> ca.SX:
     Coriolis matrix and Christoffel symbols for rigid-body systems", J. Comput. Nonlinear Dynam.
     2021. B = [[L, 0], [−P̂, 0]] with the momentum P = Σ m·u and L = −Σ m·r̂·û, whose sums over
     the links of a composite body are again such a pair.
-
-    ``motion``: symbols q, q̇ (n,); ``parameters`` (10 n,): link parameters.
     """
     matrix, links = ca.SX(robot.n, robot.n), _links(parameters)
     poses, xi = relative_poses(robot, motion), axes(robot)
@@ -150,8 +149,7 @@ def gravity(
 ) -> ca.SX:
     """Return G(q) = ξᵀBᵀEBΓ_{V0}A₀ (n,): the torque at rest.
 
-    ``motion``: its positions are used; ``parameters`` (10 n,): link parameters; ``gravity`` (3,):
-    gravity in the base frame in place of the robot's, m/s².
+    ``gravity`` (3,): gravity in the base frame in place of the robot's, m/s².
     """
     zero = ca.SX(robot.n, 1)
     still = Motion(motion.q, motion.sin, motion.cos, zero, zero)

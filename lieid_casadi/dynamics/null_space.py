@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.dynamics import elimination
+from lieid_casadi.dynamics import laurent
 from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.geometry import relative
 from lieid_casadi.robot.inertia import parameter_transport, symmetric
@@ -187,14 +187,14 @@ def _span(rows: Matrix) -> Matrix:
     if not len(rows):
         return rows
     if rows.dtype == object:
-        return elimination.span(rows)
+        return laurent.span(rows)
     _, sizes, basis = np.linalg.svd(rows, full_matrices=False)
     return np.asarray(basis[sizes > RANK_TOLERANCE * max(sizes[0], 1.0)])
 
 
 def _null(rows: Matrix) -> Matrix:
     if rows.dtype == object:
-        return elimination.null(rows)
+        return laurent.null(rows)
     _, sizes, basis = np.linalg.svd(rows)
     rank = int(np.sum(sizes > RANK_TOLERANCE * max(sizes[0], 1.0)))
     return np.asarray(basis[rank:])
@@ -203,6 +203,6 @@ def _null(rows: Matrix) -> Matrix:
 def rounded(values: Matrix) -> Matrix:
     """Remove rounding errors around whole and half numbers."""
     if values.dtype == object:
-        return elimination.cleaned(values)
+        return laurent.cleaned(values)
     halves = np.round(2 * values) / 2
     return np.where(np.abs(values - halves) < ROUNDING, halves, values)

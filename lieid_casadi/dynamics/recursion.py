@@ -1,7 +1,7 @@
 """Newton-Euler recursion on twists and wrenches (Luo et al. 2024, Eqs. 2-3, corrected).
 
 The corrections, a sign in Eq. 2 and an inverse in Eq. 3, are explained in
-`lieid_casadi.dynamics.stacked_form`.
+``examples/paper/stacked_form.py``.
 """
 
 from __future__ import annotations
@@ -15,13 +15,16 @@ from operator import matmul
 import casadi as ca
 
 from lieid_casadi.dynamics.lie import (
+    Motion,
     Pose,
+    axes,
     constant,
     cross,
     hat,
     inverse_adjoint_transpose_times,
+    relative_poses,
+    tool_pose,
 )
-from lieid_casadi.dynamics.motion_symbols import Motion, axes, relative_poses, tool_pose
 from lieid_casadi.robot.robot import Robot
 
 
@@ -66,8 +69,7 @@ def link_accelerations(
     With a reference, q̈ is q̈_r and every product of two velocities becomes half the sum of the two
     mixed products: the bilinear form whose torque is C(q, q̇)·q̇_r with Ṁ − 2C skew-symmetric.
 
-    ``motion``: symbols q, q̇, q̈ (n,); ``reference``: second motion q̇_r, q̈_r (n,); ``gravity``
-    (3,): in the base frame, m/s²; the robot's if left out.
+    ``gravity`` (3,): in the base frame, m/s²; the robot's if left out.
     """
     rates = [motion.dq] if reference is None else [motion.dq, reference.dq]
     ddq = motion.ddq if reference is None else reference.ddq
@@ -146,9 +148,9 @@ def inverse_dynamics(
 ) -> ca.SX:
     """Return the rigid torque (n,) by the backward recursion, Eq. 3.
 
-    ``motion``: symbols q, q̇, q̈ (n,); ``parameters`` (10 n,): link parameters; ``tool_wrench``
-    (6,): [m; f] that the tool exerts on its surroundings, at the tool's origin, in tool axes;
-    ``gravity`` (3,): gravity in the base frame in place of the robot's, m/s².
+    ``parameters`` (10 n,): link parameters; ``tool_wrench`` (6,): [m; f] that the tool exerts on
+    its surroundings, at the tool's origin, in tool axes; ``gravity`` (3,): gravity in the base
+    frame in place of the robot's, m/s².
     """
     poses, xi = relative_poses(robot, motion), axes(robot)
     wrench = ca.SX(6, 1)

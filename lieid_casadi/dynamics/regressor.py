@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from lieid_casadi.dynamics.lie import cross, inverse_adjoint_times
-from lieid_casadi.dynamics.motion_symbols import Motion, axes, relative_poses
+from lieid_casadi.dynamics.lie import Motion, axes, cross, inverse_adjoint_times, relative_poses
 from lieid_casadi.dynamics.recursion import (
     LinkAcceleration,
     ReferenceMotion,
@@ -26,8 +25,6 @@ def slotine_li_regressor(robot: Robot, motion: Motion, reference: ReferenceMotio
     """Return Y(q, q̇, q̇_r, q̈_r) (n, 10 n) with Y·π = M·q̈_r + C·q̇_r + G, Ṁ − 2C skew-symmetric.
 
     For adaptive control: Slotine, Li, "On the adaptive control of robot manipulators", IJRR 1987.
-
-    ``motion``: symbols q, q̇ (n,); ``reference``: symbols q̇_r, q̈_r (n,).
     """
     return _projected(robot, motion, link_accelerations(robot, motion, reference=reference))
 

@@ -9,11 +9,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.errors import ExcitationError
-from lieid_casadi.expressions.inputs import Values
 from lieid_casadi.expressions.symbolic import FittedModel
-from lieid_casadi.expressions.torque import TorqueExpressions
+from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.robot.robot import Robot
 

@@ -87,7 +87,7 @@ def tool_path(excitation: Excitation, q: Array) -> Array:
     """Return the positions of the tool (N, 3) in the base frame, m."""
     import casadi as ca
 
-    from lieid_casadi.dynamics.motion_symbols import Motion
+    from lieid_casadi.dynamics.lie import Motion
     from lieid_casadi.dynamics.recursion import tool_in_base
 
     angles = ca.SX.sym("q", excitation.model.n)

@@ -9,10 +9,9 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.dynamics import closed_form, recursion
-from lieid_casadi.dynamics.lie import Pose
-from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.lie import Motion, Pose
 from lieid_casadi.errors import ModelError
-from lieid_casadi.expressions.inputs import geometry_inputs
+from lieid_casadi.expressions.torque import geometry_inputs
 from lieid_casadi.robot.robot import Robot
 
 

@@ -1,19 +1,330 @@
-"""The model of an arm as CasADi functions, for optimal control and downstream code generation."""
+"""The model of an arm as named CasADi functions, for optimal control and code generation."""
 
 from __future__ import annotations
 
-from typing import Protocol
+import tempfile
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.dynamics.lie import constant
+from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.errors import ModelError
-from lieid_casadi.expressions.inputs import Values
-from lieid_casadi.expressions.symbolic_dynamics import SymbolicDynamics
-from lieid_casadi.expressions.torque import TorqueExpressions
+from lieid_casadi.expressions import forward_dynamics
+from lieid_casadi.expressions.frames import Frame, frame_of
+from lieid_casadi.expressions.torque import TorqueExpressions, Values, geometry_inputs
 from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
+
+
+class SymbolicDynamics:
+    """Named CasADi functions of one arm, built on first use; made by `lieid_casadi.symbolic`.
+
+    Each attribute is a ``ca.Function`` and takes numbers, SX and MX. Vectors are columns; ``q``,
+    ``dq``, ``ddq`` are in rad, rad/s, rad/s² (m for a sliding joint), ``tau`` in N·m (N). After
+    the inputs that are stated below follow, where the model has them:
+
+    ``states``
+        States of effects with memory, in the order of ``model.states``.
+    ``temperature``
+        Joint temperatures (n,) in °C (for a model: relative to the mean of the recordings).
+    ``time``
+        Time in s since the start, for effects that warm up.
+    ``payload``
+        Ten link parameters of a body at the tool, in the tool frame.
+    ``parameters``, ``effects``, ``shapes``
+        Link parameters (10 n,), coefficients (m,) and shape parameters (s,) of a model.
+    symbols of the geometry
+        By their names, if the robot has some (`Robot.from_screws`).
+
+    The parts add up: ``tau = M·ddq + C·dq + gravity + friction``. Armature belongs to M; effects on
+    the whole arm (payload, tilt, wrench) belong to M, C and gravity; friction holds all effects of
+    single joints.
+    """
+
+    def __init__(
+        self, torque: TorqueExpressions, *, allow_indefinite: bool, remedy: str = ""
+    ) -> None:
+        self._torque = torque
+        self._allow_indefinite = allow_indefinite
+        self._remedy = remedy
+
+    @property
+    def model(self) -> Model:
+        """The model behind the functions."""
+        return self._torque.model
+
+    def _function(
+        self,
+        name: str,
+        leading: Sequence[str],
+        outputs: dict[str, ca.SX],
+        *,
+        constant: bool = False,
+    ) -> ca.Function:
+        """Return a function of the named leading inputs and of those that the model adds."""
+        symbols = self._torque.leading_symbols
+        inputs = {key: symbols[key] for key in leading}
+        if constant:
+            inputs |= geometry_inputs(self.model.robot)
+        else:
+            inputs |= self._torque.further_inputs(static="dq" not in leading)
+        return self._named(name, inputs, outputs)
+
+    @staticmethod
+    def _named(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
+        return ca.Function(
+            name,
+            list(inputs.values()),
+            [ca.densify(expression) for expression in outputs.values()],
+            list(inputs),
+            list(outputs),
+            {"cse": True, "allow_duplicate_io_names": True},  # a symbol g, the result g
+        )
+
+    @cached_property
+    def inverse_dynamics(self) -> ca.Function:
+        """``(q, dq, ddq) -> tau``: torque of the arm with all effects."""
+        return self._function(
+            "inverse_dynamics", ["q", "dq", "ddq"], {"tau": self._torque.inverse_dynamics}
+        )
+
+    @cached_property
+    def mass_matrix(self) -> ca.Function:
+        """``q -> M`` (n, n), symmetric; armature and payload included."""
+        return self._function("mass_matrix", ["q"], {"M": self._torque.mass_matrix})
+
+    @cached_property
+    def coriolis(self) -> ca.Function:
+        """``(q, dq) -> C`` (n, n), with Ṁ − 2C skew-symmetric."""
+        return self._function("coriolis", ["q", "dq"], {"C": self._torque.coriolis})
+
+    @cached_property
+    def gravity(self) -> ca.Function:
+        """``q -> g`` (n,): torque at rest, effects on the whole arm included."""
+        return self._function("gravity", ["q"], {"g": self._torque.gravity})
+
+    @cached_property
+    def friction(self) -> ca.Function:
+        """``(q, dq[, load]) -> tau``: all effects of single joints except armature.
+
+        ``load`` (n,) is the rigid torque, ``M·ddq + C·dq + gravity`` without armature; it is an
+        input where friction depends on it.
+        """
+        leading = ["q", "dq", *(["load"] if self._torque.uses_load else [])]
+        return self._function("friction", leading, {"tau": self._torque.friction})
+
+    @cached_property
+    def energy(self) -> ca.Function:
+        """``(q, dq) -> kinetic, potential`` in J; the potential is 0 at the base's origin."""
+        kinetic, potential = self._torque.energy
+        return self._function("energy", ["q", "dq"], {"kinetic": kinetic, "potential": potential})
+
+    @cached_property
+    def regressor(self) -> ca.Function:
+        """``(q, dq, ddq) -> Y`` (n, 10 n): rigid torque per link parameter (Eq. 12)."""
+        matrix = regressor(self.model.robot, self._torque.motion)
+        return self._function("regressor", ["q", "dq", "ddq"], {"Y": matrix}, constant=True)
+
+    @cached_property
+    def base_regressor(self) -> ca.Function:
+        """``(q, dq, ddq[, load]) -> Yb`` (n, p): torque per base parameter, effects included."""
+        matrix = self._torque.base_regressor
+        load = ca.which_depends(matrix, self._torque.load, 1, True)
+        leading = ["q", "dq", "ddq", *(["load"] if any(load) else [])]
+        return self._function("base_regressor", leading, {"Yb": matrix})
+
+    @cached_property
+    def base_matrix(self) -> ca.Function:
+        """``-> B`` (p, 10 n + m): base parameters are B·[link parameters; effect coefficients].
+
+        It depends on the symbols of the geometry alone; ``model.base.expression(k)`` is row k as
+        text, such as ``mcx3 + d4 (m4 + m5)``.
+        """
+        base, inputs = self.model.base, geometry_inputs(self.model.robot)
+        matrix = constant(base.at(inputs))
+        return self._named("base_matrix", inputs, {"B": matrix})
+
+    @cached_property
+    def forward_kinematics(self) -> ca.Function:
+        """``q -> T`` (4, 4): pose of the tool in the base frame."""
+        return self._tool.forward_kinematics
+
+    @cached_property
+    def jacobian(self) -> ca.Function:
+        """``q -> J`` (6, n): twist [ω; v] of the tool's origin in base axes is J·dq."""
+        return self._tool.jacobian
+
+    @cached_property
+    def _tool(self) -> Frame:
+        return frame_of(self.model.robot, "tool")
+
+    def frame(self, name: str) -> Frame:
+        """Return the kinematics of a link frame.
+
+        Parameters
+        ----------
+        name : str
+            ``tool``, ``link1`` … ``linkn``, or the name of a joint or of its link.
+
+        Raises
+        ------
+        ModelError
+            If no frame has that name; the message lists those that exist.
+        """
+        return frame_of(self.model.robot, name)
+
+    @cached_property
+    def forward_dynamics(self) -> ca.Function:
+        """``(q, dq, tau) -> ddq``.
+
+        The torque is affine in the acceleration for a given load; where friction depends on the
+        load, Newton's method is unrolled (see `forward_dynamics.acceleration`). The Jacobian of
+        the function is `forward_dynamics_derivatives` where CasADi calls it with MX.
+
+        Raises
+        ------
+        ModelError
+            If the mass matrix is not positive definite in a pose within the limits, or friction
+            changes by more than the load that it depends on, so that no acceleration is determined.
+        """
+        self._require_solution()
+        return self._acceleration(jacobian=self._jacobian_function)
+
+    def _acceleration(self, *, jacobian: ca.Function | None = None) -> ca.Function:
+        inputs = self._acceleration_inputs
+        options: dict[str, Any] = {"cse": True}
+        if jacobian is not None:
+            options |= {"custom_jacobian": jacobian, "jac_penalty": 0}
+        ddq = forward_dynamics.acceleration(self._torque)
+        return ca.Function(
+            "forward_dynamics", list(inputs.values()), [ddq], list(inputs), ["ddq"], options
+        )
+
+    @property
+    def _acceleration_inputs(self) -> dict[str, ca.SX]:
+        symbols = self._torque.leading_symbols
+        return {key: symbols[key] for key in ("q", "dq", "tau")} | self._torque.further_inputs()
+
+    @cached_property
+    def forward_dynamics_derivatives(self) -> ca.Function:
+        """``(q, dq, tau, ddq) -> ddq_q, ddq_dq, ddq_tau``, each (n, n), at a solution ``ddq``.
+
+        By the implicit function theorem: −(∂ID/∂ddq)⁻¹·∂ID/∂q and so on, which takes fewer
+        operations than the derivative of the solution. ``ddq`` is ``forward_dynamics(q, dq, tau)``.
+        """
+        symbols = self._torque.leading_symbols
+        blocks = forward_dynamics.derivatives(self._torque, [symbols["q"], symbols["dq"]])
+        outputs = dict(zip(("ddq_q", "ddq_dq", "ddq_tau"), blocks, strict=True))
+        leading = ["q", "dq", "tau", "ddq"]
+        return self._function("forward_dynamics_derivatives", leading, outputs)
+
+    @cached_property
+    def _jacobian_function(self) -> ca.Function:
+        """The Jacobian of `forward_dynamics` in the form that CasADi expects."""
+        inputs = self._acceleration_inputs
+        ddq = self._torque.leading_symbols["ddq"]
+        wanted = [symbol for name, symbol in inputs.items() if name != "tau"]
+        blocks = dict(
+            zip(
+                [name for name in inputs if name != "tau"],
+                forward_dynamics.derivatives(self._torque, wanted)[:-1],
+                strict=True,
+            )
+        )
+        blocks["tau"] = forward_dynamics.derivatives(self._torque, [])[-1]
+        return ca.Function(
+            "jac_forward_dynamics",
+            [*inputs.values(), ddq],
+            [ca.densify(blocks[name]) for name in inputs],
+            [*inputs, "out_ddq"],
+            [f"jac_ddq_{name}" for name in inputs],
+            {"cse": True},
+        )
+
+    @cached_property
+    def f_explicit(self) -> ca.Function:
+        """``(x, u) -> xdot`` with x = [q; dq; states] and u = tau, as integrators and acados take.
+
+        States of effects with memory follow their continuous-time equation.
+        """
+        self._require_solution()
+        return forward_dynamics.explicit(self._torque)
+
+    @cached_property
+    def f_implicit(self) -> ca.Function:
+        """``(x, xdot, u) -> residual``, zero along a motion; no matrix is inverted.
+
+        The residual is [q̇ − dq; inverse_dynamics(q, dq, dq̇) − u; ṡ − rate of the states].
+        """
+        return forward_dynamics.implicit(self._torque)
+
+    def save(self, path: str | Path) -> None:
+        """Write the functions into one file: CasADi's own format, or C.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``arm.casadi``: serialized; ``ca.FileDeserializer("arm.casadi").unpack()`` returns them
+            one by one in the order of `names`. ``arm.c``: the same as CasADi's generated C.
+
+        Raises
+        ------
+        ModelError
+            If the name ends in neither.
+        """
+        write_functions(Path(path), [getattr(self, name) for name in self.names])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the functions that `save` writes, in order."""
+        return (
+            "inverse_dynamics", "forward_dynamics", "forward_dynamics_derivatives", "mass_matrix",
+            "coriolis", "gravity", "friction", "energy", "regressor", "base_regressor",
+            "forward_kinematics", "jacobian", "f_explicit", "f_implicit",
+        )  # fmt: skip
+
+    def _require_solution(self) -> None:
+        """Refuse numbers whose acceleration is not determined within the limits."""
+        if self._allow_indefinite:
+            return
+        reason = forward_dynamics.obstacle(self._torque, remedy=self._remedy)
+        if reason:
+            raise ModelError(f"{reason}, or pass allow_indefinite=True")
+
+    def __repr__(self) -> str:
+        return f"SymbolicDynamics({self.model!r})"
+
+
+def write_functions(path: Path, functions: Sequence[ca.Function]) -> None:
+    """Write functions into one file by its suffix, ``.casadi`` or ``.c``.
+
+    Raises `ModelError` if the name ends in neither.
+    """
+    from lieid_casadi.atomic_file import atomic_binary
+
+    if path.suffix not in (".casadi", ".c"):
+        raise ModelError(f"{path}: expected a name that ends in .casadi or .c")
+    with tempfile.TemporaryDirectory() as scratch:
+        made = Path(scratch) / f"{path.stem}{path.suffix}"
+        if path.suffix == ".casadi":
+            serializer = ca.FileSerializer(str(made))
+            for function in functions:
+                serializer.pack(function)
+            del serializer  # closes the file
+        else:
+            generator = ca.CodeGenerator(made.name, {"with_header": False})
+            for function in functions:
+                generator.add(function)
+            generator.generate(f"{scratch}/")
+        with atomic_binary(path) as file:
+            file.write(made.read_bytes())
 
 
 class FittedModel(Protocol):

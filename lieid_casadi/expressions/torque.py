@@ -2,21 +2,164 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics import closed_form, recursion
-from lieid_casadi.dynamics.lie import constant
-from lieid_casadi.dynamics.motion_symbols import Motion, tool_pose
+from lieid_casadi.dynamics.lie import Motion, constant, tool_pose
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.signals import EffectSignals
-from lieid_casadi.expressions.inputs import Values, geometry_inputs
-from lieid_casadi.expressions.instant import ArmInstant, arm_effect_columns
+from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.model import Model
+from lieid_casadi.robot.robot import Robot
+
+INPUT_NAMES = (
+    "q", "dq", "ddq", "tau", "load", "states", "temperature", "time", "payload", "parameters",
+    "effects", "shapes", "x", "xdot", "u",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Link parameters (10 n,), effect coefficients (m,) and shapes (s,): numbers or symbols.
+
+    ``temperature_mean`` (n,) in °C is subtracted from the temperature; None: it is relative.
+    """
+
+    parameters: ca.SX
+    effects: ca.SX
+    shapes: ca.SX
+    numeric: bool
+    temperature_mean: Array | None = None
+
+    @classmethod
+    def numbers(
+        cls,
+        parameters: Array,
+        effects: Array,
+        shapes: Array,
+        temperature_mean: Array | None = None,
+    ) -> Values:
+        """Return constants.
+
+        ``parameters`` (10 n,): link parameters, SI; ``effects`` (m,): effect coefficients;
+        ``shapes`` (s,): shape parameters; ``temperature_mean`` (n,): mean temperature of the
+        training recordings, °C.
+        """
+        links, coefficients, shape = (ca.SX(ca.DM(x)) for x in (parameters, effects, shapes))
+        return cls(links, coefficients, shape, True, temperature_mean)
+
+    @classmethod
+    def symbols(cls, model: Model, temperature_mean: Array | None = None) -> Values:
+        """Return symbols in the sizes of a model."""
+        links = ca.SX.sym("parameters", 10 * model.n)
+        coefficients = ca.SX.sym("effects", len(model.columns))
+        shapes = ca.SX.sym("shapes", len(model.shapes))
+        return cls(links, coefficients, shapes, False, temperature_mean)
+
+    @property
+    def inputs(self) -> dict[str, ca.SX]:
+        """The symbols among them by name, those of size 0 left out."""
+        if self.numeric:
+            return {}
+        named = {"parameters": self.parameters, "effects": self.effects, "shapes": self.shapes}
+        return {name: symbol for name, symbol in named.items() if symbol.size1()}
+
+
+def geometry_inputs(robot: Robot) -> dict[str, ca.SX]:
+    """Return the symbols of a robot's geometry by name.
+
+    Raises `ModelError`: a symbol has the name of an input of the functions.
+    """
+    clash = [str(symbol) for symbol in robot.symbols if str(symbol) in INPUT_NAMES]
+    if clash:
+        raise ModelError(
+            f"robot {robot.name!r}: the symbol {clash[0]!r} has the name of an input of the "
+            "functions; expected another name"
+        )
+    return {str(symbol): symbol for symbol in robot.symbols}
+
+
+@dataclass(frozen=True, eq=False)
+class ArmInstant:
+    """A model at one instant; implements `lieid_casadi.effects.arm_effect.InstantModel`.
+
+    Attributes
+    ----------
+    robot : Robot
+    motion : Motion
+        Symbols q, q̇, q̈ (n,).
+    links, all_links : (10 n,)
+        Link parameters; the second set holds in any gravity.
+    load, torque : (n,)
+        Rigid torque, and rigid torque with all effects on single joints, N·m.
+    """
+
+    robot: Robot
+    motion: Motion
+    links: ca.SX
+    all_links: ca.SX
+    load: ca.SX
+    torque: ca.SX
+
+    @property
+    def gravity(self) -> ca.SX:
+        """Gravity (3,) in the base frame, m/s²."""
+        return ca.densify(constant(self.robot.gravity))
+
+    def rigid_beside(self, offset: ca.SX) -> ca.SX:
+        """Return the rigid torque (n,) at q + offset (n,), by the addition theorem."""
+        m, sin, cos = self.motion, ca.sin(offset), ca.cos(offset)
+        moved = Motion(
+            m.q + offset, m.sin * cos + m.cos * sin, m.cos * cos - m.sin * sin, m.dq, m.ddq
+        )
+        return recursion.inverse_dynamics(self.robot, moved, self.links)
+
+    def gravity_torque(self, gravity: ca.SX) -> ca.SX:
+        """Return the torque (n,) at rest in another gravity (3,), m/s²."""
+        return closed_form.gravity(self.robot, self.motion, self.all_links, gravity=gravity)
+
+    def jacobian(self) -> ca.SX:
+        """Return the tool's Jacobian (6, n), [ω; v], base axes."""
+        return closed_form.jacobian(self.robot, self.motion)
+
+    def tool_regressor(self) -> ca.SX:
+        """Return the rigid torque (n, 10) per link parameter of a body in the tool frame."""
+        body = ca.SX.sym("body", 10)
+        at_link = closed_form.seen_from_parent(tool_pose(self.robot), body)
+        last = regressor(self.robot, self.motion)[:, -10:]
+        return ca.mtimes(last, ca.jacobian(at_link, body))
+
+
+def arm_effect_columns(
+    model: Model, arm: ArmInstant, coefficients: ca.SX, *, measurement: bool
+) -> ca.SX:
+    """Return the columns (n, m) of effects on the whole arm or on the measurement; others are zero.
+
+    ``coefficients`` (m,): linear coefficients, numbers or symbols; ``measurement``: whether the
+    columns are those of effects on the measurement, else on the whole arm.
+    Raises `ModelError`: an effect on the measurement depends on the motion before the instant.
+    """
+    columns = ca.SX(model.n, len(model.columns))
+    first = 0
+    for p in model.placements:
+        last = first + len(p.effect.coefficients)
+        if isinstance(p.effect, ArmEffect) and p.effect.on_measurement == measurement:
+            if p.effect.needs_past:
+                raise ModelError(
+                    f"{p.label}: the measured torque depends on the motion before the instant; "
+                    "expected a model without this effect, or as_measured=False"
+                )
+            now = p.effect.instant_columns(arm, p.joint, coefficients[first:last])
+            if now is not None:
+                columns[:, first:last] = now
+        first = last
+    return columns
 
 
 class TorqueExpressions:

@@ -9,10 +9,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ModelError
-from lieid_casadi.expressions.instant import ArmInstant, arm_effect_columns
+from lieid_casadi.expressions.torque import ArmInstant, arm_effect_columns
 
 if TYPE_CHECKING:
     from lieid_casadi.identification.fit import Fit

@@ -11,8 +11,7 @@ import numpy as np
 
 from lieid_casadi.effects.deadband import Deadband
 from lieid_casadi.effects.signals import EffectSignals
-from lieid_casadi.expressions.inputs import Values
-from lieid_casadi.expressions.torque import TorqueExpressions
+from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot import Drive
 from lieid_casadi.simulation.play import Coordinates

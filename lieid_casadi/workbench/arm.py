@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.excitation.limits.link_geometry import capsules_of
 from lieid_casadi.excitation.limits.symbolic_limits import link_poses
 from lieid_casadi.expressions.frames import homogeneous

@@ -11,7 +11,7 @@ from real_arms import FINGERS, PANDA, TX40, UR10E, needs
 from robot.random_arms import random_arm, random_states, shift_to_axes, to_pinocchio
 
 from lieid_casadi.compiled import compile
-from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.model import Model
 from lieid_casadi.robot import Robot
 

@@ -1,5 +1,9 @@
 """The stacked matrices of Eqs. 4-5, against Pinocchio, the recursion and what is printed."""
 
+import importlib.util
+import sys
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
@@ -13,7 +17,13 @@ from dynamics.test_against_pinocchio import (
 )
 
 from lieid_casadi.dynamics import recursion
-from lieid_casadi.dynamics.stacked_form import stacked_matrices
+
+SCRIPT = Path(__file__).parents[2] / "examples" / "paper" / "stacked_form.py"
+spec = importlib.util.spec_from_file_location("paper_stacked_form", SCRIPT)
+module = importlib.util.module_from_spec(spec)
+sys.modules[spec.name] = module  # a dataclass looks its own module up
+spec.loader.exec_module(module)
+stacked_matrices = module.stacked_matrices
 
 SOME = ["panda", "panda_luo2024", "two_link", "random_0_of_2", "random_3_of_5", "random_7_of_9"]
 pytestmark = pytest.mark.parametrize("arm", SOME, indirect=True)
@@ -97,8 +107,7 @@ def test_equations_2_and_3_as_printed_need_both_corrections(arm, sign, inverse, 
 def newton_euler(robot, motion, parameters, *, sign, inverse):
     """Eqs. 2-3 on whole twists and wrenches."""
     from lieid_casadi.dynamics.closed_form import spatial_inertia
-    from lieid_casadi.dynamics.lie import adjoint, small_adjoint
-    from lieid_casadi.dynamics.motion_symbols import axes, relative_poses
+    from lieid_casadi.dynamics.lie import adjoint, axes, relative_poses, small_adjoint
 
     poses, xi = relative_poses(robot, motion), axes(robot)
     v, a = ca.SX(6, 1), ca.SX(np.concatenate([np.zeros(3), -robot.gravity]))

@@ -11,7 +11,7 @@ from lieid_casadi.compiled.kernel_functions import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.compiled.memory_states import states_along as compiled_states
 from lieid_casadi.exporters.c.export import export_c
-from lieid_casadi.expressions.memory import states_along
+from lieid_casadi.expressions.model_functions import states_along
 
 MODEL = lieid.Model(lieid.robots.two_link(), "presliding:1,presliding/lugre:2")
 BAD = 40

@@ -6,8 +6,7 @@ from scipy.integrate import solve_ivp
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.expressions.memory import states_along
-from lieid_casadi.expressions.model_functions import STEPS, ModelFunctions
+from lieid_casadi.expressions.model_functions import STEPS, ModelFunctions, states_along
 from lieid_casadi.recording import Processing, join
 
 ROBOT = lieid.robots.two_link()

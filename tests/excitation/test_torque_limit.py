@@ -9,7 +9,7 @@ from exporters.c_arms import made_fit
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation import Torque, excite

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.dynamics import recursion
-from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
+from lieid_casadi.dynamics.lie import Motion as Symbols
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.errors import ExcitationError

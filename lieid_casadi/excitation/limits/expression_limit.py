@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.dynamics import recursion
-from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.fitted_arm import FittedArm

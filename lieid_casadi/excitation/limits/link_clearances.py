@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.dynamics.lie import Motion as Symbols
 from lieid_casadi.dynamics.lie import Pose
-from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet, UncheckedSet
 from lieid_casadi.excitation.limits.symbolic_limits import SymbolicSet
 from lieid_casadi.robot.robot import Robot

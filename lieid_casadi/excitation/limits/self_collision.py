@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.dynamics.lie import Motion as Symbols
 from lieid_casadi.dynamics.lie import Pose
-from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
 from lieid_casadi.excitation.fitted_arm import FittedArm
 from lieid_casadi.excitation.limits.capsules import Capsule, skeleton
 from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet

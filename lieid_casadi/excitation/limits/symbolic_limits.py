@@ -10,9 +10,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.dynamics.lie import Pose, constant, cross, inverse_adjoint_times
-from lieid_casadi.dynamics.motion_symbols import Motion as Symbols
-from lieid_casadi.dynamics.motion_symbols import axes, relative_poses
+from lieid_casadi.dynamics.lie import Motion as Symbols
+from lieid_casadi.dynamics.lie import (
+    Pose,
+    axes,
+    constant,
+    cross,
+    inverse_adjoint_times,
+    relative_poses,
+)
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.basis.trajectory import MotionSamples
 from lieid_casadi.excitation.fitted_arm import FittedArm

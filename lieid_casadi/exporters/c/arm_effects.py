@@ -6,7 +6,7 @@ import casadi as ca
 
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ExportError
-from lieid_casadi.expressions.instant import ArmInstant
+from lieid_casadi.expressions.torque import ArmInstant
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import Model
 

@@ -12,16 +12,14 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
-from lieid_casadi.dynamics.motion_symbols import Motion
+from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.dynamics.regressor import regressor, slotine_li_regressor
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.exporters.c.arm_effects import with_arm_effects
 from lieid_casadi.expressions import forward_dynamics
 from lieid_casadi.expressions.frames import homogeneous
-from lieid_casadi.expressions.inputs import Values
-from lieid_casadi.expressions.instant import ArmInstant
-from lieid_casadi.expressions.torque import TorqueExpressions, with_body
+from lieid_casadi.expressions.torque import ArmInstant, TorqueExpressions, Values, with_body
 from lieid_casadi.identification.fit import Fit
 
 AGREEMENT = 1e-13  # of the torque with fewer parameters, relative; the self-test requires 1e-12

@@ -12,8 +12,7 @@ from lieid_casadi.exporters.c.expressions import ExportExpressions, ExportSymbol
 from lieid_casadi.exporters.c.numbers import DOUBLE, Precision
 from lieid_casadi.exporters.c.statements import FunctionBody, FunctionInput, body, each
 from lieid_casadi.expressions.forward_dynamics import obstacle
-from lieid_casadi.expressions.inputs import Values
-from lieid_casadi.expressions.torque import TorqueExpressions
+from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.identification.fit import Fit
 
 RIGID_ARGUMENTS = {  # function: its arguments before the result

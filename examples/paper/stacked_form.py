@@ -25,8 +25,15 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.dynamics.closed_form import spatial_inertia
-from lieid_casadi.dynamics.lie import adjoint, constant, small_adjoint
-from lieid_casadi.dynamics.motion_symbols import Motion, axes, relative_poses, tool_pose
+from lieid_casadi.dynamics.lie import (
+    Motion,
+    adjoint,
+    axes,
+    constant,
+    relative_poses,
+    small_adjoint,
+    tool_pose,
+)
 from lieid_casadi.robot.robot import Robot
 
 
