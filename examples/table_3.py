@@ -32,11 +32,10 @@ import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi.excitation import CartesianSpeed
-from lieid_casadi.excitation.basis.families import make
-from lieid_casadi.excitation.design_problem import ExcitationProblem
+from lieid_casadi.excitation.design import ExcitationProblem, make_design
 from lieid_casadi.excitation.excite import verification
-from lieid_casadi.excitation.make_design import make_design
-from lieid_casadi.excitation.solvers.staged_solve import solve
+from lieid_casadi.excitation.search import solve
+from lieid_casadi.excitation.trajectory import make
 
 CRITERIA = {"C1": "combined", "C2": "condition", "C3": "hadamard", "C4": "logdet"}
 FRICTION = "coulomb,viscous,offset,viscous_polynomial"

@@ -167,8 +167,7 @@ if TYPE_CHECKING:
         jerk_limit,
         workspace_box,
     )
-    from lieid_casadi.excitation.excitation import Excitation
-    from lieid_casadi.excitation.excite import excite
+    from lieid_casadi.excitation.excite import Excitation, excite
     from lieid_casadi.exporters.export import Export, export
     from lieid_casadi.expressions.symbolic import SymbolicDynamics, symbolic
     from lieid_casadi.friction_curves.friction import friction

@@ -26,7 +26,7 @@ from friction_runs import SWEEP_RATE, friction_runs
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.excitation import Torque
-from lieid_casadi.excitation.excitation import Excitation
+from lieid_casadi.excitation.excite import Excitation
 from lieid_casadi.excitation.friction_sweep import SPEEDS
 from lieid_casadi.friction_curves import (
     FrictionCurve,

@@ -13,7 +13,7 @@ from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.excitation import Excitation
-    from lieid_casadi.excitation.limits.symbolic_limits import Limit
+    from lieid_casadi.excitation.limits import Limit
     from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
 

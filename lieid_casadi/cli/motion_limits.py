@@ -11,7 +11,7 @@ from lieid_casadi.cli.option_types import InputPath, number
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
-    from lieid_casadi.excitation.limits.symbolic_limits import Limit
+    from lieid_casadi.excitation.limits import Limit
     from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
     from lieid_casadi.robot import Robot

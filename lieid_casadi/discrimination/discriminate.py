@@ -7,38 +7,33 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.discrimination.discrimination import Discrimination
-from lieid_casadi.discrimination.feasible_motions import FeasibleMotions, feasible_motions
-from lieid_casadi.discrimination.independent_samples import independent_rate
-from lieid_casadi.discrimination.rival_effects import RivalEffects
-from lieid_casadi.discrimination.separability import (
+from lieid_casadi.discrimination.motion_search import (
+    FeasibleMotions,
+    SearchedMotion,
+    best_starts,
+    feasible_motions,
+    independent_rate,
+    random_search,
+)
+from lieid_casadi.discrimination.rival_effects import (
+    RivalEffects,
     noncentrality,
     noncentrality_needed,
     rival_pairs,
     separable_pairs,
 )
-from lieid_casadi.discrimination.trajectory_search import (
-    SearchedMotion,
-    best_starts,
-    random_search,
-)
 from lieid_casadi.errors import ExcitationError, ModelError
-from lieid_casadi.excitation.fitted_arm import FittedArm
-from lieid_casadi.excitation.limits.default_limits import (
-    MARGIN,
-    checked_limits,
-    default_limits,
-    unchecked_limits,
-)
-from lieid_casadi.excitation.limits.joint_limits import motion_range
-from lieid_casadi.excitation.limits.symbolic_limits import Limit
+from lieid_casadi.excitation.checks import MARGIN, checked_limits, default_limits, unchecked_limits
+from lieid_casadi.excitation.limits import Limit, motion_range
+from lieid_casadi.excitation.sample_functions import FittedArm
 from lieid_casadi.identification import Fit
 from lieid_casadi.recording import Recording
 
-Array = NDArray[np.float64]
 TRIED = 12  # random motions from which separability and sizes are determined
 REFINED = 3  # of the best random motions
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.excitation.basis.trajectory import MotionSamples, Trajectory, period_grid
-from lieid_casadi.excitation.files import csv_text, limit_comments
+from lieid_casadi.arrays import Array
+from lieid_casadi.excitation.excite import csv_text, limit_comments
+from lieid_casadi.excitation.trajectory import MotionSamples, Trajectory, period_grid
 from lieid_casadi.model import Model
 from lieid_casadi.output_folder import write_folder
 from lieid_casadi.tables import html
@@ -20,8 +20,6 @@ from lieid_casadi.tables import html
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,8 +179,6 @@ class Discrimination:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the motion and the torque that each rival's refit leaves; not shown."""
-        from lieid_casadi.discrimination.discrimination_plot import plot_discrimination
-
         return plot_discrimination(self, ax)
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
@@ -218,3 +214,40 @@ class Discrimination:
 
     def __repr__(self) -> str:
         return f"<Discrimination of {' and '.join(self.sizes)}: {self.seconds:.4g} s>"
+
+
+def plot_discrimination(result: Discrimination, ax: Axes | None = None) -> Figure:
+    """Draw the torque that each rival's refit leaves, on the joint where it is largest.
+
+    Parameters
+    ----------
+    result : Discrimination
+    ax : Axes, optional
+        To draw into; by default a new figure, which also shows the motion.
+    """
+    from matplotlib.figure import Figure
+
+    figure: Figure
+    if ax is None:
+        figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+        upper, ax = figure.subplots(2, 1, sharex=True)
+        motion = result.motion(rate=100.0)
+        for j in range(result.model.n):
+            upper.plot(motion.t, motion.q[:, j], linewidth=1.2, label=f"q{j + 1}")
+        upper.set_ylabel("position, rad")
+        upper.legend(ncols=result.model.n, fontsize="small")
+    else:
+        figure = ax.get_figure(root=True)  # type: ignore[assignment]
+    for pair in result.pairs:
+        if pair.separable:
+            j = int(np.argmax(np.square(pair.residual).sum(axis=0)))
+            t = period_grid(result.trajectory.duration, len(pair.residual))
+            label = f"{pair.true}, not explained by {pair.rival} (joint {j + 1})"
+            ax.plot(t, pair.residual[:, j], linewidth=1.2, label=label)
+    ax.set_xlabel("time, s")
+    ax.set_ylabel("residual torque, N·m")
+    ax.set_title(
+        f"{result.seconds:.4g} s separate them with {100.0 * result.level:.4g} % confidence"
+    )
+    ax.legend(fontsize="small")
+    return figure

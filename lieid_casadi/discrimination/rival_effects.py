@@ -1,27 +1,92 @@
-"""Rival effects on a fit, and the torque of one that the refit of another leaves."""
+"""Rival effects on a fit, and how well a motion separates them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.discrimination.stacked_columns import StackedColumns, span_basis
+from lieid_casadi.discrimination.discrimination import RivalPair
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.placement import place
-from lieid_casadi.errors import EffectError
-from lieid_casadi.excitation.basis.trajectory import MotionSamples
+from lieid_casadi.errors import EffectError, NoSolution
+from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.identification.regression.shape_range import ShapeRange
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording
 
-Array = NDArray[np.float64]
+RANK_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class StackedColumns:
+    """Columns along a motion, the rows of all joints stacked and weighted.
+
+    The squared length of a vector is the noncentrality that one period contributes.
+
+    Attributes
+    ----------
+    common : (R, r)
+        Orthonormal basis of the base columns and of the effects that all rivals share.
+    columns : tuple of (G, R, c)
+        Of each rival, at the shape parameters of its grid.
+    """
+
+    common: Array
+    columns: tuple[Array, ...]
+
+    def outside_model(self, columns: Array) -> Array:
+        """Return the part of columns (R, c) outside the common span.
+
+        The projection is applied twice, against rounding.
+        """
+        for _ in range(2):
+            columns = columns - self.common @ (self.common.T @ columns)
+        return columns
+
+    @cached_property
+    def remaining_columns(self) -> tuple[tuple[Array, ...], ...]:
+        """Columns of each rival outside the common span, at each point of its grid."""
+        return tuple(tuple(self.outside_model(c) for c in each) for each in self.columns)
+
+    def unexplained(self, true: int, rival: int, coefficients: Array) -> Array:
+        """Return the weighted torque (R,) of one effect that the best refit of another leaves.
+
+        Parameters
+        ----------
+        true, rival : int
+            Indices of the effects.
+        coefficients : (c,)
+            Of the true effect.
+        """
+        torque = self.remaining_columns[true][0] @ coefficients
+        best: Array = torque
+        for own in self.remaining_columns[rival]:
+            scale = np.linalg.norm(own, axis=0)
+            basis = span_basis(own / np.where(scale > 0.0, scale, 1.0))
+            left = torque - basis @ (basis.T @ torque)
+            if left @ left < best @ best:
+                best = left
+        return best
+
+
+def span_basis(columns: Array) -> Array:
+    """Return an orthonormal basis of columns (R, k) of about unit length."""
+    basis, triangle, _ = qr(columns, mode="economic", pivoting=True)
+    sizes = np.abs(np.diag(triangle))
+    return np.asarray(basis[:, sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)])
+
+
 GRID = 25  # values of a shape parameter in a rival's refit; the square root for each of two
 FINE_GRID = 81  # the same for the result
 AT_REST = 2e-3  # relative to the velocity limit, below which friction is undetermined
@@ -270,3 +335,124 @@ def _grid(placement: Placement, own: Array, points: int = GRID) -> Array:
 def _flat(columns: Array, weight: Array) -> Array:
     """Return columns (N, n, k) as weighted rows (N n, k)."""
     return np.asarray((columns * weight[:, :, None]).reshape(-1, columns.shape[2]))
+
+
+ALIAS = 1e-6  # part of an effect below which no data can identify it; the diagnosis uses the same
+
+
+def noncentrality_needed(parameters: int, level: float) -> float:
+    """Return the noncentrality at which χ² rejects at 1 − level with probability level.
+
+    Parameters
+    ----------
+    parameters : int
+        Degrees of freedom.
+    level : float
+        0.5 to 1.
+    """
+    threshold = chi2.ppf(level, parameters)
+    return float(brentq(lambda x: ncx2.sf(threshold, parameters, x) - level, 1e-6, 1e3))
+
+
+def noncentrality(rivals: RivalEffects, stacked: StackedColumns, true: int, rival: int) -> float:
+    """Return the noncentrality of one period if one effect is true and the other is fitted.
+
+    Parameters
+    ----------
+    rivals : RivalEffects
+    stacked : StackedColumns
+        Along the period.
+    true, rival : int
+        Indices of the effects.
+    """
+    left = stacked.unexplained(true, rival, rivals.effects[true].coefficients)
+    return float(left @ left)
+
+
+def separable_pairs(rivals: RivalEffects, tried: Sequence[StackedColumns]) -> list[tuple[int, int]]:
+    """Return the pairs (true, rival) that some of the motions tried can separate.
+
+    Parameters
+    ----------
+    rivals : RivalEffects
+    tried : sequence of StackedColumns
+        Along several motions.
+
+    Raises
+    ------
+    NoSolution
+        An effect that the model absorbs, or two that are the same, along any motion.
+    """
+    for k, effect in enumerate(rivals.effects):
+        if max(_part_outside_model(stacked, k, rivals) for stacked in tried) < ALIAS:
+            raise NoSolution(
+                f"{effect.label}: other parameters of the model absorb it along any motion, so "
+                "that no data can identify it. Leave it out, or fix the parameters that absorb it"
+            )
+    separable = [
+        pair
+        for pair in rivals.pairs
+        if max(_remaining(rivals, stacked, *pair) for stacked in tried) >= ALIAS
+    ]
+    for a, b in rivals.pairs:
+        if (a, b) not in separable and (b, a) not in separable:
+            one, other = rivals.effects[a].label, rivals.effects[b].label
+            raise NoSolution(
+                f"{one} and {other} of these sizes explain the same torque along any motion, so "
+                "that no data can separate them. Leave one of them out, or state other sizes"
+            )
+    return separable
+
+
+def rival_pairs(
+    rivals: RivalEffects,
+    stacked: StackedColumns,
+    separable: Collection[tuple[int, int]],
+    *,
+    level: float,
+    samples: int,
+) -> tuple[RivalPair, ...]:
+    """Return the result for each pair along a motion.
+
+    Parameters
+    ----------
+    rivals : RivalEffects
+    stacked : StackedColumns
+        Along the motion.
+    separable : collection of (int, int)
+        Pairs (true, rival) that some motion can separate.
+    level : float
+    samples : int
+        N of the motion.
+    """
+    weight = rivals.torque_weight()
+    found = []
+    for pair in rivals.pairs:
+        true, other = (rivals.effects[k] for k in pair)
+        left = stacked.unexplained(*pair, true.coefficients)
+        found.append(
+            RivalPair(
+                true=true.label,
+                rival=other.label,
+                noncentrality=float(left @ left),
+                needed=noncentrality_needed(true.parameters, level),
+                remaining=_remaining(rivals, stacked, *pair),
+                separable=pair in separable,
+                residual=left.reshape(samples, -1) * np.sqrt(samples) / weight,
+            )
+        )
+    return tuple(found)
+
+
+def _part_outside_model(stacked: StackedColumns, index: int, rivals: RivalEffects) -> float:
+    """Return the part (0 to 1) of an effect's torque that the common model does not span."""
+    own = stacked.columns[index][0] @ rivals.effects[index].coefficients
+    left = stacked.outside_model(own[:, None])
+    return float(np.linalg.norm(left)) / max(float(np.linalg.norm(own)), 1e-300)
+
+
+def _remaining(rivals: RivalEffects, stacked: StackedColumns, true: int, rival: int) -> float:
+    """Return the part (0 to 1) of an effect's torque that the rival's refit leaves."""
+    own = stacked.columns[true][0] @ rivals.effects[true].coefficients
+    left = np.sqrt(noncentrality(rivals, stacked, true, rival))
+    return float(left / max(float(np.linalg.norm(own)), 1e-300))

@@ -1,27 +1,26 @@
 """Optimal excitation: trajectories that identify the parameters best, within stated limits."""
 
-from lieid_casadi.excitation.basis.families import Basis, BSpline, Fourier, ModifiedFourier
-from lieid_casadi.excitation.excitation import Excitation
-from lieid_casadi.excitation.excite import excite
-from lieid_casadi.excitation.friction_sweep import FrictionSweep, friction_sweep
-from lieid_casadi.excitation.limits.capsules import Capsule, enclosing, skeleton
-from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
-from lieid_casadi.excitation.limits.default_limits import default_limits
-from lieid_casadi.excitation.limits.expression_limit import (
-    ExpressionLimit,
-    Symbols,
-    jerk_limit,
-)
-from lieid_casadi.excitation.limits.link_geometry import capsules_of, load_capsules
-from lieid_casadi.excitation.limits.self_collision import SelfCollision
-from lieid_casadi.excitation.limits.symbolic_limits import CartesianSpeed, Limit
-from lieid_casadi.excitation.limits.torque_limit import Torque
-from lieid_casadi.excitation.limits.workspace import (
+from lieid_casadi.excitation.checks import default_limits
+from lieid_casadi.excitation.clearance import (
     Obstacle,
+    SelfCollision,
     Wall,
     floor,
     workspace_box,
 )
+from lieid_casadi.excitation.excite import Excitation, excite
+from lieid_casadi.excitation.friction_sweep import FrictionSweep, friction_sweep
+from lieid_casadi.excitation.limits import (
+    CartesianSpeed,
+    ConstraintSet,
+    ExpressionLimit,
+    Limit,
+    Symbols,
+    jerk_limit,
+)
+from lieid_casadi.excitation.links import Capsule, capsules_of, enclosing, load_capsules, skeleton
+from lieid_casadi.excitation.torque_limit import Torque
+from lieid_casadi.excitation.trajectory import Basis, BSpline, Fourier, ModifiedFourier
 
 __all__ = [
     "BSpline",

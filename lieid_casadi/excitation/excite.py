@@ -1,45 +1,304 @@
-"""``excite``: design of an optimal excitation trajectory for a model."""
+"""``excite``: design of an optimal excitation trajectory, and its result."""
 
 from __future__ import annotations
 
+import io
+import json
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
-from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.approach_motion import RestToRest, approach_motion
-from lieid_casadi.excitation.basis import families
-from lieid_casadi.excitation.basis.families import Basis, BasisName
-from lieid_casadi.excitation.basis.trajectory import period_grid
-from lieid_casadi.excitation.criteria.column_scaling import ScalingName
-from lieid_casadi.excitation.criteria.criterion import (
+from lieid_casadi.errors import ExcitationError, LieidWarning, NoSolution, warning_list
+from lieid_casadi.excitation.checks import MARGIN, checked_limits, unchecked_limits
+from lieid_casadi.excitation.criteria import (
     CriterionExpression,
     CriterionName,
+    ScalingName,
     criterion_name,
 )
-from lieid_casadi.excitation.criteria.design_model import design_model
-from lieid_casadi.excitation.criteria.quality import quality
-from lieid_casadi.excitation.design_problem import FINE, ExcitationProblem
-from lieid_casadi.excitation.excitation import ActiveLimit, Excitation, StartSummary, active_limits
-from lieid_casadi.excitation.fitted_arm import IdentifiedModel, model_and_fit
-from lieid_casadi.excitation.limits.default_limits import (
-    MARGIN,
-    checked_limits,
-    unchecked_limits,
+from lieid_casadi.excitation.design import FINE, ExcitationProblem, make_design
+from lieid_casadi.excitation.information import Quality, design_model, quality
+from lieid_casadi.excitation.limits import ConstraintSet, Limit, MotionRange
+from lieid_casadi.excitation.sample_functions import IdentifiedModel, model_and_fit
+from lieid_casadi.excitation.search import (
+    WARM_START,
+    IterationRecord,
+    OptimizedStart,
+    StartAttempt,
+    solve_all,
 )
-from lieid_casadi.excitation.limits.symbolic_limits import Limit
-from lieid_casadi.excitation.make_design import make_design
-from lieid_casadi.excitation.solvers.multi_start import StartAttempt, solve_all
-from lieid_casadi.excitation.solvers.staged_solve import WARM_START, OptimizedStart
+from lieid_casadi.excitation.trajectory import (
+    PEAK_ACCELERATION,
+    PEAK_VELOCITY,
+    Basis,
+    BasisName,
+    MotionSamples,
+    RestToRest,
+    Trajectory,
+    make,
+    period_grid,
+)
+from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
+from lieid_casadi.output_folder import write_folder
 from lieid_casadi.robot import Robot
+from lieid_casadi.tables import html as to_html
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class StartSummary:
+    """Result of one start; NaN where it found no trajectory. ``seed`` is None for a file."""
+
+    seed: int | None
+    condition_number: float
+    neg_log_det: float
+    seconds: float
+    first_condition_number: float
+
+
+@dataclass(frozen=True)
+class ActiveLimit:
+    """A limit that the motion comes within 1 % of: ``used``, 0 to 1, of ``quantity``."""
+
+    quantity: str
+    used: float
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """Result of :func:`lieid_casadi.excite`.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        One period.
+    periods : int
+    rest_pose : (n,)
+        Pose at which the whole motion begins and ends, rad.
+    approach : RestToRest
+        Motion from the rest pose to the start of the trajectory; at the end it runs backwards.
+    rate : float
+        Of the files, Hz.
+    samples : int
+        Of the criterion over one period.
+    quality : Quality
+        Condition number and singular values at the samples.
+    criterion, scaling : str
+    max_violation : float
+        Largest excess over any limit on a grid 20 times finer than the samples, in the limit's
+        unit; 0 if every limit holds.
+    active_limits : tuple of ActiveLimit
+        Limits that the motion comes within 1 % of, the closest first.
+    starts : tuple of StartSummary
+    history : tuple of IterationRecord
+        Of the best start.
+    build_seconds, solve_seconds : float
+        For derivation and compilation; for optimization and verification of all starts.
+    interrupted : bool
+        Whether the user interrupted the search; the trajectory is the best so far.
+    checked, unchecked : tuple of str
+        Limits that were checked, and limits that were not.
+    warnings : tuple of LieidWarning
+        Effects that the design could not take into account.
+    """
+
+    model: Model
+    trajectory: Trajectory
+    periods: int
+    rest_pose: Array
+    approach: RestToRest
+    rate: float
+    samples: int
+    quality: Quality
+    criterion: str
+    scaling: str
+    max_violation: float
+    active_limits: tuple[ActiveLimit, ...]
+    starts: tuple[StartSummary, ...]
+    history: tuple[IterationRecord, ...]
+    build_seconds: float
+    solve_seconds: float
+    interrupted: bool = False
+    checked: tuple[str, ...] = ()
+    unchecked: tuple[str, ...] = ()
+    warnings: tuple[LieidWarning, ...] = field(default=())
+
+    @property
+    def condition_number(self) -> float:
+        """σ₁/σ_r of the stacked full regressor (scaled according to ``scaling``)."""
+        return self.quality.condition_number
+
+    @property
+    def neg_log_det(self) -> float:
+        """−log det of the base regressor's Gram matrix, SI."""
+        return self.quality.neg_log_det
+
+    @property
+    def start(self) -> float:
+        """Time at which the periods of the trajectory begin, s."""
+        return self.approach.duration
+
+    @property
+    def end(self) -> float:
+        """Time at which they end, s."""
+        return self.start + self.periods * self.trajectory.duration
+
+    @property
+    def duration(self) -> float:
+        """Length of the whole motion, s."""
+        return self.end + self.approach.duration
+
+    def motion(self, rate: float | None = None) -> MotionSamples:
+        """Return samples of the whole motion at a rate in Hz."""
+        step = 1.0 / (self.rate if rate is None else rate)
+        count = int(np.floor(self.duration / step + 1e-9)) + 1
+        return self.at(step * np.arange(count, dtype=np.float64))
+
+    def at(self, t: Array) -> MotionSamples:
+        """Return the whole motion at times (N,) from 0 to ``duration``, s."""
+        time = np.asarray(t, dtype=float)
+        n = self.model.n
+        parts = np.zeros((4, len(time), n))
+        before, after = time < self.start, time > self.end
+        inside = ~(before | after)
+        phase = time[inside] - self.start
+        phase = phase - self.trajectory.duration * np.floor(
+            np.minimum(phase / self.trajectory.duration, self.periods - 1e-12)
+        )
+        for mask, part in (
+            (inside, self.trajectory.at(phase)),
+            (before, self.approach.at(time[before]) if before.any() else None),
+            (after, self._return_motion(time[after]) if after.any() else None),
+        ):
+            if part is not None:
+                parts[:, mask] = part.q, part.dq, part.ddq, part.dddq
+        return MotionSamples(time, *parts)
+
+    def _return_motion(self, time: Array) -> MotionSamples:
+        backwards = RestToRest(self.approach.end, self.approach.start, self.approach.duration)
+        return backwards.at(time - self.end)
+
+    @property
+    def coefficients(self) -> dict[str, Any]:
+        """The trajectory's coefficients; for the Fourier series those of Eq. 19."""
+        values = self.trajectory.coefficients
+        basis = self.trajectory.basis
+        result: dict[str, Any] = {"family": basis.name, "duration": basis.duration}
+        if basis.name == "fourier":
+            harmonics = (values.shape[1] - 1) // 2
+            result["base_frequency"] = 1.0 / basis.duration
+            result["q0"] = values[:, 0].tolist()
+            result["a"] = values[:, 1 : harmonics + 1].tolist()
+            result["b"] = values[:, harmonics + 1 :].tolist()
+        else:
+            result["values"] = values.tolist()
+        return result
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON of ``lieid excite``."""
+        rank = self.quality.rank
+        sizes = self.quality.singular_values
+        return {
+            "robot": self.model.robot.name,
+            "effects": self.model.effects,
+            "criterion": self.criterion,
+            "scaling": self.scaling,
+            "condition_number": self.condition_number,
+            "singular_values": {
+                "largest": float(sizes[0]),
+                "smallest": float(sizes[rank - 1]),
+                "beyond": float(sizes[rank]) if rank < len(sizes) else None,
+            },
+            "neg_log_det": self.neg_log_det,
+            "base_parameter_count": rank,
+            "start": self.start,
+            "end": self.end,
+            "duration": self.duration,
+            "periods": self.periods,
+            "samples": self.samples,
+            "rate": self.rate,
+            "rest_pose": self.rest_pose.tolist(),
+            "max_violation": self.max_violation,
+            "checked": list(self.checked),
+            "unchecked": list(self.unchecked),
+            "active_limits": [
+                {"quantity": limit.quantity, "used": limit.used} for limit in self.active_limits
+            ],
+            "weak": [
+                {
+                    "singular_value": w.singular_value,
+                    "parameters": [{"name": name, "share": share} for name, share in w.parameters],
+                }
+                for w in self.quality.weak
+            ],
+            "starts": [
+                {
+                    "seed": s.seed,
+                    "condition_number": number_or_none(s.condition_number),
+                    "neg_log_det": number_or_none(s.neg_log_det),
+                    "seconds": s.seconds,
+                }
+                for s in self.starts
+            ],
+            "solve_seconds": self.solve_seconds,
+            "build_seconds": self.build_seconds,
+            "interrupted": self.interrupted,
+            "coefficients": self.coefficients,
+            "warnings": warning_list(self.warnings),
+        }
+
+    def summary(self) -> str:
+        """Return a text summary: quality, active limits, weakest directions."""
+        return summary(self)
+
+    def plot(self, ax: None = None) -> Figure:
+        """Return a figure: positions within limits, path of the tool, history of the criterion."""
+        return plot(self)
+
+    def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
+        """Write trajectory, JSON, plot, text and ROS 2 message into a folder; return the files.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made if it does not exist; written as a whole or not at all.
+        force : bool
+            Replace what an earlier call wrote into it; other files are kept.
+
+        Raises
+        ------
+        OutputError
+            The folder has other content or cannot be written.
+        """
+        return save(self, Path(folder), force=force)
+
+    def _repr_html_(self) -> str:
+        return html(self)
+
+    def __repr__(self) -> str:
+        return (
+            f"Excitation({self.model.robot.name}, {self.duration:.4g} s, "
+            f"condition number {self.condition_number:.4g})"
+        )
+
+
+def active_limits(quantities: Sequence[tuple[str, float]]) -> tuple[ActiveLimit, ...]:
+    """Return the quantities that come within 1 % of their limits, the closest first."""
+    active = [ActiveLimit(name, used) for name, used in quantities if used > 0.99]
+    return tuple(sorted(active, key=lambda limit: -limit.used))
+
 
 MOST_ROWS = 10_000_000  # of a trajectory file
 
@@ -164,9 +423,7 @@ def excite(
     began = time.monotonic()
     model = model_and_fit(source)[0]
     chosen = (
-        families.make(basis, duration=duration, harmonics=harmonics)
-        if isinstance(basis, str)
-        else basis
+        make(basis, duration=duration, harmonics=harmonics) if isinstance(basis, str) else basis
     )
     duration = chosen.duration
     design = make_design(
@@ -271,3 +528,280 @@ def _start(attempt: StartAttempt) -> StartSummary:
     return StartSummary(
         seed, solution.condition_number, solution.neg_log_det, solution.seconds, first
     )
+
+
+def summary(excitation: Excitation) -> str:
+    """Return a few paragraphs: quality, reference, active limits, weakest directions."""
+    e, q = excitation, excitation.quality
+    unit = "SI" if e.scaling == "si" else f"columns scaled by {e.scaling}"
+    effects = ", ".join(e.model.effects) or "no effects"
+    random = [s.first_condition_number for s in e.starts if np.isfinite(s.first_condition_number)]
+    against = ""
+    if random:
+        against = (
+            f" Random starts had {np.median(random):.3g} after one iteration (median of "
+            f"{len(random)})."
+        )
+    lines = [
+        f"Excitation of {e.model.robot.name}: {e.duration:.4g} s, of which {e.start:.4g} to "
+        f"{e.end:.4g} s are the trajectory ({e.periods} × {e.trajectory.duration:.4g} s).",
+        f"Condition number {e.condition_number:.4g} (σ₁ {q.singular_values[0]:.4g}, "
+        f"σ_r {q.singular_values[q.rank - 1]:.4g} of the full regressor at {e.samples} samples, "
+        f"{unit}, {effects}); −log det {e.neg_log_det:.4g} for {q.rank} base parameters. "
+        f"Solved by Ipopt.{against}",
+        f"These limits are met on a grid 20 times finer than the samples (largest excess "
+        f"{e.max_violation:.1g}): {'; '.join(e.checked)}.",
+        f"Not checked: {'; '.join(e.unchecked)}.",
+    ]
+    if e.active_limits:
+        names = ", ".join(limit.quantity for limit in e.active_limits[:6])
+        more = f" and {len(e.active_limits) - 6} more" if len(e.active_limits) > 6 else ""
+        lines.append(f"Active limits: {names}{more}.")
+    weak = "; ".join(f"{w.text} (σ {w.singular_value:.3g})" for w in q.weak)
+    lines.append(f"Directions of the base parameters that change the torques least: {weak}.")
+    if e.interrupted:
+        lines.append("The search was interrupted; this is the best trajectory so far.")
+    lines += [f"! {warning}" for warning in e.warnings]
+    return "\n".join(lines)
+
+
+def html(excitation: Excitation) -> str:
+    """Return the summary as HTML paragraphs, for notebooks."""
+    return to_html(*summary(excitation).split("\n"))
+
+
+POINTS = 600
+
+
+def plot(excitation: Excitation) -> Figure:
+    """Return positions within limits, the path of the tool and the history of the criterion."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 7.5), layout="constrained")
+    grid = figure.add_gridspec(2, 2, width_ratios=[2.0, 1.0])
+    motion = excitation.at(np.linspace(0.0, excitation.duration, POINTS))
+    plot_positions(excitation, motion.t, motion.q, figure.add_subplot(grid[:, 0]))
+    plot_tool_path(excitation, motion.q, figure.add_subplot(grid[0, 1], projection="3d"))
+    plot_history(excitation, figure.add_subplot(grid[1, 1]))
+    figure.suptitle(
+        f"{excitation.model.robot.name}: condition number {excitation.condition_number:.4g}, "
+        f"{excitation.duration:.4g} s",
+        parse_math=False,  # "$" in a robot's name is no formula
+    )
+    return figure
+
+
+def plot_positions(excitation: Excitation, t: Array, q: Array, ax: Axes) -> None:
+    """Draw the position of each joint in parts of its range, one row per joint.
+
+    Parameters
+    ----------
+    excitation : Excitation
+    t : (N,)
+        s.
+    q : (N, n)
+        rad.
+    ax : Axes
+    """
+    robot = excitation.model.robot
+    low, high = robot.limit("position_lower"), robot.limit("position_upper")
+    low = np.where(np.isfinite(low), low, q.min(axis=0))
+    high = np.where(np.isfinite(high), high, q.max(axis=0))
+    for j in range(robot.n):
+        share = (q[:, j] - low[j]) / max(high[j] - low[j], 1e-9)
+        row = robot.n - 1 - j
+        ax.fill_between([t[0], t[-1]], row + 0.06, row + 0.94, color="0.93", linewidth=0)
+        ax.plot(t, row + 0.06 + 0.88 * share, linewidth=1.4)
+    for edge in {excitation.start, excitation.end} - {0.0, excitation.duration}:
+        ax.axvline(edge, color="0.4", linestyle=":", linewidth=1.0)
+    ax.set_yticks(np.arange(robot.n) + 0.5, [f"q{j}" for j in range(robot.n, 0, -1)])
+    ax.set_ylim(0.0, robot.n)
+    ax.set_xlim(t[0], t[-1])
+    ax.set_xlabel("time, s")
+    ax.set_title("positions; grey: range of the joint")
+
+
+def plot_tool_path(excitation: Excitation, q: Array, ax: Axes) -> None:
+    """Draw the path of the tool in the base frame.
+
+    Parameters
+    ----------
+    excitation : Excitation
+    q : (N, n)
+        rad.
+    ax : Axes
+        Three-dimensional.
+    """
+    path = tool_path(excitation, q)
+    ax.plot(*path.T, linewidth=1.0)
+    ax.plot(*path[:1].T, marker="o", markersize=5, linestyle="", color="black")
+    ax.set_title("tool, base frame (m); dot: rest pose")
+    ax.set_aspect("equal")
+
+
+def tool_path(excitation: Excitation, q: Array) -> Array:
+    """Return the positions of the tool (N, 3) in the base frame, m."""
+    import casadi as ca
+
+    from lieid_casadi.dynamics.lie import Motion
+    from lieid_casadi.dynamics.recursion import tool_in_base
+
+    angles = ca.SX.sym("q", excitation.model.n)
+    place = tool_in_base(excitation.model.robot, Motion.of(angles)).translation
+    function = ca.Function("tool", [angles], [ca.densify(place)])
+    return np.asarray(function(q.T).full().T)
+
+
+def plot_history(excitation: Excitation, ax: Axes) -> None:
+    """Draw the condition number over the iterations of the best start."""
+    history = excitation.history
+    numbers = np.array([step.condition_number for step in history])
+    inside = np.array([step.violation <= 1e-3 for step in history])
+    count = np.arange(1, len(history) + 1)
+    ax.semilogy(count, numbers, color="0.6", linewidth=1.0)
+    ax.semilogy(count[inside], numbers[inside], ".", markersize=3, label="within limits")
+    names = [step.stage for step in history]
+    changes = [k for k in range(1, len(names)) if names[k] != names[k - 1]]
+    for k in changes:
+        ax.axvline(k + 1, color="0.4", linestyle=":", linewidth=1.0)
+    ax.set_xlabel("iteration")
+    ax.set_title("condition number")
+    ax.legend(loc="upper right", fontsize="small")
+
+
+ROS_RATE = 100.0  # Hz; joint trajectory controllers interpolate with quintics between points
+
+
+def save(excitation: Excitation, folder: Path, *, force: bool) -> tuple[Path, ...]:
+    """Write all files of a design into a folder; see `write_folder`.
+
+    Parameters
+    ----------
+    excitation : Excitation
+    folder : Path
+    force : bool
+        Replace the files of an earlier design in the folder.
+    """
+    content = {"schema": 1} | excitation.to_dict()
+    motion = excitation.motion()
+    comments = limit_comments(excitation.checked, excitation.unchecked)
+    ros = excitation.motion(min(ROS_RATE, excitation.rate))
+    names = [joint.name for joint in excitation.model.robot.joints]
+    figure = io.BytesIO()
+    excitation.plot().savefig(figure, format="png", dpi=120)
+    files = {
+        "trajectory.csv": csv_text(motion, comments=comments).encode(),
+        "excitation.json": json.dumps(content, indent=1, ensure_ascii=False).encode(),
+        "joint_trajectory.yaml": joint_trajectory_yaml(ros, names).encode(),
+        "excitation.png": figure.getvalue(),
+        "summary.txt": (excitation.summary() + "\n").encode(),
+    }
+    return write_folder(folder, files, force=force)
+
+
+def limit_comments(checked: Sequence[str], unchecked: Sequence[str]) -> tuple[str, ...]:
+    """Return the comments of ``trajectory.csv``: limits that were checked, and that were not."""
+    return tuple(
+        f"{state}: {name}"
+        for state, names in (("checked", checked), ("not checked", unchecked))
+        for name in names
+    )
+
+
+def csv_text(motion: MotionSamples, *, comments: Sequence[str] = ()) -> str:
+    """Return t, q1 … qn, dq1 … dqn, ddq1 … ddqn, one row per sample; 12 digits.
+
+    Comments precede the header, each in a line that begins with ``#``.
+    """
+    n = motion.q.shape[1]
+    names = [f"{kind}{j + 1}" for kind in ("q", "dq", "ddq") for j in range(n)]
+    table = np.column_stack([motion.t, motion.q, motion.dq, motion.ddq])
+    row = ",".join(["%.12g"] * table.shape[1]) + "\n"
+    return (
+        "".join(f"# {comment}\n" for comment in comments)
+        + ",".join(["t", *names])
+        + "\n"
+        + "".join(row % tuple(values) for values in table.tolist())
+    )
+
+
+def joint_trajectory_yaml(motion: MotionSamples, names: list[str]) -> str:
+    """Return a ``trajectory_msgs/msg/JointTrajectory`` as ``ros2 topic pub`` reads it."""
+    lines = ["joint_names: [" + ", ".join(json.dumps(name) for name in names) + "]", "points:"]
+    for k, t in enumerate(motion.t):
+        seconds = int(np.floor(t + 5e-10))
+        nanoseconds = max(0, round((t - seconds) * 1e9))
+        lines += [
+            f"- positions: {_numbers(motion.q[k])}",
+            f"  velocities: {_numbers(motion.dq[k])}",
+            f"  accelerations: {_numbers(motion.ddq[k])}",
+            f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(values: np.ndarray) -> str:
+    # "1e-05" is text in YAML 1.1; with a point it is a number
+    return "[" + ", ".join(f"{value:.9f}" for value in values.tolist()) + "]"
+
+
+SLOWER = 1.05  # on the shortest duration that the joint limits permit
+DURATIONS = (1.0, 1.5, 2.5, 4.0)  # that are tried, in parts of the shortest
+GRID = 400  # samples of the verification
+
+
+def approach_motion(
+    rest: Array,
+    start: Array,
+    limits: MotionRange,
+    sets: Sequence[ConstraintSet],
+    *,
+    step: float = 1e-3,
+) -> RestToRest:
+    """Return a motion from the rest pose to the start of the trajectory, within all limits.
+
+    Parameters
+    ----------
+    rest, start : (n,)
+        Poses, rad.
+    limits : MotionRange
+    sets : sequence of ConstraintSet
+        Verified at 400 samples.
+    step : float
+        The duration is a multiple of it, s, so that the last sample is at rest.
+
+    Raises
+    ------
+    NoSolution
+        Names the limit that the straight joint-space motion violates at every speed.
+    """
+    distance = np.abs(start - rest)
+    if not distance.max() > 1e-9:
+        return RestToRest(rest, start, 0.0)
+    shortest = SLOWER * max(
+        float(np.max(PEAK_VELOCITY * distance / limits.velocity)),
+        float(np.max(np.sqrt(PEAK_ACCELERATION * distance / limits.acceleration))),
+    )
+    violated = ""
+    for factor in DURATIONS:
+        path = RestToRest(rest, start, float(np.ceil(factor * shortest / step)) * step)
+        violated = _violated_limit(path, sets)
+        if not violated:
+            return path
+    raise NoSolution(
+        f"the motion from the rest pose to the start of the trajectory violates a limit: "
+        f"{violated}; choose another start pose (--start-pose), or leave out --free-start"
+    )
+
+
+def _violated_limit(path: RestToRest, sets: Sequence[ConstraintSet]) -> str:
+    motion = path.at(np.linspace(0.0, path.duration, GRID))
+    for limits in sets:
+        excess = limits.excess(limits.values(motion))
+        k, sample = np.unravel_index(int(np.argmax(excess)), excess.shape)
+        if excess[k, sample] > 0.0:
+            return (
+                f"{limits.labels[k]} by {excess[k, sample]:.3g} {limits.units[k]} "
+                f"at {motion.t[sample]:.3g} s"
+            )
+    return ""

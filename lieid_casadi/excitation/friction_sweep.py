@@ -1,37 +1,115 @@
-"""Constant-speed runs of one joint, forward and backward over the same positions (6.4.2).
-
-Half the difference of the torques of both directions at a position is the friction (Eq. 15).
-"""
+"""Parts of a friction sweep: runs at constant speed, and the path that they compose."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.approach_motion import PEAK_ACCELERATION, PEAK_VELOCITY, RestToRest
-from lieid_casadi.excitation.basis.trajectory import MotionSamples
-from lieid_casadi.excitation.constant_speed_run import ConstantSpeedRun, MotionPath
-from lieid_casadi.excitation.fitted_arm import IdentifiedModel, model_and_fit
-from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
-from lieid_casadi.excitation.limits.default_limits import (
-    MARGIN,
-    checked_limits,
-    default_limits,
-    unchecked_limits,
+from lieid_casadi.excitation.checks import MARGIN, checked_limits, default_limits, unchecked_limits
+from lieid_casadi.excitation.design import RANGE_USED, find_start_pose
+from lieid_casadi.excitation.limits import (
+    ConstraintSet,
+    Limit,
+    MotionRange,
+    check_start_pose,
+    motion_range,
+    sets_of,
 )
-from lieid_casadi.excitation.limits.joint_limits import MotionRange, check_start_pose, motion_range
-from lieid_casadi.excitation.limits.start_pose import RANGE_USED, find_start_pose
-from lieid_casadi.excitation.limits.symbolic_limits import Limit, sets_of
+from lieid_casadi.excitation.sample_functions import IdentifiedModel, model_and_fit
+from lieid_casadi.excitation.trajectory import (
+    PEAK_ACCELERATION,
+    PEAK_VELOCITY,
+    MotionSamples,
+    RestToRest,
+)
 from lieid_casadi.model import Model
 from lieid_casadi.robot import Robot
 
-Array = NDArray[np.float64]
+
+@dataclass(frozen=True)
+class ConstantSpeedRun:
+    """From rest to rest: a smooth ramp up to ``speed``, a steady part, a ramp down (s)."""
+
+    speed: float
+    ramp: float
+    steady: float
+
+    @property
+    def travel(self) -> float:
+        """Distance of the run, rad."""
+        return self.speed * (self.steady + self.ramp)
+
+    @property
+    def duration(self) -> float:
+        """Time from rest to rest, s."""
+        return 2.0 * self.ramp + self.steady
+
+    def at(self, t: Array) -> Array:
+        """Return distance, speed and acceleration (3, N) since the start of the run."""
+        up = np.clip(t / self.ramp, 0.0, 1.0)
+        down = np.clip((t - self.ramp - self.steady) / self.ramp, 0.0, 1.0)
+        distance = self.ramp * (_smooth_step_integral(up) + down - _smooth_step_integral(down))
+        distance = distance + np.clip(t - self.ramp, 0.0, self.steady)
+        slope = (_smooth_step_slope(up) - _smooth_step_slope(down)) / self.ramp
+        return np.asarray(
+            self.speed * np.stack([distance, _smooth_step(up) - _smooth_step(down), slope])
+        )
+
+
+def _smooth_step(u: Array) -> Array:
+    return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
+
+
+def _smooth_step_integral(u: Array) -> Array:
+    return np.asarray(u**4 * (2.5 - 3.0 * u + u**2))
+
+
+def _smooth_step_slope(u: Array) -> Array:
+    return np.asarray(30.0 * u**2 * (1.0 - u) ** 2)
+
+
+@dataclass
+class MotionPath:
+    """Position, speed and acceleration of one joint, composed part by part."""
+
+    rate: float
+    time: float = 0.0
+    position: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.times = [np.zeros(1)]
+        self.distances = [np.zeros((3, 1))]
+
+    def add(self, duration: float, distance: Callable[[Array], Array], sign: float = 1.0) -> None:
+        """Append a part that moves by ``sign * distance(t)`` from the end of the path.
+
+        Parameters
+        ----------
+        duration : float
+            s.
+        distance : callable
+            Times (K,) since the start of the part, s → distance and its first two time
+            derivatives, rad, rad/s and rad/s².
+        sign : float
+            Direction, 1 or −1.
+        """
+        count = max(2, round(duration * self.rate))
+        local = duration * np.arange(1, count + 1) / count
+        part = sign * distance(local)
+        part[0] += self.position
+        self.times.append(self.time + local)
+        self.distances.append(part)
+        self.time += duration
+        self.position = float(part[0, -1])
+
+
 SPEEDS = np.deg2rad(
     [
         0.1, 0.2, 0.4, 0.5, 0.8, 1, 1.2, 1.5, 1.6, 1.8, 2, 2.2, 2.5, 2.8,
@@ -92,7 +170,7 @@ class FrictionSweep:
         """Return the content of ``friction_sweep_qJ.csv`` and ``.json`` by name."""
         import json
 
-        from lieid_casadi.excitation.files import csv_text, limit_comments
+        from lieid_casadi.excitation.excite import csv_text, limit_comments
 
         name = f"friction_sweep_q{self.joint + 1}"
         table = csv_text(self.motion, comments=limit_comments(self.checked, self.unchecked))

@@ -13,8 +13,8 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics.lie import Motion
-from lieid_casadi.excitation.limits.link_geometry import capsules_of
-from lieid_casadi.excitation.limits.symbolic_limits import link_poses
+from lieid_casadi.excitation.limits import link_poses
+from lieid_casadi.excitation.links import capsules_of
 from lieid_casadi.expressions.frames import homogeneous
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot

@@ -15,12 +15,10 @@ from excitation_peer import Peer, first_time, run_slsqp
 import lieid_casadi as lieid
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation import CartesianSpeed, SelfCollision, Torque, capsules_of, floor
-from lieid_casadi.excitation.basis.families import make
-from lieid_casadi.excitation.design_problem import FINE, ExcitationProblem
+from lieid_casadi.excitation.design import FINE, ExcitationProblem, make_design, random_start
 from lieid_casadi.excitation.excite import verification
-from lieid_casadi.excitation.make_design import make_design
-from lieid_casadi.excitation.solvers.random_start import random_start
-from lieid_casadi.excitation.solvers.staged_solve import solve
+from lieid_casadi.excitation.search import solve
+from lieid_casadi.excitation.trajectory import make
 
 UR10E = Path(__file__).parents[3] / "shared" / "recordings" / "ur10e" / "ur10e.urdf"
 SPEED = 1.0  # m/s

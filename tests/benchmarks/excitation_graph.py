@@ -15,11 +15,9 @@ import casadi as ca
 import numpy as np
 
 import lieid_casadi as lieid
-from lieid_casadi.excitation.basis.families import make
-from lieid_casadi.excitation.design_problem import ExcitationProblem
-from lieid_casadi.excitation.make_design import make_design
-from lieid_casadi.excitation.solvers.random_start import random_start
-from lieid_casadi.excitation.solvers.staged_solve import solve
+from lieid_casadi.excitation.design import ExcitationProblem, make_design, random_start
+from lieid_casadi.excitation.search import solve
+from lieid_casadi.excitation.trajectory import make
 
 STARTS = 5
 ITERATIONS = 200

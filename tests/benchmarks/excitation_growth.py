@@ -14,10 +14,9 @@ import numpy as np
 from arms import panda, six_joints, twelve_joints
 
 import lieid_casadi as lieid
-from lieid_casadi.excitation.basis.families import make
-from lieid_casadi.excitation.design_problem import ExcitationProblem
-from lieid_casadi.excitation.make_design import make_design
-from lieid_casadi.excitation.solvers.staged_solve import solve
+from lieid_casadi.excitation.design import ExcitationProblem, make_design
+from lieid_casadi.excitation.search import solve
+from lieid_casadi.excitation.trajectory import make
 from lieid_casadi.robot import Limits
 
 STARTS = 5

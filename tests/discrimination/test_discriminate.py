@@ -9,8 +9,8 @@ from scipy.stats import chi2, ncx2
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.discrimination import discriminate
-from lieid_casadi.discrimination.independent_samples import correlation_sum
-from lieid_casadi.discrimination.separability import noncentrality_needed
+from lieid_casadi.discrimination.motion_search import correlation_sum
+from lieid_casadi.discrimination.rival_effects import noncentrality_needed
 from lieid_casadi.errors import EffectError, NoSolution
 from lieid_casadi.excitation import Torque
 

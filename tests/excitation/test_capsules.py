@@ -15,13 +15,13 @@ from lieid_casadi.excitation import (
     excite,
     load_capsules,
 )
-from lieid_casadi.excitation.basis.trajectory import MotionSamples
-from lieid_casadi.excitation.limits.capsules import (
+from lieid_casadi.excitation.clearance import covering_balls
+from lieid_casadi.excitation.links import (
     enclosing_all,
     segment_distance_to_points,
     skeleton,
 )
-from lieid_casadi.excitation.limits.workspace import covering_balls
+from lieid_casadi.excitation.trajectory import MotionSamples
 
 
 def outside(capsule, points):

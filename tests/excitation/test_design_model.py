@@ -6,9 +6,8 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi.errors import NotCountedWarning
 from lieid_casadi.excitation import excite
-from lieid_casadi.excitation.basis.trajectory import MotionSamples
-from lieid_casadi.excitation.criteria.design_model import design_model
-from lieid_casadi.excitation.criteria.information_matrix import InformationMatrix
+from lieid_casadi.excitation.information import InformationMatrix, design_model
+from lieid_casadi.excitation.trajectory import MotionSamples
 
 ROBOT = lieid.robots.two_link()
 

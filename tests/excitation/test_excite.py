@@ -16,7 +16,7 @@ from lieid_casadi.excitation import (
     excite,
     floor,
 )
-from lieid_casadi.excitation.limits.capsules import Capsule
+from lieid_casadi.excitation.links import Capsule
 from lieid_casadi.plant.rigid import build_pinocchio
 
 PANDA = lieid.robots.panda()

@@ -14,10 +14,9 @@ from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation import ExpressionLimit, excite, jerk_limit
-from lieid_casadi.excitation.basis.families import BSpline
-from lieid_casadi.excitation.basis.trajectory import MotionSamples
-from lieid_casadi.excitation.criteria.criterion import ExpressionCriterion, LogDet
-from lieid_casadi.excitation.fitted_arm import FittedArm
+from lieid_casadi.excitation.criteria import ExpressionCriterion, LogDet
+from lieid_casadi.excitation.sample_functions import FittedArm
+from lieid_casadi.excitation.trajectory import BSpline, MotionSamples
 from lieid_casadi.plant.rigid import build_pinocchio
 
 ROBOT = lieid.robots.two_link()

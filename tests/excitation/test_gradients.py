@@ -13,9 +13,7 @@ from lieid_casadi.excitation import (
     Wall,
     capsules_of,
 )
-from lieid_casadi.excitation.basis.families import make
-from lieid_casadi.excitation.basis.trajectory import MotionSamples
-from lieid_casadi.excitation.criteria.criterion import (
+from lieid_casadi.excitation.criteria import (
     NAMES,
     AOptimal,
     Condition,
@@ -25,10 +23,9 @@ from lieid_casadi.excitation.criteria.criterion import (
     UnitNormColumns,
     stages,
 )
-from lieid_casadi.excitation.criteria.information_matrix import InformationMatrix
-from lieid_casadi.excitation.design_problem import ExcitationProblem
-from lieid_casadi.excitation.make_design import make_design
-from lieid_casadi.excitation.solvers.random_start import random_start
+from lieid_casadi.excitation.design import ExcitationProblem, make_design, random_start
+from lieid_casadi.excitation.information import InformationMatrix
+from lieid_casadi.excitation.trajectory import MotionSamples, make
 
 STEP = 1e-6
 

@@ -8,13 +8,11 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.excitation import Torque, excite
-from lieid_casadi.excitation.basis.families import make
-from lieid_casadi.excitation.criteria.objective_value import ObjectiveValue
-from lieid_casadi.excitation.design_problem import ExcitationProblem
-from lieid_casadi.excitation.make_design import make_design
-from lieid_casadi.excitation.solvers.ipopt import Ipopt
-from lieid_casadi.excitation.solvers.nonlinear_program import run_ipopt
-from lieid_casadi.excitation.solvers.staged_solve import solve
+from lieid_casadi.excitation.criteria import ObjectiveValue
+from lieid_casadi.excitation.design import ExcitationProblem, make_design
+from lieid_casadi.excitation.ipopt import Ipopt, run_ipopt
+from lieid_casadi.excitation.search import solve
+from lieid_casadi.excitation.trajectory import make
 from lieid_casadi.plant.rigid import build_pinocchio
 
 PANDA = lieid.robots.panda()
@@ -209,7 +207,7 @@ def test_exceptions_of_callbacks_are_raised_after_ipopt(failure, where, capfd):
 
 
 def test_an_interrupt_while_casadi_prepares(monkeypatch):
-    import lieid_casadi.excitation.solvers.nonlinear_program as module
+    import lieid_casadi.excitation.ipopt as module
 
     def interrupted(self):
         raise KeyboardInterrupt

@@ -13,8 +13,8 @@ from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation import Torque, excite
-from lieid_casadi.excitation.basis.trajectory import MotionSamples
-from lieid_casadi.excitation.fitted_arm import FittedArm
+from lieid_casadi.excitation.sample_functions import FittedArm
+from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.plant.inertias import perturbed_inertias
 from lieid_casadi.robot.drive import Drive
 

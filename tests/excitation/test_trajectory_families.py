@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from lieid_casadi.errors import ExcitationError
-from lieid_casadi.excitation.basis.families import Fourier, make
-from lieid_casadi.excitation.basis.trajectory import (
+from lieid_casadi.excitation.trajectory import (
+    Fourier,
     Parametrization,
     SampledBasis,
     Trajectory,
+    make,
     null_space,
 )
 

@@ -87,13 +87,12 @@ def test_methods_and_criteria_have_literal_types():
     """A type checker refuses other names, and the command line has the same ones."""
     from lieid_casadi.cli import excite as excite_command
     from lieid_casadi.cli.identify import METHODS
-    from lieid_casadi.excitation.basis import families
-    from lieid_casadi.excitation.criteria import criterion
+    from lieid_casadi.excitation import criteria, trajectory
     from lieid_casadi.identification.identify import Method
 
     assert set(get_args(Method)) == set(METHODS)
-    assert get_args(criterion.CriterionName) == criterion.NAMES == excite_command.CRITERIA
-    assert get_args(families.BasisName) == excite_command.BASES
+    assert get_args(criteria.CriterionName) == criteria.NAMES == excite_command.CRITERIA
+    assert get_args(trajectory.BasisName) == excite_command.BASES
     for function, name, annotation in (
         (lieid.identify, "method", "Method"),
         (lieid.diagnose, "method", "Method"),

@@ -5,20 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.excitation.fitted_arm import FittedArm
-from lieid_casadi.excitation.limits.capsules import Capsule, skeleton
-from lieid_casadi.excitation.limits.expression_limit import ExpressionLimit
-from lieid_casadi.excitation.limits.joint_limits import MotionRange
-from lieid_casadi.excitation.limits.link_geometry import capsules_of
-from lieid_casadi.excitation.limits.self_collision import SelfCollision
-from lieid_casadi.excitation.limits.symbolic_limits import CartesianSpeed, Limit
-from lieid_casadi.excitation.limits.torque_limit import Torque, torque_limits
-from lieid_casadi.excitation.limits.workspace import Wall, floor
+from lieid_casadi.arrays import Array
+from lieid_casadi.excitation.clearance import SelfCollision, Wall, floor
+from lieid_casadi.excitation.limits import CartesianSpeed, ExpressionLimit, Limit, MotionRange
+from lieid_casadi.excitation.links import Capsule, capsules_of, skeleton
+from lieid_casadi.excitation.sample_functions import FittedArm
+from lieid_casadi.excitation.torque_limit import Torque, torque_limits
 from lieid_casadi.robot.robot import Robot
 
-Array = NDArray[np.float64]
 MARGIN = 0.8  # part of the velocity and torque limits that a design uses
 TOOL_SPEED = 1.5  # m/s
 FLOOR = 0.0  # m, base frame

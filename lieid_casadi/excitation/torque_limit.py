@@ -6,24 +6,25 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics import recursion
 from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.errors import ExcitationError
-from lieid_casadi.excitation.basis.trajectory import MotionSamples
-from lieid_casadi.excitation.fitted_arm import FittedArm
-from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
-from lieid_casadi.excitation.limits.symbolic_limits import SymbolicSet
-from lieid_casadi.excitation.sample_functions import SampleKernel, reverse_derivative
+from lieid_casadi.excitation.limits import ConstraintSet, SymbolicSet
+from lieid_casadi.excitation.sample_functions import (
+    SIGN_WIDTH,
+    FittedArm,
+    SampleKernel,
+    reverse_derivative,
+)
+from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.robot.robot import Robot
 
-Array = NDArray[np.float64]
 DRY_FRICTION = 0.1  # of the torque limit: allowance where no fit is given
 VISCOUS_FRICTION = 0.4  # of the torque limit at the velocity limit: the same
 DEVIATIONS = 2.0  # standard deviations of the fit's torque that are added
-SIGN_WIDTH = 0.01  # of the velocity limit: half width of the smooth bounds of sgn(q̇)
 LEAST_DEVIATION = 1e-9  # N·m; keeps the derivative of the deviation finite
 SHIFTS = (1.0, -1.0)  # of the smooth bounds, in parts of their width
 REMEDY = "a longer duration, lower acceleration limits or another start pose"

@@ -1,34 +1,36 @@
-"""Motions within limits, from which the search for the best one chooses."""
+"""Motions within limits, and the search for the best of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.basis import families
-from lieid_casadi.excitation.basis.trajectory import (
-    MotionSamples,
-    Parametrization,
-    SampledBasis,
-    period_grid,
-)
-from lieid_casadi.excitation.design_problem import FINE
-from lieid_casadi.excitation.fitted_arm import FittedArm
-from lieid_casadi.excitation.limits.constraint_sets import ConstraintSet
-from lieid_casadi.excitation.limits.joint_limits import (
+from lieid_casadi.excitation.design import FINE, check_at_rest, find_start_pose
+from lieid_casadi.excitation.limits import (
+    ConstraintSet,
+    Limit,
     MotionRange,
     check_duration,
     check_start_pose,
+    sets_of,
 )
-from lieid_casadi.excitation.limits.start_pose import check_at_rest, find_start_pose
-from lieid_casadi.excitation.limits.symbolic_limits import Limit, sets_of
+from lieid_casadi.excitation.sample_functions import FittedArm
+from lieid_casadi.excitation.trajectory import (
+    MotionSamples,
+    Parametrization,
+    SampledBasis,
+    make,
+    period_grid,
+)
+from lieid_casadi.identification import Fit
+from lieid_casadi.recording import Recording, process
 
-Array = NDArray[np.float64]
 SAMPLES = 200  # fewest of the criterion over a period, where the number is not given
 COARSE = 4  # points per sample of the criterion, on which limits are checked during the search
 USED = 0.998  # part of each limit that is used
@@ -172,7 +174,7 @@ def feasible_motions(
         of the limits.
     """
     robot = fit.model.robot
-    basis = families.make("fourier", duration=duration, harmonics=harmonics)
+    basis = make("fourier", duration=duration, harmonics=harmonics)
     if samples is None:
         samples = max(SAMPLES, 8 * basis.size)
     if samples < 4 * basis.size:
@@ -188,3 +190,124 @@ def feasible_motions(
         check_at_rest(pose, every)
     parametrization = Parametrization(basis, pose, True, joints.units)
     return FeasibleMotions(parametrization, joints, sets, samples, left_out)
+
+
+GROWTH = 1.5  # of the step after a success
+INITIAL_STEP, SMALLEST_STEP = 0.3, 1e-3  # relative to the RMS of z
+
+
+@dataclass(frozen=True, eq=False)
+class SearchedMotion:
+    """The best motion that a search found.
+
+    Attributes
+    ----------
+    z : (m,)
+    value : float
+        Of the criterion.
+    evaluations : int
+    interrupted : bool
+        Whether Ctrl-C ended the search.
+    """
+
+    z: Array
+    value: float
+    evaluations: int
+    interrupted: bool = False
+
+
+def random_search(
+    criterion: Callable[[Array], float],
+    feasible: FeasibleMotions,
+    start: Array,
+    *,
+    evaluations: int,
+    random: np.random.Generator,
+) -> SearchedMotion:
+    """Improve a motion by random steps; Ctrl-C keeps the best motion so far.
+
+    A (1+1) evolution strategy with the one-fifth rule (Rechenberg 1973). A step of all joints or
+    of one joint is kept if the criterion increases. Steps grow after a success and shrink after a
+    failure. They are reset once they are small, since a criterion that is the minimum over
+    several pairs has ridges, on which steps shrink without convergence. The optimum is local.
+
+    Parameters
+    ----------
+    criterion : callable
+        To be maximized, of z (m,).
+    feasible : FeasibleMotions
+    start : (m,)
+    evaluations : int
+        Of the criterion.
+    random : numpy.random.Generator
+    """
+    n = feasible.parametrization.n
+    best, highest, step = start, -np.inf, INITIAL_STEP
+    used = 0
+    try:
+        highest = criterion(start)
+        used = 1
+        while used < evaluations:
+            move = random.standard_normal((n, len(best) // n))
+            if n > 1 and random.random() < 0.5:
+                only = np.zeros((n, 1))
+                only[random.integers(n)] = 1.0
+                move = move * only
+            size = np.sqrt(np.mean(best**2))
+            z = feasible.within(best + step * size * np.ravel(move))
+            reached = criterion(z)
+            used += 1
+            if reached > highest:
+                best, highest, step = z, reached, min(step * GROWTH, 1.0)
+            else:
+                step = step * GROWTH**-0.25 if step > SMALLEST_STEP else INITIAL_STEP
+    except KeyboardInterrupt:
+        return SearchedMotion(best, highest, used, interrupted=True)
+    return SearchedMotion(best, highest, used)
+
+
+def best_starts(values: Sequence[float], count: int) -> list[int]:
+    """Return the indices of the largest values, largest first."""
+    return [int(k) for k in np.argsort(values)[::-1][:count]]
+
+
+def independent_rate(fit: Fit, recordings: Sequence[Recording]) -> Array:
+    """Return the independent samples per second of each joint's residual (n,).
+
+    A residual with the autocorrelations ρ_k at lags of h s has as much information as
+    1/(h·(1 + 2·Σρ_k)) independent samples per second. The sum ends where the correlogram first
+    falls below zero. The result is at most twice the cut-off frequency of the fit's filter.
+
+    Parameters
+    ----------
+    fit : Fit
+    recordings : sequence of Recording
+        Along which the residual is computed; without any, twice the cut-off is returned.
+    """
+    cutoff = fit.processing.cutoff
+    assert cutoff is not None
+    rates = np.full(fit.model.n, 2.0 * cutoff)
+    for recording in recordings:
+        fit.check_joints(recording)
+        for segment in process(recording, fit.processing):
+            if segment.tau is None:
+                continue
+            residual = segment.filter(segment.tau) - fit.predict_processed(segment)
+            step = (segment.kept.step or 1) / segment.rate
+            own = [1.0 / (step * correlation_sum(e)) for e in residual.T]
+            rates = np.minimum(rates, own)
+    return rates
+
+
+def correlation_sum(residual: Array) -> float:
+    """Return 1 + 2·Σρ_k of a residual (M,), at least 1."""
+    centred = residual - residual.mean()
+    size = len(centred)
+    spectrum = np.abs(np.fft.rfft(centred, 2 * size)) ** 2
+    covariance = np.fft.irfft(spectrum)[:size]
+    if covariance[0] <= 0.0:
+        return 1.0
+    correlation = covariance / covariance[0]
+    negative = np.flatnonzero(correlation < 0.0)
+    end = int(negative[0]) if len(negative) else size
+    return max(1.0, float(1.0 + 2.0 * correlation[1:end].sum()))

@@ -1,1 +1,0 @@
-"""Bases of trajectories and their coefficients."""

@@ -1,1 +1,0 @@
-"""Excitation criteria, and the information matrix that they are functions of."""

@@ -1,1 +1,0 @@
-"""Constraint sets: joint, torque, Cartesian and workspace limits."""

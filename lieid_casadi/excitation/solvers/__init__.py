@@ -1,1 +1,0 @@
-"""Solver of the excitation problem, and the stages and starts it runs through."""

@@ -1,0 +1,456 @@
+"""Trajectories: linear combinations of a basis, at rest at both ends, and their files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, Protocol, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.errors import ExcitationError
+
+LONGEST = 3600.0  # s, of one period
+DEGREE = 5  # of the splines, and of the polynomial of the modified Fourier series
+
+
+class Basis(Protocol):
+    """Functions of time over one period, of which a trajectory is a linear combination.
+
+    Column 0 is the constant 1. A basis of your own has these four members and is picklable where
+    an executor is used.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name in files."""
+
+    @property
+    def duration(self) -> float:
+        """Length of one period, s."""
+
+    @property
+    def size(self) -> int:
+        """Number of functions m."""
+
+    def evaluate(self, t: Array) -> Array:
+        """Return the functions and their first three derivatives (4, N, m) at t (N,) in s."""
+
+
+@dataclass(frozen=True)
+class Fourier:
+    """Finite Fourier series (Eq. 19); periodic.
+
+    Functions 1, sin(kωt)/(kω) for the coefficients a_k, −cos(kωt)/(kω) for b_k, so that a_k and
+    b_k are amplitudes of velocity (rad/s).
+
+    Parameters
+    ----------
+    harmonics : int
+        H, of the period's frequency.
+    duration : float
+        Period, s.
+    """
+
+    harmonics: int = 5
+    duration: float = 20.0
+    name = "fourier"
+
+    @property
+    def size(self) -> int:
+        """Number of functions: 2 H + 1."""
+        return 2 * self.harmonics + 1
+
+    def evaluate(self, t: Array) -> Array:
+        """Return the functions and three derivatives (4, N, m)."""
+        rates = 2.0 * np.pi / self.duration * np.arange(1, self.harmonics + 1)
+        angles = np.outer(t, rates)
+        sine, cosine = np.sin(angles), np.cos(angles)
+        one, zero = np.ones((len(t), 1)), np.zeros((len(t), 1))
+        return np.stack(
+            [
+                np.hstack([one, sine / rates, -cosine / rates]),
+                np.hstack([zero, cosine, sine]),
+                np.hstack([zero, -sine * rates, cosine * rates]),
+                np.hstack([zero, -cosine * rates**2, -sine * rates**2]),
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class ModifiedFourier:
+    """Fourier series plus a polynomial of degree 5 that meets the end conditions.
+
+    As in W. Wu, S. Zhu, X. Wang, H. Liu, "Closed-loop dynamic parameter identification of robot
+    manipulators using modified Fourier series", IJARS 2012: the end conditions reduce the freedom
+    of the polynomial in place of that of the harmonics.
+
+    Parameters
+    ----------
+    harmonics : int
+        H, of the period's frequency.
+    duration : float
+        Period, s.
+    """
+
+    harmonics: int = 5
+    duration: float = 20.0
+    name = "modified_fourier"
+
+    @property
+    def size(self) -> int:
+        """Number of functions: 2 H + 6."""
+        return 2 * self.harmonics + 1 + DEGREE
+
+    def evaluate(self, t: Array) -> Array:
+        """Return the functions and three derivatives (4, N, m)."""
+        series = Fourier(self.harmonics, self.duration).evaluate(t)
+        # powers of u ∈ [−1, 1] have the same size
+        u, rate = 2.0 * t / self.duration - 1.0, 2.0 / self.duration
+        k = np.arange(1, DEGREE + 1)
+        powers = u[:, None] ** k
+        first = rate * k * u[:, None] ** (k - 1)
+        second = rate**2 * k * (k - 1) * u[:, None] ** np.maximum(k - 2, 0)
+        third = rate**3 * k * (k - 1) * (k - 2) * u[:, None] ** np.maximum(k - 3, 0)
+        return np.concatenate([series, np.stack([powers, first, second, third])], axis=2)
+
+
+@dataclass(frozen=True)
+class BSpline:
+    """Uniform quintic B-spline; not periodic, with continuous jerk and fourth derivative.
+
+    Each coefficient acts on six intervals only, so that a limit at one time does not restrain the
+    motion at another. For a bound on the jerk beside it see `jerk_limit`.
+
+    Parameters
+    ----------
+    intervals : int
+        Of equal length.
+    duration : float
+        Of all intervals, s.
+    """
+
+    intervals: int = 11
+    duration: float = 20.0
+    name = "bspline"
+
+    @property
+    def size(self) -> int:
+        """Number of functions: the constant and all B-splines except one (they sum to 1)."""
+        return self.intervals + DEGREE
+
+    @cached_property
+    def _knots(self) -> Array:
+        inner = np.linspace(0.0, self.duration, self.intervals + 1)
+        ends = np.ones(DEGREE)
+        return np.concatenate([0.0 * ends, inner, self.duration * ends])
+
+    def evaluate(self, t: Array) -> Array:
+        """Return the functions and three derivatives (4, N, m)."""
+        from scipy.interpolate import BSpline
+
+        splines = BSpline(self._knots, np.eye(self.intervals + DEGREE), DEGREE)
+        values = np.stack([splines(t), splines(t, 1), splines(t, 2), splines(t, 3)])
+        values[:, :, 0] = 0.0
+        values[0, :, 0] = 1.0
+        return np.asarray(values)
+
+
+BasisName = Literal["fourier", "modified_fourier", "bspline"]
+NAMES: tuple[BasisName, ...] = get_args(BasisName)
+
+
+def check_basis(basis: Basis) -> None:
+    """Refuse a basis without the properties that `Basis` states.
+
+    Raises
+    ------
+    ExcitationError
+        Names what was found.
+    """
+    if not 0.0 < basis.duration <= LONGEST:
+        raise ExcitationError(
+            f"basis {basis.name}: duration {basis.duration:g} s; expected a positive number of at "
+            f"most {LONGEST:g} s"
+        )
+    values = np.asarray(basis.evaluate(np.array([0.0, basis.duration])), dtype=float)
+    if values.shape != (4, 2, basis.size):
+        raise ExcitationError(
+            f"basis {basis.name}: evaluate at two times has shape {values.shape}; expected "
+            f"(4, 2, {basis.size}): functions and three derivatives, times, functions"
+        )
+    if not np.allclose(values[:, :, 0], np.array([[1.0], [0.0], [0.0], [0.0]])):
+        raise ExcitationError(f"basis {basis.name}: column 0 is not the constant 1")
+
+
+def make(
+    name: str = "fourier",
+    *,
+    duration: float = 20.0,
+    harmonics: int = 5,
+    intervals: int | None = None,
+) -> Basis:
+    """Return the basis of a name.
+
+    Parameters
+    ----------
+    name : str
+        ``fourier`` (Eq. 19), ``modified_fourier`` or ``bspline``.
+    duration : float
+        Of one period, s.
+    harmonics : int
+        Of the Fourier series.
+    intervals : int, optional
+        Of the B-spline; by default it has as many free coefficients as the Fourier series.
+
+    Raises
+    ------
+    ExcitationError
+        Unknown name, or numbers out of range.
+    """
+    if not 0.0 < duration <= LONGEST:
+        raise ExcitationError(
+            f"duration: {duration:g} s; expected a positive number of at most {LONGEST:g} s"
+        )
+    if not 2 <= harmonics <= 100:
+        raise ExcitationError(f"harmonics: {harmonics}; expected 2 to 100")
+    if name == "fourier":
+        return Fourier(harmonics, duration)
+    if name == "modified_fourier":
+        return ModifiedFourier(harmonics, duration)
+    if name == "bspline":
+        # six end conditions in place of three: the same number of free coefficients
+        return BSpline(2 * harmonics - 1 if intervals is None else intervals, duration)
+    raise ExcitationError(f"basis: {name!r}; expected one of {', '.join(NAMES)}")
+
+
+DEPENDENT = 1e-9  # part of a row, beyond the rows before it, below which it adds no condition
+
+
+@dataclass(frozen=True, eq=False)
+class MotionSamples:
+    """Samples of a motion.
+
+    Attributes
+    ----------
+    t : (N,)
+        Time, s.
+    q, dq, ddq : (N, n)
+        Joint positions, velocities and accelerations: rad, rad/s, rad/s²; m for prismatic joints.
+    dddq : (N, n) or None
+        Jerk, rad/s³, where it is known.
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    dddq: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def at(self, index: NDArray[np.intp]) -> MotionSamples:
+        """Return some of the samples."""
+        jerk = None if self.dddq is None else self.dddq[index]
+        return MotionSamples(self.t[index], self.q[index], self.dq[index], self.ddq[index], jerk)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One period of a joint motion, q(t) = functions(t) @ coefficientsᵀ.
+
+    Attributes
+    ----------
+    basis : Basis
+    coefficients : (n, m)
+        Of the functions of the basis; for `Fourier`: q₀, a_1 … a_H, b_1 … b_H.
+    """
+
+    basis: Basis
+    coefficients: Array
+
+    @property
+    def duration(self) -> float:
+        """Length of the period, s."""
+        return self.basis.duration
+
+    def at(self, t: Array) -> MotionSamples:
+        """Return the motion at times within the period."""
+        time = np.asarray(t, dtype=float)
+        functions = self.basis.evaluate(time)
+        return MotionSamples(time, *(kind @ self.coefficients.T for kind in functions))
+
+
+def period_grid(duration: float, samples: int) -> Array:
+    """Return equidistant times (samples,) over one period, without its end."""
+    return duration * np.arange(samples) / samples
+
+
+@dataclass(frozen=True, eq=False)
+class Parametrization:
+    """Free variables z (n d,) of the trajectories that meet the end conditions.
+
+    At both ends velocity and acceleration vanish (Eq. 20) and the positions are the same; with
+    ``fixed`` they are ``pose``, otherwise free. The conditions are linear: the coefficients are
+    those of the pose at rest plus null-space directions times z.
+
+    Attributes
+    ----------
+    basis : Basis
+    pose : (n,)
+        Start pose, or the pose at z = 0; rad.
+    fixed : bool
+    size_of_unit : (n, 3)
+        Position, velocity and acceleration that the scaled directions reach at z = 1.
+    """
+
+    basis: Basis
+    pose: Array
+    fixed: bool
+    size_of_unit: Array
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.pose)
+
+    @property
+    def directions_per_joint(self) -> int:
+        """Free variables of one joint d."""
+        return int(self._directions.shape[1])
+
+    @property
+    def size(self) -> int:
+        """Number of free variables."""
+        return self.n * self.directions_per_joint
+
+    @cached_property
+    def _directions(self) -> Array:
+        """Orthonormal null space (m, d) of the end conditions."""
+        ends = self.basis.evaluate(np.array([0.0, self.basis.duration]))
+        kinds = (0, 1, 2) if self.fixed else (1, 2)
+        # a duration of one in place of seconds makes the conditions comparable
+        conditions = [ends[k] * self.basis.duration**k for k in kinds]
+        closing = ends[0, 1] - ends[0, 0]
+        if not self.fixed and np.abs(closing).max() > DEPENDENT:  # periodic bases close anyway
+            conditions.append(closing[None])
+        return null_space(np.vstack(conditions))
+
+    @cached_property
+    def scales(self) -> Array:
+        """Length (n, d) of each direction, such that a unit of z reaches about one limit."""
+        grid = period_grid(self.basis.duration, 200)
+        functions = self.basis.evaluate(grid)[:3] @ self._directions
+        peaks = np.abs(functions).max(axis=1)  # (3, d)
+        return np.asarray(1.0 / (peaks[None] / self.size_of_unit[:, :, None]).max(axis=1))
+
+    def functions(self, t: Array) -> Array:
+        """Return ∂(q, dq, ddq, dddq)_j/∂z_j (n, 4, N, d) at times t (N,), s."""
+        plain = self.basis.evaluate(t) @ self._directions
+        return np.asarray(plain[None] * self.scales[:, None, None, :])
+
+    def coefficients(self, z: Array) -> Array:
+        """Return the coefficients (n, m) of free variables (n d,)."""
+        free = np.reshape(z, (self.n, -1)) * self.scales
+        coefficients = free @ self._directions.T
+        coefficients[:, 0] += self.pose
+        return coefficients
+
+    def trajectory(self, z: Array) -> Trajectory:
+        """Return the trajectory of free variables (n d,)."""
+        return Trajectory(self.basis, self.coefficients(z))
+
+    def variables(self, trajectory: Trajectory) -> Array:
+        """Return the free variables (n d,) of a trajectory of this basis (its projection)."""
+        coefficients = trajectory.coefficients.copy()
+        coefficients[:, 0] -= self.pose
+        return np.ravel((coefficients @ self._directions) / self.scales)
+
+
+def null_space(rows: Array) -> Array:
+    """Return an orthonormal null space (m, d) of rows (k, m) that rounding does not rotate.
+
+    The singular vectors of a null space are arbitrary up to a rotation. The one returned by a
+    linear-algebra library depends on the processor, and with it every random start. Here it is the
+    orthonormal basis nearest to fixed reference directions (orthogonal Procrustes problem), a
+    smooth function of the rows.
+    """
+    projector = np.eye(rows.shape[1])
+    for row in rows:
+        rest = projector @ row
+        if np.linalg.norm(rest) > DEPENDENT * np.linalg.norm(row):
+            unit = rest / np.linalg.norm(rest)
+            projector = projector - np.outer(unit, unit)
+    free = round(float(np.trace(projector)))
+    reference = np.random.default_rng(0).normal(size=(rows.shape[1], free))
+    near = projector @ reference
+    left, _, right = np.linalg.svd(near, full_matrices=False)
+    return np.asarray(left @ right)
+
+
+@dataclass(frozen=True, eq=False)
+class SampledBasis:
+    """A parametrization at fixed times: motions of z and gradients by matrix products."""
+
+    parametrization: Parametrization
+    t: Array
+
+    @cached_property
+    def functions(self) -> Array:
+        """∂(q, dq, ddq, dddq)_j/∂z_j (n, 4, N, d)."""
+        return self.parametrization.functions(self.t)
+
+    @cached_property
+    def _flat(self) -> Array:
+        n, kinds, samples, d = self.functions.shape
+        return np.ascontiguousarray(self.functions.reshape(n, kinds * samples, d))
+
+    def motion(self, z: Array) -> MotionSamples:
+        """Return the motion of free variables (n d,) at the times."""
+        p = self.parametrization
+        free = np.reshape(z, (p.n, -1, 1))
+        values = (self._flat @ free).reshape(p.n, 4, len(self.t))
+        values[:, 0] += p.pose[:, None]
+        return MotionSamples(self.t, *(np.ascontiguousarray(values[:, k].T) for k in range(4)))
+
+    def gradient(self, gradients: Array) -> Array:
+        """Return ∂f/∂z (n d,) of gradients (n, 3, N) with respect to the motion."""
+        n = self.parametrization.n
+        flat = gradients.reshape(n, 1, -1)
+        return np.ravel(flat @ self._flat[:, : flat.shape[2]])
+
+
+PEAK_VELOCITY, PEAK_ACCELERATION = 1.875, 5.7736  # of the quintic from 0 to 1 in 1 s
+
+
+@dataclass(frozen=True, eq=False)
+class RestToRest:
+    """A quintic motion from rest to rest.
+
+    Attributes
+    ----------
+    start, end : (n,)
+        Poses, rad.
+    duration : float
+        s.
+    """
+
+    start: Array
+    end: Array
+    duration: float
+
+    def at(self, t: Array) -> MotionSamples:
+        """Return the motion at times 0 … duration."""
+        if self.duration <= 0.0:
+            raise ValueError("a motion of zero duration has no samples")
+        u = np.clip(np.asarray(t) / self.duration, 0.0, 1.0)[:, None]
+        distance, rate = self.end - self.start, 1.0 / self.duration
+        shape = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        first = 30.0 * u**2 * (1.0 - u) ** 2 * rate
+        second = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) * rate**2
+        third = 60.0 * (1.0 - 6.0 * u + 6.0 * u**2) * rate**3
+        parts = (kind * distance for kind in (first, second, third))
+        return MotionSamples(np.asarray(t), self.start + shape * distance, *parts)
