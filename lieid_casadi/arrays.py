@@ -7,3 +7,5 @@ from numpy.typing import NDArray
 
 #: Floating-point numbers; shapes are stated where the array is documented.
 Array = NDArray[np.float64]
+#: True and False.
+Mask = NDArray[np.bool_]

@@ -113,6 +113,10 @@ class UnknownColumnWarning(LieidWarning):
     """Columns of a recording that were ignored because their names are unknown."""
 
 
+class LargeFileWarning(LieidWarning):
+    """A file that is larger than the memory: its rate was lowered while it was read."""
+
+
 class DropoutWarning(LieidWarning):
     """Samples are missing; segments are not joined across gaps."""
 

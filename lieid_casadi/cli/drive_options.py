@@ -11,7 +11,7 @@ from lieid_casadi.cli.option_types import InputPath
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
-    from lieid_casadi.recording import Recording, RecordingStream
+    from lieid_casadi.recording import Recording
     from lieid_casadi.robot import Drive, Robot
 
 
@@ -145,7 +145,7 @@ def dataset_options_of(args: argparse.Namespace, robot: Robot) -> dict[str, Any]
     return options
 
 
-def require_drive_law(recording: Recording | RecordingStream) -> None:
+def require_drive_law(recording: Recording) -> None:
     """Refuse a recording of commanded positions without a drive law.
 
     Raises
@@ -153,8 +153,7 @@ def require_drive_law(recording: Recording | RecordingStream) -> None:
     UsageError
         Names the options that state one.
     """
-    first = recording.rows(0, min(2, len(recording)))
-    if first.tau is None and first.command is not None:
+    if recording.tau is None and recording.command is not None:
         raise UsageError(
             f"{recording.title}: commanded positions qcmd1…qcmd{recording.n} without torque and "
             "without a drive law; expected --stiffness K1,…,Kn, --servo NAME, --stiffness unknown, "

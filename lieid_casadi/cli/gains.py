@@ -68,7 +68,7 @@ def add_parser(commands: Any) -> None:
 def run(args: argparse.Namespace) -> None:
     """Identify, print and write."""
     from lieid_casadi.gains import drive_gains
-    from lieid_casadi.robot.yaml_writer import write_yaml
+    from lieid_casadi.robot.yaml_file import write_yaml
 
     if not args.mass > 0.0:
         raise UsageError(f"--mass {args.mass:g}: expected kg above 0")

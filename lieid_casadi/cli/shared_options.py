@@ -22,7 +22,7 @@ from lieid_casadi.errors import UsageError
 if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
-    from lieid_casadi.recording import Processing, Recording, RecordingStream
+    from lieid_casadi.recording import Processing, Recording
     from lieid_casadi.robot import Robot
 
 DEFAULT_EFFECTS = "coulomb,viscous,offset"
@@ -197,14 +197,12 @@ def recordings_of(
     return recordings
 
 
-def training_of(
-    paths: Sequence[str], args: argparse.Namespace, robot: Robot
-) -> list[Recording | RecordingStream]:
-    """Load recordings, or open those that are too large for the memory."""
-    from lieid_casadi.recording import load_or_stream
+def training_of(paths: Sequence[str], args: argparse.Namespace, robot: Robot) -> list[Recording]:
+    """Load the recordings that a model is fitted to."""
+    from lieid_casadi.recording import Recording
 
     options = torque_options_of(args, robot)
-    recordings = [load_or_stream(path, **options) for path in paths]
+    recordings = [Recording.load(path, **options) for path in paths]
     for recording in recordings:
         require_drive_law(recording)
     return recordings

@@ -12,7 +12,7 @@ from lieid_casadi.errors import UsageError
 if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
-    from lieid_casadi.recording import Recording, RecordingStream
+    from lieid_casadi.recording import Recording
     from lieid_casadi.robot import Robot
 
 
@@ -26,9 +26,7 @@ def add_motor_side(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def model_for(
-    args: argparse.Namespace, robot: Robot, recordings: Sequence[Recording | RecordingStream]
-) -> Model:
+def model_for(args: argparse.Namespace, robot: Robot, recordings: Sequence[Recording]) -> Model:
     """Return the model with --effects, or with the default effects for the recordings' torque.
 
     Rotor inertia among the default effects is reported.
@@ -37,7 +35,7 @@ def model_for(
     ----------
     args : argparse.Namespace
     robot : Robot
-    recordings : sequence of Recording or RecordingStream
+    recordings : sequence of Recording
         To be fitted.
     """
     from lieid_casadi.identification.default_effects import default_effects

@@ -29,7 +29,7 @@ from lieid_casadi.identification.recording_checks import (
 from lieid_casadi.identification.regression.column_properties import has_dry_friction
 from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.recording import Processed, Recording, process
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording.recording import listed
 
 
 def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison:

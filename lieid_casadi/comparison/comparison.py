@@ -21,7 +21,7 @@ from lieid_casadi.errors import (
 )
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.json_numbers import numbers_or_none
-from lieid_casadi.recording.joint_names import joints_text
+from lieid_casadi.messages import joints_text
 from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.uncertainty.motion_dependence import common_effect_columns
 from lieid_casadi.recording import Recording, period_noise
-from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.recording.processed import Processed
 
 PENALTIES = np.logspace(-8.0, 3.0, 23)  # relative to the mean square of a column
 BLOCK, FOLDS = 1.0, 5  # s (less in short recordings), number: blocks go to the folds in turn

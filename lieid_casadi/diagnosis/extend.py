@@ -19,7 +19,7 @@ from lieid_casadi.identification.identify import Method
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording, process
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording.recording import listed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

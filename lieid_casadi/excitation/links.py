@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.yaml_fields import FARTHEST, Field
+from lieid_casadi.robot.yaml_text import FARTHEST, Field
 
 logger = logging.getLogger("lieid_casadi")
 SKELETON_RADIUS = 0.06  # of the arm's length, where there is no geometry
@@ -192,7 +192,7 @@ def load_capsules(path: str | Path, robot: Robot) -> tuple[Capsule, ...]:
     RobotError
         Not YAML, a missing key, a link that the robot does not have.
     """
-    from lieid_casadi.robot.text_file import read_text
+    from lieid_casadi.robot.description import read_text
 
     return parse_capsules(read_text(path), robot, origin=str(path))
 

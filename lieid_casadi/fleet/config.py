@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import FleetError, RobotError
 from lieid_casadi.fleet.yaml_lines import LocatedField
+from lieid_casadi.robot.geometry import pose
 from lieid_casadi.robot.inertia import link_parameters
-from lieid_casadi.robot.pose import pose
 
 Array = NDArray[np.float64]
 ARM_KEYS = (
@@ -192,9 +192,9 @@ def _location(field: LocatedField, folder: Path) -> str:
 
 
 def _robot(field: LocatedField, folder: Path) -> str:
-    from lieid_casadi.robot.bundled import NAMES
+    from lieid_casadi.robot.description import BUNDLED
 
-    return field.text() if field.text() in NAMES else _location(field, folder)
+    return field.text() if field.text() in BUNDLED else _location(field, folder)
 
 
 def _constants(field: LocatedField) -> tuple[float, ...]:

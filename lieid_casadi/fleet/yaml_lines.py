@@ -10,7 +10,7 @@ import yaml
 
 from lieid_casadi.errors import FleetError, RobotError
 from lieid_casadi.robot import yaml_text
-from lieid_casadi.robot.yaml_fields import Field
+from lieid_casadi.robot.yaml_text import Field
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot.robot import Robot
 
 LoadSource = Literal["model", "measured"]

@@ -27,7 +27,7 @@ from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.identify import Method, identify
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording.recording import listed
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.model import Model
 from lieid_casadi.payload.identify import require_one_load
 from lieid_casadi.recording import Processing, Recording, check, process
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot import Robot
 
 WEAK = 0.1  # relative standard deviation above which a gain is reported as not identified

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lieid_casadi.recording import Recording, RecordingStream
-from lieid_casadi.recording.torque_source import is_torque_of_laws
+from lieid_casadi.recording import Recording
+from lieid_casadi.recording.conversion import is_torque_of_laws
 from lieid_casadi.robot.robot import Robot
 
 JOINT_SIDE = ("coulomb", "viscous", "offset")
@@ -33,7 +33,7 @@ class DefaultEffects:
 
 def default_effects(
     robot: Robot,
-    recordings: Sequence[Recording | RecordingStream],
+    recordings: Sequence[Recording],
     *,
     motor_side: bool = False,
 ) -> DefaultEffects:
@@ -45,7 +45,7 @@ def default_effects(
     Parameters
     ----------
     robot : Robot
-    recordings : sequence of Recording or RecordingStream
+    recordings : sequence of Recording
         To be fitted.
     motor_side : bool
         Whether the user states that torque is measured at the motors.
@@ -67,7 +67,7 @@ def default_effects(
     return DefaultEffects(JOINT_SIDE)
 
 
-def _from_law(robot: Robot, recording: Recording | RecordingStream) -> bool:
+def _from_law(robot: Robot, recording: Recording) -> bool:
     """Return whether the torque of a recording is that of the robot's control laws."""
     part = recording.rows(0, min(len(recording), ENOUGH_ROWS))
     return robot.drives is not None and is_torque_of_laws(part, robot.drives)

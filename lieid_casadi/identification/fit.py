@@ -22,7 +22,7 @@ from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model, Parameter
-from lieid_casadi.recording.processing.process import Processed, Processing
+from lieid_casadi.recording.processed import Processed, Processing
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.robot.inertia import pseudo_inertia
 

@@ -44,11 +44,11 @@ from lieid_casadi.identification.regression.conditioning import Conditioning
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
-from lieid_casadi.recording.processing.process import Processing
+from lieid_casadi.recording.processed import Processing
 from lieid_casadi.recording.readers.registry import reason_of
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.robot import Robot
-from lieid_casadi.robot.yaml_writer import write_yaml
+from lieid_casadi.robot.yaml_file import write_yaml
 
 if TYPE_CHECKING:
     from lieid_casadi.identification.fit import Fit

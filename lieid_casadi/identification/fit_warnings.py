@@ -26,7 +26,7 @@ from lieid_casadi.identification.regression.least_squares import (
 )
 from lieid_casadi.identification.regression.shape_range import ShapeRange
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processed, Recording, RecordingStream
+from lieid_casadi.recording import Processed, Recording
 from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
@@ -151,12 +151,10 @@ def at_rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
     ]
 
 
-def relative_torque(
-    robot: Robot, recordings: Sequence[Recording | RecordingStream]
-) -> list[LieidWarning]:
+def relative_torque(robot: Robot, recordings: Sequence[Recording]) -> list[LieidWarning]:
     """Return a warning where torques are in units of a drive stiffness that is not known."""
     drives = robot.drives or ()
-    commanded = any(r.rows(0, min(2, len(r))).command is not None for r in recordings)
+    commanded = any(r.command is not None for r in recordings)
     if not commanded or not any(drive.relative for drive in drives):
         return []
     return [

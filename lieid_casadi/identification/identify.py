@@ -42,8 +42,8 @@ from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.identification.uncertainty.fit_covariance import fit_covariance
 from lieid_casadi.identification.uncertainty.noise_model import Noise, residual_noise
 from lieid_casadi.model import Model, as_model
-from lieid_casadi.recording import Processed, Processing, Recording, RecordingStream, process
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording import Processed, Processing, Recording, process
+from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ METHODS: tuple[Method, ...] = get_args(Method)
 @blas_on_one_thread
 def identify(
     model: Model | Robot,
-    recordings: Recording | RecordingStream | Sequence[Recording | RecordingStream],
+    recordings: Recording | Sequence[Recording],
     *,
     method: Method = "wls",
     processing: Processing | None = None,
@@ -68,9 +68,8 @@ def identify(
     ----------
     model : Model or Robot
         A robot stands for its model without effects.
-    recordings : Recording, RecordingStream, or sequence of them
-        With torques. Segments are never joined across a gap. Of a stream, which is read in
-        parts, one part is checked.
+    recordings : Recording or sequence of Recording
+        With torques. Segments are never joined across a gap.
     method : {"ols", "wls", "robust", "feasible"}
         ``ols``: least squares without weights. ``wls``: each joint weighted by the inverse of its
         noise. ``robust``: further weights against outliers (Huber). ``feasible``: as ``wls``, with
@@ -221,29 +220,20 @@ def identify_segments(
 
 def _prepared(
     model: Model,
-    given: Sequence[Recording | RecordingStream],
+    given: Sequence[Recording],
     processing: Processing | None,
     report: Progress,
 ) -> tuple[Compiled, tuple[Processed, ...], Array | None, list[LieidWarning]]:
     """Return the compiled model, processed segments, mean temperatures (n,), and warnings."""
-    samples = [_sample(recording) for recording in given]
-    check_recordings(model, samples)
+    check_recordings(model, given)
     compiled = compile(model)
     report("check", 0.0)
-    found = [w for recording in samples for w in check_with_model(compiled, recording)]
+    found = [w for recording in given for w in check_with_model(compiled, recording)]
     report("process", 0.1)
     segments, mean = center_temperature(process(given, processing))
     found += fit_warnings.relative_torque(model.robot, given)
     found += [*model.robot.warnings, *(w for segment in segments for w in segment.warnings)]
     return compiled, segments, mean, found
-
-
-def _sample(recording: Recording | RecordingStream) -> Recording:
-    """Return the recording, or the middle one of a stream's samples."""
-    if isinstance(recording, Recording):
-        return recording
-    samples = recording.samples()
-    return samples[len(samples) // 2]
 
 
 def _check_method(method: str, feasible: FeasibleOptions | None) -> None:
@@ -279,7 +269,7 @@ def _folds(segments: Sequence[Processed], state: FitState) -> tuple[Fold, ...]:
     return fold_factors(state.rows, state.weighting.noise, state.solution.values, block=block)
 
 
-def _provenance(recordings: Sequence[Recording | RecordingStream]) -> Provenance:
+def _provenance(recordings: Sequence[Recording]) -> Provenance:
     from lieid_casadi import __version__
 
     first = recordings[0]

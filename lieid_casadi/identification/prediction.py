@@ -14,7 +14,7 @@ from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ModelError
 from lieid_casadi.identification.regression.segment_columns import effect_signals, effects_along
 from lieid_casadi.identification.temperature import relative_temperature
-from lieid_casadi.recording.processing.process import Processed, Processing, process
+from lieid_casadi.recording.processed import Processed, Processing, process
 from lieid_casadi.recording.recording import Recording
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lieid_casadi.recording import Recording, RecordingStream
+from lieid_casadi.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class Source:
     sha256: str
 
     @classmethod
-    def of(cls, recording: Recording | RecordingStream) -> Source:
+    def of(cls, recording: Recording) -> Source:
         """Return name and hash of a recording."""
         return cls(recording.name, recording.source_hash)
 

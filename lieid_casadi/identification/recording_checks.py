@@ -18,7 +18,7 @@ from lieid_casadi.identification.prediction import predict_recording
 from lieid_casadi.identification.provenance import Provenance
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check, require_plausible_units
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording.recording import listed
 
 NOMINAL_CUTOFF = 5.0  # Hz, of the nominal torque that measured torque is checked against
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.recording.processed import Processed
 
 Array = NDArray[np.float64]
 

@@ -32,7 +32,7 @@ from lieid_casadi.payload.estimate import FrictionChange, PayloadEstimate
 from lieid_casadi.payload.feasible_body import SCALE, nearest_feasible_body
 from lieid_casadi.payload.regression import LoadedRun, LoadedRunEstimate
 from lieid_casadi.recording import Processed, Recording, check, process
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot.robot import Robot
 
 ROUNDING = 1e-10  # least variance relative to the sum of its terms before cancellation

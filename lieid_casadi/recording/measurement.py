@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import LieidWarning, RecordingError
-from lieid_casadi.recording.arrays import Array, read_only
 
 #: Prefix of the columns in files -> field of a measurement.
 FIELDS = {
@@ -121,9 +126,134 @@ class Measurement:
 
     def rows(self, first: int, last: int) -> Self:
         """Return rows first … last − 1 (from 0)."""
-        rows = slice(first, last)
-        fields = ("t", "q", *OPTIONAL_SIGNALS, "payload_label")
-        signals: dict[str, Any] = {field: getattr(self, field) for field in fields}
-        for field, values in signals.items():
-            signals[field] = None if values is None else values[rows]
-        return replace(self, **signals)
+        return self.at(slice(first, last))
+
+    def at(self, rows: slice | Mask) -> Self:
+        """Return the rows of a slice or of a mask (N,)."""
+        fields = ("t", "q", *OPTIONAL_SIGNALS)
+        given = {field: getattr(self, field) for field in fields}
+        signals = {field: x[rows] for field, x in given.items() if x is not None}
+        label = self.payload_label
+        chosen = None if label is None else tuple(np.asarray(label, dtype=object)[rows])
+        return replace(self, payload_label=chosen, **signals)
+
+
+def read_only(values: ArrayLike) -> Array:
+    """Return a read-only float64 array, because recordings are shared.
+
+    A copy, unless the memory is read-only already.
+    """
+    if isinstance(values, np.ndarray) and values.dtype == np.float64 and _frozen(values):
+        return values
+    array = np.array(values, dtype=np.float64, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def _frozen(values: Array) -> bool:
+    """Return whether an array and every array that it is a view of are read-only."""
+    owner: object = values
+    while isinstance(owner, np.ndarray):
+        if owner.flags.writeable:
+            return False
+        owner = owner.base
+    return owner is None and bool(values.flags.c_contiguous)
+
+
+def hash_of_arrays(arrays: Iterable[Any]) -> str:
+    """Return the sha256 over shapes and bytes of the arrays, in order; None counts too."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        if array is None:
+            digest.update(b"none;")
+        elif isinstance(array, tuple):
+            digest.update(repr(array).encode())
+        else:
+            digest.update(repr(array.shape).encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+#: Largest magnitude of a signal (SI units): squares and sums of larger values lose all digits.
+LARGEST_SIGNAL = 1e12
+#: Largest time stamp, s, so that nanoseconds since 1970 read as seconds are still found below.
+LARGEST_TIME = 1e20
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault and its place; row from 0, column by its name in files."""
+
+    message: str
+    row: int | None = None
+    column: str = ""
+
+    def __str__(self) -> str:
+        return self.message
+
+
+def first_fault(measurement: Measurement) -> Fault | None:
+    """Return the first fault, or None: too short, not finite, too large, time not increasing."""
+    if len(measurement) < 2:
+        rows = "one row" if len(measurement) else "no rows"
+        return Fault(f"found {rows}, expected at least two")
+    return _out_of_range(measurement) or _not_increasing(measurement.t)
+
+
+def _out_of_range(measurement: Measurement) -> Fault | None:
+    """Return the first value that is not finite or too large to compute with."""
+    faults = []
+    bad_times = np.nonzero(~(np.abs(measurement.t) <= LARGEST_TIME))[0]
+    if bad_times.size:
+        row = int(bad_times[0])
+        faults.append(Fault(_expected(measurement.t[row], LARGEST_TIME), row, "t"))
+    for prefix, field in FIELDS.items():
+        values = getattr(measurement, field)
+        if values is None:
+            continue
+        bad = ~(np.abs(values) <= LARGEST_SIGNAL)
+        if bad.any():
+            row, joint = (int(index) for index in np.argwhere(bad)[0])
+            column = f"{prefix}{joint + 1}"
+            faults.append(Fault(_expected(values[row, joint], LARGEST_SIGNAL), row, column))
+    return min(faults, key=lambda fault: fault.row or 0, default=None)
+
+
+def _expected(value: float, largest: float) -> str:
+    if np.isfinite(value):
+        return f"found {value:g}, expected a magnitude of at most {largest:g} (SI units)"
+    return f"found {value:g}, expected a finite number; delete rows without a measurement"
+
+
+def _not_increasing(t: Array) -> Fault | None:
+    rows = np.nonzero(np.diff(t) <= 0.0)[0]
+    if not rows.size:
+        return None
+    row = int(rows[0]) + 1
+    before, here = t[row - 1], t[row]
+    if before == here:
+        return Fault(
+            f"found the time {here:.9g} s twice, expected increasing time; delete repeated rows",
+            row,
+            "t",
+        )
+    return Fault(
+        f"found {here:.9g} s after {before:.9g} s (time goes back), expected increasing time",
+        row,
+        "t",
+    )
+
+
+def require_sound(measurement: Measurement) -> None:
+    """Refuse a measurement with a fault.
+
+    Raises
+    ------
+    RecordingError
+        Names the first row and column with a fault.
+    """
+    fault = first_fault(measurement)
+    if fault is None:
+        return
+    place = "" if fault.row is None else f"row {fault.row + 1}, column {fault.column}: "
+    raise RecordingError(f"{measurement.title}: {place}{fault}")

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from os import PathLike
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import RecordingError
-from lieid_casadi.recording.arrays import Mask, hash_of_arrays, read_only
-from lieid_casadi.recording.faults import require_sound
-from lieid_casadi.recording.measurement import OPTIONAL_SIGNALS, Measurement
-from lieid_casadi.recording.readers.file_part import part_label, rows_of_part, split_part
+from lieid_casadi.recording.conversion import (
+    convert_units,
+    torque_of_commands,
+    torque_of_currents,
+    unit_factors,
+)
+from lieid_casadi.recording.measurement import (
+    OPTIONAL_SIGNALS,
+    Measurement,
+    hash_of_arrays,
+    read_only,
+    require_sound,
+)
+from lieid_casadi.recording.readers.columns import measurement_of_columns
 from lieid_casadi.recording.readers.registry import (
     INFLATE_LIMIT,
     ReadOptions,
@@ -23,10 +36,7 @@ from lieid_casadi.recording.readers.registry import (
     read_measurement,
     write_measurement,
 )
-from lieid_casadi.recording.readers.tables import measurement_of_columns
-from lieid_casadi.recording.sample_timing import sample_rate, segment_edges
-from lieid_casadi.recording.torque_source import torque_of_commands, torque_of_currents
-from lieid_casadi.recording.units import convert_units, unit_factors
+from lieid_casadi.recording.sample_timing import gap_limit, sample_rate, segment_edges
 from lieid_casadi.robot.drive import Drive
 
 
@@ -210,6 +220,7 @@ class Recording(Measurement):
             position_limits=limit_pairs(position_limits),
             degrees=unit_factors(units)[1] != 1.0,
             inflate_limit=inflate_limit,
+            part=_part_ends(start, end, unit_factors(units)[0]),
         )
         made = convert_units(read_measurement(file, options), units, revolute)
         recording = cls.of_measurement(made).with_torque(torque_constants, drives)
@@ -297,3 +308,132 @@ class Recording(Measurement):
         if self.command is not None and drives is not None:
             return self.with_drives(drives)
         return self if constants is None else self.with_torque_constants(constants)
+
+
+def join(recordings: Sequence[Recording]) -> Recording:
+    """Return one recording of several with the same joints; each keeps its own segments.
+
+    The clock of a recording is kept where it comes from the same source and follows its
+    predecessor; otherwise it is shifted so that a gap separates the two. Signals that one of
+    them lacks are left out.
+
+    Raises
+    ------
+    RecordingError
+        No recording, or different numbers of joints.
+    """
+    if not recordings:
+        raise RecordingError("join: no recordings, expected at least one")
+    first = recordings[0]
+    for other in recordings[1:]:
+        if other.n != first.n:
+            raise RecordingError(
+                f"join: {other.title} has {other.n} joints, expected {first.n} as {first.title}"
+            )
+    signals: dict[str, Any] = {
+        field: np.concatenate([getattr(r, field) for r in recordings])
+        for field in ("q", *OPTIONAL_SIGNALS)
+        if all(getattr(r, field) is not None for r in recordings)
+    }
+
+    def same(field: str) -> bool:
+        return len({getattr(r, field) for r in recordings}) == 1
+
+    labels: list[str] | None = None
+    if any(r.payload_label is not None for r in recordings):
+        labels = [label for r in recordings for label in r.payload_label or [""] * len(r)]
+    return Recording(
+        t=np.concatenate(_times(recordings)),
+        payload_label=None if labels is None else tuple(labels),
+        name="+".join(r.name for r in recordings if r.name),
+        source_hash=hash_of_arrays([tuple(r.source_hash for r in recordings)]),
+        warnings=tuple(w for r in recordings for w in r.warnings),
+        torque_constants=first.torque_constants if same("torque_constants") else None,
+        units=first.units if same("units") else (),
+        **signals,
+    )
+
+
+def _times(recordings: Sequence[Recording]) -> list[Array]:
+    """Return the stamps of each recording on one clock."""
+    times = [recordings[0].t]
+    pause = 2.0 * max(gap_limit(r.t) for r in recordings)
+    for previous, following in pairwise(recordings):
+        last = times[-1][-1]
+        continues = previous.source_hash == following.source_hash
+        if following.t[0] > last + (0.0 if continues else pause):
+            times.append(following.t)
+        else:
+            times.append(following.t - following.t[0] + last + pause)
+    return times
+
+
+def listed(recordings: Recording | Iterable[Recording]) -> list[Recording]:
+    """Return one recording or several as a list.
+
+    Raises
+    ------
+    RecordingError
+        One of them is something else, such as the path of a file.
+    """
+    if isinstance(recordings, Iterable) and not isinstance(recordings, str):
+        result = list(recordings)
+    else:
+        result = [recordings]
+    for given in result:
+        if isinstance(given, str | PathLike):
+            path = str(given)
+            raise RecordingError(f"got the path {path!r}; expected Recording.load({path!r})")
+        if not isinstance(given, Recording):
+            raise RecordingError(f"got a {type(given).__name__}; expected a Recording")
+    return result
+
+
+_PART = re.compile(r"(?P<path>.+)@(?P<start>[^:@/]*):(?P<end>[^:@/]*)")
+
+
+def split_part(path: str | Path) -> tuple[Path, float | None, float | None]:
+    """Return file and ends, s, of ``FILE@T0:T1``; open ends are None.
+
+    Raises
+    ------
+    RecordingError
+        Ends that are not finite numbers, or not in order.
+    """
+    match = _PART.fullmatch(str(path))
+    if match is None or Path(path).exists():
+        return Path(path), None, None
+    first, last = (_end(path, match[name]) for name in ("start", "end"))
+    if first is not None and last is not None and not first < last:
+        raise RecordingError(f"{path}: found {first:g} to {last:g} s, expected T0 < T1")
+    return Path(match["path"]), first, last
+
+
+def part_label(start: float | None, end: float | None) -> str:
+    """Return how a part is written behind a path: ``@T0:T1``, without the ends that are open."""
+    return "@" + ":".join("" if limit is None else format(limit, "g") for limit in (start, end))
+
+
+def rows_of_part(t: Array, start: float | None, end: float | None) -> tuple[int, int]:
+    """Return the first row with t ≥ start, and the first with t ≥ end, s; stamps t (N,) ascend."""
+    first, last = np.searchsorted(t, _part_ends(start, end), side="left")
+    return int(first), int(last)
+
+
+def _part_ends(start: float | None, end: float | None, second: float = 1.0) -> tuple[float, float]:
+    """Return the ends of a part; ``second`` is the unit of time in seconds."""
+    return -np.inf if start is None else start / second, np.inf if end is None else end / second
+
+
+def _end(path: str | Path, text: str) -> float | None:
+    if not text.strip():
+        return None
+    try:
+        end = float(text)
+    except ValueError:
+        end = np.nan
+    if not np.isfinite(end):
+        raise RecordingError(
+            f"{path}: found {text!r} after @, expected FILE@T0:T1 with T0, T1 in seconds"
+        )
+    return end

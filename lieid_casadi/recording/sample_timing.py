@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RecordingError
-from lieid_casadi.recording.arrays import Array
 
 #: A pause is a gap when it is both this many sample periods long ...
 GAP_PERIODS = 5.0

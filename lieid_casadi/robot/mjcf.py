@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import MissingDependency, RobotError
+from lieid_casadi.robot.description import NOT_STATED, Joint, Limits, RobotDescription
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.inertia import link_parameters, parameter_transport
-from lieid_casadi.robot.joint import NOT_STATED, Joint, Limits, RobotDescription
 
 Array = NDArray[np.float64]
 

@@ -13,13 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import RobotError
-from lieid_casadi.robot.description_file import read_description
+from lieid_casadi.robot.description import (
+    BUNDLED,
+    Limits,
+    RobotDescription,
+    bundled_text,
+    read_text,
+)
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.geometry import expressions
-from lieid_casadi.robot.joint import Limits, RobotDescription
 from lieid_casadi.robot.mjcf import read_mjcf
 from lieid_casadi.robot.screws import arm_of_screws, at_values, symbols_of
-from lieid_casadi.robot.text_file import read_text
 from lieid_casadi.robot.urdf import read_urdf
 from lieid_casadi.robot.yaml_file import read_yaml
 
@@ -292,3 +296,41 @@ class Robot(RobotDescription):
             )
         joints = zip(self.joints, laws, strict=True)
         return replace(self, joints=tuple(replace(j, drive=law) for j, law in joints))
+
+
+def read_description(
+    path: str | Path, *, tip: str | None = None, lock: Sequence[str] = ()
+) -> RobotDescription:
+    """Read a URDF, MJCF or YAML file, or a bundled description; see `Robot.load`.
+
+    Parameters
+    ----------
+    path : str or Path
+        File, or one of `BUNDLED`. ``.xml`` is MJCF if it has the element ``mujoco``.
+    tip : str, optional
+        Last link of a URDF's chain, or body at which an MJCF's chain ends.
+    lock : sequence of str
+        Joints of a URDF to lock at zero.
+
+    Raises
+    ------
+    RobotError
+        The file is missing, of another type, or not a serial arm; ``tip`` or ``lock`` with a
+        format that has no choice of them.
+    """
+    origin, suffix = str(path), Path(path).suffix.lower()
+    if origin in BUNDLED or suffix in (".yaml", ".yml"):
+        if tip is not None or lock:
+            raise RobotError(f"{path}: --tip and --lock apply to URDF files only")
+        text = bundled_text(origin) if origin in BUNDLED else read_text(path)
+        return read_yaml(text, origin=origin)
+    if suffix == ".xml" and "<mujoco" in read_text(path):
+        if lock:
+            raise RobotError(f"{path}: --lock applies to URDF files only")
+        return read_mjcf(path, tip=tip)
+    if suffix in (".urdf", ".xml"):
+        return read_urdf(read_text(path), tip=tip, lock=lock, origin=origin)
+    names = ", ".join(BUNDLED)
+    raise RobotError(
+        f"{path}: expected a .urdf, .xml (URDF or MJCF) or .yaml file, or one of {names}"
+    )

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from lieid_casadi.errors import RobotError
-from lieid_casadi.robot.geometry import Geometry, expressions, geometry, kind_of_symbols
-from lieid_casadi.robot.joint import STANDARD_GRAVITY, Joint, Limits, RobotDescription
-from lieid_casadi.robot.pose import pose
+from lieid_casadi.robot.description import STANDARD_GRAVITY, Joint, Limits, RobotDescription
+from lieid_casadi.robot.geometry import Geometry, expressions, geometry, kind_of_symbols, pose
 
 Parts = dict[str, tuple[Any, tuple[int, ...]]]  # what it is → value and shape
 TOLERANCE = 1e-6  # of unit vectors and rotations: seven printed digits

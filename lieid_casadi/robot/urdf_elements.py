@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import RobotError
-from lieid_casadi.robot.joint import NOT_STATED, Limits
+from lieid_casadi.robot.description import NOT_STATED, Limits
 
 Array = NDArray[np.float64]
 Element = ElementTree.Element

@@ -23,7 +23,7 @@ from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording.recording import listed
 from lieid_casadi.simulation.integrator import Integrator
 from lieid_casadi.simulation.play import LARGEST, plays_of
 from lieid_casadi.simulation.runs import Input, Run, input_of, require_positive_mass_matrix, runs_of

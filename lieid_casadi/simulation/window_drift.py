@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lieid_casadi.errors import LieidError
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.recording import Recording
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording.recording import listed
 from lieid_casadi.simulation.integrator import Integrator
 from lieid_casadi.simulation.runs import input_of, require_positive_mass_matrix, runs_of
 from lieid_casadi.simulation.simulation import Drift

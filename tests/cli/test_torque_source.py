@@ -9,7 +9,7 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.robot import bundled
+from lieid_casadi.robot.description import bundled_text
 
 ROBOT = lieid.robots.two_link()
 CONSTANTS = np.array([12.0, 8.0])
@@ -59,7 +59,7 @@ def test_rotor_inertia_is_a_default_where_torque_comes_from_currents(folder, cap
 
 def test_a_robot_with_torque_constants_has_rotor_inertia(folder, capsys, tmp_path):
     described, lines = tmp_path / "arm.yaml", []
-    for line in bundled.text("two_link").splitlines():
+    for line in bundled_text("two_link").splitlines():
         lines.append(line)
         if line.strip().startswith("- name:"):
             lines.append(line[: line.index("-")] + "  torque_constant: 12.0")

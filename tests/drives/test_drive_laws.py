@@ -12,7 +12,7 @@ from lieid_casadi.cli.main import main
 from lieid_casadi.errors import IdentificationError, RecordingError, RobotError
 from lieid_casadi.identification.known_mass import identify_with_known_masses
 from lieid_casadi.robot.drive import Drive, servo_presets
-from lieid_casadi.robot.yaml_writer import write_yaml
+from lieid_casadi.robot.yaml_file import write_yaml
 
 EFFECTS = "coulomb,viscous,offset"
 CUTOFF = lieid.Processing(cutoff=8.0)

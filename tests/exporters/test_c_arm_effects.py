@@ -13,7 +13,7 @@ from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.c.export import export_c
-from lieid_casadi.robot.pose import pose
+from lieid_casadi.robot.geometry import pose
 
 PANDA = lieid.robots.panda()
 FRICTION = "coulomb,viscous,offset,load_friction:2"

@@ -12,7 +12,7 @@ import lieid_casadi as lieid
 from lieid_casadi.effects import LIBRARY, ArmEffect, make
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.symbolic import symbolic
-from lieid_casadi.robot.pose import pose
+from lieid_casadi.robot.geometry import pose
 
 PANDA = dataclasses.replace(
     lieid.robots.panda().with_drives(lieid.Drive(stiffness=500.0)),

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.yaml_writer import write_yaml
+from lieid_casadi.robot.yaml_file import write_yaml
 
 ARMS = ("panda", "ur10e", "rail")
 

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from lieid_casadi import LieidError
 from lieid_casadi.plant import Arm, Sensors, TrueMotion, measure, move, move_along
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.yaml_writer import write_yaml
+from lieid_casadi.robot.yaml_file import write_yaml
 
 Array = NDArray[np.float64]
 ATTEMPTS = 80

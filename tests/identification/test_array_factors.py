@@ -15,9 +15,8 @@ from lieid_casadi.identification.regression.array_factors import factors
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
 from lieid_casadi.identification.regression.motion_columns import MotionColumns
-from lieid_casadi.recording import Processing, process
-from lieid_casadi.recording.processing import overlap_windows
-from lieid_casadi.recording.processing.overlap_windows import filter_memory, windows
+from lieid_casadi.recording import Processing, filtering, process
+from lieid_casadi.recording.filtering import filter_memory, windows
 
 FRICTION = "coulomb,viscous,offset,viscous_polynomial"
 
@@ -218,7 +217,7 @@ def test_long_recordings_give_nearly_the_same_fit(monkeypatch):
     whole = lieid.identify(model, recording, processing=options)
     monkeypatch.setattr(design_matrix, "HELD_BYTES", 0)
     monkeypatch.setattr(design_matrix, "CHUNK_BYTES", 200_000)
-    monkeypatch.setattr(overlap_windows, "WINDOW", 1000)
+    monkeypatch.setattr(filtering, "WINDOW", 1000)
     parts = lieid.identify(model, recording, processing=options)
     np.testing.assert_allclose(parts.values, whole.values, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(parts.rms_train, whole.rms_train, rtol=1e-9)

@@ -4,8 +4,7 @@ import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.recording import Processing
-from lieid_casadi.recording.processing import velocity
+from lieid_casadi.recording import Processing, uniform_signals
 
 COUNTS, VELOCITY_NOISE = 2**18, 0.028  # per turn; rad/s
 ROBOT = lieid.robots.two_link()
@@ -34,8 +33,8 @@ def errors():
 
 def test_a_noisy_velocity_is_replaced_by_the_derivative(monkeypatch):
     standard, error = errors()
-    monkeypatch.setattr(velocity, "MUCH_LESS_NOISE", np.inf)  # use dq
-    monkeypatch.setattr(velocity, "LESS_NOISE", np.inf)
+    monkeypatch.setattr(uniform_signals, "MUCH_LESS_NOISE", np.inf)  # use dq
+    monkeypatch.setattr(uniform_signals, "LESS_NOISE", np.inf)
     biased, worse = errors()
     assert standard.max() < 4.0
     assert biased.max() > 2.0 * standard.max()

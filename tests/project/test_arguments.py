@@ -10,7 +10,7 @@ from exporters.c_arms import ARMS, made_fit
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import ExportError, ModelError, RecordingError
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording.recording import listed
 
 ROBOT = lieid.robots.two_link()
 

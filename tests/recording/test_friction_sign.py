@@ -6,8 +6,7 @@ from scipy.signal import lfilter
 
 from lieid_casadi import errors
 from lieid_casadi.recording import Recording
-from lieid_casadi.recording.checks.block_means import block_means
-from lieid_casadi.recording.checks.torque import check_torque
+from lieid_casadi.recording.consistency import block_means, check_torque
 
 JOINTS, RATE, DURATION = 7, 100.0, 20.0
 VISCOUS = np.linspace(1.0, 0.2, JOINTS)

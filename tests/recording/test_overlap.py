@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from lieid_casadi.recording.processing.filtering import lowpass
-from lieid_casadi.recording.processing.overlap_windows import filter_memory, windows
+from lieid_casadi.recording.filtering import filter_memory, lowpass, windows
 
 
 def in_windows(x, rate, cutoff, order, kept, size):

@@ -15,7 +15,7 @@ from recording.planar_arm import (
 
 from lieid_casadi.errors import MissingDependency, RecordingError, ShortSegmentWarning
 from lieid_casadi.recording import Processing, Recording, join, process
-from lieid_casadi.recording.processing.robust_loess import robust_loess
+from lieid_casadi.recording.filtering import robust_loess
 
 
 def one(recording, **options):

@@ -6,8 +6,8 @@ from real_arms import PANDA, needs
 from recording.planar_arm import motion, rigid_torque
 
 from lieid_casadi.errors import RepeatedRowsWarning
-from lieid_casadi.recording import Processing, Recording, process, stream
-from lieid_casadi.recording.processing.repeated_rows import repeats
+from lieid_casadi.recording import Processing, Recording, process
+from lieid_casadi.recording.repeated_rows import repeats
 
 SOURCE = 0.034
 
@@ -82,17 +82,6 @@ def test_an_irregular_source_keeps_its_stamps():
     (warning,) = segment.warnings
     assert "ms apart" not in str(warning)
     np.testing.assert_array_equal(segment.t[[0, -1]], wandering[[0, -1]])
-
-
-def test_a_stream_leaves_out_the_same_rows(tmp_path):
-    recording, _ = held()
-    path = tmp_path / "held.npz"
-    recording.save(path)
-    (loaded,) = process(Recording.load(path), Processing(cutoff=3.0))
-    (streamed,) = process(stream(path), Processing(cutoff=3.0))
-    for name in ("t", "q", "dq", "ddq", "tau"):
-        np.testing.assert_array_equal(getattr(streamed, name), getattr(loaded, name))
-    assert str(streamed.warnings[0]) == str(loaded.warnings[0])
 
 
 @pytest.mark.real

@@ -12,7 +12,7 @@ from lieid_casadi.recording import (
     period_noise,
     process,
 )
-from lieid_casadi.recording.processing.spectrum import motion_band
+from lieid_casadi.recording.spectrum import motion_band
 
 
 def sines(frequency, rate=200.0, duration=20.0, noise=0.0):

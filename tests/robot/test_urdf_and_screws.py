@@ -13,7 +13,7 @@ from robot.random_arms import (
 from scipy.spatial.transform import Rotation
 
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.yaml_writer import write_yaml
+from lieid_casadi.robot.yaml_file import write_yaml
 
 EARTH = np.array([0.0, 0.0, -9.81])  # URDF states no gravity; this is Pinocchio's default
 

@@ -146,7 +146,7 @@ def test_a_moment_above_the_sum_of_the_others_is_a_warning():
 
 
 def test_lines_of_native_libraries_are_captured(capfd):
-    from lieid_casadi.robot.native_output import captured
+    from lieid_casadi.robot.urdf import captured
 
     with captured() as output:
         os.write(2, b"a complaint\n")
@@ -168,10 +168,10 @@ def test_warnings_of_a_robot_reach_the_command_line(tmp_path, capsys):
 
 
 def test_a_urdf_is_read_without_a_temporary_folder(monkeypatch):
-    from lieid_casadi.robot import native_output
+    from lieid_casadi.robot import urdf as urdf_reader
 
     def refuse():
         raise FileNotFoundError(2, "No usable temporary directory found")
 
-    monkeypatch.setattr(native_output.tempfile, "TemporaryFile", refuse)
+    monkeypatch.setattr(urdf_reader.tempfile, "TemporaryFile", refuse)
     assert Robot.parse_urdf(urdf()).n == 1

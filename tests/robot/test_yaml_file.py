@@ -6,7 +6,7 @@ from robot.random_arms import random_arm
 
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.yaml_writer import write_yaml
+from lieid_casadi.robot.yaml_file import write_yaml
 
 TWO = """
 name: two

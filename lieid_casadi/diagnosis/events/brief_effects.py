@@ -11,7 +11,7 @@ from lieid_casadi.errors import IdentificationError
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
 from lieid_casadi.recording import Recording
-from lieid_casadi.recording.torque_source import is_torque_of_laws
+from lieid_casadi.recording.conversion import is_torque_of_laws
 
 
 def with_brief_effects(

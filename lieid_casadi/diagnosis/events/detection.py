@@ -29,8 +29,8 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.provenance import Source
 from lieid_casadi.identification.temperature import center_temperature
+from lieid_casadi.messages import joints_text
 from lieid_casadi.recording import Recording, process
-from lieid_casadi.recording.joint_names import joints_text
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

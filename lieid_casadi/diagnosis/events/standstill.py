@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.events.event import Event
 from lieid_casadi.identification.provenance import Source
+from lieid_casadi.messages import joints_text
 from lieid_casadi.recording import Processed
-from lieid_casadi.recording.joint_names import joints_text
 from lieid_casadi.robot import Robot
 
 PRISMATIC = 0.1  # m of a prismatic joint that count as 1 rad

@@ -18,7 +18,7 @@ from lieid_casadi.identification.regression.shape_fit import command_error_range
 from lieid_casadi.identification.regression.shape_range import ShapeRange
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
-from lieid_casadi.recording.torque_source import is_torque_of_laws
+from lieid_casadi.recording.conversion import is_torque_of_laws
 from lieid_casadi.robot import Robot
 
 Array = NDArray[np.float64]

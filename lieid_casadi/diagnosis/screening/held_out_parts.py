@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.identification.uncertainty.noise_model import Noise, Runs
 from lieid_casadi.recording import Processed
-from lieid_casadi.recording.processing.periods import detect_period
+from lieid_casadi.recording.periods import detect_period
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

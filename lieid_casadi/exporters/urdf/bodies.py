@@ -9,6 +9,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.exporters.xml_edit import Element
+from lieid_casadi.robot.geometry import pose
 from lieid_casadi.robot.inertia import (
     body_inertia,
     link_parameters,
@@ -16,7 +17,6 @@ from lieid_casadi.robot.inertia import (
     pseudo_inertia,
     symmetric,
 )
-from lieid_casadi.robot.pose import pose
 
 SHARE = 0.5  # of the largest possible share, if the rigidly attached links cannot keep all
 KEPT = 0.95  # below this fraction of the possible inertia they keep all

@@ -15,7 +15,7 @@ from lieid_casadi.exporters.urdf.mujoco_joints import mjcf_snippet
 from lieid_casadi.exporters.urdf.write import written_urdf
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.output_folder import check_folder, write_folder
-from lieid_casadi.robot.joint import STANDARD_GRAVITY
+from lieid_casadi.robot.description import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from lieid_casadi.exporters.joint_friction import SimulatorJoint
 from lieid_casadi.exporters.urdf.bodies import inertial_text, number
 from lieid_casadi.exporters.xml_text import attribute
 from lieid_casadi.robot import Joint, Robot
+from lieid_casadi.robot.geometry import roll_pitch_yaw
 from lieid_casadi.robot.inertia import parameter_transport
-from lieid_casadi.robot.pose import roll_pitch_yaw
 
 ON_AXIS = 1e-12  # m
 REACH = 1e3  # m, limit of prismatic joints without limits, which URDF requires

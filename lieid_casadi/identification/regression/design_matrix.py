@@ -21,8 +21,8 @@ from lieid_casadi.identification.regression.rows import JointRows as JointRows
 from lieid_casadi.identification.regression.rows import Rows as Rows
 from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.model import Model
-from lieid_casadi.recording.processing.overlap_windows import Window
-from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.recording.filtering import Window
+from lieid_casadi.recording.processed import Processed
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -15,8 +15,8 @@ from scipy.signal import oaconvolve
 from scipy.special import erf
 
 from lieid_casadi.compiled import Compiled
-from lieid_casadi.recording.processing.filtering import lowpass
-from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.recording.filtering import lowpass
+from lieid_casadi.recording.processed import Processed
 
 Array = NDArray[np.float64]
 REST_VARIANCE = 1.0 / 3.0  # of a uniform distribution from −1 to 1

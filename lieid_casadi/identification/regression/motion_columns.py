@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.identification.regression.segment_columns import effect_signals
 from lieid_casadi.model import Model
-from lieid_casadi.recording.processing.overlap_windows import Window
-from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.recording.filtering import Window
+from lieid_casadi.recording.processed import Processed
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

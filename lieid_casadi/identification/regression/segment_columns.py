@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.effects.arm_effect import ArmEffect
 from lieid_casadi.model import Model
-from lieid_casadi.recording.processing.filtering import lowpass
-from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.recording.filtering import lowpass
+from lieid_casadi.recording.processed import Processed
 from lieid_casadi.robot import Drive
 from lieid_casadi.robot.inertia import parameter_transport
 

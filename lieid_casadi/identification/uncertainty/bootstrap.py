@@ -32,7 +32,7 @@ from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.identification.uncertainty.covariance import residual_correlation_length
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Recording, process
-from lieid_casadi.recording.given_recordings import listed
+from lieid_casadi.recording.recording import listed
 
 if TYPE_CHECKING:
     from lieid_casadi.identification.fit import Fit

@@ -35,9 +35,9 @@ from lieid_casadi.identification.regression.rows import JointRows, Rows
 from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 from lieid_casadi.recording import Processed, Recording, process
-from lieid_casadi.recording.given_recordings import listed
-from lieid_casadi.recording.processing.filtering import central_difference, lowpass, smooth_at
-from lieid_casadi.recording.processing.spectrum import motion_band
+from lieid_casadi.recording.filtering import central_difference, lowpass, smooth_at
+from lieid_casadi.recording.recording import listed
+from lieid_casadi.recording.spectrum import motion_band
 
 if TYPE_CHECKING:
     from lieid_casadi.identification.fit import Fit

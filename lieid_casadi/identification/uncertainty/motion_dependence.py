@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from lieid_casadi.compiled import Compiled
-from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.recording.processed import Processed
 
 Array = NDArray[np.float64]
 BLOCK = 2.0  # s

@@ -24,7 +24,7 @@ from lieid_casadi.identification.uncertainty.motion_dependence import (
     explainable,
     motion_ratio_of,
 )
-from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.recording.processed import Processed
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -12,7 +12,7 @@ from scipy.stats import norm
 from lieid_casadi.errors import ModelError
 from lieid_casadi.identification.prediction import on_recording_times, torque_along
 from lieid_casadi.identification.regression.segment_columns import effects_along
-from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.recording.processed import Processed
 from lieid_casadi.recording.recording import Recording
 
 if TYPE_CHECKING:

@@ -2,31 +2,47 @@
 
 from __future__ import annotations
 
+import math
+import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import atomic_binary
+from lieid_casadi.errors import LargeFileWarning, MissingDependency
 from lieid_casadi.recording.measurement import Measurement
-from lieid_casadi.recording.readers.columns import layout_warnings, read_layout
-from lieid_casadi.recording.readers.parquet_parts import (
-    ParquetParts,
-    decoded_bytes,
-    import_pyarrow,
-    require_bounded_size,
+from lieid_casadi.recording.readers.columns import (
+    LABEL,
+    columns_of,
+    layout_warnings,
+    measurement_of_columns,
+    read_layout,
 )
 from lieid_casadi.recording.readers.registry import (
     ReadOptions,
     RecordingFormat,
+    beyond_limit,
     hash_of_file,
     library_errors,
 )
-from lieid_casadi.recording.readers.tables import columns_of, measurement_of_columns
+from lieid_casadi.recording.sample_timing import GAP_PERIODS
+
+#: Largest ratio of decoded to stored size in files of measured signals.
+LARGEST_RATIO = 50
+#: Part of the memory that a recording may take.
+MEMORY_PART = 1 / 8
+BATCH = 1 << 15  # rows decoded at once
 
 
 def read_parquet(file: Path, options: ReadOptions) -> Measurement:
-    """Read a Parquet file; nulls are refused as NaN, columns with other names are not read.
+    """Read a Parquet file; columns with other names are not read.
+
+    Of a file whose columns exceed an eighth of the memory, the mean of every few rows is read, or
+    the rows of the part that is asked for.
 
     Raises
     ------
@@ -37,19 +53,24 @@ def read_parquet(file: Path, options: ReadOptions) -> Measurement:
     """
     _, parquet = import_pyarrow(file)
     require_bounded_size(file, options.inflate_limit)
+    large = decoded_bytes(file) > MEMORY_PART * memory_bytes()
     with library_errors(file, "a Parquet file"):
         content = parquet.ParquetFile(file)
         names = content.schema_arrow.names
         layout = read_layout(names, str(file), options.n)
-        columns = {}
-        for name in layout.used(names):  # one by one, or all are in memory twice
-            column = content.read(columns=[name]).column(0)
-            columns[name] = np.asarray(column.to_numpy(zero_copy_only=False))
+        used = layout.used(names)
+        warnings = layout_warnings(layout, file.name)
+        if large:
+            columns, step = _decimated(content, used, options.part)
+            if step > 1:
+                warnings += (_large_file(file, step),)
+        else:  # one by one, or all are in memory twice
+            columns = {name: _values(content.read(columns=[name]).column(0)) for name in used}
     return replace(
         measurement_of_columns(columns, str(file), options.n),
         name=file.name,
         source_hash=hash_of_file(file),
-        warnings=layout_warnings(layout, file.name),
+        warnings=warnings,
     )
 
 
@@ -61,10 +82,100 @@ def write_parquet(measurement: Measurement, file: Path) -> None:
         parquet.write_table(table, out)
 
 
-FORMAT = RecordingFormat(
-    suffixes=(".parquet",),
-    read=read_parquet,
-    write=write_parquet,
-    read_parts=ParquetParts,
-    decoded_bytes=decoded_bytes,
-)
+FORMAT = RecordingFormat(suffixes=(".parquet",), read=read_parquet, write=write_parquet)
+
+
+def require_bounded_size(file: Path, limit: int) -> None:
+    """Refuse a file that decodes to more than the limit, bytes, and to far more than its own size.
+
+    Measured signals hardly compress, so that files of real recordings pass whatever their size.
+    """
+    size = decoded_bytes(file)
+    if size > limit and size > LARGEST_RATIO * file.stat().st_size:
+        raise beyond_limit(file, limit)
+
+
+def decoded_bytes(file: Path) -> int:
+    """Return the size of a file's columns in memory; 0 for one that is not Parquet."""
+    pyarrow, parquet = import_pyarrow(file)
+    try:
+        meta = parquet.read_metadata(file)
+    except (pyarrow.ArrowException, OSError, ValueError):  # UnicodeDecodeError: damaged names
+        return 0
+    return 8 * int(meta.num_rows) * int(meta.num_columns)
+
+
+def memory_bytes() -> int:
+    """Return the size of the machine's memory; 8 GiB where the system does not state it."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 8 << 30
+
+
+def import_pyarrow(file: Path) -> tuple[Any, Any]:
+    """Return pyarrow and its reader of Parquet.
+
+    Raises
+    ------
+    MissingDependency
+        pyarrow is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet as parquet
+    except ImportError as error:
+        raise MissingDependency(
+            f"{file}: Parquet needs pyarrow: pip install 'lieid-casadi[parquet]'"
+        ) from error
+    return pyarrow, parquet
+
+
+def _decimated(
+    content: Any, used: list[str], part: tuple[float, float]
+) -> tuple[dict[str, Any], int]:
+    """Return columns of the rows within a part, and of how many rows their values are means."""
+    t = _values(content.read(columns=used[:1]).column(0))
+    rows = int(np.sum((t >= part[0]) & (t < part[1])))
+    step = math.ceil(8 * rows * len(used) / (MEMORY_PART * memory_bytes()))
+    read: dict[str, list[Any]] = {name: [] for name in used}
+    for group in range(content.metadata.num_row_groups):  # or all of them stay in memory
+        for batch in content.iter_batches(BATCH, row_groups=[group], columns=used):
+            t = _values(batch.column(used[0]))
+            inside = (t >= part[0]) & (t < part[1])
+            if not inside.any():
+                continue
+            label = _values(batch.column(LABEL))[inside] if LABEL in used else None
+            first = _block_starts(t[inside], label, step)
+            for name in used:
+                x = _values(batch.column(name))[inside]
+                read[name].append(x[first] if name == LABEL else _means(x, first))
+    return {name: np.concatenate(parts) for name, parts in read.items()}, step
+
+
+def _block_starts(t: Array, label: Any, step: int) -> NDArray[np.intp]:
+    """Return the first rows of blocks of ``step`` rows, none across a gap or another payload."""
+    steps = np.diff(t)
+    new = np.ones(len(t), dtype=bool)
+    new[1:] = steps > GAP_PERIODS * np.median(steps) if len(steps) else False
+    if label is not None:
+        new[1:] |= label[1:] != label[:-1]
+    row = np.arange(len(t))
+    begin = np.maximum.accumulate(np.where(new, row, 0))
+    return np.flatnonzero((row - begin) % step == 0)
+
+
+def _means(x: Any, first: NDArray[np.intp]) -> Array:
+    counts = np.diff([*first, len(x)])
+    return np.asarray(np.add.reduceat(np.asarray(x, dtype=float), first) / counts)
+
+
+def _values(column: Any) -> Any:
+    return np.asarray(column.to_numpy(zero_copy_only=False))
+
+
+def _large_file(file: Path, step: int) -> LargeFileWarning:
+    return LargeFileWarning(
+        f"{file.name}: larger than the memory allows: each row is the mean of {step} rows of the "
+        f"file; {file.name}@T0:T1 reads a part at its full rate"
+    )

@@ -6,17 +6,15 @@ import contextlib
 import hashlib
 import importlib
 import pkgutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.errors import LieidError, RecordingError
-from lieid_casadi.recording.arrays import Array
 from lieid_casadi.recording.measurement import Measurement
 
 #: Bytes that a compressed file may inflate to unless the caller raises the limit.
@@ -43,6 +41,8 @@ class ReadOptions:
         Whether angles are stated to be in degrees; the caller converts them.
     inflate_limit
         Bytes that a compressed file may inflate to.
+    part
+        First time and end (excluded) in the file's unit: a format may leave out other rows.
     """
 
     n: int | None = None
@@ -53,6 +53,7 @@ class ReadOptions:
     position_limits: tuple[tuple[float, float], ...] | None = None
     degrees: bool = False
     inflate_limit: int = INFLATE_LIMIT
+    part: tuple[float, float] = (-np.inf, np.inf)
 
 
 def limit_pairs(limits: ArrayLike | None) -> tuple[tuple[float, float], ...] | None:
@@ -60,22 +61,6 @@ def limit_pairs(limits: ArrayLike | None) -> tuple[tuple[float, float], ...] | N
     if limits is None:
         return None
     return tuple((float(low), float(high)) for low, high in np.asarray(limits, dtype=float))
-
-
-class PartReader(Protocol):
-    """Source of a recording that is read part by part."""
-
-    name: str
-
-    @property
-    def source_hash(self) -> str:
-        """sha256 of the file's bytes."""
-
-    def times(self) -> tuple[Array, Sequence[int]]:
-        """Return stamps (N,) of all rows, and the rows before which the payload's label changes."""
-
-    def rows(self, first: int, last: int) -> Measurement:
-        """Return rows first … last − 1; cheapest in the order of time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,17 +77,12 @@ class RecordingFormat:
         Whether a folder is in this format; None if folders never are.
     write
         Writes a measurement; None for formats that are only read.
-    read_parts, decoded_bytes
-        Open a file for reading part by part, and its size in memory; None if it is always
-        read whole.
     """
 
     suffixes: tuple[str, ...]
     read: Callable[[Path, ReadOptions], Measurement]
     folder: Callable[[Path], bool] | None = None
     write: Callable[[Measurement, Path], None] | None = None
-    read_parts: Callable[[Path, ReadOptions], PartReader] | None = None
-    decoded_bytes: Callable[[Path], int] | None = None
 
 
 @cache

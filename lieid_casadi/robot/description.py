@@ -1,14 +1,16 @@
-"""Joints, limits and links as data: what the readers of robot descriptions return."""
+"""What a file states about a robot: joints, limits and links as data."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.errors import LieidWarning
+from lieid_casadi.errors import LieidWarning, RobotError
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.geometry import Geometry, expressions, geometry
 
@@ -102,3 +104,37 @@ class RobotDescription:
         for name, shape in (("gravity", (3,)), ("tool", (4, 4))):
             value = geometry(getattr(self, name), shape, f"robot {self.name!r}: {name}")
             object.__setattr__(self, name, value)
+
+
+#: Names of the bundled robots.
+BUNDLED = ("panda", "panda_luo2024", "so101", "two_link")
+LARGEST = 16_000_000  # bytes; descriptions with every mesh's name take well below one million
+
+
+def read_text(path: str | Path) -> str:
+    """Return the text of a file.
+
+    Raises
+    ------
+    RobotError
+        The file is missing, a folder, not UTF-8, or larger than `LARGEST`.
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(LARGEST + 1)
+    except FileNotFoundError:
+        raise RobotError(f"{path}: no such file") from None
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
+    if len(data) > LARGEST:
+        raise RobotError(f"{path}: larger than {LARGEST // 1_000_000} MB; expected a description")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise RobotError(f"{path}: not a text file (expected UTF-8)") from None
+
+
+def bundled_text(name: str) -> str:
+    """Return the YAML of a bundled robot; it names the sources of its numbers."""
+    file = resources.files("lieid_casadi.robot").joinpath("data", f"{name}.yaml")
+    return file.read_text("utf-8")

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.signal import welch
 
-from lieid_casadi.recording.arrays import Array, Mask
-from lieid_casadi.recording.processing.filtering import (
+from lieid_casadi.arrays import Array, Mask
+from lieid_casadi.recording.filtering import (
     central_difference,
     decimate,
     lowpass,
@@ -16,8 +14,8 @@ from lieid_casadi.recording.processing.filtering import (
     straight_at,
     uniform_time,
 )
-from lieid_casadi.recording.processing.repeated_rows import without_repeats
 from lieid_casadi.recording.recording import Recording
+from lieid_casadi.recording.repeated_rows import without_repeats
 
 #: Least and most cut-off over the band of the motion.
 LEAST_BANDS, MOST_BANDS = 6.0, 25.0
@@ -44,8 +42,8 @@ def choose_cutoff(recording: Recording) -> float:
     six times the band of the motion. Two digits; 5 Hz where nothing moves.
     """
     longest = max(recording.segments(), key=lambda segment: segment.duration)
-    stamps, rows, _ = without_repeats(longest)
-    longest = rows(0, min(len(stamps), ENOUGH_ROWS))
+    longest, _ = without_repeats(longest)
+    longest = longest.rows(0, min(len(longest), ENOUGH_ROWS))
     highest = 0.25 * longest.rate
     band = motion_band(longest)
     if band is None:
@@ -175,20 +173,18 @@ def noise_dead_zone(dq: Array, *, kept: float = 1.0, quantum: Array | None = Non
     -------
     (n,) rad/s, never 0.
     """
-    noise = 3.0 * noise_spread([dq]) * np.sqrt(min(kept, 1.0))
+    noise = 3.0 * noise_spread(dq) * np.sqrt(min(kept, 1.0))
     top = np.percentile(np.abs(dq), 99.0, axis=0)
     step = resolution(dq) if quantum is None else quantum
     return np.asarray(np.maximum.reduce([noise, 1.5 * step, TOP_SPEED_PART * top, 0 * top + 1e-6]))
 
 
-def noise_spread(parts: Sequence[Array]) -> Array:
-    """Return the standard deviation (n,) of white noise on parts of signals, (N, n) each."""
-    fourth = [np.diff(x, n=4, axis=0) for x in parts if x.shape[0] > 8]
-    if not fourth:
-        return np.zeros(parts[0].shape[1])
-    differences = np.concatenate(fourth)
-    centred = differences - np.median(differences, axis=0)
-    spread = 1.4826 * np.median(np.abs(centred), axis=0)
+def noise_spread(x: Array) -> Array:
+    """Return the standard deviation (n,) of white noise on a signal (N, n); 0 of a short one."""
+    if x.shape[0] <= 8:
+        return np.zeros(x.shape[1])
+    fourth = np.diff(x, n=4, axis=0)
+    spread = 1.4826 * np.median(np.abs(fourth - np.median(fourth, axis=0)), axis=0)
     return np.asarray(spread / np.sqrt(70.0))
 
 

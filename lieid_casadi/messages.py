@@ -1,4 +1,4 @@
-"""Names of joints in messages."""
+"""How messages write names and joints."""
 
 from __future__ import annotations
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RecordingError
-from lieid_casadi.recording.arrays import Array
-from lieid_casadi.recording.measurement import OPTIONAL_SIGNALS
-from lieid_casadi.recording.processing.filtering import (
+from lieid_casadi.recording.filtering import (
     lowpass,
     smooth_at,
     straight_at,
     uniform_time,
 )
+from lieid_casadi.recording.measurement import OPTIONAL_SIGNALS
 from lieid_casadi.recording.recording import Recording
 
 #: Rate of the samples in which periods are searched, Hz.

@@ -10,17 +10,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import LieidWarning, RecordingError, ShortSegmentWarning
-from lieid_casadi.recording.arrays import Array, Mask, read_only
-from lieid_casadi.recording.processing.filtering import HIGHEST_CUTOFF, lowpass
-from lieid_casadi.recording.processing.overlap_windows import Window, filter_memory, windows
-from lieid_casadi.recording.processing.periods import mean_period
-from lieid_casadi.recording.processing.repeated_rows import without_repeats
-from lieid_casadi.recording.processing.resampling import signals_on_grid
-from lieid_casadi.recording.processing.spectrum import choose_cutoff
+from lieid_casadi.recording.filtering import HIGHEST_CUTOFF, Window, filter_memory, lowpass, windows
+from lieid_casadi.recording.measurement import read_only
+from lieid_casadi.recording.periods import mean_period
 from lieid_casadi.recording.recording import Recording
-from lieid_casadi.recording.recording_stream import RecordingStream, scratch
+from lieid_casadi.recording.repeated_rows import without_repeats
 from lieid_casadi.recording.sample_timing import require_plausible_rate, sample_rate
+from lieid_casadi.recording.spectrum import choose_cutoff
+from lieid_casadi.recording.uniform_signals import signals_on_grid
 
 #: Largest weight of samples at rest in a filtered sample that counts as moving.
 LARGEST_REST_WEIGHT = 0.1
@@ -184,8 +183,7 @@ class Processed:
 
 
 def process(
-    recordings: Recording | RecordingStream | Sequence[Recording | RecordingStream],
-    options: Processing | None = None,
+    recordings: Recording | Sequence[Recording], options: Processing | None = None
 ) -> tuple[Processed, ...]:
     """Return uniform, differentiated signals of every segment of the recordings.
 
@@ -199,21 +197,19 @@ def process(
         Stamps that are not in seconds, no segment long enough after trimming, a cut-off
         beyond what the rate can show, or periods to be averaged where there are none.
     """
-    if isinstance(recordings, Recording | RecordingStream):
-        recordings = [recordings]
-    given = list(recordings)
+    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not given:
         raise RecordingError("no recordings, expected at least one")
     for recording in given:
         require_plausible_rate(recording.t, recording.title)
     options = options or Processing()
-    cutoff = options.cutoff or float(np.median([_cutoff_of(r) for r in given]))
+    cutoff = options.cutoff or float(np.median([choose_cutoff(r) for r in given]))
     options = replace(options, cutoff=cutoff)
     done: list[Processed] = []
     short: list[LieidWarning] = []
     for recording in given:
         for raw in recording.segments():
-            segment = _averaged(raw, options) if options.average_periods else raw
+            segment = mean_period(raw, options.trim) if options.average_periods else raw
             reason = _too_short(segment, cutoff, options.trim)
             if reason:
                 short.append(ShortSegmentWarning(reason))
@@ -226,19 +222,7 @@ def process(
     return tuple(done)
 
 
-def _cutoff_of(recording: Recording | RecordingStream) -> float:
-    if isinstance(recording, Recording):
-        return choose_cutoff(recording)
-    return float(np.median([choose_cutoff(part) for part in recording.samples()]))
-
-
-def _averaged(segment: Recording | RecordingStream, options: Processing) -> Recording:
-    if not isinstance(segment, Recording):
-        raise RecordingError(f"{segment.name}: averaging periods needs the recording in memory")
-    return mean_period(segment, options.trim)
-
-
-def _too_short(segment: Recording | RecordingStream, cutoff: float, trim: float) -> str | None:
+def _too_short(segment: Recording, cutoff: float, trim: float) -> str | None:
     left = segment.duration - 2.0 * trim
     if len(segment) >= 5 and left >= 1.0 / cutoff:
         return None
@@ -249,24 +233,15 @@ def _too_short(segment: Recording | RecordingStream, cutoff: float, trim: float)
     )
 
 
-def _process_segment(
-    segment: Recording | RecordingStream, options: Processing, cutoff: float
-) -> Processed:
-    t, rows, repeated = without_repeats(segment)
-    rate = sample_rate(t)
+def _process_segment(segment: Recording, options: Processing, cutoff: float) -> Processed:
+    fresh, repeated = without_repeats(segment)
+    rate = sample_rate(fresh.t)
     if cutoff >= HIGHEST_CUTOFF * rate:
         raise RecordingError(
             f"{segment.title}: cutoff {cutoff:g} Hz, expected less than "
             f"{HIGHEST_CUTOFF * rate:.3g} Hz at a rate of {rate:.4g} Hz"
         )
-    signals = signals_on_grid(
-        t,
-        rows,
-        rate,
-        cutoff,
-        loess=options.smoother == "rloess",
-        allocate=np.empty if isinstance(segment, Recording) else scratch,
-    )
+    signals = signals_on_grid(fresh, rate, cutoff, loess=options.smoother == "rloess")
     return Processed(
         t=signals.t,
         q=signals.q,
@@ -274,13 +249,13 @@ def _process_segment(
         ddq=signals.ddq,
         tau=signals.tau,
         temperature=signals.temperature,
+        command=signals.command,
         payload_label=None if segment.payload_label is None else segment.payload_label[0],
-        recording=segment if isinstance(segment, Recording) else segment.rows(0, 2),
+        recording=segment,
         rate=signals.rate,
         cutoff=cutoff,
         dead_zone=read_only(signals.dead_zone),
         moving=signals.moving,
         options=options,
         warnings=() if repeated is None else (repeated,),
-        command=signals.command,
     )

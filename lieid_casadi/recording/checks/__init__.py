@@ -1,1 +1,0 @@
-"""Checks of a recording before it is used."""

@@ -1,0 +1,252 @@
+"""Zero-phase filters of uniform samples, resampling, and windows that are filtered one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.signal import butter, oaconvolve, sosfilt, sosfilt_zi
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.recording.sample_timing import uniform_count
+
+#: Cut-offs above this fraction of the rate are too near the Nyquist frequency for a filter.
+HIGHEST_CUTOFF = 0.45
+
+
+def lowpass(x: Array, rate: float, cutoff: float, order: int = 4) -> Array:
+    """Return x after a zero-phase Butterworth low-pass along axis 0 (forward and backward).
+
+    Parameters
+    ----------
+    x
+        (K, ...) uniform samples.
+    rate, cutoff
+        Hz; a cut-off at or above 0.45 · rate passes x unchanged.
+    order
+        Of the one-way filter; both ways together have twice the slope.
+    """
+    if cutoff >= HIGHEST_CUTOFF * rate:
+        return np.array(x, dtype=np.float64)
+    sections, settled = _sections(order, cutoff, rate)
+    # the padding of scipy's default is far shorter than the filter's memory at low cut-offs
+    padding = min(x.shape[0] - 1, max(27, round(1.5 * rate / cutoff)))
+    # scipy's sosfiltfilt, which computes the settled state again in every call
+    ends = 2.0 * x[:1] - x[padding:0:-1], 2.0 * x[-1:] - x[-2 : -padding - 2 : -1]
+    values = np.concatenate([ends[0], x, ends[1]])
+    settled = settled.reshape(*settled.shape, *[1] * (x.ndim - 1))
+    for _ in range(2):
+        values = sosfilt(sections, values, axis=0, zi=settled * values[:1])[0][::-1]
+    return np.array(values[padding : len(values) - padding], dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
+def _sections(order: int, cutoff: float, rate: float) -> tuple[Array, Array]:
+    """Return the sections of a Butterworth filter and their states in response to a constant 1."""
+    sections = np.asarray(butter(order, cutoff, fs=rate, output="sos"))
+    return sections, np.asarray(sosfilt_zi(sections))
+
+
+def central_difference(x: Array, rate: float) -> Array:
+    """Return the derivative along axis 0 of uniform samples, of second order at the ends."""
+    return np.asarray(np.gradient(x, 1.0 / rate, axis=0, edge_order=2), dtype=np.float64)
+
+
+def uniform_time(t: Array, rate: float) -> Array:
+    """Return uniform instants from the first stamp to the last, nearest to the rate."""
+    return np.linspace(t[0], t[-1], uniform_count(t, rate))
+
+
+def smooth_at(t: Array, x: Array, instants: Array) -> Array:
+    """Return values at given instants by monotone cubics: no overshoot, no kinks.
+
+    Parameters
+    ----------
+    t : (N,)
+        Stamps, s.
+    x : (N, …)
+        Values at the stamps.
+    instants : (K,)
+        s.
+    """
+    return np.asarray(PchipInterpolator(t, x, axis=0)(instants), dtype=np.float64)
+
+
+def straight_at(t: Array, x: Array, instants: Array) -> Array:
+    """Return values at given instants by straight lines, for noisy signals.
+
+    Parameters
+    ----------
+    t : (N,)
+        Stamps, s.
+    x : (N, n)
+        Values at the stamps.
+    instants : (K,)
+        s.
+    """
+    return np.column_stack([np.interp(instants, t, column) for column in x.T])
+
+
+def decimate(x: Array, rate: float, step: int) -> Array:
+    """Return every step-th sample of x (K, ...) after an anti-aliasing zero-phase low-pass.
+
+    Parameters
+    ----------
+    x : (K, …)
+    rate : float
+        Of x, Hz.
+    step : int
+    """
+    if step == 1:
+        return x
+    return lowpass(x, rate, 0.4 * rate / step, order=8)[::step]
+
+
+#: Relative size of the response beyond the filter's memory.
+NEGLIGIBLE = 1e-14
+#: Instants per window, at least; with margins of a tenth little is filtered twice.
+WINDOW = 8192
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of filtered rows and the instants from which they are computed.
+
+    Attributes
+    ----------
+    rows
+        Rows of the filtered signal.
+    instants
+        Instants of the signal on the grid, margins included.
+    inside
+        Positions of the rows among the instants of this window.
+    """
+
+    rows: slice
+    instants: slice
+    inside: slice
+
+
+def filter_memory(rate: float, cutoff: float, order: int = 4) -> int:
+    """Return the number of samples after which the response of :func:`lowpass` is below 1e-14.
+
+    Parameters
+    ----------
+    rate : float
+        Hz.
+    cutoff : float
+        Hz.
+    order : int
+        Of the Butterworth filter (one way).
+    """
+    if cutoff >= HIGHEST_CUTOFF * rate:
+        return 0
+    _, poles, _ = butter(order, cutoff, fs=rate, output="zpk")
+    slowest = -np.log(np.abs(poles).max())
+    # both ways: poles are double, and the response fades as (1 + k) times a power
+    return int(np.ceil((-np.log(NEGLIGIBLE) + 3.0) / slowest))
+
+
+def windows(count: int, kept: slice, margin: int, size: int | None = None) -> Iterator[Window]:
+    """Yield windows that cover the kept instants of ``count``.
+
+    Parameters
+    ----------
+    count
+        Instants on the grid.
+    kept
+        ``slice(first, end, step)``: the instants that become rows.
+    margin
+        The filter's memory, in instants.
+    size
+        Instants per window without margins; at least ten margins if left out.
+    """
+    step = kept.step or 1
+    total = len(range(*kept.indices(count)))
+    rows = max(1, (size or max(WINDOW, 10 * margin)) // step)
+    pieces = max(1, -(-total // rows))
+    edges = [total * k // pieces for k in range(pieces + 1)]
+    for first, last in pairwise(edges):
+        start = 0 if first == 0 else max(0, kept.start + first * step - margin)
+        end = count if last == total else min(count, kept.start + (last - 1) * step + 1 + margin)
+        begin = kept.start + first * step - start
+        inside = slice(begin, begin + (last - first - 1) * step + 1, step)
+        yield Window(slice(first, last), slice(start, end), inside)
+
+
+#: Span in periods of the cut-off: shorter ones follow single outliers, longer ones round off
+#: the steps of friction.
+SPAN = 1.5
+#: Samples in a span, at least.
+LEAST_SAMPLES = 7
+#: Passes with robust weights, and residual that gets no weight, in median absolute deviations:
+#: those of MATLAB's ``smooth(…, 'rloess')``, which the paper used.
+ROBUST_PASSES, REJECTED = 5, 6.0
+#: Weight of an outlier, so that spans that hold nothing else still have a parabola.
+LEAST_WEIGHT = 1e-9
+
+
+def robust_loess(t: Array, x: Array, cutoff: float) -> Array:
+    """Smooth signals over 1.5 periods of the cut-off.
+
+    Each value is that of a parabola, fitted to the samples of the span around it with tricube
+    weights (W. S. Cleveland, J. Am. Stat. Assoc. 74, 1979, with degree 2). The fit is repeated
+    with bisquare weights of the residuals, so that outliers lose their weight, which no linear
+    filter can do; for the same reason the smoothed torque has not gone through the columns'
+    filter alone.
+
+    Parameters
+    ----------
+    t
+        (K,) uniform instants, s.
+    x
+        (K, n) signals.
+    cutoff
+        Hz; the span is 1.5 / cutoff seconds.
+
+    Returns
+    -------
+    (K, n)
+    """
+    rate = (t.size - 1) / float(t[-1] - t[0])
+    half = max(LEAST_SAMPLES, SPAN * rate / cutoff) / 2.0
+    offsets = np.arange(-int(half), int(half) + 1) / half
+    kernel = (1.0 - np.abs(offsets) ** 3) ** 3
+    return np.column_stack([_smooth(column, offsets, kernel) for column in x.T])
+
+
+def _smooth(x: Array, offsets: Array, kernel: Array) -> Array:
+    """Return one smoothed signal (K,); offsets and kernel are those of a span's samples."""
+    weights = np.ones_like(x)
+    smooth = _local_parabolas(x, weights, offsets, kernel)
+    for _ in range(ROBUST_PASSES):
+        residual = np.abs(x - smooth)
+        scale = REJECTED * np.median(residual)
+        if scale <= 1e-12 * np.abs(x).max():
+            break
+        weights = np.maximum(1.0 - np.minimum(residual / scale, 1.0) ** 2, 0.0) ** 2
+        weights = np.maximum(weights, LEAST_WEIGHT)
+        smooth = _local_parabolas(x, weights, offsets, kernel)
+    return smooth
+
+
+def _local_parabolas(x: Array, weights: Array, offsets: Array, kernel: Array) -> Array:
+    """Return the values (K,), at each sample, of the weighted parabola around it.
+
+    The normal equations of all samples are convolutions: their matrix has the moments
+    S_m = Σ k(u) w u^m, m = 0…4, and their right side Σ k(u) w x u^m, m = 0…2. Beyond the ends
+    there are no samples, and their weight is 0.
+    """
+    powers = kernel * offsets ** np.arange(5)[:, None]
+    flipped = powers[:, ::-1]  # a convolution turns its kernel around
+    moments = oaconvolve(np.tile(weights, (5, 1)), flipped, mode="same", axes=1)
+    right = oaconvolve(np.tile(weights * x, (3, 1)), flipped[:3], mode="same", axes=1)
+    s0, s1, s2, s3, s4 = moments
+    # Cramer's rule for the constant term: cofactors of the matrix's first row
+    c0, c1, c2 = s2 * s4 - s3**2, s2 * s3 - s1 * s4, s1 * s3 - s2**2
+    numerator = right[0] * c0 + right[1] * c1 + right[2] * c2
+    return np.asarray(numerator / (s0 * c0 + s1 * c1 + s2 * c2))

@@ -1,1 +1,0 @@
-"""From recordings to filtered signals on a uniform grid."""
