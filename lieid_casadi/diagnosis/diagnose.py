@@ -20,7 +20,7 @@ from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.recording import Processing, Recording
-from lieid_casadi.recording.checks import check_time
+from lieid_casadi.recording.plausibility import check_time
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot import Robot
 

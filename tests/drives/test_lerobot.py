@@ -8,7 +8,7 @@ from drives.lerobot_files import JOINTS, LENGTHS, SO101, frames, write
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import RecordingError, SameRecordingWarning
-from lieid_casadi.recording.checks import check_time
+from lieid_casadi.recording.plausibility import check_time
 
 LIMITS = np.column_stack([SO101.limit("position_lower"), SO101.limit("position_upper")])
 
