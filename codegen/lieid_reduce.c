@@ -1,12 +1,10 @@
-/* Householder reduction of columns that stay in cache into triangular factors (TSQR).
+/* Householder reduction of columns that stay in cache into a triangular factor (TSQR).
  *
  * [R; B] becomes [R'; 0] for an upper triangular R (count, count), row after row, and a block of
  * columns B. Reflections are gathered PANEL at a time (compact WY form: Schreiber, Van Loan, SIAM
  * J. Sci. Stat. Comput. 1989), so that nearly all work is products of small matrices in registers.
  */
 #include "lieid_lanes.h"
-
-#include <stdlib.h>
 
 #if defined(__FMA__) || defined(__AVX512F__)
 #include <immintrin.h>
@@ -17,7 +15,6 @@ enum { PANEL = 8, GROUP = 3 }; /* PANEL * GROUP sums stay in registers */
 #else
 enum { PANEL = 4, GROUP = 2 };
 #endif
-enum { PADDING = 8 }; /* columns apart by a power of two compete for the same cache lines */
 
 #if defined(__clang__)
 #define UNROLL _Pragma("clang loop unroll(full)")
@@ -200,49 +197,6 @@ static void reduce(double *const *b, int64_t size, int64_t count, double *r)
         for (; c < size; c++)
             apply(b + first, t, b + c, 1, count, r + first * size + c, size);
     }
-}
-
-static double *aligned_doubles(int64_t count)
-{
-    return aligned_alloc(64, (size_t)(count + 7) / 8 * 8 * sizeof(double));
-}
-
-/* Columns of samples first .. last - 1 by lieid_columns of lieid_batch.c. */
-typedef int (*lieid_columns_function)(const void *plan, int64_t first, int64_t last, double *out,
-                                      int64_t ld, int64_t value_count);
-
-/* Evaluate samples first .. last - 1 in blocks and reduce them at once: row i's values and, as
- * last column, its torque into factors[i]. Returns 0, or -1 without memory.
- */
-int lieid_reduce(lieid_columns_function evaluate, const void *plan, int64_t first, int64_t last,
-                 int64_t block, int64_t row_count, const int64_t *row_starts, const char *torque,
-                 int64_t sample_bytes, int64_t value_bytes, double *const *factors)
-{
-    const int64_t values = row_starts[row_count], ld = (block + 7) / 8 * 8 + PADDING;
-    double *buffer = aligned_doubles((values + 1) * ld);
-    double **columns = malloc(((size_t)values + 1) * sizeof *columns);
-    int failed = buffer == NULL || columns == NULL;
-    double *measured = failed ? NULL : buffer + values * ld;
-    for (int64_t s = first; s < last && !failed; s += block) {
-        const int64_t count = last - s < block ? last - s : block;
-        const int64_t whole = (count + LIEID_LANES - 1) / LIEID_LANES * LIEID_LANES;
-        failed = evaluate(plan, s, s + count, buffer, ld, values);
-        for (int64_t k = 0; k < values; k++)
-            for (int64_t e = count; e < whole; e++) buffer[k * ld + e] = 0.0;
-        for (int64_t i = 0; i < row_count && !failed; i++) {
-            const int64_t size = row_starts[i + 1] - row_starts[i];
-            const char *from = torque + s * sample_bytes + i * value_bytes;
-            for (int64_t k = 0; k < size; k++) columns[k] = buffer + (row_starts[i] + k) * ld;
-            columns[size] = measured;
-            for (int64_t e = 0; e < count; e++, from += sample_bytes)
-                measured[e] = *(const double *)(const void *)from;
-            for (int64_t e = count; e < whole; e++) measured[e] = 0.0;
-            reduce(columns, size + 1, whole, factors[i]);
-        }
-    }
-    free(columns);
-    free(buffer);
-    return failed ? -1 : 0;
 }
 
 /* Reduce a Fortran-ordered matrix (samples, size), ld doubles from column to column, into R.

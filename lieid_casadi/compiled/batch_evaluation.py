@@ -1,10 +1,10 @@
-"""Evaluation of a sparse matrix function on batches, compiled or by CasADi's virtual machine."""
+"""Evaluation of matrix functions on batches, compiled or by CasADi's virtual machine."""
 
 from __future__ import annotations
 
 import ctypes
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.kernel_source import CONSTANT_ARGUMENTS
+from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.compiled.library import BatchArgument, BatchPlan, Kernel, KernelCall, Runtime
-from lieid_casadi.compiled.threads import slices
+from lieid_casadi.expressions import model_functions
 from lieid_casadi.expressions.model_functions import SparseFunction
 
 Indices = NDArray[np.int64]
 
 LAST_LEVEL_CACHE = 8 << 20  # bytes; larger results bypass the caches
 BLOCK = 4096  # samples that the virtual machine evaluates at once
+SAMPLES_PER_THREAD = 8192  # below it starting a thread takes longer than it saves
 _ROLES = {"sin": 2, "cos": 3}
 
 
@@ -64,12 +66,7 @@ class Evaluation(ABC):
 
 
 class BoundEvaluation(ABC):
-    """An evaluation on given samples.
-
-    ``compiled`` is the runtime and the address of the ``lieid_plan``, None for the virtual machine.
-    """
-
-    compiled: tuple[Runtime, int] | None = None
+    """An evaluation on given samples."""
 
     @abstractmethod
     def dense(self, out: Array, threads: int) -> None:
@@ -139,7 +136,6 @@ class _BoundKernels(BoundEvaluation):
             len(calls), ctypes.addressof(calls),
         )  # fmt: skip
         self._address = ctypes.addressof(self._plan)
-        self.compiled = evaluation.runtime, self._address
 
     def dense(self, out: Array, threads: int) -> None:
         e = self._evaluation
@@ -276,3 +272,129 @@ def _chunks(layout: MatrixLayout, lanes: int) -> tuple[Indices, NDArray[np.int32
     used = np.flatnonzero((pieces != layout.count).any(axis=1))
     used = np.array(sorted(used, key=lambda c: (c + 1) * lanes <= size), dtype=np.int64)
     return used * lanes, np.ascontiguousarray(pieces[used]).ravel()
+
+
+BUFFER_BYTES = 1 << 19  # half of a common second-level cache
+PADDING = 8  # doubles between rows: strides of a power of two map to the same cache lines
+
+
+class BaseBlocks:
+    """Blocks of samples of a base regressor.
+
+    Each joint has only its structurally nonzero columns, so that joint i's block has no zeros of
+    the links before it. Iterate, or call `evaluate` from several threads with a buffer each.
+
+    Attributes
+    ----------
+    columns : tuple of (p_i,) int
+        Which of the base regressor's columns each joint has, ascending.
+    starts : (n + 1,) int
+        Where each joint's values begin among those of one sample.
+    samples : int
+    size : int
+        Samples per block.
+
+    Examples
+    --------
+    >>> import lieid_casadi as lieid, numpy as np
+    >>> arm = lieid.compile(lieid.Model(lieid.robots.two_link(), effects=["viscous"]))
+    >>> q = np.zeros((1000, 2))
+    >>> blocks = arm.base_blocks(q, q, q, size=400)
+    >>> [(part.start, part.stop, joints[1].shape) for part, joints in blocks]
+    [(0, 400, (4, 400)), (400, 800, (4, 400)), (800, 1000, (4, 200))]
+    """
+
+    def __init__(
+        self,
+        evaluation: Evaluation,
+        values: Mapping[str, Array],
+        samples: int,
+        size: int | None = None,
+    ) -> None:
+        layout = evaluation.layout
+        self._bound = evaluation.bind(values)
+        self._starts = [int(start) for start in layout.row_starts]
+        self.starts = layout.row_starts
+        self.columns = tuple(
+            layout.columns[first:last]
+            for first, last in zip(self._starts[:-1], self._starts[1:], strict=True)
+        )
+        self.samples = samples
+        self.size = size or max(64, BUFFER_BYTES // (8 * max(layout.count, 1)) // 64 * 64)
+
+    def buffer(self) -> Array:
+        """Return memory for one block, on a cache line's boundary."""
+        rows, columns = self._starts[-1], self.size + PADDING
+        memory = np.empty(rows * columns + PADDING)
+        start = -memory.ctypes.data % 64 // 8
+        return memory[start : start + rows * columns].reshape(rows, columns)
+
+    def evaluate(self, first: int, last: int, buffer: Array) -> tuple[Array, ...]:
+        """Return some samples as one array (p_i, m) per joint, m = last − first.
+
+        Rows are contiguous, so that the transpose is a Fortran-ordered matrix of m samples.
+
+        Parameters
+        ----------
+        first, last : int
+            Samples first … last − 1, at most ``size``.
+        buffer : array
+            From `buffer`; the results are views of it.
+        """
+        self._bound.columns(first, last, buffer)
+        ends = zip(self._starts[:-1], self._starts[1:], strict=True)
+        return tuple(buffer[start:end, : last - first] for start, end in ends)
+
+    def __iter__(self) -> Iterator[tuple[slice, tuple[Array, ...]]]:
+        buffer = self.buffer()
+        for first in range(0, self.samples, self.size):
+            last = min(first + self.size, self.samples)
+            yield slice(first, last), self.evaluate(first, last, buffer)
+
+
+BEFORE = "before_"  # prefix of arguments that belong to the sample before
+
+
+def states_along(kernels: Kernels, signals: Mapping[str, Array]) -> Array:
+    """Return the states (N, S) at every sample of one segment; see `model_functions.states_along`.
+
+    ``kernels``: those of one lane, because each sample depends on the one before it; ``signals``:
+    arrays by name.
+    """
+    compiled = kernels.get(["memory"])
+    if compiled is None:
+        return model_functions.states_along(kernels.functions, signals)
+    runtime, (kernel,) = compiled
+    assert runtime.states is not None
+    model, samples = kernels.functions.model, len(signals["q"])
+    states = np.empty((samples, len(model.states)))
+    states[:1] = model.initial_states
+    arrays = {name: np.ascontiguousarray(array) for name, array in signals.items()}
+    nothing = np.zeros(max(width for _, width in kernel.arguments))
+    pointers = (ctypes.c_void_p * len(kernel.arguments))()
+    steps = np.zeros(len(kernel.arguments), dtype=np.int64)
+    for k, (name, width) in enumerate(kernel.arguments):
+        before = name.startswith(BEFORE) or name == "states"
+        array = states if name == "states" else arrays.get(name.removeprefix(BEFORE))
+        if array is None or width == 0:
+            pointers[k] = nothing.ctypes.data
+        elif name in CONSTANT_ARGUMENTS:
+            pointers[k] = array.ctypes.data
+        else:
+            steps[k] = width
+            pointers[k] = array.ctypes.data + (0 if before else array.strides[0])
+    if runtime.states(
+        kernel.address, len(steps), ctypes.addressof(pointers), steps.ctypes.data,
+        states.shape[1], states.ctypes.data, samples,
+    ):  # fmt: skip
+        raise MemoryError
+    return states
+
+
+def slices(samples: int, threads: int, lanes: int) -> list[tuple[int, int]]:
+    """Return first and last + 1 of the samples of each thread; all but the last whole lanes."""
+    count = min(threads, samples // SAMPLES_PER_THREAD)
+    if count <= 1:
+        return [(0, samples)]
+    step = -(-samples // (count * lanes)) * lanes
+    return [(first, min(first + step, samples)) for first in range(0, samples, step)]

@@ -2,16 +2,57 @@
 
 from __future__ import annotations
 
+import os
+import re
+from collections.abc import Mapping
+from typing import TypedDict, Unpack
+
+import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.compiled import array_checks
-from lieid_casadi.compiled.base_regressor_blocks import BaseBlocks
-from lieid_casadi.compiled.rigid_functions import RigidFunctions
+from lieid_casadi.compiled.batch_evaluation import (
+    BaseBlocks,
+    CompiledEvaluation,
+    Evaluation,
+    MachineEvaluation,
+    states_along,
+)
+from lieid_casadi.compiled.kernel_source import KernelFunctions
+from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ModelError
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.robot import Robot
+
+# Functions that consist of several parts side by side; the others are one part of the same name.
+_PARTS = {
+    "base_regressor": ("base_regressor", "base_effects"),
+    "rigid_base_regressor": ("base_regressor",),
+}
+_FLOAT = np.dtype(np.float64)
+
+
+class Call(TypedDict, total=False):
+    """Where a result goes, and how many threads compute it."""
+
+    out: Array | None
+    threads: int | None
+
+
+class EffectSignals(TypedDict, total=False):
+    """What effects depend on besides the motion; what is left out or None stays zero."""
+
+    load: ArrayLike | None
+    temperature: ArrayLike | None
+    time: ArrayLike | None
+    command_error: ArrayLike | None
+    shapes: ArrayLike | None
+    dead_zone: ArrayLike | None
+
+
+class EffectCall(Call, EffectSignals, total=False):
+    """Both."""
 
 
 def compile(
@@ -57,13 +98,11 @@ def compile(
     return Compiled(made, threads=threads, lanes=lanes)
 
 
-class Compiled(RigidFunctions):
-    """A model's functions on arrays of N samples: q, dq, ddq (N, n) in rad and seconds.
+class Compiled:
+    """A model's functions on arrays of N samples, each built when it is first called.
 
-    Arrays may have any strides. ``out`` is a C-contiguous array of the result's shape to write to,
-    ``threads`` the number of threads for this call. NaN in a sample gives NaN in that sample only;
-    effects with memory hold their state there (`Effect.next_states`).
-    Every method raises `ModelError` for arrays of the wrong shape or kind.
+    Arrays may have any strides. NaN in a sample gives NaN in that sample only; effects with memory
+    hold their state there (`Effect.next_states`).
 
     Parameters
     ----------
@@ -72,45 +111,112 @@ class Compiled(RigidFunctions):
         Threads that share a large batch; two if left out.
     lanes : int, optional
         Samples per vector register; the most that the processor has if left out.
+
+    Notes
+    -----
+    Arguments of the methods:
+
+    q, dq, ddq : (N, n)
+        rad, rad/s, rad/s².
+    parameters : (10 n,)
+        Link parameters.
+    out : array, optional
+        C-contiguous array of the result's shape to write to.
+    threads : int, optional
+        Threads for this call.
+
+    Functions of effects also take, by name:
+
+    load : (N, n)
+        τ_load, N·m; zero if left out.
+    temperature : (N, n)
+        °C relative to the training mean; zero if left out.
+    time : (N,)
+        s; zero if left out.
+    command_error : (N, n)
+        Commanded minus measured position, rad; zero if left out.
+    shapes : (s,)
+        Shape parameters; the effects' start values if left out.
+    dead_zone : (n,)
+        Below this |q̇| the sign changes gradually from −1 to 1, rad/s; zero if left out.
+
+    For effects with memory the samples are one segment, in order, from its first one. Effects on
+    the whole arm or on the measurement do not follow from the signals of one joint: models with
+    such an effect are refused (use `Fit.torque`), or, with ``joint_effects_only``, the other
+    effects are evaluated alone. Every method raises `ModelError` for arrays of the wrong shape or
+    kind.
     """
 
-    def base_regressor(
+    def __init__(
+        self, model: Model, *, threads: int | None = None, lanes: int | None = None
+    ) -> None:
+        self.model = model
+        self.functions = KernelFunctions(model)
+        self.threads = default_threads() if threads is None else threads
+        self._kernels = Kernels(self.functions, lanes)
+        self._memory = Kernels(self.functions, lanes=1)
+        self._evaluations: dict[str, Evaluation] = {}
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.model.n
+
+    def regressor(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, **call: Unpack[Call]) -> Array:
+        """Return the full regressor Y (N, n, 10 n) of the rigid torque."""
+        return self._matrix("regressor", self._samples(q=q, dq=dq, ddq=ddq), **call)
+
+    def slotine_li_regressor(
+        self,
+        q: ArrayLike,
+        dq: ArrayLike,
+        dq_r: ArrayLike,
+        ddq_r: ArrayLike,
+        **call: Unpack[Call],
+    ) -> Array:
+        """Return Y(q, q̇, q̇_r, q̈_r) (N, n, 10 n): Y·π = M·q̈_r + C·q̇_r + G with Ṁ − 2C skew.
+
+        ``dq_r``, ``ddq_r`` (N, n) are the reference motion of an adaptive controller (Slotine, Li,
+        "On the adaptive control of robot manipulators", IJRR 1987), rad/s, rad/s².
+        """
+        values = self._samples(q=q, dq=dq, dq_r=dq_r, ddq_r=ddq_r)
+        return self._matrix("slotine_li_regressor", values, **call)
+
+    def inverse_dynamics(
         self,
         q: ArrayLike,
         dq: ArrayLike,
         ddq: ArrayLike,
-        *,
-        load: ArrayLike | None = None,
-        temperature: ArrayLike | None = None,
-        time: ArrayLike | None = None,
-        command_error: ArrayLike | None = None,
-        shapes: ArrayLike | None = None,
-        dead_zone: ArrayLike | None = None,
-        out: Array | None = None,
-        threads: int | None = None,
+        parameters: ArrayLike,
+        **call: Unpack[Call],
+    ) -> Array:
+        """Return the rigid torque (N, n) of link parameters, N·m."""
+        values = self._samples(q=q, dq=dq, ddq=ddq) | self._links(parameters)
+        return self._vector("inverse_dynamics", values, **call)
+
+    def mass_matrix(self, q: ArrayLike, parameters: ArrayLike, **call: Unpack[Call]) -> Array:
+        """Return M(q) (N, n, n) of link parameters, kg·m²."""
+        return self._matrix("mass_matrix", self._samples(q=q) | self._links(parameters), **call)
+
+    def coriolis_matrix(
+        self, q: ArrayLike, dq: ArrayLike, parameters: ArrayLike, **call: Unpack[Call]
+    ) -> Array:
+        """Return C(q, q̇) (N, n, n) of link parameters, with Ṁ − 2C skew-symmetric."""
+        values = self._samples(q=q, dq=dq) | self._links(parameters)
+        return self._matrix("coriolis_matrix", values, **call)
+
+    def gravity(self, q: ArrayLike, parameters: ArrayLike, **call: Unpack[Call]) -> Array:
+        """Return G(q) (N, n) of link parameters, N·m."""
+        return self._vector("gravity", self._samples(q=q) | self._links(parameters), **call)
+
+    def jacobian(self, q: ArrayLike, **call: Unpack[Call]) -> Array:
+        """Return the tool's Jacobian (N, 6, n), [ω; v] in base axes."""
+        return self._matrix("jacobian", self._samples(q=q), **call)
+
+    def base_regressor(
+        self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, **given: Unpack[EffectCall]
     ) -> Array:
         """Return Y_b (N, n, p): the kept columns of [Y, effect columns].
-
-        Parameters
-        ----------
-        q, dq, ddq : (N, n)
-            rad, rad/s, rad/s².
-        load : (N, n), optional
-            τ_load, N·m; zero if left out.
-        temperature : (N, n), optional
-            °C relative to the training mean; zero if left out.
-        time : (N,), optional
-            s; zero if left out.
-        command_error : (N, n), optional
-            Commanded minus measured position, rad; zero if left out.
-        shapes : (s,), optional
-            Shape parameters; the effects' start values if left out.
-        dead_zone : (n,), optional
-            Below this |q̇| the sign changes gradually from −1 to 1, rad/s; zero if left out.
-        out : (N, n, p), optional
-            Array to write to.
-        threads : int, optional
-            Threads for this call.
 
         Raises
         ------
@@ -118,31 +224,14 @@ class Compiled(RigidFunctions):
             The model has effects on the whole arm or on the measurement.
         """
         self._require_joint_effects()
-        motion = self._motion(q, dq, ddq)
-        values = self._signals(motion, load, temperature, time, command_error, shapes, dead_zone)
-        return self._matrix("base_regressor", values, out, threads)
+        values = self._signals(self._samples(q=q, dq=dq, ddq=ddq), given)
+        return self._matrix("base_regressor", values, given.get("out"), given.get("threads"))
 
     def rigid_base_regressor(
-        self,
-        q: ArrayLike,
-        dq: ArrayLike,
-        ddq: ArrayLike,
-        *,
-        out: Array | None = None,
-        threads: int | None = None,
+        self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, **call: Unpack[Call]
     ) -> Array:
-        """Return Y_b (N, n, p) with zeros in the columns of effects.
-
-        Parameters
-        ----------
-        q, dq, ddq : (N, n)
-            rad, rad/s, rad/s².
-        out : (N, n, p), optional
-            Array to write to.
-        threads : int, optional
-            Threads for this call.
-        """
-        return self._matrix("rigid_base_regressor", self._motion(q, dq, ddq), out, threads)
+        """Return Y_b (N, n, p) with zeros in the columns of effects."""
+        return self._matrix("rigid_base_regressor", self._samples(q=q, dq=dq, ddq=ddq), **call)
 
     def base_blocks(
         self,
@@ -150,27 +239,11 @@ class Compiled(RigidFunctions):
         dq: ArrayLike,
         ddq: ArrayLike,
         *,
-        load: ArrayLike | None = None,
-        temperature: ArrayLike | None = None,
-        time: ArrayLike | None = None,
-        command_error: ArrayLike | None = None,
-        shapes: ArrayLike | None = None,
-        dead_zone: ArrayLike | None = None,
         size: int | None = None,
+        **signals: Unpack[EffectSignals],
     ) -> BaseBlocks:
-        """Return Y_b in blocks that fit in cache.
-
-        Parameters
-        ----------
-        q, dq, ddq : (N, n)
-            rad, rad/s, rad/s².
-        load, temperature, time, command_error, shapes, dead_zone : optional
-            As for `base_regressor`.
-        size : int, optional
-            Samples per block; as many as half a second-level cache holds if left out.
-        """
-        motion = self._motion(q, dq, ddq)
-        values = self._signals(motion, load, temperature, time, command_error, shapes, dead_zone)
+        """Return Y_b in blocks of ``size`` samples, by default such that they fit in cache."""
+        values = self._signals(self._samples(q=q, dq=dq, ddq=ddq), signals)
         return BaseBlocks(self._evaluation("base_regressor"), values, len(values["q"]), size)
 
     def effect_columns(
@@ -179,44 +252,20 @@ class Compiled(RigidFunctions):
         dq: ArrayLike,
         ddq: ArrayLike,
         *,
-        load: ArrayLike | None = None,
-        temperature: ArrayLike | None = None,
-        time: ArrayLike | None = None,
-        command_error: ArrayLike | None = None,
-        shapes: ArrayLike | None = None,
-        dead_zone: ArrayLike | None = None,
-        out: Array | None = None,
-        threads: int | None = None,
         joint_effects_only: bool = False,
+        **given: Unpack[EffectCall],
     ) -> Array:
         """Return the effects' columns (N, n, m), dropped ones included.
-
-        For effects with memory the samples are one segment, in order, from its first one.
-
-        Parameters
-        ----------
-        q, dq, ddq : (N, n)
-            rad, rad/s, rad/s².
-        load, temperature, time, command_error, shapes, dead_zone : optional
-            As for `base_regressor`.
-        out : (N, n, m), optional
-            Array to write to.
-        threads : int, optional
-            Threads for this call.
-        joint_effects_only : bool
-            Whether effects on the whole arm or on the measurement are left out; otherwise a model
-            that has any is refused, because they do not follow from the signals of one joint.
 
         Raises
         ------
         ModelError
-            The model has effects on the whole arm or on the measurement; use `Fit.torque`.
+            The model has effects on the whole arm or on the measurement.
         """
         if not joint_effects_only:
             self._require_joint_effects()
-        motion = self._motion(q, dq, ddq)
-        values = self._signals(motion, load, temperature, time, command_error, shapes, dead_zone)
-        return self._matrix("effect_columns", values, out, threads)
+        values = self._signals(self._samples(q=q, dq=dq, ddq=ddq), given)
+        return self._matrix("effect_columns", values, given.get("out"), given.get("threads"))
 
     def friction(
         self,
@@ -225,46 +274,22 @@ class Compiled(RigidFunctions):
         ddq: ArrayLike,
         coefficients: ArrayLike,
         *,
-        load: ArrayLike | None = None,
-        temperature: ArrayLike | None = None,
-        time: ArrayLike | None = None,
-        command_error: ArrayLike | None = None,
-        shapes: ArrayLike | None = None,
-        dead_zone: ArrayLike | None = None,
-        out: Array | None = None,
-        threads: int | None = None,
         joint_effects_only: bool = False,
+        **given: Unpack[EffectCall],
     ) -> Array:
-        """Return the torque of all effects (N, n) for linear coefficients (m,).
-
-        Parameters
-        ----------
-        q, dq, ddq : (N, n)
-            rad, rad/s, rad/s².
-        coefficients : (m,)
-            Linear coefficients.
-        load, temperature, time, command_error, shapes, dead_zone : optional
-            As for `base_regressor`.
-        out : (N, n), optional
-            Array to write to.
-        threads : int, optional
-            Threads for this call.
-        joint_effects_only : bool
-            Whether effects on the whole arm or on the measurement are left out; otherwise a model
-            that has any is refused, because they do not follow from the signals of one joint.
+        """Return the torque of all effects (N, n) for linear ``coefficients`` (m,).
 
         Raises
         ------
         ModelError
-            The model has effects on the whole arm or on the measurement; use `Fit.torque`.
+            The model has effects on the whole arm or on the measurement.
         """
         if not joint_effects_only:
             self._require_joint_effects()
-        motion = self._motion(q, dq, ddq)
-        values = self._signals(motion, load, temperature, time, command_error, shapes, dead_zone)
+        values = self._signals(self._samples(q=q, dq=dq, ddq=ddq), given)
         width = len(self.model.columns)
-        values["coefficients"] = array_checks.constants("coefficients", coefficients, width)
-        return self._vector("friction", values, out, threads)
+        values["coefficients"] = _constants("coefficients", coefficients, width)
+        return self._vector("friction", values, given.get("out"), given.get("threads"))
 
     def _require_joint_effects(self) -> None:
         labels = [p.label for p in self.model.placements if isinstance(p.effect, ArmEffect)]
@@ -274,3 +299,166 @@ class Compiled(RigidFunctions):
                 "follow from the signals of one joint; use Fit.torque or lieid.symbolic, or pass "
                 "joint_effects_only=True where the function takes it"
             )
+
+    def _samples(self, **signals: ArrayLike) -> dict[str, Array]:
+        """Check signals (N, n) of equal N."""
+        values: dict[str, Array] = {}
+        count = None
+        for name, signal in signals.items():
+            values[name] = samples(name, signal, self.n, count)
+            count = len(values[name])
+        return values
+
+    def _signals(self, motion: dict[str, Array], given: EffectSignals) -> dict[str, Array]:
+        """Return the motion with the other signals of effects."""
+        unknown = given.keys() - EffectCall.__annotations__.keys()
+        if unknown:
+            raise TypeError(f"unexpected keyword argument {sorted(unknown)[0]!r}")
+        start, count = self.model.initial_shapes, len(motion["q"])
+        shapes, dead_zone = given.get("shapes"), given.get("dead_zone")
+        values = motion | {
+            "shapes": _constants("shapes", start if shapes is None else shapes, len(start)),
+            "dead_zone": _constants(
+                "dead_zone", np.zeros(self.n) if dead_zone is None else dead_zone, self.n
+            ),
+        }
+        for name in ("load", "temperature", "command_error"):
+            signal: ArrayLike | None = given.get(name)  # type: ignore[assignment]
+            if signal is not None:
+                values[name] = samples(name, signal, self.n, count)
+        time = given.get("time")
+        if time is not None:
+            values["time"] = _times(time, count)
+        if self.model.states:
+            values["states"] = states_along(self._memory, values)
+        return values
+
+    def _links(self, parameters: ArrayLike) -> dict[str, Array]:
+        return {"parameters": _constants("parameters", parameters, 10 * self.n)}
+
+    def _matrix(
+        self,
+        name: str,
+        values: Mapping[str, Array],
+        out: Array | None = None,
+        threads: int | None = None,
+    ) -> Array:
+        evaluation = self._evaluation(name)
+        result = _output(out, (len(values["q"]), *evaluation.layout.shape))
+        self._run(evaluation, values, result, threads)
+        return result
+
+    def _vector(
+        self,
+        name: str,
+        values: Mapping[str, Array],
+        out: Array | None = None,
+        threads: int | None = None,
+    ) -> Array:
+        """Evaluate a function whose matrices are columns."""
+        evaluation = self._evaluation(name)
+        result = _output(out, (len(values["q"]), evaluation.layout.shape[0]))
+        self._run(evaluation, values, result[:, :, None], threads)
+        return result
+
+    def _run(
+        self, evaluation: Evaluation, values: Mapping[str, Array], out: Array, threads: int | None
+    ) -> None:
+        apart = {k: v.copy() if np.may_share_memory(v, out) else v for k, v in values.items()}
+        evaluation.bind(apart).dense(out, self.threads if threads is None else threads)
+
+    def _evaluation(self, name: str) -> Evaluation:
+        if name not in self._evaluations:
+            self._evaluations[name] = self._make_evaluation(name)
+        return self._evaluations[name]
+
+    def _make_evaluation(self, name: str) -> Evaluation:
+        first_columns, shape = self._extent(name)
+        parts = [
+            (part, first)
+            for part, first in zip(_PARTS.get(name, (name,)), first_columns, strict=True)
+            if first < shape[1]  # a model without effects has no columns of theirs
+        ]
+        names, first_columns = [part for part, _ in parts], tuple(first for _, first in parts)
+        compiled = self._kernels.get(names) if parts else None
+        if compiled is not None:
+            return CompiledEvaluation(*compiled, first_columns, shape)
+        functions = [getattr(self.functions, part) for part in names]
+        return MachineEvaluation(functions, first_columns, shape)
+
+    def _extent(self, name: str) -> tuple[tuple[int, ...], tuple[int, int]]:
+        """Return the first column of each part, and the whole matrix's shape."""
+        n = self.n
+        if name in _PARTS:
+            kept = self.model.base.kept
+            starts = (0, int(np.sum(kept < 10 * n)))
+            return starts[: len(_PARTS[name])], (n, len(kept))
+        shapes = {
+            "regressor": (n, 10 * n), "slotine_li_regressor": (n, 10 * n),
+            "effect_columns": (n, len(self.model.columns)), "mass_matrix": (n, n),
+            "coriolis_matrix": (n, n), "jacobian": (6, n),
+        }  # fmt: skip
+        return (0,), shapes.get(name, (n, 1))
+
+
+def default_threads() -> int:
+    """Return $LIEID_THREADS (1 to 9999), else two, or one if only one processor may be used."""
+    stated = os.environ.get("LIEID_THREADS", "")
+    if re.fullmatch("[1-9][0-9]{0,3}", stated):
+        return int(stated)
+    return min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
+
+
+def samples(name: str, values: ArrayLike, width: int, count: int | None = None) -> Array:
+    """Return values (N, width) as float64, of any strides; ``count`` is the N that is expected.
+
+    Raises `ModelError`: another shape, or not real numbers.
+    """
+    array = _real(name, values)
+    if array.ndim != 2 or array.shape[1] != width or count not in (None, len(array)):
+        rows = "N" if count is None else str(count)
+        raise ModelError(f"{name}: shape {array.shape}; expected ({rows}, {width})")
+    return array
+
+
+def _times(values: ArrayLike, count: int) -> Array:
+    """Return times (N,) as (N, 1)."""
+    array = _real("time", values)
+    if array.shape not in ((count,), (count, 1)):
+        raise ModelError(f"time: shape {array.shape}; expected ({count},)")
+    return array.reshape(count, 1)
+
+
+def _constants(name: str, values: ArrayLike, width: int) -> Array:
+    """Return values (width,) that are the same for every sample as contiguous float64."""
+    array = _real(name, values)
+    if array.shape != (width,):
+        raise ModelError(f"{name}: shape {array.shape}; expected ({width},)")
+    return np.ascontiguousarray(array)
+
+
+def _output(out: object, shape: tuple[int, ...]) -> Array:
+    """Return the array to write to: ``out`` if it fits, a new one if it is None."""
+    if out is None:
+        return np.empty(shape)
+    if not isinstance(out, np.ndarray):
+        raise ModelError(f"out: {type(out).__name__}; expected an array of float64")
+    if out.dtype != np.float64:
+        raise ModelError(f"out: dtype {out.dtype}; expected float64")
+    if out.shape != shape:
+        raise ModelError(f"out: shape {out.shape}; expected {shape}")
+    if not (out.flags.c_contiguous and out.flags.aligned and out.flags.writeable):
+        raise ModelError("out: expected a C-contiguous, writable array")
+    return out
+
+
+def _real(name: str, values: ArrayLike) -> Array:
+    if isinstance(values, np.ndarray) and values.dtype is _FLOAT and values.flags.aligned:
+        return values
+    try:
+        array = np.asarray(values)
+    except ValueError as error:  # rows of different lengths
+        raise ModelError(f"{name}: {error}") from None
+    if array.dtype.kind not in "fiub":
+        raise ModelError(f"{name}: dtype {array.dtype}; expected real numbers")
+    return np.require(array, np.float64, "A")

@@ -26,8 +26,7 @@ from lieid_casadi.compiled.compiler import (
     build,
     find_compiler,
 )
-from lieid_casadi.compiled.kernel_functions import KernelFunctions
-from lieid_casadi.compiled.kernel_source import kernel_source
+from lieid_casadi.compiled.kernel_source import KernelFunctions, kernel_source
 from lieid_casadi.compiled.library import (
     Kernel,
     Reducer,
@@ -241,7 +240,7 @@ def _derivation() -> str:
     package, here = Path(__file__).parents[1], Path(__file__).parent
     files = [*(package / "dynamics").glob("*.py"), package / "robot" / "joint.py"]
     files += [package / "expressions" / name for name in ("model_functions.py", "c_writer.py")]
-    files += [here / name for name in ("kernel_functions.py", "kernel_source.py")]
+    files.append(here / "kernel_source.py")
     digest = hashlib.sha256(ca.CasadiMeta.version().encode())
     for path in sorted(files):
         digest.update(path.read_bytes())

@@ -139,9 +139,8 @@ def _runtime(library: ctypes.CDLL) -> Runtime:
 
 @dataclass(frozen=True, eq=False)
 class Reducer:
-    """``codegen/lieid_reduce.c``, compiled: its functions, which release the GIL."""
+    """``codegen/lieid_reduce.c``, compiled: its function, which releases the GIL."""
 
-    blocks: Callable[..., int]
     matrix: Callable[..., None]
 
 
@@ -153,13 +152,10 @@ def load_reducer(path: Path) -> Reducer:
 
 def _reducer(library: ctypes.CDLL) -> Reducer:
     pointer, whole = ctypes.c_void_p, ctypes.c_int64
-    blocks, matrix = library.lieid_reduce, library.lieid_reduce_matrix
-    blocks.argtypes = [
-        pointer, pointer, whole, whole, whole, whole, pointer, pointer, whole, whole, pointer,
-    ]  # fmt: skip
+    matrix = library.lieid_reduce_matrix
     matrix.argtypes = [pointer, whole, whole, whole, pointer, pointer]
     matrix.restype = None
-    return Reducer(blocks, matrix)
+    return Reducer(matrix)
 
 
 @contextmanager

@@ -8,23 +8,18 @@ is formed, which would square the condition number.
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import qr
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.compiled.base_regressor_blocks import BaseBlocks
 from lieid_casadi.compiled.kernels import reducer
-from lieid_casadi.compiled.library import Reducer, Runtime
+from lieid_casadi.compiled.library import Reducer
 
 BLOCK = 512  # rows reduced at once
 PADDING = 8  # doubles between columns, see `blocks`
 MOST_LANES = 8
-SAMPLES_PER_THREAD = 4096  # below it starting a thread takes longer than it saves
 
 
 def triangular(matrix: Array) -> Array:
@@ -82,56 +77,3 @@ class Triangle:
             block.ctypes.data, count, len(block), block.shape[1],
             self._pointers.ctypes.data, self.r.ctypes.data,
         )  # fmt: skip
-
-
-def block_triangles(blocks: BaseBlocks, torque: Array, threads: int) -> list[Array]:
-    """Return the factor (p_i + 1, p_i + 1) of [columns | torque] of each joint.
-
-    ``torque`` (N, n): N·m; ``threads``: each takes one stretch of the samples.
-    """
-    count = max(min(threads, blocks.samples // SAMPLES_PER_THREAD), 1)
-    edges = [blocks.samples * k // count for k in range(count + 1)]
-    parts = list(pairwise(edges))
-    if count == 1:
-        return _reduced(blocks, torque, *parts[0])
-    with ThreadPoolExecutor(count) as pool:
-        done = list(pool.map(lambda part: _reduced(blocks, torque, *part), parts))
-    return [_merged(factors) for factors in zip(*done, strict=True)]
-
-
-def _merged(factors: Sequence[Array]) -> Array:
-    triangle = Triangle(factors[0].shape[1])
-    for factor in factors:
-        triangle.add(factor)
-    return triangle.r
-
-
-def _reduced(blocks: BaseBlocks, torque: Array, first: int, last: int) -> list[Array]:
-    compiled = reducer()
-    if blocks.compiled is None or compiled is None:
-        return _by_lapack(blocks, torque, first, last)
-    runtime, plan = blocks.compiled
-    factors = [np.zeros((len(columns) + 1,) * 2) for columns in blocks.columns]
-    pointers = np.array([factor.ctypes.data for factor in factors], dtype=np.int64)
-    if compiled.blocks(
-        _address_of_columns(runtime), plan, first, last, blocks.size, len(factors),
-        blocks.starts.ctypes.data, torque.ctypes.data, *torque.strides, pointers.ctypes.data,
-    ):  # fmt: skip
-        raise MemoryError
-    return factors
-
-
-def _by_lapack(blocks: BaseBlocks, torque: Array, first: int, last: int) -> list[Array]:
-    triangles = [Triangle(len(columns) + 1) for columns in blocks.columns]
-    buffer = blocks.buffer()
-    for start in range(first, last, blocks.size):
-        end = min(start + blocks.size, last)
-        for j, values in enumerate(blocks.evaluate(start, end, buffer)):
-            triangles[j].add(values.T, torque[start:end, j])
-    return [triangle.r for triangle in triangles]
-
-
-def _address_of_columns(runtime: Runtime) -> int:
-    address = ctypes.cast(runtime.columns, ctypes.c_void_p).value  # type: ignore[arg-type]
-    assert address is not None
-    return address

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.batch_evaluation import CompiledEvaluation, Evaluation, MachineEvaluation
-from lieid_casadi.compiled.kernel_functions import KernelFunctions
+from lieid_casadi.compiled.kernel_source import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.dynamics.lie import Motion as Symbols

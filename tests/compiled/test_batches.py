@@ -158,7 +158,7 @@ def test_a_sample_with_nan_affects_no_other(lanes, bad):
 
 
 def test_threads_share_a_batch(monkeypatch):
-    monkeypatch.setattr("lieid_casadi.compiled.threads.SAMPLES_PER_THREAD", 10)
+    monkeypatch.setattr("lieid_casadi.compiled.batch_evaluation.SAMPLES_PER_THREAD", 10)
     arm, values = compile(MODEL), motion(1003)
     expected = arm.regressor(*values, threads=1)
     for threads in (2, 3, 7, 50):

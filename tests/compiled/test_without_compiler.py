@@ -10,6 +10,7 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi.compiled import compile, kernels
 from lieid_casadi.compiled.batch_evaluation import MachineEvaluation
+from lieid_casadi.compiled.compiled_model import default_threads
 from lieid_casadi.compiled.compiler import (
     DEFAULT_TIMEOUT,
     available_targets,
@@ -17,7 +18,6 @@ from lieid_casadi.compiled.compiler import (
     find_compiler,
     timeout,
 )
-from lieid_casadi.compiled.threads import default_threads
 from lieid_casadi.errors import CompilerError
 
 Q = np.linspace(-1.0, 1.0, 40).reshape(20, 2)

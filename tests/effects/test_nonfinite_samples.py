@@ -7,9 +7,9 @@ import pytest
 from exporters.c_arms import library, made_fit, pointer, sample_type
 
 import lieid_casadi as lieid
-from lieid_casadi.compiled.kernel_functions import KernelFunctions
+from lieid_casadi.compiled.batch_evaluation import states_along as compiled_states
+from lieid_casadi.compiled.kernel_source import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
-from lieid_casadi.compiled.memory_states import states_along as compiled_states
 from lieid_casadi.exporters.c.export import export_c
 from lieid_casadi.expressions.model_functions import states_along
 

@@ -1,4 +1,4 @@
-"""Triangular factors of blocks against a QR of all rows, also of ill-conditioned ones."""
+"""Triangular factors of rows in pieces, and designs in chunks, against the whole."""
 
 from dataclasses import replace
 
@@ -9,87 +9,16 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.compiled import kernels, triangular_factors
 from lieid_casadi.compiled.triangular_factors import Triangle
-from lieid_casadi.errors import IdentificationError, ModelError
 from lieid_casadi.identification.regression import design_matrix
-from lieid_casadi.identification.regression.array_factors import factors
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
+from lieid_casadi.identification.regression.least_squares import joint_factors
 from lieid_casadi.identification.regression.motion_columns import MotionColumns
 from lieid_casadi.recording import Processing, filtering, process
 from lieid_casadi.recording.filtering import filter_memory, windows
 
-FRICTION = "coulomb,viscous,offset,viscous_polynomial"
-
-
-@pytest.fixture(scope="module")
-def panda():
-    return lieid.compile(lieid.Model(lieid.robots.panda(), FRICTION))
-
-
-def motion(n, samples, *, size=1.0, seed=0):
-    rng = np.random.default_rng(seed)
-    middle = rng.normal(size=n)
-    q, dq, ddq = size * rng.normal(size=(3, samples, n))
-    return q + middle, dq, ddq
-
-
-def stacked(arm, q, dq, ddq, tau):
-    """[Y_b | τ] of all joints, one below another."""
-    matrix = arm.base_regressor(q, dq, ddq)
-    return np.concatenate([matrix, tau[:, :, None]], axis=2).reshape(-1, matrix.shape[2] + 1)
-
 
 def without_compiler(monkeypatch):
     monkeypatch.setattr(kernels.CompilerFailure, "reason", "reported before")
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("samples", [5, 383, 384, 9001])
-def test_factor_has_the_gram_matrix_of_the_whole_stack(panda, samples, threads):
-    q, dq, ddq = motion(7, samples)
-    tau = np.random.default_rng(1).normal(size=(samples, 7))
-    whole = stacked(panda, q, dq, ddq, tau)
-    r = combine(factors(panda, q, dq, ddq, tau, threads=threads), np.ones(7)).r
-    scale = np.linalg.norm(whole, axis=0) + 1e-300
-    error = (r / scale).T @ (r / scale) - (whole / scale).T @ (whole / scale)
-    assert np.abs(error).max() < 1e-12
-
-
-def test_each_joint_has_its_own_rows(panda):
-    q, dq, ddq = motion(7, 1000)
-    tau = np.random.default_rng(1).normal(size=(1000, 7))
-    values = np.random.default_rng(2).normal(size=panda.model.base.count)
-    error = panda.base_regressor(q, dq, ddq) @ values - tau
-    found = [factor.misfit(values) for factor in factors(panda, q, dq, ddq, tau)]
-    np.testing.assert_allclose(found, np.sum(error**2, axis=0), rtol=1e-12)
-
-
-def relative_errors(arm, q, dq, ddq):
-    """Errors of β of an exact τ = Y_b·β: by blocks, by one QR, by the Gram matrix."""
-    truth = np.random.default_rng(3).uniform(0.5, 2.0, arm.model.base.count)
-    matrix = arm.base_regressor(q, dq, ddq)
-    tau = matrix @ truth
-    whole = stacked(arm, q, dq, ddq, tau)
-    scale = np.linalg.norm(whole[:, :-1], axis=0)
-    by_blocks = solve(combine(factors(arm, q, dq, ddq, tau), np.ones(arm.n))).values
-    basis, r = np.linalg.qr(whole[:, :-1] / scale)
-    by_qr = np.linalg.solve(r, basis.T @ whole[:, -1]) / scale
-    gram = (whole / np.append(scale, 1.0)).T @ (whole / np.append(scale, 1.0))
-    by_gram = np.linalg.solve(gram[:-1, :-1], gram[:-1, -1]) / scale
-    sizes = np.linalg.svd(r, compute_uv=False)
-    norm = np.linalg.norm(truth)
-    return sizes[0] / sizes[-1], *(
-        np.linalg.norm(values - truth) / norm for values in (by_blocks, by_qr, by_gram)
-    )
-
-
-def test_small_singular_values_are_accurate(panda):
-    """A motion of a few thousandths of a radian: the columns are nearly dependent."""
-    condition, blocks, whole, gram = relative_errors(panda, *motion(7, 6000, size=0.003))
-    assert condition > 1e5
-    assert blocks < 20.0 * whole
-    assert blocks < 1e-6
-    assert gram > 1e3 * blocks
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -106,44 +35,6 @@ def test_triangle_of_pieces_and_weights(compiled, monkeypatch):
     whole = np.column_stack([matrix, torque]) * weights[:, None]
     np.testing.assert_allclose(triangle.r.T @ triangle.r, whole.T @ whole, atol=1e-10)
     np.testing.assert_array_equal(np.tril(triangle.r, -1), 0.0)
-
-
-def test_without_a_compiler_the_factors_are_the_same(monkeypatch):
-    arm = lieid.compile(lieid.Model(lieid.robots.two_link(), FRICTION))
-    q, dq, ddq = motion(2, 700)
-    tau = np.random.default_rng(1).normal(size=(700, 2))
-    expected = [np.abs(f.r) for f in factors(arm, q, dq, ddq, tau)]
-    without_compiler(monkeypatch)
-    machine = lieid.compile(arm.model)
-    for factor, r in zip(factors(machine, q, dq, ddq, tau), expected, strict=True):
-        np.testing.assert_allclose(np.abs(factor.r), r, rtol=1e-9, atol=1e-9)
-
-
-def test_strided_torque(panda):
-    q, dq, ddq = motion(7, 500)
-    wide = np.random.default_rng(1).normal(size=(500, 14))
-    expected = factors(panda, q, dq, ddq, np.ascontiguousarray(wide[:, ::2]))
-    for one, other in zip(factors(panda, q, dq, ddq, wide[:, ::2]), expected, strict=True):
-        np.testing.assert_array_equal(one.r, other.r)
-
-
-def test_a_sample_that_is_not_finite_is_named(panda):
-    q, dq, ddq = motion(7, 2000)
-    tau = np.zeros((2000, 7))
-    tau[1234, 2] = np.nan
-    with pytest.raises(IdentificationError, match="tau: sample 1234, joint 3 is nan"):
-        factors(panda, q, dq, ddq, tau)
-
-
-def test_torques_of_another_shape_are_refused(panda):
-    q, dq, ddq = motion(7, 20)
-    with pytest.raises(ModelError, match="tau"):
-        factors(panda, q, dq, ddq, np.zeros((19, 7)))
-
-
-def test_no_samples(panda):
-    none = np.zeros((0, 7))
-    assert all(not f.r.any() and f.rows == 0 for f in factors(panda, none, none, none, none))
 
 
 def test_triangular_is_at_most_square():
