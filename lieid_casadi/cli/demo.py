@@ -6,36 +6,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options
-from lieid_casadi.cli.option_types import InputPath, seed
+from lieid_casadi.cli import options, output
+from lieid_casadi.cli.option_types import InputPath
+from lieid_casadi.cli.options import Command, option
 from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.demo import Demo
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "demo",
-        help="the whole workflow on a simulated arm",
-        description="Run the whole workflow on a simulated arm: excitation, identification, "
-        "comparison, diagnosis, C code.",
-    )
-    shared_options.add_output_folder(parser, default="lieid-demo")
-    parser.add_argument(
-        "--robot",
-        type=InputPath,
-        default="panda",
-        metavar="ROBOT",
-        help="robot to simulate; default: panda",
-    )
-    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="random seed; default: 0")
-    shared_options.add_outputs(parser)
-    parser.set_defaults(run=run)
-
-
-def run(args: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> output.Outcome:
     """Run the workflow and write recordings, fits, plots and the report into a folder."""
     from lieid_casadi.demo import run_demo
     from lieid_casadi.robot import Robot
@@ -43,24 +23,32 @@ def run(args: argparse.Namespace) -> None:
     folder = Path(args.output)
     with output.progress("demo") as report:
         demo = run_demo(Robot.load(args.robot), seed=args.seed, progress=report)
-    files = output.Files()
-    files.add_json(args.json, content(demo))
-    write(demo, folder, force=args.force)
-    files.write()
-    show(demo, folder)
+    return output.Outcome(
+        lambda: show(demo, folder),
+        json=content(demo),
+        folder=lambda: write(demo, folder, force=args.force),
+    )
+
+
+COMMANDS = (
+    Command(
+        "demo",
+        "the whole workflow on a simulated arm",
+        "Run the whole workflow on a simulated arm: excitation, identification, comparison, "
+        "diagnosis, C code.",
+        (
+            *options.output_folder("lieid-demo"),
+            option("--robot ROBOT", "robot to simulate", InputPath, "panda"),
+            options.random_seed("random seed"),
+            options.JSON,
+        ),
+        run,
+    ),
+)
 
 
 def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
-    """Write all files of a demo into a folder, as a whole or not at all.
-
-    Parameters
-    ----------
-    demo : Demo
-    folder : Path
-        Made if it does not exist.
-    force : bool
-        Replace what an earlier demo wrote into it; other files are kept.
-    """
+    """Write all files of a demo into a folder, as a whole or not at all."""
     from lieid_casadi.exporters.c.export import export_c
     from lieid_casadi.output_folder import output_folder
     from lieid_casadi.report import diagnosis_report

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import effects_file, motion_limits, output, shared_options
+from lieid_casadi.cli import inputs, motion_limits, options, output
 from lieid_casadi.cli.excite import INTERRUPTED
-from lieid_casadi.cli.option_types import InputPath, number, seed
+from lieid_casadi.cli.option_types import InputPath, number
+from lieid_casadi.cli.options import Command, option, several
 from lieid_casadi.errors import UsageError
 from lieid_casadi.tables import make_table
 
@@ -16,113 +17,65 @@ if TYPE_CHECKING:
     from lieid_casadi.discrimination import Discrimination
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "discriminate",
-        help="design the trajectory that separates rival effects",
-        description="Design the trajectory that separates rival effects, and state how long it "
-        "must be.",
-    )
-    parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit of the arm")
-    parser.add_argument(
-        "effects",
-        nargs="+",
-        metavar="EFFECT",
-        help="rival effects, such as stribeck:4; at least two",
-    )
-    shared_options.add_output_folder(parser)
-    parser.add_argument(
-        "--size", action="append", default=[], metavar="EFFECT=V1[,V2…]",
-        help="coefficients and shape parameters of an effect; default: fitted, or noise level",
-    )  # fmt: skip
-    parser.add_argument(
-        "--recordings", nargs="+", type=InputPath, default=[], metavar="REC",
-        help="recordings from which the spectrum of the noise is estimated",
-    )  # fmt: skip
-    parser.add_argument(
-        "--level", type=number, default=0.95, metavar="P", help="confidence level; default: 0.95"
-    )
-    _add_motion(parser)
-    motion_limits.add_limits(parser)
-    _add_search(parser)
-    effects_file.add_option(parser)
-    shared_options.add_recording_options(parser)
-    shared_options.add_outputs(parser)
-    shared_options.add_threads(parser)
-    parser.set_defaults(run=run)
-
-
-def _add_motion(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--duration",
-        type=number,
-        default=10.0,
-        metavar="S",
-        help="duration of one period, s; default: 10",
-    )
-    parser.add_argument(
-        "--harmonics", type=int, default=5, metavar="N", help="harmonics of each joint; default: 5"
-    )
-    parser.add_argument(
-        "--start-pose", type=number, nargs="+", metavar="Q",
-        help="pose at the start and the end, rad; default: a pose found within all limits",
-    )  # fmt: skip
-
-
-def _add_search(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--rate",
-        type=number,
-        default=1000.0,
-        metavar="HZ",
-        help="sampling rate of the files, Hz; default: 1000",
-    )
-    parser.add_argument(
-        "--evaluations",
-        type=int,
-        default=1500,
-        metavar="N",
-        help="evaluations of the criterion in the search; default: 1500",
-    )
-    parser.add_argument(
-        "--seed", type=seed, default=0, metavar="N", help="seed of the search; default: 0"
-    )
-
-
-def run(args: argparse.Namespace) -> int:
-    """Design, write and print; 130 if interrupted with a trajectory kept."""
+def run(args: argparse.Namespace) -> output.Outcome:
+    """Design the trajectory."""
     from lieid_casadi.discrimination import discriminate
-    from lieid_casadi.identification import Fit
 
     folder = Path(args.output)
-    effects_file.load(args.effects_file)
     sizes = sizes_of(args.size)
-    fit = Fit.load(args.fit)
+    fit, recordings = inputs.fit_and_recordings(args)
     with output.progress("discriminate") as report:
         result = discriminate(
-            fit, args.effects, sizes=sizes,
-            recordings=shared_options.recordings_of(args.recordings, args, fit),
+            fit, args.effects, sizes=sizes, recordings=recordings,
             level=args.level, duration=args.duration, harmonics=args.harmonics,
             start_pose=args.start_pose, acceleration=args.acceleration, margin=args.margin,
             limits=motion_limits.limits_of(args, fit.model.robot), rate=args.rate,
             evaluations=args.evaluations, seed=args.seed, progress=report,
         )  # fmt: skip
-    files = output.Files()
-    files.add_json(args.json, result.to_dict())
-    result.save(folder, force=args.force)
-    files.write()
-    show(result, folder)
-    return INTERRUPTED if result.interrupted else 0
+    return output.Outcome(
+        lambda: show(result, folder),
+        json=result.to_dict(),
+        folder=lambda: result.save(folder, force=args.force),
+        status=INTERRUPTED if result.interrupted else 0,
+    )
+
+
+COMMANDS = (
+    Command(
+        "discriminate",
+        "design the trajectory that separates rival effects",
+        "Design the trajectory that separates rival effects, and state how long it must be.",
+        (
+            option("fit FIT", "fit of the arm", InputPath),
+            several("effects EFFECT", "rival effects, such as stribeck:4; at least two", None),
+            *options.output_folder(),
+            option(
+                "--size EFFECT=V1[,V2…]",
+                "coefficients and shape parameters of an effect; default: fitted, or noise level",
+                default=[],
+                action="append",
+            ),
+            several(
+                "--recordings REC", "recordings from which the spectrum of the noise is estimated"
+            ),
+            option("--level P", "confidence level", number, 0.95),
+            option("--duration S", "duration of one period, s", number, 10.0),
+            option("--harmonics N", "harmonics of each joint", int, 5),
+            motion_limits.START_POSE,
+            motion_limits.LIMITS,
+            option("--rate HZ", "sampling rate of the files, Hz", number, 1000.0),
+            option("--evaluations N", "evaluations of the criterion in the search", int, 1500),
+            options.random_seed("seed of the search"),
+            *options.RECORDING,
+            options.JSON,
+        ),
+        run,
+    ),
+)
 
 
 def sizes_of(texts: list[str]) -> dict[str, list[float]]:
-    """Return the sizes that ``--size EFFECT=V1,V2`` states.
-
-    Raises
-    ------
-    UsageError
-    """
+    """Return the sizes that ``--size EFFECT=V1,V2`` states."""
     sizes = {}
     for text in texts:
         label, _, numbers = text.partition("=")

@@ -5,53 +5,54 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import effects_file, output, shared_options
+from lieid_casadi.cli import options, output
+from lieid_casadi.cli.options import Command, option
 from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.effects import Effect
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "effects",
-        help="the library of effects, or one effect of it",
-        description="List the library of effects, or describe one effect.",
-    )
-    parser.add_argument(
-        "name", nargs="?", metavar="NAME", help="effect to describe; default: list all effects"
-    )
-    effects_file.add_option(parser)
-    shared_options.add_outputs(parser)
-    parser.set_defaults(run=run)
-
-
-def run(args: argparse.Namespace) -> None:
-    """Print the description of an effect, or a table of all."""
+def run(args: argparse.Namespace) -> output.Outcome:
+    """Describe an effect, or list all."""
     from lieid_casadi.effects import make
     from lieid_casadi.effects.description import describe
     from lieid_casadi.effects.registry import REGISTER
 
-    effects_file.load(args.effects_file)
     labels = sorted(REGISTER) if args.name is None else [args.name]
     effects = [make(label) for label in labels]
-    files = output.Files()
-    files.add_json(args.json, {"effects": [_to_dict(effect) for effect in effects]})
-    files.write()
-    if args.name is not None:
-        facts = [("effect", args.name), *describe(effects[0])]
-        facts.append(("documentation", f"effects/{effects[0].name}.html"))
-        width = max(len(name) for name, _ in facts) + 2
-        output.say("\n".join(f"{name:<{width}}{text}" for name, text in facts))
-        return
-    output.show(
-        make_table(
-            f"{len(effects)} effects and options (lieid effects NAME describes one)",
-            ("effect", "torque on the joint", "coefficients"),
-            [(effect.label, effect.formula, _names(effect)) for effect in effects],
+
+    def show() -> None:
+        if args.name is not None:
+            facts = [("effect", args.name), *describe(effects[0])]
+            facts.append(("documentation", f"effects/{effects[0].name}.html"))
+            width = max(len(name) for name, _ in facts) + 2
+            output.say("\n".join(f"{name:<{width}}{text}" for name, text in facts))
+            return
+        output.show(
+            make_table(
+                f"{len(effects)} effects and options (lieid effects NAME describes one)",
+                ("effect", "torque on the joint", "coefficients"),
+                [(effect.label, effect.formula, _names(effect)) for effect in effects],
+            )
         )
-    )
+
+    return output.Outcome(show, json={"effects": [_to_dict(effect) for effect in effects]})
+
+
+COMMANDS = (
+    Command(
+        "effects",
+        "the library of effects, or one effect of it",
+        "List the library of effects, or describe one effect.",
+        (
+            option("name NAME", "effect to describe; default: list all effects", nargs="?"),
+            options.EFFECTS_FILE,
+            options.JSON,
+        ),
+        run,
+    ),
+)
 
 
 def _names(effect: Effect) -> str:

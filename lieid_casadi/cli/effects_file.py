@@ -2,21 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
-from lieid_casadi.cli.option_types import InputPath
 from lieid_casadi.errors import UsageError
-
-
-def add_option(parser: argparse.ArgumentParser) -> None:
-    """Add --effects-file, a Python file of the user that is executed."""
-    parser.add_argument(
-        "--effects-file",
-        type=InputPath,
-        metavar="F.py",
-        help="Python file that registers your own effects; it is executed",
-    )
 
 
 def load(path: str | None) -> None:
@@ -42,15 +30,7 @@ def load(path: str | None) -> None:
 
 
 def exception_in(path: str, error: BaseException) -> str | None:
-    """Return a line that names where in a Python file an exception was raised; None if elsewhere.
-
-    Parameters
-    ----------
-    path : str
-        As it was executed.
-    error : BaseException
-        With its traceback.
-    """
+    """Return text that names the line of a file where an exception was raised, if it was there."""
     import traceback
 
     lines = [

@@ -4,71 +4,52 @@ from __future__ import annotations
 
 import argparse
 from math import isnan
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import effects_file, output, shared_options
-from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile
+from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli.option_types import InputPath
+from lieid_casadi.cli.options import Command, option, several
 from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from lieid_casadi.arrays import Array
     from lieid_casadi.diagnosis.extend import Extension
 
-    Array = NDArray[np.float64]
 
-
-def add_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "extend",
-        help="add an effect, fit again, compare the errors",
-        description="Add effects to a fit, fit again, and compare the errors before and after.",
-    )
-    parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit to extend")
-    parser.add_argument("--add", required=True, metavar="A,B:2+3,…", help="effects to add")
-    parser.add_argument(
-        "--train", nargs="+", type=InputPath, required=True, metavar="A", help="recordings to fit"
-    )
-    parser.add_argument(
-        "--test",
-        nargs="+",
-        type=InputPath,
-        default=[],
-        metavar="B",
-        help="recordings to test on, which are not fitted",
-    )
-    parser.add_argument(
-        "-o", "--output", type=OutputFile, metavar="fit2.json", help="write the new fit"
-    )
-    parser.add_argument(
-        "--plot", type=PictureFile, metavar="FILE", help="draw the errors before and after"
-    )
-    effects_file.add_option(parser)
-    shared_options.add_recording_options(parser)
-    shared_options.add_outputs(parser)
-    shared_options.add_threads(parser)
-    parser.set_defaults(run=run)
-
-
-def run(args: argparse.Namespace) -> None:
-    """Fit again, print and write."""
+def run(args: argparse.Namespace) -> output.Outcome:
+    """Fit again."""
     from lieid_casadi.diagnosis.extend import extend
-    from lieid_casadi.identification import Fit
 
-    effects_file.load(args.effects_file)
-    fit = Fit.load(args.fit)
-    train = shared_options.recordings_of(args.train, args, fit)
-    test = shared_options.recordings_of(args.test, args, fit)
+    fit, train = inputs.fit_and_recordings(args, args.train)
+    test = inputs.recordings_of(args.test, args, fit)
     with output.progress("extend") as report:
         extension = extend(fit, args.add, train, test or None, progress=report)
-    files = output.Files()
-    files.add_fit(args.output, extension.after)
-    files.add_json(args.json, extension.to_dict())
-    files.add_picture(args.plot, extension.plot)
-    files.write()
-    print_extension(extension)
+    return output.Outcome(
+        lambda: print_extension(extension),
+        fit=extension.after,
+        json=extension.to_dict(),
+        plot=extension.plot,
+    )
+
+
+COMMANDS = (
+    Command(
+        "extend",
+        "add an effect, fit again, compare the errors",
+        "Add effects to a fit, fit again, and compare the errors before and after.",
+        (
+            option("fit FIT", "fit to extend", InputPath),
+            option("--add A,B:2+3,…", "effects to add", required=True),
+            several("--train A", "recordings to fit", required=True),
+            several("--test B", options.TEST),
+            options.output_file("fit2.json", "write the new fit"),
+            options.plot("draw the errors before and after"),
+            *options.RECORDING,
+            options.JSON,
+        ),
+        run,
+    ),
+)
 
 
 def print_extension(extension: Extension) -> None:

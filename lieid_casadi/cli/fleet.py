@@ -1,4 +1,4 @@
-"""``lieid fleet``: many arms every night, on one machine or a Dask cluster."""
+"""``lieid fleet``: many arms every night, and the report, export and upkeep of their history."""
 
 from __future__ import annotations
 
@@ -6,72 +6,20 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from datetime import UTC, date, datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import output
-from lieid_casadi.cli.option_types import OutputFile
-from lieid_casadi.errors import UsageError
+from lieid_casadi.cli import options, output
+from lieid_casadi.cli.option_types import InputPath, OutputFile, OutputFolder, night
+from lieid_casadi.cli.options import Command, Group, option
+from lieid_casadi.errors import FleetError, UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.fleet.run import FleetProgress, FleetRun
 
 NEW_ALARM = 5  # exit status with --exit-code
 MOST_FAULTS = 10  # printed; the history has all
-
-
-def add_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "fleet",
-        help="diagnose the recordings of many arms, every night",
-        usage="lieid fleet FLEET.yaml -o HISTORY.duckdb [--scheduler ADDRESS] [--since DATE]",
-        description="Diagnose the recordings of many arms, on this machine or a Dask cluster, and "
-        "keep the results in a history. See also: lieid fleet report, lieid fleet export, "
-        "lieid fleet acknowledge.",
-    )
-    parser.add_argument("fleet", metavar="FLEET.yaml", help="fleet file")
-    run_options = parser.add_argument_group("diagnosis of recordings")
-    run_options.add_argument(
-        "-o", "--output", type=OutputFile, metavar="HISTORY", help="history (DuckDB) to add to"
-    )
-    run_options.add_argument(
-        "--scheduler", metavar="ADDRESS", help="Dask scheduler; default: a cluster on this machine"
-    )
-    run_options.add_argument(
-        "--workers", type=int, metavar="N", help="processes on this machine; default: one per core"
-    )
-    run_options.add_argument(
-        "--memory", default="2GB", metavar="SIZE", help="limit of each process; default: 2GB"
-    )
-    run_options.add_argument(
-        "--timeout",
-        type=float,
-        default=600.0,
-        metavar="S",
-        help="seconds after which an arm-night has failed; default: 600",
-    )
-    run_options.add_argument(
-        "--since", type=night, metavar="DATE", help="first night to run, such as 2026-11-20"
-    )
-    run_options.add_argument(
-        "--keep",
-        type=int,
-        metavar="DAYS",
-        help="remove runs of nights that are older than this, after the run; alarms are kept",
-    )
-    run_options.add_argument(
-        "--exit-code", action="store_true", help="exit with status 5 if a new alarm was raised"
-    )
-    parser.set_defaults(run=run)
-
-
-def night(text: str) -> date:
-    """Return a date."""
-    try:
-        return date.fromisoformat(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text}: expected a date such as 2026-11-20") from None
 
 
 def run(args: argparse.Namespace) -> int:
@@ -149,3 +97,146 @@ def _state(state: FleetProgress) -> str:
         f"{state.finished} of {state.total} arm-nights, {state.rate:.0f} per minute, "
         f"{state.left:.0f} s left"
     )
+
+
+def report(args: argparse.Namespace) -> output.Outcome:
+    """Print the open alarms and write the report."""
+    from lieid_casadi.fleet.alarm_history import read_alarms
+    from lieid_casadi.fleet.fleet_report import alarm_table, fleet_report
+    from lieid_casadi.fleet.history import History
+    from lieid_casadi.fleet.suggested_actions import suggested_action
+
+    with History(args.history, read_only=True) as history:
+        alarms = read_alarms(history)
+        page = fleet_report(history, since=args.since) if args.html is not None else ""
+    active = [alarm for alarm in alarms if alarm.closed is None]
+
+    def show() -> None:
+        output.show(alarm_table(active, with_action=False))
+        for alarm in active:
+            action = suggested_action(alarm.quantity)
+            output.say(f"{alarm.serial}: {alarm.sentence}. Action: {action}.")
+        if not active:
+            output.say("No open alarm.")
+
+    return output.Outcome(
+        show, json={"alarms": [alarm.to_dict() for alarm in alarms]}, html=lambda: page
+    )
+
+
+def export(args: argparse.Namespace) -> output.Outcome:
+    """Write the requested files."""
+    from lieid_casadi.fleet.history import History
+    from lieid_casadi.fleet.prometheus import prometheus_text
+    from lieid_casadi.output_folder import output_folder
+
+    if args.prometheus is None and args.parquet is None:
+        raise UsageError("nothing to write; expected --prometheus FILE.prom or --parquet DIR")
+    with History(args.history, read_only=True) as history:
+        metrics = prometheus_text(history).encode() if args.prometheus is not None else b""
+        if args.parquet is not None:
+            with output_folder(args.parquet, force=args.force) as folder:
+                history.export_parquet(folder)
+    return output.Outcome(files={"prometheus": lambda: metrics})
+
+
+def acknowledge(args: argparse.Namespace) -> output.Outcome:
+    """Close alarms and say how many."""
+    from lieid_casadi.fleet.alarm_history import acknowledge
+    from lieid_casadi.fleet.history import History
+
+    if not Path(args.history).exists():
+        raise FleetError(f"{args.history}: no such file; expected a history of lieid fleet")
+    with History(args.history) as history:
+        count = acknowledge(history, args.serial, joint=args.joint, note=args.note, last=args.date)
+    where = f" of joint {args.joint}" if args.joint else ""
+    plural = "" if count == 1 else "s"
+    return output.Outcome(
+        lambda: output.say(
+            f"{args.serial}: {count} alarm{plural}{where} closed; a new baseline begins with the "
+            "next night."
+        )
+    )
+
+
+HISTORY = option("history HISTORY", "history (DuckDB)", InputPath)
+COMMANDS = (
+    Command(
+        "fleet",
+        "diagnose the recordings of many arms, every night",
+        "Diagnose the recordings of many arms, on this machine or a Dask cluster, and keep the "
+        "results in a history. See also: lieid fleet report, lieid fleet export, lieid fleet "
+        "acknowledge.",
+        (
+            option("fleet FLEET.yaml", "fleet file"),
+            Group(
+                "diagnosis of recordings",
+                (
+                    options.output_file("HISTORY", "history (DuckDB) to add to"),
+                    option(
+                        "--scheduler ADDRESS", "Dask scheduler; default: a cluster on this machine"
+                    ),
+                    option("--workers N", "processes on this machine; default: one per core", int),
+                    option("--memory SIZE", "limit of each process", default="2GB"),
+                    option(
+                        "--timeout S", "seconds after which an arm-night has failed", float, 600.0
+                    ),
+                    option("--since DATE", "first night to run, such as 2026-11-20", night),
+                    option(
+                        "--keep DAYS",
+                        "remove runs of nights that are older than this, after the run; alarms "
+                        "are kept",
+                        int,
+                    ),
+                    option("--exit-code", "exit with status 5 if a new alarm was raised"),
+                ),
+            ),
+        ),
+        run,
+        usage="lieid fleet FLEET.yaml -o HISTORY.duckdb [--scheduler ADDRESS] [--since DATE]",
+    ),
+    Command(
+        "fleet report",
+        "alarms and trends of a fleet",
+        "Print the open alarms of a fleet and write a self-contained report with trends of every "
+        "arm.",
+        (
+            HISTORY,
+            option("--html FILE", "write the report", OutputFile),
+            option("--since DATE", "first night of trends and recordings", night),
+            option("--json FILE", "write the alarms as JSON", OutputFile),
+        ),
+        report,
+    ),
+    Command(
+        "fleet export",
+        "a fleet's state for Prometheus, its history as Parquet",
+        "Write the state of a fleet in the text format of node-exporter's textfile collector, or "
+        "the tables of its history as Parquet files.",
+        (
+            HISTORY,
+            option("--prometheus FILE.prom", "write metrics to this file", OutputFile),
+            option("--parquet DIR", "write one file per table", OutputFolder),
+            options.FORCE,
+        ),
+        export,
+    ),
+    Command(
+        "fleet acknowledge",
+        "close alarms of an arm after a repair",
+        "Close the open alarms of an arm and start a new baseline: nights after the repair are "
+        "judged against each other, not against those before it.",
+        (
+            option("history HISTORY", "history (DuckDB) to change"),
+            option("serial SERIAL", "serial number of the arm"),
+            option("--joint J", "only alarms and baselines of this joint, from 1", int),
+            option("--note TEXT", "what was found or done", required=True),
+            option(
+                "--date DATE",
+                "last night before the repair; default: the arm's last night in the history",
+                night,
+            ),
+        ),
+        acknowledge,
+    ),
+)

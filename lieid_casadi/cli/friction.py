@@ -6,8 +6,9 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import effects_file, output, shared_options
-from lieid_casadi.cli.option_types import InputPath, PictureFile, number, seed
+from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli.option_types import InputPath, number
+from lieid_casadi.cli.options import Command, option, several
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -17,58 +18,8 @@ if TYPE_CHECKING:
     from lieid_casadi.robot import Robot
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "friction",
-        help="friction of one joint from its motion in both directions",
-        description="Determine the friction of one joint from its motion in both directions, and "
-        "fit friction models.",
-    )
-    shared_options.add_robot(parser)
-    parser.add_argument(
-        "recordings",
-        nargs="+",
-        type=InputPath,
-        metavar="REC",
-        help="recordings in which the joint moves in both directions",
-    )
-    parser.add_argument(
-        "--joint", type=int, required=True, metavar="J", help="number of the joint, from 1"
-    )
-    parser.add_argument(
-        "--effects",
-        metavar="A,B,…",
-        help="friction model: effects, or the name of a model such as paper; default: all models "
-        "of the literature are fitted and ranked",
-    )
-    parser.add_argument(
-        "--fit",
-        type=InputPath,
-        metavar="FIT",
-        help="fit of the whole arm: its rigid torque is used, and its friction is compared",
-    )
-    parser.add_argument(
-        "--load", choices=("model", "measured"), help="source of the load torque; default: model"
-    )
-    parser.add_argument(
-        "--plot", type=PictureFile, metavar="FILE", help="draw the curve and the fit"
-    )
-    parser.add_argument(
-        "--seed", type=seed, default=0, metavar="N", help="seed of the search; default: 0"
-    )
-    effects_file.add_option(parser)
-    shared_options.add_recording_options(parser)
-    parser.add_argument(
-        "--cutoff", type=number, metavar="HZ", help="cut-off frequency of the low-pass filter"
-    )
-    shared_options.add_outputs(parser)
-    shared_options.add_threads(parser)
-    parser.set_defaults(run=run)
-
-
-def run(args: argparse.Namespace) -> None:
-    """Extract, fit, print and write."""
+def run(args: argparse.Namespace) -> output.Outcome:
+    """Extract the curve and fit friction models."""
     from lieid_casadi.friction_curves import compare_friction, fit_friction, friction_curve
     from lieid_casadi.friction_curves.ranking import rank_friction_models
     from lieid_casadi.friction_curves.result_tables import (
@@ -78,14 +29,13 @@ def run(args: argparse.Namespace) -> None:
     )
     from lieid_casadi.recording import Processing
 
-    effects_file.load(args.effects_file)
-    robot = shared_options.robot_of(args)
+    robot = inputs.robot_of(args)
     if not 1 <= args.joint <= robot.n:
         raise UsageError(f"--joint {args.joint}: {robot.name} has joints 1 to {robot.n}")
     whole = _whole(args, robot)
     curve = friction_curve(
         whole or robot,
-        shared_options.recordings_of(args.recordings, args, robot),
+        inputs.recordings_of(args.recordings, args, robot),
         args.joint - 1,
         processing=Processing(cutoff=args.cutoff),
         load=args.load,
@@ -98,17 +48,51 @@ def run(args: argparse.Namespace) -> None:
             ranked = rank_friction_models(curve, seed=args.seed, progress=report)
         fit = ranked[0].fit
     agreement = None if whole is None else compare_friction(fit, whole)
-    files = output.Files()
-    files.add_json(args.json, result(fit, ranked, agreement))
-    files.add_picture(args.plot, fit.plot)
-    files.write()
-    output.show(curve_table(curve), *([ranking_table(ranked)] if ranked else []))
-    for model in (c.model for c in ranked if c.model.note):
-        output.say(f"  * {model.form} ({model.name}): {model.note}.")
-    output.show(parameter_table(fit))
-    if agreement is not None:
-        output.say(f"Friction curve and {args.fit}: {agreement}.")
-    output.show_warnings([*curve.warnings, *fit.warnings])
+
+    def show() -> None:
+        output.show(curve_table(curve), *([ranking_table(ranked)] if ranked else []))
+        for model in (c.model for c in ranked if c.model.note):
+            output.say(f"  * {model.form} ({model.name}): {model.note}.")
+        output.show(parameter_table(fit))
+        if agreement is not None:
+            output.say(f"Friction curve and {args.fit}: {agreement}.")
+        output.show_warnings([*curve.warnings, *fit.warnings])
+
+    return output.Outcome(show, json=result(fit, ranked, agreement), plot=fit.plot)
+
+
+COMMANDS = (
+    Command(
+        "friction",
+        "friction of one joint from its motion in both directions",
+        "Determine the friction of one joint from its motion in both directions, and fit friction "
+        "models.",
+        (
+            *options.ROBOT,
+            several("recordings REC", "recordings in which the joint moves in both directions"),
+            option("--joint J", "number of the joint, from 1", int, required=True),
+            option(
+                "--effects A,B,…",
+                "friction model: effects, or the name of a model such as paper; default: all "
+                "models of the literature are fitted and ranked",
+            ),
+            option(
+                "--fit FIT",
+                "fit of the whole arm: its rigid torque is used, and its friction is compared",
+                InputPath,
+            ),
+            option(
+                "--load", "source of the load torque; default: model", choices=("model", "measured")
+            ),
+            options.plot("draw the curve and the fit"),
+            options.random_seed("seed of the search"),
+            *options.RECORDING,
+            option("--cutoff HZ", "cut-off frequency of the low-pass filter", number),
+            options.JSON,
+        ),
+        run,
+    ),
+)
 
 
 def result(

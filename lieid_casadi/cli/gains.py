@@ -3,101 +3,74 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import output, shared_options
-from lieid_casadi.cli.option_types import InputPath, OutputFile, PictureFile, number
+from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli.option_types import OutputFile, number
+from lieid_casadi.cli.options import Command, option, several
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.gains import DriveGains
-    from lieid_casadi.recording import Recording
-    from lieid_casadi.robot import Robot
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "gains",
-        help="drive gains in N·m/A, from currents and a payload of known mass",
-        description="Determine the drive gains in N·m/A from motor currents with and without a "
-        "payload of known mass.",
-    )
-    shared_options.add_robot(parser)
-    parser.add_argument(
-        "--unloaded",
-        nargs="+",
-        type=InputPath,
-        required=True,
-        metavar="REC",
-        help="recordings of currents without the payload",
-    )
-    parser.add_argument(
-        "--loaded",
-        nargs="+",
-        type=InputPath,
-        required=True,
-        metavar="REC",
-        help="recordings of currents with the payload",
-    )
-    parser.add_argument(
-        "--mass", type=number, required=True, metavar="KG", help="mass of the payload"
-    )
-    parser.add_argument(
-        "--com",
-        nargs=3,
-        type=number,
-        metavar=("X", "Y", "Z"),
-        help="the payload's centre of mass in the tool frame, m, if it was measured",
-    )
-    parser.add_argument(
-        "--yaml",
-        type=OutputFile,
-        metavar="FILE",
-        help="write the robot with its torque constants",
-    )
-    parser.add_argument("--plot", type=PictureFile, metavar="FILE", help="draw the gains")
-    shared_options.add_effects(parser)
-    shared_options.add_reading_options(parser)
-    shared_options.add_processing(parser)
-    shared_options.add_outputs(parser)
-    shared_options.add_threads(parser)
-    parser.set_defaults(run=run)
-
-
-def run(args: argparse.Namespace) -> None:
-    """Identify, print and write."""
+def run(args: argparse.Namespace) -> output.Outcome:
+    """Identify the gains."""
     from lieid_casadi.gains import drive_gains
     from lieid_casadi.robot.yaml_file import write_yaml
 
     if not args.mass > 0.0:
         raise UsageError(f"--mass {args.mass:g}: expected kg above 0")
-    model = shared_options.model_of(args)
-    robot = model.robot
+    robot = inputs.model_of(args).robot
     with output.progress("gains") as report:
         gains = drive_gains(
             robot,
-            _currents(args.unloaded, args, robot),
-            _currents(args.loaded, args, robot),
+            inputs.currents_of(args.unloaded, args, robot),
+            inputs.currents_of(args.loaded, args, robot),
             mass=args.mass,
             com=args.com,
             effects=args.effects,
-            processing=shared_options.processing_of(args),
+            processing=inputs.processing_of(args),
             progress=report,
         )
-    files = output.Files()
-    files.add(args.yaml, lambda: write_yaml(gains.robot_with_gains()).encode())
-    files.add_json(args.json, gains.to_dict())
-    files.add_picture(args.plot, gains.plot)
-    files.write()
-    print_gains(gains)
+    return output.Outcome(
+        lambda: print_gains(gains),
+        json=gains.to_dict(),
+        plot=gains.plot,
+        files={"yaml": lambda: write_yaml(gains.robot_with_gains()).encode()},
+    )
 
 
-def _currents(paths: list[str], args: argparse.Namespace, robot: Robot) -> list[Recording]:
-    from lieid_casadi.recording import Recording
-
-    options = shared_options.reading_options_of(args, robot)
-    return [Recording.load(path, **options) for path in paths]
+COMMANDS = (
+    Command(
+        "gains",
+        "drive gains in N·m/A, from currents and a payload of known mass",
+        "Determine the drive gains in N·m/A from motor currents with and without a payload of "
+        "known mass.",
+        (
+            *options.ROBOT,
+            several("--unloaded REC", "recordings of currents without the payload", required=True),
+            several("--loaded REC", "recordings of currents with the payload", required=True),
+            option("--mass KG", "mass of the payload", number, required=True),
+            option(
+                "--com",
+                "the payload's centre of mass in the tool frame, m, if it was measured",
+                number,
+                nargs=3,
+                metavar=("X", "Y", "Z"),
+            ),
+            option("--yaml FILE", "write the robot with its torque constants", OutputFile),
+            options.plot("draw the gains"),
+            options.effects(),
+            options.EFFECTS_FILE,
+            *options.READING,
+            *options.PROCESSING,
+            options.JSON,
+            options.THREADS,
+        ),
+        run,
+    ),
+)
 
 
 def print_gains(gains: DriveGains) -> None:

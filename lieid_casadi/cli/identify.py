@@ -6,9 +6,9 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import effects_file, output, shared_options, torque_options
-from lieid_casadi.cli.drive_options import known_mass
-from lieid_casadi.cli.option_types import FrictionRun, InputPath, OutputFile
+from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli.option_types import FrictionRun, known_mass
+from lieid_casadi.cli.options import Command, Group, option, several
 from lieid_casadi.errors import UsageError
 from lieid_casadi.tables import make_table
 
@@ -22,105 +22,21 @@ if TYPE_CHECKING:
 METHODS = ("ols", "wls", "robust", "feasible")
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "identify",
-        help="fit a model to recordings",
-        description="Identify the base parameters and the effects of a model from recordings.",
-    )
-    shared_options.add_robot(parser)
-    parser.add_argument(
-        "train",
-        nargs="+",
-        type=InputPath,
-        metavar="TRAIN",
-        help="recording to fit; REC@T0:T1 is the part from T0 to T1 seconds",
-    )
-    parser.add_argument(
-        "--test",
-        nargs="+",
-        type=InputPath,
-        default=[],
-        metavar="T",
-        help="recordings to test on, which are not fitted",
-    )
-    parser.add_argument(
-        "--method",
-        choices=METHODS,
-        default="wls",
-        help="ordinary, weighted or robust least squares, or weighted least squares with "
-        "physically consistent masses and inertias (feasible); default: wls",
-    )
-    parser.add_argument("-o", "--output", type=OutputFile, metavar="fit.json", help="write the fit")
-    shared_options.add_effects(parser, default=None)
-    torque_options.add_motor_side(parser)
-    _add_stages(parser)
-    shared_options.add_recording_options(parser)
-    parser.add_argument(
-        "--known-mass",
-        nargs="+",
-        type=known_mass,
-        default=[],
-        metavar="LINK=KG",
-        help="masses of links that determine an unknown stiffness (--stiffness unknown)",
-    )
-    shared_options.add_processing(parser)
-    shared_options.add_outputs(parser, html=True)
-    shared_options.add_threads(parser)
-    parser.set_defaults(run=run)
-
-
-def _add_stages(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group(
-        "identification in stages",
-        "With --friction-runs, TRAIN identifies the links, the friction runs of single joints "
-        "identify friction over speed and load, and TRAIN identifies the links and the friction "
-        "that grows with speed again (Luo et al. 2024, Eqs. 11 to 16, and a third stage).",
-    )
-    group.add_argument(
-        "--friction-runs",
-        nargs="+",
-        type=FrictionRun,
-        default=[],
-        metavar="J=REC",
-        help="recordings in which joint J moves forward and backward and the others stand still",
-    )
-    group.add_argument(
-        "--friction-effects",
-        default="paper",
-        metavar="A,B,…",
-        help="friction model of these joints: effects, or the name of a model; default: paper",
-    )
-    group.add_argument(
-        "--friction-load",
-        choices=("model", "measured"),
-        help="source of the load torque of the friction runs; measured for runs with a payload; "
-        "default: model",
-    )
-    group.add_argument(
-        "--no-refit", action="store_true", help="leave out the third stage, as the paper does"
-    )
-
-
-def run(args: argparse.Namespace) -> None:
-    """Fit, compare with the test recordings, print and write."""
+def run(args: argparse.Namespace) -> output.Outcome:
+    """Fit, and compare with the test recordings."""
     from lieid_casadi.comparison import compare
     from lieid_casadi.identification import identify
     from lieid_casadi.report import comparison_report, fit_report
 
-    effects_file.load(args.effects_file)
-    robot = shared_options.robot_of(args)
-    in_memory = bool(args.friction_runs or args.known_mass)
-    recordings = shared_options.recordings_of(args.train, args, robot) if in_memory else []
-    train = recordings or shared_options.training_of(args.train, args, robot)
-    model = torque_options.model_for(args, robot, train)
-    test = shared_options.recordings_of(args.test, args, robot)
-    stages = _in_stages(model, recordings, args) if args.friction_runs else None
+    robot = inputs.robot_of(args)
+    train = inputs.recordings_of(args.train, args, robot)
+    model = inputs.model_for(args, robot, train)
+    test = inputs.recordings_of(args.test, args, robot)
+    stages = _in_stages(model, train, args) if args.friction_runs else None
     if stages is not None:
         fit = stages.fit
     elif args.known_mass:
-        fit = _with_known_masses(model, recordings, args)
+        fit = _with_known_masses(model, train, args)
         if laws := fit.model.robot.drives:
             test = [recording.with_drives(laws) for recording in test]
     else:
@@ -129,24 +45,85 @@ def run(args: argparse.Namespace) -> None:
                 model,
                 train,
                 method=args.method,
-                processing=shared_options.processing_of(args),
+                processing=inputs.processing_of(args),
                 progress=report,
             )
     comparison = compare(fit, test) if test else None
     content = result(fit, comparison)
     if stages is not None:
         content["stages"] = {"refit": not args.no_refit, **stages.to_dict()}
-    files = output.Files()
-    files.add_fit(args.output, fit)
-    files.add_json(args.json, content)
-    files.add_html(
-        args.html,
-        lambda: fit_report(fit) if comparison is None else comparison_report(fit, comparison),
+
+    def show() -> None:
+        if stages is not None:
+            _print_stages(stages)
+        print_fit(fit, comparison)
+
+    return output.Outcome(
+        show,
+        fit=fit,
+        json=content,
+        html=lambda: fit_report(fit) if comparison is None else comparison_report(fit, comparison),
     )
-    files.write()
-    if stages is not None:
-        _print_stages(stages)
-    print_fit(fit, comparison)
+
+
+STAGES = Group(
+    "identification in stages",
+    (
+        several(
+            "--friction-runs J=REC",
+            "recordings in which joint J moves forward and backward and the others stand still",
+            FrictionRun,
+        ),
+        option(
+            "--friction-effects A,B,…",
+            "friction model of these joints: effects, or the name of a model",
+            default="paper",
+        ),
+        option(
+            "--friction-load",
+            "source of the load torque of the friction runs; measured for runs with a payload; "
+            "default: model",
+            choices=("model", "measured"),
+        ),
+        option("--no-refit", "leave out the third stage, as the paper does"),
+    ),
+    "With --friction-runs, TRAIN identifies the links, the friction runs of single joints identify "
+    "friction over speed and load, and TRAIN identifies the links and the friction that grows with "
+    "speed again (Luo et al. 2024, Eqs. 11 to 16, and a third stage).",
+)
+COMMANDS = (
+    Command(
+        "identify",
+        "fit a model to recordings",
+        "Identify the base parameters and the effects of a model from recordings.",
+        (
+            *options.ROBOT,
+            several("train TRAIN", "recording to fit; REC@T0:T1 is the part from T0 to T1 seconds"),
+            several("--test T", options.TEST),
+            option(
+                "--method",
+                "ordinary, weighted or robust least squares, or weighted least squares with "
+                "physically consistent masses and inertias (feasible)",
+                default="wls",
+                choices=METHODS,
+            ),
+            options.output_file("fit.json", "write the fit"),
+            options.effects(None),
+            options.MOTOR_SIDE,
+            STAGES,
+            *options.RECORDING,
+            several(
+                "--known-mass LINK=KG",
+                "masses of links that determine an unknown stiffness (--stiffness unknown)",
+                known_mass,
+            ),
+            *options.PROCESSING,
+            options.JSON,
+            options.HTML,
+        ),
+        run,
+    ),
+)
 
 
 def _with_known_masses(
@@ -160,7 +137,7 @@ def _with_known_masses(
             recordings,
             dict(args.known_mass),
             method=args.method,
-            processing=shared_options.processing_of(args),
+            processing=inputs.processing_of(args),
             progress=report,
         )
 
@@ -182,15 +159,12 @@ def _in_stages(
     return identify_in_stages(
         model,
         recordings,
-        {
-            joint: shared_options.recordings_of(paths[joint], args, model.robot)
-            for joint in sorted(paths)
-        },
+        {joint: inputs.recordings_of(paths[joint], args, model.robot) for joint in sorted(paths)},
         args.friction_effects,
         refit=not args.no_refit,
         method=args.method,
         load=args.friction_load,
-        processing=shared_options.processing_of(args),
+        processing=inputs.processing_of(args),
         friction_processing=Processing(cutoff=args.cutoff),
     )
 

@@ -13,15 +13,16 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from lieid_casadi import __version__
-from lieid_casadi.cli import effects_file, shared_options
+from lieid_casadi.cli import effects_file
 from lieid_casadi.cli.option_types import check_paths, writes_to_stdout
-from lieid_casadi.cli.output import visible
+from lieid_casadi.cli.options import Command
+from lieid_casadi.cli.output import Outcome, visible
+from lieid_casadi.errors import LieidError, NoSolution, UsageError
 
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
 COMMANDS = (
     "demo", "show", "excite", "identify", "predict", "compare", "friction", "diagnose", "extend",
     "discriminate", "payload", "gains", "simulate", "export", "effects", "workbench", "fleet",
-    "fleet_report", "fleet_export", "fleet_acknowledge",
 )  # fmt: skip
 
 
@@ -43,9 +44,15 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"lieid {__version__}")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name in COMMANDS:
-        importlib.import_module(f"lieid_casadi.cli.{name}").add_parser(commands)
+    for command in _commands():
+        command.add_to(commands)
     return parser
+
+
+def _commands() -> list[Command]:
+    """Return the commands of all modules."""
+    modules = [importlib.import_module(f"lieid_casadi.cli.{name}") for name in COMMANDS]
+    return [command for module in modules for command in module.COMMANDS]
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -60,13 +67,13 @@ def main(words: Sequence[str] | None = None) -> int:
     if words is None and not sys.warnoptions and not args.debug:
         warnings.simplefilter("ignore")  # of libraries; those of results are printed with them
     try:
-        shared_options.use_threads(args)
+        _use_threads(args)
         check_paths(args)
         with contextlib.ExitStack() as stack:
             if writes_to_stdout(args):  # tables must not get into the file
                 nowhere = stack.enter_context(open(os.devnull, "w"))
                 stack.enter_context(contextlib.redirect_stdout(nowhere))
-            status = int(args.run(args) or DONE)
+            status = _run(args)
             sys.stdout.flush()
         return status
     except KeyboardInterrupt:
@@ -84,6 +91,24 @@ def main(words: Sequence[str] | None = None) -> int:
         return status
 
 
+def _run(args: argparse.Namespace) -> int:
+    """Load the user's effects, run the command, write its files and print; return its status."""
+    effects_file.load(getattr(args, "effects_file", None))
+    outcome = args.run(args)
+    return outcome.finish(args) if isinstance(outcome, Outcome) else int(outcome or DONE)
+
+
+def _use_threads(args: argparse.Namespace) -> None:
+    """Apply --threads; it has no effect on linear algebra once NumPy is imported."""
+    threads = getattr(args, "threads", None)
+    if threads is None:
+        return
+    if threads < 1:
+        raise UsageError(f"--threads {threads}: expected 1 or more")
+    for name in ("LIEID_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = str(threads)
+
+
 def _discard_unwritten() -> None:
     """Discard what stdout cannot write: Python would try again at its end and exit with 120."""
     try:
@@ -95,16 +120,14 @@ def _discard_unwritten() -> None:
 def _joined(words: Sequence[str]) -> list[str]:
     """Return the words with the name of a command of two words, ``fleet report``, as one."""
     first = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
-    name = "_".join(words[first : first + 2])
-    if name not in COMMANDS:
+    name = " ".join(words[first : first + 2])
+    if " " not in name or name not in {command.name for command in _commands()}:
         return list(words)
-    return [*words[:first], " ".join(words[first : first + 2]), *words[first + 2 :]]
+    return [*words[:first], name, *words[first + 2 :]]
 
 
 def _status(args: argparse.Namespace, error: Exception) -> int:
     """Print one line for an error and return its exit status."""
-    from lieid_casadi.errors import LieidError, NoSolution
-
     command, own_code = args.command, getattr(args, "effects_file", None)
     text = " ".join(str(error).split())
     if isinstance(error, NoSolution):

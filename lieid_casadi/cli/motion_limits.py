@@ -1,13 +1,13 @@
-"""Options of the commands that design motions: limits, and the arm that they hold for."""
+"""Limits of designed motions, as options, and the arm that they hold for."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import effects_file, shared_options
+from lieid_casadi.cli import inputs
 from lieid_casadi.cli.option_types import InputPath, number
+from lieid_casadi.cli.options import DEFAULT_EFFECTS, Group, option, removed, several
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -17,73 +17,7 @@ if TYPE_CHECKING:
     from lieid_casadi.robot import Robot
 
 MARGIN, TOOL_SPEED, FLOOR, CLEARANCE = 0.8, 1.5, 0.0, 0.02  # of `default_limits`
-
-
-def add_limits(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `limits_of`, --acceleration and --margin."""
-    group = parser.add_argument_group("limits in addition to those of position and velocity")
-    group.add_argument(
-        "--acceleration",
-        nargs="+",
-        type=number,
-        metavar="A",
-        help="acceleration limits, rad/s², one or one per joint; default: the robot's, or 3",
-    )
-    group.add_argument(
-        "--jerk", nargs="+", type=number, metavar="J",
-        help="jerk limits, rad/s³, one or one per joint; default: none",
-    )  # fmt: skip
-    group.add_argument(
-        "--margin", type=number, default=MARGIN, metavar="F",
-        help="fraction of the velocity and torque limits that is used; default: 0.8",
-    )  # fmt: skip
-    group.add_argument(
-        "--torque-fraction",
-        type=replaced("use --margin, for velocity and torque limits"),
-        help=argparse.SUPPRESS,
-    )
-    group.add_argument("--no-torque", action="store_true", help="do not check torque limits")
-    _add_workspace(group)
-
-
-def _add_workspace(group: argparse._ArgumentGroup) -> None:
-    """Add the limits that the links and the tool keep."""
-    group.add_argument(
-        "--cartesian-speed", type=number, default=TOOL_SPEED, metavar="M/S",
-        help="highest speed of the tool and of the joint centres, m/s; default: 1.5",
-    )  # fmt: skip
-    group.add_argument(
-        "--floor", nargs="?", type=_height, default=FLOOR, const=FLOOR, metavar="Z",
-        help="height of the floor in the base frame, m, or none; default: 0",
-    )  # fmt: skip
-    group.add_argument(
-        "--unchecked-workspace", action="store_true",
-        help="do not check floor, self-collision and tool speed",
-    )  # fmt: skip
-    group.add_argument(
-        "--wall", nargs=4, type=number, action="append", default=[],
-        metavar=("NX", "NY", "NZ", "D"),
-        help="keep the arm where n·x ≤ d, base frame, m",
-    )  # fmt: skip
-    for name, text in (
-        ("--workspace-box", "keep the arm inside this box, base frame, m"),
-        ("--obstacle", "keep the arm outside this box, base frame, m"),
-    ):  # fmt: skip
-        group.add_argument(
-            name, nargs=6, type=number, action="append", default=[],
-            metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"), help=text,
-        )  # fmt: skip
-    group.add_argument(
-        "--self-collision", nargs="?", type=number, default=CLEARANCE,
-        const=CLEARANCE, metavar="M",
-        help="least distance between links, m; default: 0.02",
-    )  # fmt: skip
-    group.add_argument(
-        "--capsules",
-        type=InputPath,
-        metavar="FILE",
-        help="YAML file with capsules around the links; default: fitted to their geometry",
-    )
+BOX = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
 
 
 def _height(text: str) -> float | None:
@@ -91,13 +25,77 @@ def _height(text: str) -> float | None:
     return None if text == "none" else number(text)
 
 
-def replaced(advice: str) -> Callable[[str], NoReturn]:
-    """Return the type of an option that was removed: it refuses every value with advice."""
-
-    def refuse(text: str) -> NoReturn:
-        raise argparse.ArgumentTypeError(f"{text}: removed; {advice}")
-
-    return refuse
+START_POSE = option(
+    "--start-pose Q",
+    "pose at the start and the end, rad; default: a pose found within all limits",
+    number,
+    nargs="+",
+)
+LIMITS = Group(
+    "limits in addition to those of position and velocity",
+    (
+        option(
+            "--acceleration A",
+            "acceleration limits, rad/s², one or one per joint; default: the robot's, or 3",
+            number,
+            nargs="+",
+        ),
+        option(
+            "--jerk J",
+            "jerk limits, rad/s³, one or one per joint; default: none",
+            number,
+            nargs="+",
+        ),
+        option(
+            "--margin F", "fraction of the velocity and torque limits that is used", number, MARGIN
+        ),
+        removed("--torque-fraction", "use --margin, for velocity and torque limits"),
+        option("--no-torque", "do not check torque limits"),
+        option(
+            "--cartesian-speed M/S",
+            "highest speed of the tool and of the joint centres, m/s",
+            number,
+            TOOL_SPEED,
+        ),
+        option(
+            "--floor Z",
+            "height of the floor in the base frame, m, or none",
+            _height,
+            FLOOR,
+            nargs="?",
+            const=FLOOR,
+        ),
+        option("--unchecked-workspace", "do not check floor, self-collision and tool speed"),
+        several(
+            "--wall",
+            "keep the arm where n·x ≤ d, base frame, m",
+            number,
+            nargs=4,
+            action="append",
+            metavar=("NX", "NY", "NZ", "D"),
+        ),
+        *(
+            several(name, text, number, nargs=6, action="append", metavar=BOX)
+            for name, text in (
+                ("--workspace-box", "keep the arm inside this box, base frame, m"),
+                ("--obstacle", "keep the arm outside this box, base frame, m"),
+            )
+        ),
+        option(
+            "--self-collision M",
+            "least distance between links, m",
+            number,
+            CLEARANCE,
+            nargs="?",
+            const=CLEARANCE,
+        ),
+        option(
+            "--capsules FILE",
+            "YAML file with capsules around the links; default: fitted to their geometry",
+            InputPath,
+        ),
+    ),
+)
 
 
 def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
@@ -146,19 +144,18 @@ def arm_of(args: argparse.Namespace) -> tuple[Model | Fit, Robot]:
     UsageError
         An option that a fit does not take.
     """
-    if not args.robot.endswith(".json"):
-        model = shared_options.model_of(args)
+    if not inputs.is_fit(args):
+        model = inputs.model_of(args)
         return model, model.robot
     from lieid_casadi.identification import Fit
 
     given = {
-        "--effects": args.effects != shared_options.DEFAULT_EFFECTS,
+        "--effects": args.effects != DEFAULT_EFFECTS,
         "--tip": args.tip is not None,
         "--lock": bool(args.lock),
     }
     for name, is_given in given.items():
         if is_given:
             raise UsageError(f"{name}: a fit ({args.robot}) has its own robot and effects")
-    effects_file.load(args.effects_file)
     fit = Fit.load(args.robot)
     return fit, fit.model.robot

@@ -8,6 +8,7 @@ import math
 import os
 import stat
 from collections.abc import Sequence
+from datetime import date
 from pathlib import Path
 
 from lieid_casadi.errors import UsageError
@@ -41,6 +42,10 @@ class FrictionRun(InputPath):
         run = super().__new__(cls, path)
         run.joint = int(number_of_joint) - 1
         return run
+
+
+class Calibration(InputPath):
+    """A calibration file, or the word ``limits``."""
 
 
 class OutputFile(str):
@@ -78,8 +83,35 @@ def number(text: str) -> float:
     return value
 
 
+def port(text: str) -> int:
+    """Return the number of a port."""
+    if not (text.isdecimal() and len(text) < 6 and 1 <= int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"{text}: expected a port, 1 to 65535")
+    return int(text)
+
+
+def night(text: str) -> date:
+    """Return a date."""
+    try:
+        return date.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text}: expected a date such as 2026-11-20") from None
+
+
+def known_mass(text: str) -> tuple[str, float]:
+    """Return link and mass of ``LINK=KG``."""
+    link, equals, mass = text.rpartition("=")
+    try:
+        value = float(mass)
+    except ValueError:
+        value = math.nan
+    if not (equals and link and 0.0 < value < math.inf):
+        raise argparse.ArgumentTypeError(f"{text}: expected LINK=KG, a link and kg above 0")
+    return link, value
+
+
 def part(text: str) -> float:
-    """Read a number of at least 0 and less than 1."""
+    """Return a number of at least 0 and less than 1."""
     value = number(text)
     if not 0.0 <= value < 1.0:
         raise argparse.ArgumentTypeError(f"expected a number from 0 to less than 1, found {text!r}")

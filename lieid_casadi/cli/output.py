@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import json
 import sys
 import unicodedata
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
+    from lieid_casadi.arrays import Array
     from lieid_casadi.identification import Fit
     from lieid_casadi.tables import Table
 
@@ -105,6 +108,27 @@ def json_bytes(content: dict[str, Any]) -> bytes:
     return text.encode(errors="backslashreplace")
 
 
+def csv_bytes(t: Array, **signals: Array) -> bytes:
+    """Return times (N,) and signals (N, n) as CSV with the columns t, NAME1 … NAMEn."""
+    import numpy as np
+
+    columns = [t[:, None], *signals.values()]
+    names = ["t", *(f"{name}{j + 1}" for name, x in signals.items() for j in range(x.shape[1]))]
+    text = io.StringIO()
+    formats = ["%.15g", *["%.9g"] * (len(names) - 1)]
+    np.savetxt(
+        text, np.hstack(columns), fmt=formats, delimiter=",", header=",".join(names), comments=""
+    )
+    return text.getvalue().encode()
+
+
+def fit_bytes(fit: Fit) -> bytes:
+    """Return the content of a fit's file."""
+    from lieid_casadi.identification.fit_file import content_of
+
+    return content_of(fit)
+
+
 def html_bytes(page: str) -> bytes:
     """Return a page as UTF-8; bytes of names that are not UTF-8 become question marks."""
     return page.encode(errors="replace")
@@ -118,38 +142,28 @@ def picture_bytes(path: str, figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-class Files:
-    """The files that a command writes at its end: all of them or, after an error, none."""
+def nothing() -> None:
+    """Print nothing."""
 
-    def __init__(self) -> None:
-        self._contents: list[tuple[str, bytes]] = []
 
-    def add(self, path: str | None, content: Callable[[], bytes]) -> None:
-        """Add a file, if a path is given; its content is computed now."""
-        if path is not None:
-            self._contents.append((path, content()))
+@dataclass(frozen=True)
+class Outcome:
+    """What a command found: its files are written, all or none, and then it is printed.
 
-    def add_fit(self, path: str | None, fit: Fit) -> None:
-        """Add a fit file, if a path is given."""
-        from lieid_casadi.identification.fit_file import content_of
+    Content belongs to the option of its name, ``fit`` to -o; it is computed if the option is given.
+    """
 
-        self.add(path, lambda: content_of(fit))
+    show: Callable[[], None] = nothing
+    json: Mapping[str, Any] | None = None
+    html: Callable[[], str] | None = None
+    plot: Callable[[], Figure] | None = None
+    fit: Fit | None = None
+    files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)  # of other options
+    folder: Callable[[], object] = nothing  # writes the folder of -o, before the files
+    status: int = 0
 
-    def add_json(self, path: str | None, content: dict[str, Any]) -> None:
-        """Add a result as JSON, with the version of its schema, if a path is given."""
-        self.add(path, lambda: json_bytes({"schema": SCHEMA} | content))
-
-    def add_html(self, path: str | None, page: Callable[[], str]) -> None:
-        """Add a report, if a path is given."""
-        self.add(path, lambda: html_bytes(page()))
-
-    def add_picture(self, path: str | None, figure: Callable[[], Figure]) -> None:
-        """Add a picture, if a path is given."""
-        if path is not None:
-            self.add(path, lambda: picture_bytes(path, figure()))
-
-    def write(self) -> None:
-        """Write all files.
+    def finish(self, args: argparse.Namespace) -> int:
+        """Write all files, print, and return the exit status.
 
         Raises
         ------
@@ -157,11 +171,32 @@ class Files:
         """
         from lieid_casadi.atomic_file import atomic_binary
 
+        contents = list(self._contents(args))
+        self.folder()
         with ExitStack() as stack:
-            for path, content in self._contents:
+            for path, content in contents:
                 file = stack.enter_context(atomic_binary(path))
                 file.write(content)
                 file.flush()
+        self.show()
+        return self.status
+
+    def _contents(self, args: argparse.Namespace) -> Iterator[tuple[str, bytes]]:
+        """Yield path and content of the files that the options name."""
+        fit, json, html, plot = self.fit, self.json, self.html, self.plot
+        contents = dict(self.files)
+        if fit is not None:
+            contents["output"] = lambda: fit_bytes(fit)
+        if json is not None:
+            contents["json"] = lambda: json_bytes({"schema": SCHEMA} | dict(json))
+        if html is not None:
+            contents["html"] = lambda: html_bytes(html())
+        if plot is not None:
+            contents["plot"] = lambda: picture_bytes(args.plot, plot())
+        for name, content in contents.items():
+            path: str | None = getattr(args, name, None)
+            if path is not None:
+                yield path, content()
 
 
 @contextmanager

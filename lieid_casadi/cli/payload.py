@@ -3,69 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import effects_file, output, shared_options
-from lieid_casadi.cli.option_types import InputPath, PictureFile, number
+from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli.option_types import InputPath, number
+from lieid_casadi.cli.options import Command, option, several
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.payload import PayloadEstimate
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "payload",
-        help="mass, centre of mass and inertia of the payload",
-        description="Identify the mass, centre of mass and inertia of a payload with a fit that "
-        "was made without it.",
-    )
-    parser.add_argument("fit", type=InputPath, metavar="FIT", help="fit made without the payload")
-    parser.add_argument(
-        "recordings",
-        nargs="+",
-        type=InputPath,
-        metavar="REC",
-        help="recordings measured with the payload",
-    )
-    parser.add_argument(
-        "--refit-friction",
-        action="store_true",
-        help="fit Coulomb friction, viscous friction and offsets again, which change with "
-        "temperature",
-    )
-    parser.add_argument(
-        "--cutoff",
-        type=number,
-        metavar="HZ",
-        help="cut-off frequency of the low-pass filter; default: that of the fit",
-    )
-    parser.add_argument(
-        "--plot", type=PictureFile, metavar="FILE", help="draw the errors before and after"
-    )
-    parser.add_argument(
-        "--torque-constants-std",
-        metavar="PERCENT[,…]",
-        help="standard deviation of the torque constants, %%: one number for an error that all "
-        "joints share, or one per joint; default: 0",
-    )
-    effects_file.add_option(parser)
-    shared_options.add_recording_options(parser)
-    shared_options.add_outputs(parser, html=True)
-    shared_options.add_threads(parser)
-    parser.set_defaults(run=run)
-
-
-def run(args: argparse.Namespace) -> None:
-    """Identify, print and write."""
-    from lieid_casadi.identification import Fit
+def run(args: argparse.Namespace) -> output.Outcome:
+    """Identify the payload."""
     from lieid_casadi.payload import identify_payload
     from lieid_casadi.report import payload_report
 
-    effects_file.load(args.effects_file)
-    fit = Fit.load(args.fit)
-    recordings = shared_options.recordings_of(args.recordings, args, fit)
+    fit, recordings = inputs.fit_and_recordings(args)
     with output.progress("payload") as report:
         payload = identify_payload(
             fit,
@@ -75,12 +29,46 @@ def run(args: argparse.Namespace) -> None:
             torque_constant_std=_percent(args.torque_constants_std),
             progress=report,
         )
-    files = output.Files()
-    files.add_json(args.json, payload.to_dict())
-    files.add_html(args.html, lambda: payload_report(fit, payload))
-    files.add_picture(args.plot, payload.plot)
-    files.write()
-    print_payload(payload)
+    return output.Outcome(
+        lambda: print_payload(payload),
+        json=payload.to_dict(),
+        html=lambda: payload_report(fit, payload),
+        plot=payload.plot,
+    )
+
+
+COMMANDS = (
+    Command(
+        "payload",
+        "mass, centre of mass and inertia of the payload",
+        "Identify the mass, centre of mass and inertia of a payload with a fit that was made "
+        "without it.",
+        (
+            option("fit FIT", "fit made without the payload", InputPath),
+            several("recordings REC", "recordings measured with the payload"),
+            option(
+                "--refit-friction",
+                "fit Coulomb friction, viscous friction and offsets again, which change with "
+                "temperature",
+            ),
+            option(
+                "--cutoff HZ",
+                "cut-off frequency of the low-pass filter; default: that of the fit",
+                number,
+            ),
+            options.plot("draw the errors before and after"),
+            option(
+                "--torque-constants-std PERCENT[,…]",
+                "standard deviation of the torque constants, %%: one number for an error that all "
+                "joints share, or one per joint; default: 0",
+            ),
+            *options.RECORDING,
+            options.JSON,
+            options.HTML,
+        ),
+        run,
+    ),
+)
 
 
 def _percent(text: str | None) -> list[float]:

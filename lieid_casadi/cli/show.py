@@ -6,36 +6,19 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import output, shared_options
+from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli.options import Command, option
 from lieid_casadi.errors import warning_list
-from lieid_casadi.tables import make_table
+from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.model import Model
     from lieid_casadi.robot import Robot
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "show",
-        help="joints, screws, limits, base parameters",
-        description="Show the joints, screws and limits of a robot, and its base parameters.",
-    )
-    shared_options.add_robot(parser)
-    shared_options.add_effects(parser, default="")
-    parser.add_argument(
-        "--symbolic",
-        action="store_true",
-        help="base parameters with symbols for the lengths between link frames",
-    )
-    shared_options.add_outputs(parser)
-    parser.set_defaults(run=run)
-
-
-def run(args: argparse.Namespace) -> None:
-    """Print the tables."""
-    model = shared_options.model_of(args)
+def run(args: argparse.Namespace) -> output.Outcome:
+    """Describe a robot and its base parameters."""
+    model = inputs.model_of(args)
     robot = model.robot
     joints = _joints(robot)
     lengths: list[dict[str, Any]] = []
@@ -47,23 +30,6 @@ def run(args: argparse.Namespace) -> None:
         {"name": base.names[k], "expression": base.expression(i), "unit": column.unit}
         for i, (k, column) in enumerate(zip(base.kept, shown.base_columns, strict=True))
     ]
-    _print_joints(robot, joints)
-    output.show(
-        make_table(
-            f"{base.count} base parameters (of {len(base.names)} parameters, "
-            f"{len(base.invisible)} of them without effect on the torque)",
-            ["base parameter", "unit"],
-            [[p["expression"], p["unit"]] for p in parameters],
-        ),
-        make_table(
-            "lengths",
-            ["symbol", "value, m", "length"],
-            [[x["name"], x["value"], x["meaning"]] for x in lengths],
-        ),
-    )
-    if not robot.has_inertia:
-        output.say(f"No inertia stated for: {', '.join(robot.links_without_inertia)}")
-    output.show_warnings(robot.warnings)
     content = {
         "robot": robot.name,
         "tip": robot.tool_name,
@@ -76,9 +42,46 @@ def run(args: argparse.Namespace) -> None:
     }
     if args.symbolic:
         content["lengths"] = lengths
-    files = output.Files()
-    files.add_json(args.json, _null_for_nan(content))
-    files.write()
+
+    def show() -> None:
+        output.show(
+            _joint_table(robot, joints),
+            make_table(
+                f"{base.count} base parameters (of {len(base.names)} parameters, "
+                f"{len(base.invisible)} of them without effect on the torque)",
+                ["base parameter", "unit"],
+                [[p["expression"], p["unit"]] for p in parameters],
+            ),
+            make_table(
+                "lengths",
+                ["symbol", "value, m", "length"],
+                [[x["name"], x["value"], x["meaning"]] for x in lengths],
+            ),
+        )
+        if not robot.has_inertia:
+            output.say(f"No inertia stated for: {', '.join(robot.links_without_inertia)}")
+        output.show_warnings(robot.warnings)
+
+    return output.Outcome(show, json=_null_for_nan(content))
+
+
+COMMANDS = (
+    Command(
+        "show",
+        "joints, screws, limits, base parameters",
+        "Show the joints, screws and limits of a robot, and its base parameters.",
+        (
+            *options.ROBOT,
+            options.effects(""),
+            options.EFFECTS_FILE,
+            option(
+                "--symbolic", "base parameters with symbols for the lengths between link frames"
+            ),
+            options.JSON,
+        ),
+        run,
+    ),
+)
 
 
 def _joints(robot: Robot) -> list[dict[str, Any]]:
@@ -120,7 +123,7 @@ def _with_symbols(model: Model) -> tuple[Model, list[dict[str, Any]]]:
     return general, lengths
 
 
-def _print_joints(robot: Robot, joints: list[dict[str, Any]]) -> None:
+def _joint_table(robot: Robot, joints: list[dict[str, Any]]) -> Table:
     rows = []
     for i, joint in enumerate(joints, start=1):
         screw = " ".join(f"{round(x, 12) + 0.0:.4g}" for x in joint["screw"])
@@ -136,13 +139,11 @@ def _print_joints(robot: Robot, joints: list[dict[str, Any]]) -> None:
                 limits["torque"],
             ]
         )
-    output.show(
-        make_table(
-            f"{robot.name}: {len(joints)} joints, tip {robot.tool_name}, "
-            "screws [ω; v] in the base frame at the zero pose",
-            ["joint", "kind", "screw", "position", "velocity", "acceleration", "torque"],
-            rows,
-        )
+    return make_table(
+        f"{robot.name}: {len(joints)} joints, tip {robot.tool_name}, "
+        "screws [ω; v] in the base frame at the zero pose",
+        ["joint", "kind", "screw", "position", "velocity", "acceleration", "torque"],
+        rows,
     )
 
 

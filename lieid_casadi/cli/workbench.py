@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import functools
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import effects_file, output, shared_options
-from lieid_casadi.cli.option_types import InputPath
+from lieid_casadi.cli import effects_file, inputs, options, output
+from lieid_casadi.cli.option_types import InputPath, port
+from lieid_casadi.cli.options import Command, Group, option, several
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -23,60 +23,6 @@ OPTIONS = (
 )  # fmt: skip
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "workbench",
-        help="compare, diagnose and extend a model on a local web page",
-        description="Open a local web page that shows where a model fails, which effects it lacks, "
-        "and how the error falls with each of them. Without arguments it opens the simulated arm "
-        "of the demo.",
-        usage="lieid workbench [ROBOT|FIT] [REC…] [--train A…] [--test B…] [options]",
-    )
-    parser.add_argument(
-        "robot",
-        nargs="?",
-        type=InputPath,
-        default="",
-        metavar="ROBOT|FIT",
-        help="robot to fit a model of, or a fit (.json) to compare with recordings measured since",
-    )
-    parser.add_argument(
-        "recordings",
-        nargs="*",
-        type=InputPath,
-        metavar="REC",
-        help="recordings; of a robot, the last of several is the test and the others are fitted",
-    )
-    for name, meaning in (("train", "recordings to fit"), ("test", "recordings to test on")):
-        parser.add_argument(
-            f"--{name}", nargs="+", type=InputPath, default=[], metavar="REC", help=meaning
-        )
-    parser.add_argument("--tip", metavar="LINK", help="last link of the chain (URDF, MJCF)")
-    parser.add_argument("--lock", nargs="+", default=[], metavar="JOINT", help="joints to lock")
-    shared_options.add_effects(parser, default="")
-    shared_options.add_recording_options(parser)
-    shared_options.add_threads(parser)
-    _add_server_options(parser)
-    parser.set_defaults(run=run)
-
-
-def _add_server_options(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("server")
-    group.add_argument(
-        "--port", type=_port, default=8765, metavar="N", help="port to listen on; default: 8765"
-    )
-    group.add_argument("--no-browser", action="store_true", help="do not open a browser")
-    group.add_argument(
-        "--host", default="127.0.0.1", metavar="ADDRESS", help="address to listen on"
-    )
-    group.add_argument(
-        "--yes-expose",
-        action="store_true",
-        help="confirm a --host that other machines can reach; an SSH tunnel is safer",
-    )
-
-
 def run(args: argparse.Namespace) -> None:
     """Serve the page until the program is asked to end."""
     from lieid_casadi.workbench.recordings import WorkerSetup
@@ -88,20 +34,60 @@ def run(args: argparse.Namespace) -> None:
         read=functools.partial(read_recordings, args),
     )
     setup.prepare()  # an error ends the command before a page is served
-    inputs = inputs_of(args)
-    check_recordings(args, inputs)
-    options = ServerOptions(args.host, args.port, exposed=args.yes_expose)
-    serve(inputs, setup, options, ready=functools.partial(_announce, browser=not args.no_browser))
+    opened = inputs_of(args)
+    check_recordings(args, opened)
+    server = ServerOptions(args.host, args.port, exposed=args.yes_expose)
+    serve(opened, setup, server, ready=functools.partial(_announce, browser=not args.no_browser))
+
+
+COMMANDS = (
+    Command(
+        "workbench",
+        "compare, diagnose and extend a model on a local web page",
+        "Open a local web page that shows where a model fails, which effects it lacks, and how "
+        "the error falls with each of them. Without arguments it opens the simulated arm of the "
+        "demo.",
+        (
+            option(
+                "robot ROBOT|FIT",
+                "robot to fit a model of, or a fit (.json) to compare with recordings measured "
+                "since",
+                InputPath,
+                "",
+                nargs="?",
+            ),
+            several(
+                "recordings REC",
+                "recordings; of a robot, the last of several is the test and the others are fitted",
+                nargs="*",
+            ),
+            several("--train REC", "recordings to fit"),
+            several("--test REC", "recordings to test on"),
+            options.TIP,
+            options.LOCK,
+            options.effects(""),
+            *options.RECORDING,
+            Group(
+                "server",
+                (
+                    option("--port N", "port to listen on", port, 8765),
+                    option("--no-browser", "do not open a browser"),
+                    option("--host ADDRESS", "address to listen on", default="127.0.0.1"),
+                    option(
+                        "--yes-expose",
+                        "confirm a --host that other machines can reach; an SSH tunnel is safer",
+                    ),
+                ),
+            ),
+        ),
+        run,
+        usage="lieid workbench [ROBOT|FIT] [REC…] [--train A…] [--test B…] [options]",
+    ),
+)
 
 
 def inputs_of(args: argparse.Namespace) -> WorkbenchInputs:
-    """Return what the command line opens.
-
-    Raises
-    ------
-    LieidError
-        A robot, fit or effect that cannot be loaded, or recordings without a robot.
-    """
+    """Return what the command line opens."""
     from lieid_casadi.demo import DEMO_ROBOT
     from lieid_casadi.model import Model
     from lieid_casadi.workbench.session import RecordingInput, WorkbenchInputs
@@ -111,7 +97,7 @@ def inputs_of(args: argparse.Namespace) -> WorkbenchInputs:
             raise UsageError("recordings were given without a robot; expected ROBOT or FIT first")
         args.robot = DEMO_ROBOT
         return demo_inputs()
-    is_fit = Path(args.robot).suffix.lower() == ".json"
+    is_fit = inputs.is_fit(args)
     train, test = list(args.train), list(args.test)
     kept = is_fit and not train and not test
     if kept:
@@ -121,12 +107,9 @@ def inputs_of(args: argparse.Namespace) -> WorkbenchInputs:
             f"{args.recordings[0]}: expected all recordings after --train and --test, or none"
         )
     elif args.recordings:
-        last = len(args.recordings) - 1
-        train, test = (
-            list(args.recordings[: last or 1]),
-            list(args.recordings[last:] if last else []),
-        )
-    robot = shared_options.robot_of(args)
+        last = max(len(args.recordings) - 1, 1)
+        train, test = list(args.recordings[:last]), list(args.recordings[last:])
+    robot = inputs.robot_of(args)
     effects = tuple(p.label for p in Model(robot, args.effects).placements)
     if kept and effects:
         raise UsageError("--effects: a fit that is kept has its own effects; expected --train too")
@@ -147,19 +130,13 @@ def inputs_of(args: argparse.Namespace) -> WorkbenchInputs:
     )
 
 
-def check_recordings(args: argparse.Namespace, inputs: WorkbenchInputs) -> None:
-    """Read the recordings, so that an error in one of them ends the command.
-
-    Raises
-    ------
-    LieidError
-        In one line, as in the other commands.
-    """
+def check_recordings(args: argparse.Namespace, opened: WorkbenchInputs) -> None:
+    """Read the recordings, so that an error in one of them ends the command in one line."""
     from lieid_casadi.identification import Fit
 
-    source = Fit.load(inputs.fit) if inputs.fit else shared_options.robot_of(args)
-    for recording in inputs.recordings:
-        shared_options.recordings_of([recording.path], args, source)
+    source = Fit.load(opened.fit) if opened.fit else inputs.robot_of(args)
+    for recording in opened.recordings:
+        inputs.recordings_of([recording.path], args, source)
 
 
 def demo_inputs() -> WorkbenchInputs:
@@ -175,41 +152,33 @@ def demo_inputs() -> WorkbenchInputs:
     )
 
 
-def load_robot(args: argparse.Namespace, inputs: WorkbenchInputs) -> Robot:
+def load_robot(args: argparse.Namespace, opened: WorkbenchInputs) -> Robot:
     """Return the robot of a page's inputs, with the options of the command line."""
-    return shared_options.robot_of(_with_inputs(args, inputs))
+    return inputs.robot_of(_with_inputs(args, opened))
 
 
 def read_recordings(
-    args: argparse.Namespace, inputs: WorkbenchInputs, source: Robot | Fit
+    args: argparse.Namespace, opened: WorkbenchInputs, source: Robot | Fit
 ) -> list[Recording]:
-    """Load the recordings of a page's inputs, with the options of the command line.
-
-    Parameters
-    ----------
-    args : Namespace
-    inputs : WorkbenchInputs
-        Its texts take the place of the options.
-    source : Robot or Fit
-    """
-    paths = [r.path for r in inputs.recordings]
-    return shared_options.recordings_of(paths, _with_inputs(args, inputs), source)
+    """Load the recordings of a page's inputs, whose texts take the place of the options."""
+    paths = [r.path for r in opened.recordings]
+    return inputs.recordings_of(paths, _with_inputs(args, opened), source)
 
 
-def _with_inputs(args: argparse.Namespace, inputs: WorkbenchInputs) -> argparse.Namespace:
+def _with_inputs(args: argparse.Namespace, opened: WorkbenchInputs) -> argparse.Namespace:
     """Return the command line as if it had opened what a page has open."""
-    stated = dict(inputs.options)
+    stated = dict(opened.options)
     limit = stated.get("inflate-limit")
     return argparse.Namespace(
         **{
             **vars(args),
             **{_key(name): stated.get(name) for name in OPTIONS},
             "inflate_limit": args.inflate_limit if limit is None else float(limit),
-            "robot": inputs.fit or inputs.robot,
-            "tip": inputs.tip or None,
-            "lock": inputs.lock,
-            "torque_constants": inputs.torque_constants or None,
-            "units": inputs.units,
+            "robot": opened.fit or opened.robot,
+            "tip": opened.tip or None,
+            "lock": opened.lock,
+            "torque_constants": opened.torque_constants or None,
+            "units": opened.units,
         }
     )
 
@@ -230,9 +199,3 @@ def _announce(url: str, *, browser: bool) -> None:
         import webbrowser
 
         threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
-
-
-def _port(text: str) -> int:
-    if not (text.isdecimal() and len(text) < 6 and 1 <= int(text) < 65536):
-        raise argparse.ArgumentTypeError(f"{text}: expected a port, 1 to 65535")
-    return int(text)

@@ -342,8 +342,10 @@ def test_commands(tmp_path, capsys):
     assert content["steps"][0]["label"] == "load_friction:1"
     assert (tmp_path / "fall.png").stat().st_size > 1000
     capsys.readouterr()
-    assert main(["diagnose", fit, paths[1], "--method", "wls", "--cutoff", "9", "--json", out]) == 0
-    assert "those of the fit: --cutoff not used" in capsys.readouterr().out
+    unused = ["--method", "ols", "--cutoff", "9", "--effects", "coulomb"]
+    assert main(["diagnose", fit, paths[1], *unused]) == 2
+    assert "--method, --effects, --cutoff: without --train" in capsys.readouterr().err
+    assert main(["diagnose", fit, paths[1], "--method", "wls", "--json", out]) == 0
     assert json.loads((tmp_path / "out.json").read_text())["mode"] == "changed"
     add = ["extend", fit, "--add", "armature:2", "--train", paths[0], "--json", out]
     assert main(add) == 0

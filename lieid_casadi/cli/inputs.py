@@ -1,0 +1,243 @@
+"""What the options of a command name: the robot, the model, the fit and the recordings."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.cli import output
+from lieid_casadi.errors import UsageError
+
+if TYPE_CHECKING:
+    from lieid_casadi.identification import Fit
+    from lieid_casadi.model import Model
+    from lieid_casadi.recording import Processing, Recording
+    from lieid_casadi.robot import Drive, Robot
+
+
+def is_fit(args: argparse.Namespace) -> bool:
+    """Whether ROBOT|FIT is a fit."""
+    return Path(args.robot).suffix.lower() == ".json"
+
+
+def robot_of(args: argparse.Namespace) -> Robot:
+    """Return the robot that ROBOT, --tip and --lock name, with the drive laws of the options.
+
+    A fit in place of ROBOT gives the robot that it contains.
+    """
+    from lieid_casadi.identification import Fit
+    from lieid_casadi.robot import Robot
+
+    if is_fit(args):
+        robot = Fit.load(args.robot).model.robot
+    else:
+        robot = Robot.load(args.robot, tip=args.tip, lock=args.lock)
+    drives = drives_of(args, robot)
+    return robot if drives is None else robot.with_drives(drives)
+
+
+def model_of(args: argparse.Namespace) -> Model:
+    """Return the model of the robot with --effects."""
+    from lieid_casadi.model import Model
+
+    return Model(robot_of(args), args.effects)
+
+
+def model_for(args: argparse.Namespace, robot: Robot, recordings: Sequence[Recording]) -> Model:
+    """Return the model with --effects, or with the default effects for the recordings' torque.
+
+    Rotor inertia among the default effects is reported.
+    """
+    from lieid_casadi.identification.default_effects import default_effects
+    from lieid_casadi.model import Model
+
+    if args.effects is not None:
+        return Model(robot, args.effects)
+    default = default_effects(robot, recordings, motor_side=args.motor_side)
+    if default.reason:
+        output.say(
+            f"Effects: {', '.join(default.names)}. Rotor inertia (armature) is among them because "
+            f"{default.reason}; --effects states others."
+        )
+    return Model(robot, default.names)
+
+
+def fit_and_recordings(
+    args: argparse.Namespace, paths: Sequence[str] | None = None
+) -> tuple[Fit, list[Recording]]:
+    """Return FIT and the recordings REC…, or those of other paths."""
+    from lieid_casadi.identification import Fit
+
+    fit = Fit.load(args.fit)
+    return fit, recordings_of(args.recordings if paths is None else paths, args, fit)
+
+
+def recordings_of(
+    paths: Sequence[str], args: argparse.Namespace, source: Robot | Fit
+) -> list[Recording]:
+    """Load recordings.
+
+    Currents become torques by --torque-constants, the constants of a fit, or the robot's own.
+    Without --units, those of a fit's training recordings are used.
+    """
+    from lieid_casadi.identification import Fit
+    from lieid_casadi.recording import Recording, require_plausible_units
+
+    robot = source.model.robot if isinstance(source, Fit) else source
+    options = _reading_options(args, robot) | _torque_options(args, robot)
+    if isinstance(source, Fit):
+        options |= _as_in_training(args, source)
+    recordings = [Recording.load(path, **options) for path in paths]
+    for recording in recordings:
+        _require_drive_law(recording)
+        require_plausible_units(recording, robot)
+    return recordings
+
+
+def currents_of(paths: Sequence[str], args: argparse.Namespace, robot: Robot) -> list[Recording]:
+    """Load recordings whose currents stay currents."""
+    from lieid_casadi.recording import Recording
+
+    return [Recording.load(path, **_reading_options(args, robot)) for path in paths]
+
+
+def processing_of(args: argparse.Namespace) -> Processing:
+    """Return the filter options."""
+    from lieid_casadi.recording import Processing
+
+    return Processing(
+        cutoff=args.cutoff, average_periods=args.average_periods, smoother=args.smoothing
+    )
+
+
+def drives_of(args: argparse.Namespace, robot: Robot) -> tuple[Drive, ...] | None:
+    """Return the control laws that the options state, else those of the robot.
+
+    Raises
+    ------
+    UsageError
+        Contradictory options, or not one number per joint.
+    """
+    from lieid_casadi.robot import Drive, servo_drive
+
+    stiffness, damping, servo = (getattr(args, x, None) for x in ("stiffness", "damping", "servo"))
+    if servo is not None:
+        if stiffness is not None or damping is not None:
+            raise UsageError("--servo: states stiffness and damping itself; expected one of them")
+        names = servo.split(",")
+        names = names * robot.n if len(names) == 1 else names
+        if len(names) != robot.n:
+            raise UsageError(f"--servo: {len(names)} names; expected 1 or {robot.n}, one per joint")
+        return robot.with_drives([servo_drive(name.strip()) for name in names]).drives
+    if stiffness is None:
+        if damping is not None:
+            raise UsageError("--damping: needs --stiffness K1,…,Kn or --stiffness unknown")
+        return robot.drives
+    damping_values = _numbers("--damping", damping or "0", robot.n, least=0.0)
+    if stiffness == "unknown":
+        laws = [Drive(stiffness=1.0, damping=d, relative=True) for d in damping_values]
+    else:
+        values = _numbers("--stiffness", stiffness, robot.n, least=math.ulp(0.0))
+        pairs = zip(values, damping_values, strict=True)
+        laws = [Drive(stiffness=k, damping=d) for k, d in pairs]
+    return robot.with_drives(laws).drives
+
+
+def _numbers(option: str, text: str, n: int, *, least: float) -> list[float]:
+    """Return one number per joint."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if not values or not all(math.isfinite(x) and x >= least for x in values):
+        kind = "0 or more" if least == 0.0 else "above 0, or unknown"
+        raise UsageError(f"{option} {text}: expected one number or {n} numbers {kind}")
+    if len(values) == 1:
+        return values * n
+    if len(values) != n:
+        raise UsageError(f"{option}: {len(values)} numbers; expected 1 or {n}, one per joint")
+    return values
+
+
+def _torque_options(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
+    """Return the arguments of `Recording.load` that state the source of torque."""
+    return {"torque_constants": _torque_constants(args, robot), "drives": drives_of(args, robot)}
+
+
+def _torque_constants(args: argparse.Namespace, robot: Robot) -> list[float] | None:
+    """Return the constants of --torque-constants or of the robot (n), N·m/A."""
+    import numpy as np
+
+    if args.torque_constants is not None:
+        try:
+            constants = [float(text) for text in args.torque_constants.split(",")]
+        except ValueError:
+            constants = []
+        if not constants or not all(np.isfinite(k) and k != 0.0 for k in constants):
+            raise UsageError(
+                f"--torque-constants {args.torque_constants}: expected numbers K1,…,K{robot.n} "
+                "other than 0, N·m/A"
+            )
+        if len(constants) != robot.n:
+            raise UsageError(
+                f"--torque-constants: {len(constants)} numbers; expected {robot.n}, one per joint"
+            )
+        return constants
+    if np.all(np.isfinite(robot.torque_constants)):
+        return [float(k) for k in robot.torque_constants]
+    return None
+
+
+def _as_in_training(args: argparse.Namespace, fit: Fit) -> dict[str, Any]:
+    """Return the arguments of `Recording.load` with which a fit's recordings were read."""
+    used, options = fit.provenance, dict[str, Any]()
+    if args.torque_constants is None and used.torque_constants is not None:
+        options["torque_constants"] = list(used.torque_constants)
+    if not args.units and used.units:
+        options["units"] = ",".join(used.units)
+    return options
+
+
+def _reading_options(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
+    """Return the arguments of `Recording.load` that do not concern torque."""
+    import numpy as np
+
+    limits = [robot.limit("position_lower"), robot.limit("position_upper")]
+    options: dict[str, Any] = {
+        "n": robot.n,
+        "joint_names": [joint.name for joint in robot.joints],  # bags name theirs
+        "units": args.units,
+        "revolute": np.array([joint.revolute for joint in robot.joints]),
+        "position_limits": np.column_stack(limits),
+    }
+    if args.inflate_limit is not None:
+        if not args.inflate_limit > 0.0:
+            raise UsageError(f"--inflate-limit {args.inflate_limit:g}: expected MiB above 0")
+        options["inflate_limit"] = int(args.inflate_limit * 2**20)
+    if args.episodes is not None:
+        options["episodes"] = _episodes(args.episodes)
+    if args.calibration is not None:
+        options["calibration"] = str(args.calibration)
+    return options
+
+
+def _episodes(text: str) -> tuple[int, int | None]:
+    match = re.fullmatch(r"([0-9]{0,9}):([0-9]{0,9})", text)
+    first, end = (match[1], match[2]) if match else ("", "0")
+    if end and int(first or 0) >= int(end):
+        raise UsageError(f"--episodes {text}: expected A:B with A < B, episodes A to B − 1")
+    return int(first or 0), int(end) if end else None
+
+
+def _require_drive_law(recording: Recording) -> None:
+    """Refuse a recording of commanded positions without a drive law."""
+    if recording.tau is None and recording.command is not None:
+        raise UsageError(
+            f"{recording.title}: commanded positions qcmd1…qcmd{recording.n} without torque and "
+            "without a drive law; expected --stiffness K1,…,Kn, --servo NAME, --stiffness unknown, "
+            "or drive: in the robot's YAML file"
+        )
