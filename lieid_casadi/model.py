@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -42,6 +42,8 @@ class Parameter:
     """A parameter of a model: of a link, or a coefficient or shape parameter of an effect.
 
     ``joint`` counts from 0; bounds are those of the physics, infinite where there are none.
+    ``fitted`` is False for a shape parameter that the training recordings give, such as the end
+    of a signal's range.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Parameter:
     lower: float = -np.inf
     upper: float = np.inf
     initial: float = 0.0
+    fitted: bool = True
 
     @property
     def label(self) -> str:
@@ -138,7 +141,10 @@ class Model:
     def shapes(self) -> tuple[Parameter, ...]:
         """The effects' shape parameters."""
         return tuple(
-            self._parameter(p, s.name, s.unit, lower=s.lower, upper=s.upper, initial=s.initial)
+            replace(
+                self._parameter(p, s.name, s.unit, lower=s.lower, upper=s.upper, initial=s.initial),
+                fitted=s.data is None,
+            )
             for p in self.placements
             for s in p.effect.shapes
         )
@@ -258,7 +264,7 @@ class Model:
     def _parameter(self, p: Placement, name: str, unit: str, **numbers: float) -> Parameter:
         """Return a parameter of a placed effect; ``numbers`` are bounds and start value."""
         label = f"{p.effect.label}.{name}"
-        return Parameter(label, p.joint, _unit(unit, p, self.robot), **numbers)
+        return replace(Parameter(label, p.joint, _unit(unit, p, self.robot)), **numbers)
 
     def _named(
         self, shapes: ca.SX, states: ca.SX | None

@@ -323,8 +323,8 @@ def rival_placements(effects: Sequence[str], n: int) -> list[Placement]:
 
 def _grid(placement: Placement, own: Array, points: int = GRID) -> Array:
     """Return shape parameters (G, s): its own, the initial ones, and a grid over their ranges."""
-    if not len(own):
-        return np.zeros((1, 0))
+    if not any(shape.data is None for shape in placement.effect.shapes):
+        return own[None]
     ranges = ShapeRange.of(placement.effect.shapes)
     count = max(3, round(points ** (1 / len(own))))
     places = product(np.linspace(0.0, 1.0, count), repeat=len(own))

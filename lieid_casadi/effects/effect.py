@@ -54,6 +54,19 @@ class Coefficient:
 
 
 @dataclass(frozen=True)
+class DataRange:
+    """Where the training recordings give a shape parameter, in place of a fit.
+
+    ``signal`` is a field of `Signals`, of the effect's own joint or of ``joint`` (from 0); ``end``
+    is an end of the signal's range, or the largest size.
+    """
+
+    signal: str
+    joint: int | None
+    end: str  # "low", "high" or "size"
+
+
+@dataclass(frozen=True)
 class Shape:
     """A shape parameter: the torque depends on it nonlinearly.
 
@@ -74,6 +87,8 @@ class Shape:
         the length of the segments), ``"speed"`` (a velocity, by the joint's dead zone and top
         speed), ``"command_error"`` (an error of position control, to the upper part of the
         joint's errors), or empty (the bounds alone).
+    data : DataRange, optional
+        What it is in the training recordings; such a parameter is not fitted.
     """
 
     name: str
@@ -84,6 +99,7 @@ class Shape:
     scan: float | None = None
     meaning: str = ""
     resolved_by: Literal["", "duration", "speed", "command_error"] = ""
+    data: DataRange | None = None
 
 
 @dataclass(frozen=True)
@@ -114,6 +130,8 @@ class Effect(ABC):
     states : tuple of MemoryState
     signals : tuple of str
         The fields of `Signals` that the effect uses.
+    joints : tuple of int
+        Further joints, from 0, whose signals it uses by `Signals.joint`.
     dry : bool
         Whether the torque is undetermined at rest although no column contains the sign. Effects
         that use the signal ``sign`` are undetermined at rest anyway.
@@ -138,6 +156,8 @@ class Effect(ABC):
         The variant of this instance, a key of ``options``.
     options : mapping
         The variants of the effect: option → one sentence.
+    free_options : bool
+        Whether ``options`` are examples, and the class refuses by itself what it cannot be.
     replaces : tuple of str
         Effects whose place this one takes; a model normally has one or the other.
     accompanied_by : tuple of str
@@ -174,6 +194,7 @@ class Effect(ABC):
     shapes: tuple[Shape, ...] = ()
     states: tuple[MemoryState, ...] = ()
     signals: tuple[str, ...] = ("dq",)
+    joints: tuple[int, ...] = ()
     dry: bool = False
     couples: ClassVar[bool] = False
     whole_arm: bool = False
@@ -184,6 +205,7 @@ class Effect(ABC):
     energy: ClassVar[str | None] = None
     option: str = ""
     options: ClassVar[Mapping[str, str]] = {}
+    free_options: ClassVar[bool] = False
     replaces: tuple[str, ...] = ()
     accompanied_by: tuple[str, ...] = ()
     counted_as: tuple[str, ...] = ()

@@ -109,9 +109,13 @@ def _joints(part: str, spec: str) -> tuple[int, int | None]:
 
 
 def _placement(effect: Effect, joint: int, source: int | None, n: int, spec: object) -> Placement:
-    for j in (joint, source):
+    for j in (joint, source, *effect.joints):
         if j is not None and not 0 <= j < n:
             raise EffectError(f"effect {str(spec)!r}: no joint {j + 1}; the arm has 1 to {n}")
+    if joint in effect.joints:
+        raise EffectError(
+            f"effect {str(spec)!r}: leave out the number {joint + 1} of the effect's own joint"
+        )
     if effect.couples and (source is None or source == joint):
         raise EffectError(f"effect {str(spec)!r} couples two joints; write e.g. {effect.name}:5<6")
     if not effect.couples and source is not None:

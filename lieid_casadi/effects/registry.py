@@ -108,6 +108,9 @@ def make(label: str) -> Effect:
     EffectError
         If no effect has that name; the message states similar names.
     """
+    name, _, option = label.partition("/")
+    if option and name in REGISTER and REGISTER[name].kind.free_options:
+        return REGISTER[name].kind(option=option)
     if label not in REGISTER:
         similar = get_close_matches(label, sorted(REGISTER), n=3)
         name = f"{', '.join(similar)} or another name" if similar else "a name"

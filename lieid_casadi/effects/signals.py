@@ -30,6 +30,8 @@ class Signals:
         The effect's own states at this sample, by name.
     command_error
         Commanded minus measured position, rad; zero where there are no commands.
+    every
+        The signals of all joints, for `joint`.
     """
 
     q: ca.SX
@@ -42,6 +44,12 @@ class Signals:
     other: Signals | None = None
     state: Mapping[str, ca.SX] = field(default_factory=dict)
     command_error: ca.SX = field(default_factory=lambda: ca.SX(0))
+    every: EffectSignals | None = None
+
+    def joint(self, number: int) -> Signals:
+        """Return the signals of another joint (from 0), one of `Effect.joints`."""
+        assert self.every is not None
+        return self.every.of(number)
 
 
 @dataclass(frozen=True)
@@ -85,4 +93,5 @@ class EffectSignals:
             other=None if source is None else self.of(source),
             state=state or {},
             command_error=ca.SX(0) if self.command_error is None else self.command_error[joint],
+            every=self,
         )

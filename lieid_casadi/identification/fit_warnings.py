@@ -113,6 +113,8 @@ def bounds(model: Model, state: FitState) -> list[LieidWarning]:
     if len(state.shapes):
         for k in np.flatnonzero(ShapeRange.of(model.shapes).at_bound(state.shapes)):
             shape = model.shapes[k]
+            if not shape.fitted:
+                continue
             found.append(
                 BoundWarning(
                     f"{shape.label} reached its bound {state.shapes[k]:.3g} {shape.unit} "

@@ -239,7 +239,9 @@ class Computation:
             return self._fits[key]
         model, start = Model(self.robot, step.effects), None
         if effort.held:
-            values = [self._shapes.get(s.label, s.initial) for s in model.shapes]
+            values = [
+                self._shapes.get(s.label, s.initial) if s.fitted else np.nan for s in model.shapes
+            ]
             start = ShapeStart(np.array(values), held=True)
         first = self._first_fits.get((step.excluded, effort.thinned))
         if first is None:

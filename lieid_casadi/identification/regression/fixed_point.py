@@ -13,6 +13,7 @@ from lieid_casadi.identification.regression.column_properties import varying_col
 from lieid_casadi.identification.regression.design_matrix import Design, Rows
 from lieid_casadi.identification.regression.least_squares import LeastSquaresSolution, solve
 from lieid_casadi.identification.regression.shape_fit import fit_shapes
+from lieid_casadi.identification.regression.shape_range import shapes_of_data
 from lieid_casadi.identification.regression.weights import ESTIMATORS, Weighting
 from lieid_casadi.model import Model
 
@@ -51,7 +52,7 @@ class ShapeStart:
     Attributes
     ----------
     values : (s,)
-        Shape parameters.
+        Shape parameters; NaN for those that are to be taken from the training recordings.
     held : bool
         Whether they stay fixed.
     parameters : (10 n + m,), optional
@@ -87,7 +88,7 @@ def fixed_point(
     model = design.model
     estimator = ESTIMATORS[method]
     start, searched = start or ShapeStart(model.initial_shapes), start is not None
-    shapes, links = start.values, start.parameters
+    shapes, links = _with_data_ranges(design, start), start.parameters
     iterate = bool(varying_columns(model).any())
     loaded = any("load" in p.effect.signals for p in model.placements)
     if any(isinstance(p.effect, ArmEffect) and p.effect.shapes for p in model.placements):
@@ -98,7 +99,11 @@ def fixed_point(
         rows = design.rows(shapes, links)
         weighting = estimator(rows)
         # shapes of load-dependent effects need a load first
-        if len(shapes) and not start.held and not (loaded and links is None):
+        if (
+            any(s.fitted for s in model.shapes)
+            and not start.held
+            and not (loaded and links is None)
+        ):
             shapes = fit_shapes(design, shapes, links, weighting.noise, search=not searched)
             searched = True
             rows = design.rows(shapes, links)
@@ -115,6 +120,13 @@ def fixed_point(
         before = predicted
         report("regress", 0.3 + 0.6 * (round_ + 1) / ROUNDS)
     return state, False
+
+
+def _with_data_ranges(design: Design, start: ShapeStart) -> Array:
+    """Return the shapes (s,) to start from, with those that the recordings give."""
+    data = shapes_of_data(design.model, design.segments)
+    given = np.isnan(data) | (start.held & np.isfinite(start.values))
+    return np.where(given, start.values, data)
 
 
 def nominal_parameters(model: Model) -> Array:

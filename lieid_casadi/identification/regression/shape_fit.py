@@ -43,8 +43,9 @@ def fit_shapes(
     """
     problem = _WeightedDesign.of(design, start, links, noise)
     starts = problem.starts() if search else [start]
-    found = [minimize_shapes(problem.separable, each) for each in starts]
-    return min(found, key=problem.separable.cost)
+    free = problem.free
+    found = [minimize_shapes(problem.separable, each[free]) for each in starts]
+    return problem.all_shapes(min(found, key=problem.separable.cost))
 
 
 def shape_columns(design: Design, values: Array, shapes: Array, links: Array | None) -> list[Array]:
@@ -68,6 +69,8 @@ def shape_columns(design: Design, values: Array, shapes: Array, links: Array | N
         step[members] = steps[members]
         moved = design.varying_rows(shapes + step, links)
         for k in members:
+            if not design.model.shapes[k].fitted:
+                continue
             j = design.model.shapes[k].joint
             own = design.columns_of_shape(k)
             change = (moved[j] - here[j])[:, own] / step[k]
@@ -79,50 +82,66 @@ def shape_columns(design: Design, values: Array, shapes: Array, links: Array | N
 class _WeightedDesign:
     """The weighted regression of a design as a separable problem.
 
-    ``ends`` are the row numbers at which one joint's rows end and the next one's begin.
+    Its unknowns are the shapes that are fitted. ``ends`` are the row numbers at which one joint's
+    rows end and the next one's begin.
     """
 
     design: Design
     separable: SeparableProblem
     ends: NDArray[np.intp]
+    start: Array
+
+    @property
+    def free(self) -> NDArray[np.intp]:
+        """Numbers of the shapes that are fitted."""
+        return _fitted(self.design)
+
+    def all_shapes(self, fitted: Array) -> Array:
+        """Return all shapes (s,), from those that are fitted."""
+        return _replaced(self.start, self.free, fitted)
 
     @classmethod
     def of(cls, design: Design, start: Array, links: Array | None, noise: Array) -> _WeightedDesign:
         """Return the problem of `fit_shapes`, with the same parameters."""
-        rows = design.rows(start, links)
+        rows, free = design.rows(start, links), _fitted(design)
 
         def weighted(per_joint: Sequence[Array]) -> Array:
             return np.concatenate([x / s for x, s in zip(per_joint, noise, strict=True)])
 
         def columns(shapes: Array) -> Array:
-            return weighted(design.varying_rows(shapes, links))
+            return weighted(design.varying_rows(_replaced(start, free, shapes), links))
 
         def slopes(shapes: Array, coefficients: Array) -> Array:
             values = np.zeros(design.model.base.count)
             values[design.varying] = coefficients
-            return weighted(shape_columns(design, values, shapes, links))
+            every = _replaced(start, free, shapes)
+            return weighted(shape_columns(design, values, every, links))[:, free]
 
         fixed = weighted(_fixed_columns(design, rows))
         scale = np.linalg.norm(fixed, axis=0)
         basis, _ = np.linalg.qr(fixed / np.where(scale > 0.0, scale, 1.0))
+        whole = resolved_range(design)
         separable = SeparableProblem(
             columns=columns,
             target=weighted([joint.torque for joint in rows.joints]),
-            ranges=resolved_range(design),
+            ranges=ShapeRange(whole.lower[free], whole.upper[free]),
             fixed=basis,
             slopes=slopes,
         )
-        return cls(design, separable, np.cumsum(rows.lengths, dtype=np.intp)[:-1])
+        return cls(design, separable, np.cumsum(rows.lengths, dtype=np.intp)[:-1], start)
 
     def starts(self) -> list[Array]:
         """Return starts from a grid over the ranges: the best values of each joint, then the next.
 
         Shapes of one kind on several joints act on different rows and are tried together.
         """
-        ranges = self.separable.ranges
-        starts = np.tile(self.design.model.initial_shapes, (STARTS, 1))
+        ranges, free = resolved_range(self.design), self.free
+        first = _replaced(self.start, free, self.design.model.initial_shapes[free])
+        starts = np.tile(first, (STARTS, 1))
         places = (np.arange(GRID) + 0.5) / GRID
         for members in _same_shape_groups(self.design):
+            if members[0] not in free:
+                continue
             grid = []
             for place in places:
                 trial = starts[0].copy()
@@ -136,7 +155,7 @@ class _WeightedDesign:
 
     def _joint_costs(self, shapes: Array) -> Array:
         """Return the sum of squared weighted residuals of each joint (n,)."""
-        parts = np.split(self.separable.solve(shapes).residual, self.ends)
+        parts = np.split(self.separable.solve(shapes[self.free]).residual, self.ends)
         return np.array([np.sum(part**2) for part in parts])
 
 
@@ -168,6 +187,17 @@ def resolved_range(design: Design) -> ShapeRange:
             if low < high:
                 lower[k], upper[k] = low, high
     return ShapeRange(lower, upper)
+
+
+def _fitted(design: Design) -> NDArray[np.intp]:
+    return np.flatnonzero([shape.fitted for shape in design.model.shapes])
+
+
+def _replaced(values: Array, at: NDArray[np.intp], new: Array) -> Array:
+    """Return values with new ones at some positions."""
+    replaced = values.copy()
+    replaced[at] = new
+    return replaced
 
 
 def _fixed_columns(design: Design, rows: Rows) -> list[Array]:

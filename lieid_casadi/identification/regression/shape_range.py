@@ -10,8 +10,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lieid_casadi.arrays import Array
+from lieid_casadi.effects.effect import DataRange
+from lieid_casadi.model import Model
+from lieid_casadi.recording.processing.process import Processed
+
 AT_BOUND = 1e-3  # of the range: a shape nearer to its end counts as at the bound
+TAIL = 0.5  # percent of the samples beyond either end of the range of a signal
 
 
 class Bounded(Protocol):
@@ -75,3 +80,25 @@ class ShapeRange:
     def _decades(self) -> Array:
         safe = np.where(self._logarithmic, self.lower, 1.0)
         return np.where(self._logarithmic, np.log(np.maximum(self.upper, safe) / safe), 1.0)
+
+
+def shapes_of_data(model: Model, segments: Sequence[Processed]) -> Array:
+    """Return the shape parameters (s,) that the training recordings give, NaN for fitted ones.
+
+    The ends of a signal's range are percentiles over all segments. The range of τ_load, which
+    depends on the fit, is that of the measured torque.
+    """
+    every = ((p.joint, shape.data) for p in model.placements for shape in p.effect.shapes)
+    ends = [np.nan if data is None else _end(data, joint, segments) for joint, data in every]
+    return np.array(ends, dtype=float)
+
+
+def _end(data: DataRange, joint: int, segments: Sequence[Processed]) -> float:
+    name = "tau" if data.signal == "load" else data.signal
+    of_all = [getattr(segment, name) for segment in segments]
+    if any(values is None for values in of_all):
+        return 0.0
+    values = np.concatenate([x[:, joint if data.joint is None else data.joint] for x in of_all])
+    if data.end == "size":
+        return float(np.percentile(np.abs(values), 100.0 - TAIL))
+    return float(np.percentile(values, TAIL if data.end == "low" else 100.0 - TAIL))

@@ -1,0 +1,264 @@
+"""A smooth function of one or two signals, for torque that no other effect describes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.effects.effect import Coefficient, DataRange, Effect, Shape
+from lieid_casadi.effects.registry import register
+from lieid_casadi.effects.signals import Signals
+from lieid_casadi.errors import EffectError
+
+#: Signal → field of `Signals`, unit, range before any data.
+SIGNALS: dict[str, tuple[str, str, float]] = {
+    "q": ("q", "rad", 3.0),
+    "dq": ("dq", "rad/s", 1.0),
+    "ddq": ("ddq", "rad/s²", 10.0),
+    "load": ("load", "N·m", 100.0),
+    "temp": ("temperature", "°C", 10.0),
+}
+FADE = 0.1  # of a range: beyond its ends the function falls to zero over this distance
+SLOW = 0.1  # of the largest speed: knots of a speed are closer below it
+KNOTS = 8  # splines of one signal
+ODD_KNOTS, EVEN_KNOTS = 6, 4  # splines of the speed that change sign with the velocity, and others
+PAIR_KNOTS = 5  # splines of each of two signals
+GRID, PAIR_GRID = 400, 40  # points over each of one or two ranges where functions are orthogonal
+PAIR_REACH = 1.15  # radius in half ranges that two signals together reach: not their corners
+LEAST_ALONE, LEAST_TOGETHER = 1e-6, 5e-4  # part of the variance that a further function adds
+LARGEST = 1e4  # end of a range, in units of the signal
+
+
+@dataclass(frozen=True)
+class _Signal:
+    """A signal of the effect's own joint, or of the one with this number from 0."""
+
+    name: str
+    joint: int | None
+
+    @property
+    def signed(self) -> bool:
+        """Whether the function may jump where the signal changes its sign."""
+        return self.name == "dq"
+
+    @property
+    def removed(self) -> bool:
+        """Whether the model describes what is linear in it: friction, inertia, a gain."""
+        return self.joint is None and self.name in ("dq", "ddq", "load")
+
+
+@register
+class Smooth(Effect):
+    """A smooth function of one or two signals: τ = Σ c_k·φ_k(x) or Σ c_k·φ_k(x, y).
+
+    The signals are part of the name: ``smooth/dq:3``, ``smooth/q.dq:3``, ``smooth/dq.q5:4`` (own
+    signals without a number, those of another joint with its number). φ_k are cubic B-splines on
+    a few knots (products of polynomials of two signals), orthonormal over the range of the
+    training data, so that the root of Σ c_k² is the size in N·m. Functions of a velocity may jump
+    where it changes its sign. A constant, and what is linear in the joint's own velocity with its
+    sign, acceleration or load, are left out: `offset`, `viscous`, `coulomb`, `armature` and the
+    inertia describe them. The ends of the range (0.5th and 99.5th percentile) are stored with the
+    fit; beyond them the function keeps its value and falls to zero within a tenth of the range.
+    Revealed by motion through the whole range of the signals. Confused with any effect of the
+    same signals.
+    """
+
+    name = "smooth"
+    finding: ClassVar = ("An additional torque on {joints} is a smooth function of its signals",)
+    change: ClassVar = ("A torque on {joints} that depends on its signals has changed",)
+    options: ClassVar = {
+        "q": "of the joint angle",
+        "dq": "of the velocity (the default)",
+        "ddq": "of the acceleration",
+        "load": "of τ_load",
+        "temp": "of the temperature",
+        "q.dq": "of angle and velocity; any other two signals likewise, as in smooth/dq.q5",
+    }
+    free_options = True
+    candidate = False
+    revealed_by = "motion through the whole range of the signals, each at several values of others"
+    confused_with: ClassVar = {
+        "stribeck": "a function of the velocity contains it; prefer the effect with a name",
+        "torque_ripple": "a function of the angle contains ripple of low order",
+        "position_spring": "a function of the angle contains the spring",
+        "load_friction": "friction that varies with the angle resembles one that varies with load",
+    }
+    typical = "any; the root of the sum of squares of the coefficients is the RMS over the range"
+    references = ("de Boor, A Practical Guide to Splines, 1978",)
+
+    def __init__(self, *, option: str = "") -> None:
+        self.option = option or "dq"
+        self._signals = _parsed(self.option)
+        self.formula = f"Σ c_k·φ_k({', '.join(self.option.split('.'))})"
+        self._combination = _combination(
+            tuple(s.signed for s in self._signals), tuple(s.removed for s in self._signals)
+        )
+        self.coefficients = tuple(
+            Coefficient(f"c{k + 1}", "N·m", meaning=f"of the orthonormal function φ_{k + 1}")
+            for k in range(self._combination.shape[1])
+        )
+        self.shapes = tuple(shape for s in self._signals for shape in _range_of(s))
+        used = {SIGNALS[s.name][0] for s in self._signals}
+        used |= {"sign"} if any(s.signed for s in self._signals) else set()
+        self.signals = tuple(sorted(used))
+        self.joints = tuple(sorted({s.joint for s in self._signals if s.joint is not None}))
+
+    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+        """Return the columns of the formula."""
+        products, inside = [ca.SX(1)], ca.SX(1)
+        for signal in self._signals:
+            source = s if signal.joint is None else s.joint(signal.joint)
+            value = getattr(source, SIGNALS[signal.name][0])
+            part, within = _place(signal, value, source.sign, shape)
+            sign = source.sign if signal.signed else None
+            own = _basis(part, sign, paired=len(self._signals) > 1)
+            products, inside = [a * b for a in products for b in own], inside * within
+        combined = ca.mtimes(ca.SX(ca.DM(self._combination.T)), ca.vertcat(*products))
+        return [inside * column for column in ca.vertsplit(combined)]
+
+    def size_text(self, parameters: Mapping[str, float]) -> str:
+        """Return the RMS of the function over the range of its signals."""
+        size = np.sqrt(sum(parameters.get(c.name, 0.0) ** 2 for c in self.coefficients))
+        return f"{size:.3g} N·m RMS over the range of {' and '.join(self.option.split('.'))}"
+
+
+def _parsed(option: str) -> tuple[_Signal, ...]:
+    """Return the signals of ``dq``, ``q.dq`` or ``dq.q5``."""
+    found = [re.fullmatch(r"([a-z]+)([1-9]\d{0,2})?", part) for part in option.split(".")]
+    signals = [_Signal(m[1], int(m[2]) - 1 if m[2] else None) for m in found if m]
+    known = all(s.name in SIGNALS for s in signals) and len(signals) == len(found)
+    if not known or len(signals) > 2 or len(set(signals)) < len(signals):
+        raise EffectError(
+            f"smooth has no option {option!r}; expected one or two of {', '.join(SIGNALS)}, with "
+            "the number of a joint if it is not the effect's own, as in smooth/dq or smooth/dq.q5"
+        )
+    return tuple(signals)
+
+
+def _range_of(signal: _Signal) -> list[Shape]:
+    """Return the shape parameters that hold the range of a signal: its ends, or a top speed."""
+    field, unit, reach = SIGNALS[signal.name]
+    label = signal.name if signal.joint is None else f"{signal.name}{signal.joint + 1}"
+    if signal.signed:
+        source = DataRange(field, signal.joint, "size")
+        meaning = f"largest |{label}| in the data"
+        return [Shape(f"{label}_max", unit, reach, 0.0, LARGEST, meaning=meaning, data=source)]
+    return [
+        Shape(
+            f"{label}_{end}", unit, value, -LARGEST, LARGEST,
+            meaning=f"{end} end of {label} in the data", data=DataRange(field, signal.joint, end),
+        )
+        for end, value in (("low", -reach), ("high", reach))
+    ]  # fmt: skip
+
+
+def _place(
+    signal: _Signal, value: ca.SX, sign: ca.SX, shape: Mapping[str, ca.SX]
+) -> tuple[ca.SX, ca.SX]:
+    """Return the place of a value in its range, 0 to 1, and the factor that fades beyond it."""
+    label = signal.name if signal.joint is None else f"{signal.name}{signal.joint + 1}"
+    if signal.signed:
+        whole = value * sign / ca.fmax(shape[f"{label}_max"], 1e-9)
+    else:
+        low, high = shape[f"{label}_low"], shape[f"{label}_high"]
+        whole = (value - low) / ca.fmax(high - low, 1e-9)
+    place = ca.fmin(ca.fmax(whole, 0), 1)
+    beyond = ca.fmin(ca.fabs(whole - place) / FADE, 1)
+    return place, 1 - beyond**2 * (3 - 2 * beyond)
+
+
+def _basis(place: ca.SX, sign: ca.SX | None, *, paired: bool) -> list[ca.SX]:
+    """Return the functions of one signal: of its place, and of its sign if it may jump there."""
+    if sign is None:
+        return _splines(place, PAIR_KNOTS if paired else KNOTS)
+    warped = ca.log1p(place / SLOW) / np.log1p(1 / SLOW)
+    if paired:
+        odd = [(1 - warped) ** 2, 2 * warped * (1 - warped), warped**2]
+        even = [1 - warped, warped]
+    else:
+        odd, even = _splines(warped, ODD_KNOTS), _splines(warped, EVEN_KNOTS)
+    return [*(sign * x for x in odd), *even]
+
+
+def _splines(place: ca.SX, count: int) -> list[ca.SX]:
+    """Return the uniform cubic B-splines on [0, 1], without branches."""
+    step = 1 / (count - 3)
+    found = []
+    for k in range(count):
+        distance = ca.fabs(place / step - (k - 1))
+        found.append((ca.fmax(2 - distance, 0) ** 3 - 4 * ca.fmax(1 - distance, 0) ** 3) / 6)
+    return found
+
+
+@lru_cache(maxsize=32)
+def _combination(signed: tuple[bool, ...], removed: tuple[bool, ...]) -> Array:
+    """Return the combinations (b, c) of products that are orthonormal over the range.
+
+    They are orthogonal to a constant and to what other effects describe. Gram and Schmidt's
+    procedure in a fixed order gives the same numbers on every machine, which a file with
+    coefficients needs; a singular value decomposition does not.
+    """
+    paired = len(signed) > 1
+    count = PAIR_GRID if paired else GRID
+    axis = (2.0 * np.arange(count) + 1.0) / count - 1.0
+    factors = [_values(axis, each, paired) for each in signed]
+    known = [_described(axis, *each) for each in zip(signed, removed, strict=True)]
+    if not paired:
+        return _orthonormal(known[0], factors[0], LEAST_ALONE)
+    a, b = (x.ravel() for x in np.meshgrid(axis, axis, indexing="ij"))
+    near = np.hypot(a, b) <= PAIR_REACH
+    ones = np.ones((len(axis), 1))
+    sides = [(known[0], ones), (ones, known[1])]
+    described, products = (
+        np.hstack([np.einsum("ik,jl->ijkl", *s).reshape(len(a), -1) for s in given])[near]
+        for given in (sides, [factors])
+    )
+    return _orthonormal(described, products, LEAST_TOGETHER)
+
+
+def _orthonormal(known: Array, given: Array, least: float) -> Array:
+    """Return combinations (b, c) of given functions: orthonormal, and orthogonal to known ones.
+
+    Functions are values at points (P, b) of equal weight.
+    """
+    points, count = given.shape
+    removed = _gram_schmidt(known.T @ given / points, np.eye(count), 1e-9)
+    free = np.eye(count) - removed.T @ removed
+    return _gram_schmidt(free, given.T @ given / points, least).T
+
+
+def _gram_schmidt(vectors: Array, metric: Array, least: float) -> Array:
+    """Return orthonormal vectors (r, b), without those that add little to the ones before."""
+    found: list[Array] = []
+    smallest = least * max(float(v @ metric @ v) for v in vectors)
+    for vector in vectors:
+        rest = vector
+        for other in (*found, *found):  # twice, because of rounding
+            rest = rest - (other @ metric @ rest) * other
+        size = float(rest @ metric @ rest)
+        if size > smallest:
+            found.append(rest / np.sqrt(size))
+    return np.array(found)
+
+
+def _values(axis: Array, signed: bool, paired: bool) -> Array:
+    """Return the functions of one signal (points, b) along its range, −1 to 1."""
+    x = ca.SX.sym("x")
+    place, sign = (ca.fabs(x), ca.sign(x)) if signed else ((x + 1) / 2, None)
+    function = ca.Function("basis", [x], [ca.vertcat(*_basis(place, sign, paired=paired))])
+    return np.asarray(function(axis[None]).full().T)
+
+
+def _described(axis: Array, signed: bool, removed: bool) -> Array:
+    """Return what other effects describe (points, d): a constant, and the linear part."""
+    parts = [np.ones_like(axis)]
+    if removed:
+        parts += [axis, np.sign(axis)] if signed else [axis]
+    return np.column_stack(parts)

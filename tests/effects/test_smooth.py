@@ -1,0 +1,179 @@
+"""Smooth functions of signals as an effect: fit, file, C code, and where they are zero."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.effects import make
+from lieid_casadi.errors import EffectError
+from lieid_casadi.recording import Processing
+
+PANDA = lieid.robots.panda()
+KINDS = ("q", "dq", "ddq", "load.dq", "dq.q5", "q5")
+NOISE = 0.05
+OPTIONS = Processing(cutoff=8.0)
+
+
+def recorded(seed, hidden=lambda q, dq: 0.0, duration=15.0):
+    """A Panda at 100 Hz with friction and a further torque on joint 4."""
+    friction = plant.JointFriction(np.full(7, 0.6), np.full(7, 0.8), np.zeros(7))
+    arm = plant.Arm(PANDA, PANDA.link_parameters, friction)
+    motion = plant.FourierTrajectory(PANDA, base_frequency=1 / duration, seed=seed)
+    t = np.arange(0.0, duration, 0.01)
+    sensors = plant.Sensors(rate=100.0, torque_noise=NOISE)
+    run = plant.measure_along(arm, t, *motion.at(t), sensors=sensors, seed=seed)
+    tau = run.tau.copy()
+    tau[:, 3] += hidden(run.q, run.dq)
+    return replace(run, tau=tau)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return recorded(1)
+
+
+def fitted(run, effects, **options):
+    model = lieid.Model(PANDA, f"coulomb,viscous,offset,{effects}")
+    return lieid.identify(model, run, processing=OPTIONS, **options)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_file_and_symbolic_torque_are_those_of_the_fit(run, kind, tmp_path):
+    fit = fitted(run, f"smooth/{kind}:4")
+    assert np.isfinite(fit.values).all()
+    fit.save(tmp_path / "fit.json")
+    loaded = lieid.Fit.load(tmp_path / "fit.json")
+    torque = fit.predict(run)
+    np.testing.assert_allclose(loaded.predict(run), torque, rtol=0, atol=1e-12)
+    function = lieid.symbolic(loaded).inverse_dynamics  # evaluated by CasADi, the fit by C
+    at = slice(100, 200)
+    by_casadi = function(run.q[at].T, run.dq[at].T, np.zeros((7, 100))).full().T
+    by_c = fit.torque(run.q[at], run.dq[at], np.zeros((100, 7)))
+    np.testing.assert_allclose(by_casadi, by_c, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_derivatives_are_those_of_finite_differences(kind):
+    fit_model = lieid.Model(PANDA, [f"smooth/{kind}:4"])
+    general = lieid.symbolic(fit_model, smooth_velocity=0.01)
+    tau = general.inverse_dynamics
+    names = tau.name_in()
+    rng = np.random.default_rng(0)
+    values = {
+        "effects": rng.normal(size=len(fit_model.columns)),
+        "shapes": fit_model.initial_shapes,
+        "parameters": PANDA.link_parameters,
+    }
+    values |= {name: 0.7 * rng.uniform(-1.0, 1.0, 7) for name in ("q", "dq", "ddq")}
+    symbols = [ca.MX.sym(name, tau.size1_in(name)) for name in names]
+    out = tau(*symbols)
+    for name in ("q", "dq", "ddq"):
+        slope = ca.Function("j", symbols, [ca.jacobian(out, symbols[names.index(name)])])
+        exact = slope(*(values[k] for k in names)).full()
+        for k in range(7):
+            step = np.zeros(7)
+            step[k] = 1e-6
+            ends = [
+                tau(**(values | {name: values[name] + sign * step})).get("tau").full()[:, 0]
+                for sign in (1.0, -1.0)
+            ]
+            np.testing.assert_allclose(exact[:, k], (ends[0] - ends[1]) / 2e-6, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["q", "dq", "q5", "q.dq", "dq.q5"])
+def test_zero_where_the_data_do_not_reach(run, kind):
+    fit = fitted(run, f"smooth/{kind}:4")
+    others = np.arange(len(fit.parameters)) < 10 * 7 + 3 * 7
+    none = replace(fit, parameters=np.where(others, fit.parameters, 0.0))
+    reach = np.abs(run.dq).max(axis=0), np.abs(run.q).max(axis=0)
+    q, dq = 3.0 * np.tile(reach[1], (2, 1)), 3.0 * np.tile(reach[0], (2, 1)) * [[1.0], [-1.0]]
+    np.testing.assert_array_equal(fit.torque(q, dq, 0 * q), none.torque(q, dq, 0 * q))
+    motion = run.q[::100], run.dq[::100], 0.0 * run.q[::100]
+    assert np.all(fit.torque(*motion)[:, 3] != none.torque(*motion)[:, 3])
+
+
+def test_a_function_of_another_joint_is_found_to_the_noise():
+    def hidden(q, dq):
+        return 0.8 * np.sin(1.7 * q[:, 4] + 0.4)
+
+    train, test = recorded(1, hidden), recorded(2, hidden)
+    for effects, error in (("armature:4", 0.1), ("smooth/q5:4", 0.0)):
+        fit = fitted(train, effects)
+        rms = lieid.compare(fit, test).rms[3]
+        floor = NOISE * np.sqrt(8.0 / 50.0)  # of white noise below the cut-off
+        assert rms > error if error else rms < 1.3 * floor
+
+
+def test_friction_that_jumps_and_bends_is_found_to_the_noise():
+    """Friction of a Stribeck form, stronger in one direction, in no effect of the model."""
+
+    def hidden(q, dq):
+        v = dq[:, 3]
+        return np.sign(v) * (1.5 * np.exp(-((v / 0.25) ** 2)) + 0.2) + 0.3 * np.exp(-np.abs(v))
+
+    train, test = recorded(1, hidden), recorded(2, hidden)
+    missing = lieid.compare(fitted(train, ""), test).rms[3]
+    smooth = lieid.compare(fitted(train, "smooth/dq:4"), test).rms[3]
+    assert smooth < 0.25 * missing
+
+
+def test_the_same_data_give_the_same_knots_and_other_data_others(run):
+    one, same = (fitted(run, "smooth/q.dq:4") for _ in range(2))
+    np.testing.assert_array_equal(one.shapes, same.shapes)
+    np.testing.assert_array_equal(one.values, same.values)
+    assert np.all(one.std[len(one.values) :] == 0.0)
+    assert np.abs(fitted(recorded(5), "smooth/q.dq:4").shapes - one.shapes).max() > 1e-3
+    low, high, speed = one.shapes
+    assert np.quantile(run.q[:, 3], 0.004) < low < np.quantile(run.q[:, 3], 0.02)
+    assert np.quantile(run.q[:, 3], 0.98) < high < np.quantile(run.q[:, 3], 0.996)
+    assert 0.97 * np.abs(run.dq[:, 3]).max() < speed < np.abs(run.dq[:, 3]).max()
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("smooth/x:1", "expected one or two of q, dq"),
+        ("smooth/q.q:1", "no option"),
+        ("smooth/q.dq.ddq:1", "no option"),
+        ("smooth/q9:1", "no joint 9"),
+        ("smooth/q3:3", "leave out the number 3"),
+        ("smooth/q0:3", "no option"),
+    ],
+)
+def test_signals_that_do_not_exist_are_refused(spec, message):
+    with pytest.raises(EffectError, match=message):
+        lieid.Model(PANDA, spec)
+
+
+def test_functions_are_orthonormal_and_without_what_friction_describes():
+    """Simpson's rule, not the grid of the effect."""
+    from scipy.integrate import simpson
+
+    effect = make("smooth/dq")
+    assert effect.label == "smooth/dq"
+    v, sign = ca.SX.sym("v"), ca.SX.sym("s")
+    from lieid_casadi.effects import Signals
+
+    zero = ca.SX(0)
+    signals = Signals(zero, v, zero, sign, zero, zero, zero)
+    columns = ca.vertcat(*effect.columns(signals, {"dq_max": ca.SX(2.0)}))
+    x = np.linspace(1e-9, 2.0, 2001)
+    function = ca.Function("f", [v, sign], [columns])
+    sides = [function(s * x[None], np.full((1, 2001), s)).full() for s in (1.0, -1.0)]
+    known = [np.ones_like(x), x, np.sign(x)]
+    for column in range(len(effect.coefficients)):
+        for k, values in enumerate(known):
+            signs = (1.0, 1.0) if k == 0 else (1.0, -1.0)
+            total = sum(
+                s * simpson(side[column] * values, x=x)
+                for s, side in zip(signs, sides, strict=True)
+            )
+            assert abs(total) < 4.0 * 1e-3
+    gram = np.array([
+        [sum(simpson(s[a] * s[b], x=x) for s in sides) / 4.0 for a in range(7)] for b in range(7)
+    ])  # fmt: skip
+    np.testing.assert_allclose(gram, np.eye(7), atol=1e-2)
