@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -141,8 +141,13 @@ class Model:
     def shapes(self) -> tuple[Parameter, ...]:
         """The effects' shape parameters."""
         return tuple(
-            replace(
-                self._parameter(p, s.name, s.unit, lower=s.lower, upper=s.upper, initial=s.initial),
+            self._parameter(
+                p,
+                s.name,
+                s.unit,
+                lower=s.lower,
+                upper=s.upper,
+                initial=s.initial,
                 fitted=s.data is None,
             )
             for p in self.placements
@@ -261,10 +266,20 @@ class Model:
                 rates += p.effect.state_rates(signals.of(p.joint, p.source, state), shape)
         return ca.vertcat(*rates)
 
-    def _parameter(self, p: Placement, name: str, unit: str, **numbers: float) -> Parameter:
-        """Return a parameter of a placed effect; ``numbers`` are bounds and start value."""
-        label = f"{p.effect.label}.{name}"
-        return replace(Parameter(label, p.joint, _unit(unit, p, self.robot)), **numbers)
+    def _parameter(
+        self,
+        p: Placement,
+        name: str,
+        unit: str,
+        *,
+        lower: float = -np.inf,
+        upper: float = np.inf,
+        initial: float = 0.0,
+        fitted: bool = True,
+    ) -> Parameter:
+        """Return a parameter of a placed effect."""
+        label, unit = f"{p.effect.label}.{name}", _unit(unit, p, self.robot)
+        return Parameter(label, p.joint, unit, lower, upper, initial, fitted)
 
     def _named(
         self, shapes: ca.SX, states: ca.SX | None

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects.effect import DataRange
 from lieid_casadi.model import Model
-from lieid_casadi.recording.processing.process import Processed
+from lieid_casadi.recording import Processed
 
 AT_BOUND = 1e-3  # of the range: a shape nearer to its end counts as at the bound
 TAIL = 0.5  # percent of the samples beyond either end of the range of a signal
