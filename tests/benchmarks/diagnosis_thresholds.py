@@ -49,9 +49,13 @@ FACTORS = (0.5, 2.0)
 
 def cases(count):
     """Return the cases: of every 6, 3 single effects, 2 complete models and 1 foreign effect."""
-    single = chosen(modes=["missing"], kinds=["single"], sizes=[5.0, 2.0, 1.0], limit=count // 2)
-    nothing = chosen(modes=["missing"], kinds=["none"], limit=count // 3)
-    foreign = chosen(modes=["missing"], kinds=["foreign"], limit=count - len(single) - len(nothing))
+    single = chosen(
+        modes=["missing"], kinds=["single"], sizes=[5.0, 2.0, 1.0], series=[1], count=count // 2
+    )
+    nothing = chosen(modes=["missing"], kinds=["none"], series=[1], count=count // 3)
+    foreign = chosen(
+        modes=["missing"], kinds=["foreign"], series=[1], count=count - len(single) - len(nothing)
+    )
     return [
         case
         for k, last in enumerate(foreign)

@@ -66,6 +66,27 @@ def columns(robot, record: NoiselessRecord) -> Array:
     return whole
 
 
+def whitened(values: Array, seen: NDArray[np.bool_], t: Array, white: Array, time: float) -> Array:
+    """Return the innovations (K, n, m) of a Kalman filter for white and first-order noise.
+
+    Both together have unit variance; ``white`` (n,) is the part of white noise, ``time`` the
+    correlation time (s) of the rest. Rows (K, n) that are not ``seen`` give zero.
+    """
+    state, shown = np.zeros(values.shape[1:]), np.zeros(values.shape)
+    variance = 1.0 - white
+    keep = np.exp(-np.diff(t, prepend=t[0]) / time)
+    for k in range(len(t)):
+        state = keep[k] * state
+        variance = keep[k] ** 2 * variance + (1.0 - keep[k] ** 2) * (1.0 - white)
+        whole = variance + np.maximum(white, 1e-6)
+        error = np.where(seen[k][:, None], values[k] - state, 0.0)
+        shown[k] = error / np.sqrt(whole)[:, None]
+        gain = np.where(seen[k], variance / whole, 0.0)
+        state = state + gain[:, None] * error
+        variance = variance * (1.0 - gain)
+    return shown
+
+
 class BaseSpan:
     """Span of the columns of the base model; rows of each joint are divided by its noise."""
 
@@ -95,6 +116,14 @@ class BaseSpan:
         q, r = np.linalg.qr(others)
         q = q[:, np.abs(np.diag(r)) > 1e-9 * max(np.abs(np.diag(r)).max(), 1e-12)]
         return rest - q @ (q.T @ rest)
+
+    def unstacked(self, stacked: Array) -> Array:
+        """Return the values (K, n) of stacked rows (R,); zero where a joint rests."""
+        values = np.zeros(self.record.q.shape)
+        parts = np.split(stacked, np.cumsum(self.record.moving.sum(axis=0))[:-1])
+        for j, part in enumerate(parts):
+            values[self.record.moving[:, j], j] = part * self.noise[j]
+        return values
 
     def by_joint(self, stacked: Array) -> Array:
         """Return the RMS (n,) of stacked rows per joint, in multiples of the noise."""

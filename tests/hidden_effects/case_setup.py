@@ -29,9 +29,11 @@ from lieid_casadi.plant.trajectories import Envelope
 
 Array = NDArray[np.float64]
 LEAST_NOISE, MOST_NOISE = 1e-4, 1.5e-2  # relative to the torque that the drives can deliver
+LATER = 100  # draws from here on have noise correlated over up to 1 s, and recordings of 15 s
 TRAININGS = {"tilted_run": 2}  # recordings for training that a world needs
 SIZES = (5.0, 2.0, 1.0, 0.5)
 DURATIONS, DURATIONS_OF_SEVERAL = (15.0, 60.0), (15.0, 30.0)  # s, of one and of each of several
+SHORT = 0.4  # part of the later cases whose recordings have the shortest duration
 
 
 @dataclass(frozen=True)
@@ -41,15 +43,16 @@ class Case:
     Attributes
     ----------
     kind
-        ``none``, ``single``, ``pair``, ``triple``, ``foreign``, ``form``, ``world``.
+        ``none``, ``correlated`` (nothing hidden, correlated noise), ``single``, ``pair``,
+        ``triple``, ``foreign``, ``form``, ``world``.
     draw
         Even draws are for setting thresholds (``tune``), odd ones for the published table
-        (``sealed``).
+        (``sealed``). Draws from 100 on belong to the second series.
     changed
         Whether effects changed since a fit; otherwise the model lacks them.
     effect
-        For single, foreign and form: the effect; for a world: its violated assumption; otherwise
-        drawn.
+        For single, foreign and form: the effect; for a world: its violated assumption; for
+        correlated: the correlation time, such as ``0.2s``; otherwise drawn.
     size
         For single, foreign and form; otherwise drawn from 5, 2, 1. In multiples of the noise.
     """
@@ -79,6 +82,10 @@ class Case:
     @property
     def half(self) -> str:
         return "sealed" if self.draw % 2 else "tune"
+
+    @property
+    def series(self) -> int:
+        return 2 if self.draw >= LATER else 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +154,10 @@ def draw_setup(case: Case, random: np.random.Generator, noise_factor: float) -> 
     parameters = perturbed_inertias(robot, seed=int(random.integers(2**31)))
     runs = 2 if case.changed else 1 + _trainings(case, random)
     shortest, longest = DURATIONS if runs == 2 else DURATIONS_OF_SEVERAL
+    if case.kind == "correlated":
+        longest = min(longest, DURATIONS_OF_SEVERAL[1])
+    if case.series == 2 and random.random() < SHORT:
+        longest = shortest
     kinds = tuple(
         str(random.choice(["fourier", "fourier", "mixture", "poses"])) for _ in range(runs)
     )
@@ -157,6 +168,8 @@ def draw_setup(case: Case, random: np.random.Generator, noise_factor: float) -> 
         for kind in kinds
     )
     sensors, noise = _sensors(robot, scale * noise_factor, speed, random)
+    if case.series == 2:
+        sensors = _correlated(case, sensors, noise, random)
     return CaseSetup(
         arm_name, Arm(robot, parameters, friction), plans, kinds, _thermal(case, runs, random),
         sensors, noise, bool(random.random() < 0.2), case.changed, bool(random.random() < 0.5),
@@ -207,11 +220,25 @@ def _sensors(
     return sensors, noise
 
 
+def _correlated(case: Case, sensors: Sensors, noise: Array, random: np.random.Generator) -> Sensors:
+    """Return the sensors with torque noise correlated over 0 to 1 s, short times more often."""
+    time, part = float(random.uniform() ** 2), float(random.uniform(0.0, 1.0))
+    if case.kind == "correlated":
+        time, part = float(case.effect.removesuffix("s")), 0.7 + 0.3 * part
+    rest = noise**2 - np.array(sensors.torque_step) ** 2 / 12.0
+    return replace(
+        sensors,
+        torque_noise=tuple(map(float, np.sqrt((1.0 - part) * rest))),
+        coloured_noise=tuple(map(float, np.sqrt(part * rest))),
+        correlation_time=max(time, 1e-6),
+    )
+
+
 def choose_effects(
     case: Case, setup: CaseSetup, random: np.random.Generator
 ) -> tuple[list[ScalableEffect] | None, list[float]]:
     """Return the effects and their target sizes; None if one cannot be placed."""
-    if case.kind == "world":
+    if case.kind in ("world", "correlated"):
         return [], []
     library = {"foreign": FOREIGN, "form": FORMS}.get(
         case.kind, CHANGED if case.changed else MISSING

@@ -5,7 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from hidden_effects.base_span import BaseSpan, NoiselessRecord, noiseless_record
+from hidden_effects.base_span import (
+    BaseSpan,
+    NoiselessRecord,
+    columns,
+    noiseless_record,
+    whitened,
+)
 from hidden_effects.case_setup import CaseSetup, with_hidden
 from hidden_effects.scalable_effect import ScalableEffect
 from numpy.typing import NDArray
@@ -54,6 +60,32 @@ class EffectSizes:
             shown = move_along(base, record.t, record.q, record.dq, record.ddq)
             expected = shown.tau
         return span, span.stacked(record.tau - expected)
+
+    def deviations(self, span: BaseSpan, torque: Array) -> float:
+        """Return how far a torque (R,) stands above the noise, in its standard deviations.
+
+        The noise and its correlation are those of the sensors, and the base model is fitted along
+        with the torque (unless it is kept): the square root of the noncentrality of the best test.
+        """
+        sensors, noise, record = self.setup.sensors, self.setup.noise, span.record
+        coloured = np.array(sensors.coloured_noise) ** 2 / noise**2
+        thinner = (len(record.t) - 1) / (record.t[-1] - record.t[0]) / float(sensors.rate or 1.0)
+        white = (1.0 - coloured) * min(thinner, 1.0)
+        scale = np.sqrt(coloured + white)
+        values = span.unstacked(torque)[:, :, None]
+        if not self.setup.changed:
+            values = np.concatenate([values, columns(self.setup.arm.robot, record)], axis=2)
+        shown = whitened(
+            values / (noise * scale)[:, None], record.moving, record.t, white / scale**2,
+            max(sensors.correlation_time, 1e-6),
+        ).reshape(-1, values.shape[2])  # fmt: skip
+        effect, rest = shown[:, 0], shown[:, 1:]
+        if rest.shape[1]:
+            rest = rest / np.maximum(np.linalg.norm(rest, axis=0), 1e-12)
+            u, s, _ = np.linalg.svd(rest, full_matrices=False)
+            u = u[:, s > 1e-9 * s[0]]
+            effect = effect - u @ (u.T @ effect)
+        return float(np.linalg.norm(effect))
 
     def unexplained(self, span: BaseSpan, torque: Array, further: list[Array]) -> Array:
         """Return the part of a torque (R,) that the base model and further torques do not span."""

@@ -148,6 +148,43 @@ def _slow_hum(g: ReferenceMotion, j: int) -> ScalableEffect:
     )  # fmt: skip
 
 
+def _friction_step(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """Dry friction that increases at one instant."""
+    start = g.duration * float(g.random.uniform(0.3, 0.7))
+    return foreign(
+        "friction_step", j, ("t", f"dq{j + 1}"), lambda s: np.where(s.t >= start, 1.0, 0.0)
+        * s.sign[..., j],
+    )  # fmt: skip
+
+
+def _product_of_other_velocities(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """Torque in proportion to the product of the velocities of two other joints."""
+    i, k = (int(x) for x in g.random.choice([x for x in range(g.n) if x != j], 2, replace=False))
+    return foreign(
+        "product_of_other_velocities", j, (f"dq{i + 1}", f"dq{k + 1}"),
+        lambda s: s.dq[..., i] * s.dq[..., k] / float(g.speed[i] * g.speed[k]),
+    )  # fmt: skip
+
+
+def _cross_talk(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """A part of the torque of another joint in the signal of this one."""
+    i = int(g.random.choice([k for k in np.argsort(g.load)[-3:] if k != j]))
+    friction = g.arm.friction
+    return foreign(
+        "cross_talk", j, (f"load{i + 1}|tau{i + 1}",), lambda s: s.load[..., i]
+        + friction.coulomb[i] * s.sign[..., i] + friction.viscous[i] * s.dq[..., i]
+        + friction.offset[i], simulated=False,
+    )  # fmt: skip
+
+
+def _friction_by_acceleration(g: ReferenceMotion, j: int) -> ScalableEffect:
+    """|q̈|·sgn q̇."""
+    return foreign(
+        "friction_by_acceleration", j, (f"dq{j + 1}", f"ddq{j + 1}"),
+        lambda s: np.abs(np.gradient(s.dq[..., j], s.t)) * s.sign[..., j], simulated=False,
+    )  # fmt: skip
+
+
 def _revolute(g: ReferenceMotion, j: int) -> int:
     """Return the joint, or the next revolute one."""
     return j if g.revolute(j) else (j + 1) % g.n
@@ -172,4 +209,8 @@ FOREIGN = {
     "load_backlash": _load_backlash,
     "load_hysteresis": _load_hysteresis,
     "slow_hum": _slow_hum,
+    "friction_step": _friction_step,
+    "product_of_other_velocities": _product_of_other_velocities,
+    "cross_talk": _cross_talk,
+    "friction_by_acceleration": _friction_by_acceleration,
 }

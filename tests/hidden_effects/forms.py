@@ -107,6 +107,47 @@ def _two_mass(g: ReferenceMotion, j: int) -> ScalableEffect | None:
     )  # fmt: skip
 
 
+def _bam(model: int) -> EffectFactory:
+    """Friction of Rhoban's servo models M2 to M6 beyond Coulomb and viscous friction.
+
+    Duclusaud et al. 2025, "Extended friction models for the physics simulation of servo
+    actuators": with the motor's torque τ_m, the external torque τ_e and S = e^{−|q̇/v|^α},
+
+    - M2: k_s·S; M3: k_l·|τ_m − τ_e|; M4: both, and k_ls·|τ_m − τ_e|·S
+    - M5: |k_e·τ_e − k_m·τ_m| in place of |τ_m − τ_e|
+    - M6: M5 and, under S, the square of the smaller torque
+    """
+    loaded, stribeck, directional, quadratic = model >= 3, model != 3, model >= 5, model == 6
+    accepted = ("load_friction",) * loaded + ("stribeck",) * stribeck
+
+    def make(g: ReferenceMotion, j: int) -> ScalableEffect:
+        i = int(np.argsort(g.load / g.torque)[-int(g.random.integers(1, 3))]) if loaded else j
+        v, alpha = g.log(0.03, 0.2) * float(g.speed[i]), float(g.random.uniform(1.0, 2.0))
+        dry, by_load, by_both, squared = g.random.uniform(0.3, 1.0, 4)
+        motor_part = float(g.random.uniform(0.2, 0.8))
+        friction, whole = g.arm.friction, max(float(g.load[i]), 1e-6)
+
+        def torque(s: plant.JointState) -> Array:
+            sign, load = s.sign[..., i], s.load[..., i]
+            plain = friction.coulomb[i] * sign + friction.viscous[i] * s.dq[..., i]
+            external, motor = -load, load + plain
+            parts = (1.0 - motor_part, motor_part) if directional else (0.5, 0.5)
+            gear = np.abs(parts[0] * external - parts[1] * motor) / whole
+            slow = np.exp(-(np.abs(s.dq[..., i] / v) ** alpha))
+            found = loaded * by_load * gear
+            if stribeck:
+                found = found + slow * (dry + loaded * by_both * gear)
+            if quadratic:
+                smaller = np.minimum(np.abs(external), np.abs(motor)) / whole
+                found = found + slow * squared * smaller**2 * (external * motor < 0.0)
+            return np.asarray(found * sign)
+
+        signals = (f"dq{i + 1}", f"load{i + 1}") if loaded else (f"dq{i + 1}",)
+        return _form(f"bam_m{model}", i, accepted, torque, signals, simulated=False)
+
+    return make
+
+
 FORMS: dict[str, EffectFactory] = {
     "stribeck_lorentzian": _stribeck_lorentzian,
     "stribeck_exponential": _stribeck_exponential,
@@ -114,4 +155,4 @@ FORMS: dict[str, EffectFactory] = {
     "tanh_friction": _tanh_friction,
     "maxwell_slip": _maxwell_slip,
     "two_mass": _two_mass,
-}
+} | {f"bam_m{model}": _bam(model) for model in range(2, 7)}

@@ -185,6 +185,9 @@ def _finish(
         "tested": setup.tested,
         "allowed": [[name, list(joints)] for name, joints in world.allowed],
         "simulated": setup.simulated,
+        "duration": round(counted.t[-1], 1),
+        "correlation_time": sensors.correlation_time,
+        "correlated_part": float(np.mean(np.square(sensors.coloured_noise) / setup.noise**2)),
         "temperature_column": sensors.temperature,
         "rate": sensors.rate,
         "velocity": sensors.velocity,
@@ -218,6 +221,7 @@ def _sized(
         )
         found.append(
             {"size": size, "left_part": part, "left_by_joint": by_joint.tolist(),
+             "deviations": round(sizing.deviations(span, left), 1),
              "joint": joint + 1, "nearest": name, "nearest_part": explained}
         )  # fmt: skip
     return found

@@ -2,9 +2,10 @@
 
 Cases with an even draw are for setting thresholds (``--half tune``); those with an odd draw are run
 once, for the published table (``--half sealed``; with ``--skip K``, those after the first K of a
-fixed shuffle). Every case is drawn from its name, diagnosed from
-its files alone, and scored. Results are kept in a JSON Lines file; an interrupted run continues
-with the cases that this version of the code has not diagnosed.
+shuffle). Every case is drawn from its name, diagnosed from its files alone, and scored. Results are
+kept in a JSON Lines file; an interrupted run continues with the cases that this version of the code
+has not diagnosed. ``--quick`` runs about 30 cases of the tune half, of all kinds, whose files are
+kept, so that a second run takes the time of the diagnoses alone.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing import get_context
@@ -27,7 +28,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
 from hidden_effects.case_setup import Case  # noqa: E402
-from hidden_effects.schedule import HALVES, KINDS, chosen  # noqa: E402
+from hidden_effects.schedule import HALVES, KINDS, chosen, quick  # noqa: E402
 from hidden_effects.score import run_case  # noqa: E402
 from hidden_effects.table import confusion_picture, show  # noqa: E402
 
@@ -40,19 +41,28 @@ PACKAGES = (
     "effects",
     "expressions",
     "identification",
+    "model",
     "plant",
     "recording",
     "robot",
 )
 
 
-def fingerprint() -> str:
+#: Those of them that generate the cases.
+GENERATING = ("plant", "recording", "robot")
+
+
+def fingerprint(packages: Sequence[str] = PACKAGES) -> str:
     """Return a hash of the code that generates and diagnoses cases."""
     package = HERE.parents[1] / "lieid_casadi"
+    apart = ("run", "table", "schedule", *(() if packages == PACKAGES else ("score",)))
     files = sorted(
-        [f for name in PACKAGES for f in (package / name).rglob("*.py")]
-        + [package / "model.py"]
-        + [f for f in HERE.glob("*.py") if f.stem not in ("run", "table", "schedule")]
+        [
+            f
+            for f in package.rglob("*.py")
+            if f.relative_to(package).parts[0].removesuffix(".py") in packages
+        ]
+        + [f for f in HERE.glob("*.py") if f.stem not in apart]
     )
     content = hashlib.sha256()
     for file in files:
@@ -61,10 +71,10 @@ def fingerprint() -> str:
     return content.hexdigest()[:12]
 
 
-def work(name: str, true_model: bool, by_command: bool) -> dict[str, Any]:
+def work(name: str, true_model: bool, by_command: bool, cache: Path | None) -> dict[str, Any]:
     """Run one case, in a separate process."""
     warnings.simplefilter("ignore")
-    return run_case(Case.parse(name), true_model=true_model, by_command=by_command)
+    return run_case(Case.parse(name), true_model=true_model, by_command=by_command, cache=cache)
 
 
 def earlier_results(path: Path, code: str | None) -> dict[str, dict[str, Any]]:
@@ -97,7 +107,16 @@ def main() -> int:
     parser.add_argument(
         "--skip", type=int, default=0, metavar="K", help="leave out the first K of a fixed shuffle"
     )
-    parser.add_argument("--limit", type=int, metavar="K", help="the first K of those that follow")
+    parser.add_argument("--count", type=int, metavar="K", help="the first K of those that follow")
+    parser.add_argument("--seed", type=int, default=0, help="of the shuffle")
+    parser.add_argument(
+        "--series", nargs="+", type=int, choices=(1, 2), default=[2],
+        help="1: draws below 100; 2 (default): noise correlated over up to 1 s, more effects",
+    )  # fmt: skip
+    parser.add_argument("--quick", action="store_true", help="about 30 cases of the tune half")
+    parser.add_argument(
+        "--cache", type=Path, metavar="DIR", help="keep the files of the cases for later runs"
+    )
     parser.add_argument(
         "--case", nargs="+", default=[], metavar="NAME", help="run these cases only"
     )
@@ -114,12 +133,16 @@ def main() -> int:
     parser.add_argument("--json", type=Path, metavar="FILE", help="all results")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="confusion matrix")
     args = parser.parse_args()
-    if args.case:
+    if args.quick:
+        args.cache = args.cache or Path("build/hidden_effects_cases")
+        wanted = quick()
+    elif args.case:
         wanted = [Case.parse(name) for name in args.case]
     else:
         wanted = chosen(
             half=args.half, modes=args.modes, kinds=args.kinds, effects=args.effects,
-            sizes=args.sizes, skip=args.skip, limit=args.limit,
+            sizes=args.sizes, series=args.series, seed=args.seed, skip=args.skip,
+            count=args.count,
         )  # fmt: skip
     if args.keep is not None:
         result = run_case(wanted[0], true_model=not args.no_true_model, keep=args.keep)
@@ -171,7 +194,10 @@ def _run(todo: list[Case], args: argparse.Namespace, code: str) -> dict[str, dic
         args.results.open("a", encoding="utf-8") as out,
         executor(args.jobs, args.scheduler) as pool,
     ):
-        jobs = [pool.submit(work, c.name, not args.no_true_model, args.by_command) for c in todo]
+        cache = args.cache and args.cache / fingerprint(GENERATING)
+        jobs = [
+            pool.submit(work, c.name, not args.no_true_model, args.by_command, cache) for c in todo
+        ]
         for k, job in enumerate(as_completed(jobs), start=1):
             row = job.result() | {"code": code}
             found[row["case"]] = row
@@ -185,9 +211,27 @@ def _line(row: dict[str, Any]) -> str:
     if "skipped" in row:
         return f"{row['case']}: could not be generated"
     mark = "right" if row["right"] else "right in set" if row.get("right_in_set") else "WRONG"
-    steps = ", ".join(f"{name}:{'<'.join(map(str, joints))}" for name, joints in row["steps"])
-    result = row.get("error") or steps or row["verdict"]
-    return f"{row['case']}: {mark}: {result} ({row.get('seconds', '–')} s)"
+    mark += ", NAMED WRONGLY" if row["named_wrongly"] else ""
+    steps = ", ".join(map(_label, row["steps"]))
+    rest = "; ".join(f"{u['joint']}({','.join(u['depends_on'])})" for u in row["unexplained"])
+    truth = ", ".join(
+        f"{e['effect']}:{'<'.join(map(str, e['joints']))} ({e['deviations']} s.d.)"
+        for e in row["truth"]
+    )
+    ratio = row.get("rms_ratio") or row.get("plain_ratio")
+    return (
+        f"{row['case']}: {mark}: {row.get('error') or row['verdict']}: {steps or 'no step'}"
+        + (f"; unexplained {rest}" if rest else "")
+        + (f" | hidden {truth}" if truth else "")
+        + (f" | RMS ratio {ratio:.2f}" if ratio else "")
+        + f" | {row.get('seconds', '–')} s"
+    )
+
+
+def _label(step: dict[str, Any]) -> str:
+    signals = f"({','.join(step['depends_on'])})" if "depends_on" in step else ""
+    rivals = f" or {len(step['rivals'])} more" if step["status"] == "one_of" else ""
+    return f"{step['effect']}{signals}:{'<'.join(map(str, step['joints']))}{rivals}"
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
 import time
 from collections.abc import Sequence
@@ -14,7 +15,20 @@ from hidden_effects.case_setup import Case
 from hidden_effects.generator import Unreachable, write
 
 Named = tuple[str, tuple[int, ...]]  # effect and joints from 1
-CLOSE_TO_TRUE_MODEL = 1.05
+Step = dict[str, Any]
+PLAIN = ["coulomb", "viscous", "offset"]
+
+
+def files_of(case: Case, folder: Path, cache: Path | None) -> dict[str, Any]:
+    """Write the files of a case into a folder, or copy earlier ones; return the truth."""
+    if cache is None:
+        return write(case, folder)
+    stored = cache / case.name
+    if not (stored / "truth.json").exists():
+        truth = write(case, stored / "files")
+        (stored / "truth.json").write_text(json.dumps(truth), "utf-8")
+    shutil.copytree(stored / "files", folder, dirs_exist_ok=True)
+    return dict(json.loads((stored / "truth.json").read_text("utf-8")))
 
 
 def run_diagnosis(folder: Path, *, by_command: bool = False) -> tuple[dict[str, Any], Any]:
@@ -26,7 +40,7 @@ def _by_python(folder: Path) -> tuple[dict[str, Any], Any]:
     from lieid_casadi import Model, Recording, Robot, identify
     from lieid_casadi.diagnosis import diagnose
 
-    model = Model(Robot.load(_robot(folder)), effects=["coulomb", "viscous", "offset"])
+    model = Model(Robot.load(_robot(folder)), effects=PLAIN)
     if (folder / "before.csv").exists():
         fit = identify(model, Recording.load(folder / "before.csv"))
         diagnosis = diagnose(fit, Recording.load(folder / "after.csv"))
@@ -68,46 +82,57 @@ def _robot(folder: Path) -> Path:
 
 
 def run_case(
-    case: Case, *, true_model: bool = True, by_command: bool = False, keep: Path | None = None
+    case: Case,
+    *,
+    true_model: bool = True,
+    by_command: bool = False,
+    keep: Path | None = None,
+    cache: Path | None = None,
 ) -> dict[str, Any]:
     """Generate a case, diagnose it, and return the score; ``keep`` is a folder for its files."""
     with tempfile.TemporaryDirectory(prefix="case") as scratch:
         folder = Path(scratch) / "files" if keep is None else keep
         try:
-            truth = write(case, folder)
+            truth = files_of(case, folder, cache)
         except Unreachable as problem:
             return {"case": case.name, "skipped": str(problem)}
-        begin = time.perf_counter()
+        begin = time.process_time()
         try:
             found, fit = run_diagnosis(folder, by_command=by_command)
         except Exception as problem:  # noqa: BLE001 - every error counts as a failure
             return score_result(case, truth, None) | {
                 "error": f"{type(problem).__name__}: {problem}"
             }
-        seconds = time.perf_counter() - begin
+        seconds = time.process_time() - begin
         result = score_result(case, truth, found) | {"seconds": round(seconds, 2)}
-        if true_model and case.kind in ("single", "pair", "triple") and not case.changed:
-            result |= {"rms_ratio": rms_against_true_model(folder, truth, fit)}
-    return result
+        if true_model and not case.changed and case.kind != "world":
+            result |= errors_against_other_fits(case, folder, truth, fit)
+        return result
 
 
-def rms_against_true_model(folder: Path, truth: dict[str, Any], fit: Any) -> float | None:
-    """Return the RMS on the affected joints relative to that of the true model; the largest.
+def errors_against_other_fits(
+    case: Case, folder: Path, truth: dict[str, Any], fit: Any
+) -> dict[str, Any]:
+    """Return the RMS of the diagnosed model relative to that of other fits, of an unseen recording.
 
-    Both are of moving samples of a recording that no fit used, through the same filter.
+    ``rms_ratio`` is relative to a fit of the true model (of the plain model, where nothing is
+    hidden), the largest of the affected joints; ``plain_ratio`` relative to the plain model, where
+    the library does not have what is hidden. Both are of samples in motion, of one filter.
     """
     from lieid_casadi import LieidError, Model, Recording, Robot, compare, identify
 
     train = list(map(Recording.load, recordings(folder)[0]))
     (test,) = (Recording.load(f) for f in folder.glob("*.csv") if f.stem in ("test", "unseen"))
-    specs = ["coulomb", "viscous", "offset", *(_spec(e) for e in truth["effects"])]
+    outside = case.kind in ("foreign", "form")
+    added = [] if outside else [_spec(e) for e in truth["effects"]]
     try:
-        model = Model(Robot.load(_robot(folder)), effects=specs)
+        model = Model(Robot.load(_robot(folder)), effects=[*PLAIN, *added])
         expected = compare(identify(model, train, processing=fit.processing), test).rms_moving
     except LieidError:
-        return None
+        return {}
     ratio = compare(fit, test).rms_moving / expected
-    return float(np.max([ratio[e["joint"] - 1] for e in truth["effects"]]))
+    joints = [e["joint"] - 1 for e in truth["effects"]] or range(len(ratio))
+    return {"plain_ratio" if outside else "rms_ratio": float(np.max([ratio[j] for j in joints]))}
 
 
 def _spec(effect: dict[str, Any]) -> str:
@@ -117,134 +142,161 @@ def _spec(effect: dict[str, Any]) -> str:
 
 
 def score_result(case: Case, truth: dict[str, Any], found: dict[str, Any] | None) -> dict[str, Any]:
-    """Return the score of a result; None stands for a failure."""
-    steps = [] if found is None else found["steps"]
-    foreign = case.kind in ("foreign", "form")
-    wanted = [] if foreign else [_named(e) for e in truth["effects"]]
-    strict, _, _ = _matched(steps, wanted, sets=False)
-    within, extra, missed = _matched(steps, wanted, sets=True)
+    """Return the score of a result; None stands for a failure.
+
+    Of every kind: ``right`` (the entry that the table counts first) and ``named_wrongly`` (a step
+    of status ``named`` that is not there). A step without a status, of an older version, is
+    ``one_of`` where it lists rivals, else ``named``.
+    """
+    steps = [] if found is None else [_step(s) for s in found["steps"]]
     unexplained = [] if found is None else found["unexplained"]
+    verdict = None if found is None else found["verdict"]
     result = {
         "case": case.name,
-        "mode": truth["mode"],
+        **{key: truth.get(key) for key in
+           ("mode", "arm", "simulated", "duration", "correlation_time", "correlated_part")},
         "kind": case.kind,
-        "arm": truth["arm"],
-        "simulated": truth["simulated"],
         "truth": [
-            {key: e[key] for key in
-             ("effect", "joints", "target", "size", "left_part", "joint", "signals", "accepted",
-              "nearest", "nearest_part")}
+            {key: e.get(key) for key in
+             ("effect", "joints", "target", "size", "deviations", "left_part", "joint", "signals",
+              "accepted", "nearest", "nearest_part")}
             for e in truth["effects"]
         ],
         "completed": found is not None,
-        "verdict": None if found is None else found["verdict"],
-        "steps": [list(_named(step)) for step in steps],
-        "rivals": [[list(_named(r)) for r in step["indistinguishable"]] for step in steps],
+        "verdict": verdict,
+        "steps": steps,
         "unexplained": [
             {"joint": u["joint"], "fraction": round(u["fraction"], 3),
              "depends_on": u["depends_on"]}
             for u in unexplained
         ],
         "cutoff": None if found is None else found.get("cutoff"),
-        "extra": [list(e) for e in extra],
-        "missed": [list(e) for e in missed],
     }  # fmt: skip
-    return result | _points(case, truth, result, (strict, within))
+    if case.kind in ("none", "correlated"):
+        points = _empty_points(result)
+    elif case.kind == "world":
+        points = _world_points(truth["allowed"], result)
+    elif case.kind in ("foreign", "form"):
+        points = _outside_points(case, truth["effects"][0], result)
+    else:
+        points = _library_points([_named(e) for e in truth["effects"]], result)
+    if found is None:
+        points = dict.fromkeys(points, False)
+    return result | points
 
 
-def _points(
-    case: Case, truth: dict[str, Any], result: dict[str, Any], complete: tuple[bool, bool]
-) -> dict[str, bool]:
-    """Return the entries on which the goals are defined."""
-    completed = bool(result["completed"])
-    if case.kind == "world":
-        names = [_named(step) for step in result_steps(result)]
-        wrong = [one for one in names if not _is_allowed(one, truth["allowed"])]
-        return {"right": completed and not wrong, "named": bool(names)}
-    if case.kind == "form":
-        return _form_points(truth["effects"][0], result)
-    if case.kind == "none":
-        alarm = bool(result["steps"]) or result["verdict"] != "sufficient"
-        return {"right": completed and not alarm, "named": bool(result["steps"])}
-    if case.kind == "foreign":
-        return _foreign_points(truth["effects"][0], result)
-    first = result_steps(result)[:1]
-    wanted = [_named(e) for e in truth["effects"]]
-    return {
-        "right": completed and complete[0],
-        "right_in_set": completed and complete[1],
-        "right_first": completed and bool(first) and _named(first[0]) in wanted,
+def _step(step: Step) -> Step:
+    rivals = [[*_named(r)] for r in step["indistinguishable"]]
+    shown = {
+        "effect": _named(step)[0],
+        "joints": list(step["joints"]),
+        "status": step.get("status") or ("one_of" if rivals else "named"),
+        "rivals": rivals,
+        "group": step.get("group"),
     }
-
-
-def result_steps(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the steps of a score, as those of a diagnosis."""
-    return [{"effect": name, "joints": joints} for name, joints in result["steps"]]
-
-
-def _is_allowed(named: Named, allowed: list[list[Any]]) -> bool:
-    return any(name == named[0] and tuple(joints) in ((), named[1]) for name, joints in allowed)
-
-
-def _form_points(effect: dict[str, Any], result: dict[str, Any]) -> dict[str, bool]:
-    """Return whether the class was named on its joint, or the residual honestly described."""
-    here = tuple(effect["joints"])
-    accepted = [(name, here) for name in effect["accepted"]]
-    names = [_named(step) for step in result_steps(result)]
-    rivals = [(str(name), tuple(joints)) for one in result["rivals"] for name, joints in one]
-    class_named = any(one in accepted for one in names + rivals)
-    others = [one for one in names if one[1] != here]
-    first = result["unexplained"][0] if result["unexplained"] else None
-    described = (
-        not names
-        and first is not None
-        and first["joint"] == effect["joint"]
-        and first["depends_on"][0] in effect["signals"]
-    )
-    completed = bool(result["completed"])
-    return {
-        "right": completed and not others and (class_named or described),
-        "class_named": completed and class_named,
-        "first_named": completed and names[:1] != [] and names[0] in accepted,
-    }
-
-
-def _foreign_points(effect: dict[str, Any], result: dict[str, Any]) -> dict[str, bool]:
-    no_step = bool(result["completed"]) and not result["steps"]
-    first = result["unexplained"][0] if result["unexplained"] else None
-    right_joint = first is not None and first["joint"] == effect["joint"]
-    signals = first["depends_on"] if first else []
-    all_first = set(signals[: len(effect["signals"])]) == set(effect["signals"])
-    return {
-        "right": no_step and right_joint and all_first,
-        "no_step": no_step,
-        "joint_first": right_joint,
-        "one_signal_first": right_joint and bool(signals) and signals[0] in effect["signals"],
-    }
+    if shown["effect"] == "smooth":
+        signals = step.get("depends_on") or step["effect"].partition("/")[2].split(".")
+        own = step["joints"][0] if step["joints"] else ""
+        shown["depends_on"] = [
+            s if s == "t" or s[-1:].isdigit() else f"{s}{own}" for s in signals if s
+        ]
+    for key in ("fall", "selected"):
+        if step.get(key) is not None:
+            shown[key] = step[key]
+    return shown
 
 
 def _named(entry: dict[str, Any]) -> Named:
-    return str(entry["effect"]), tuple(entry["joints"])
+    return str(entry["effect"]).split("/")[0], tuple(entry["joints"])
 
 
-def _matched(
-    steps: list[dict[str, Any]], wanted: list[Named], *, sets: bool
-) -> tuple[bool, list[Named], list[Named]]:
-    """Return whether the steps are exactly those wanted, the extra ones, and the missing ones.
+def _stated(step: Step) -> list[Named]:
+    """Return the effects that a step states to be there, or one of them to be there."""
+    return [_named(step), *((str(name), tuple(joints)) for name, joints in step["rivals"])]
 
-    With ``sets`` a step also counts for its rivals.
+
+def _has_status(steps: list[Step], *statuses: str) -> list[Step]:
+    return [step for step in steps if step["status"] in statuses]
+
+
+def _empty_points(result: dict[str, Any]) -> dict[str, bool]:
+    names = bool(_has_status(result["steps"], "named", "one_of"))
+    return {
+        "right": not result["steps"] and result["verdict"] == "sufficient",
+        "name_or_shape": bool(result["steps"]),
+        "name": names,
+        "named_wrongly": bool(_has_status(result["steps"], "named")),
+    }
+
+
+def _world_points(allowed: list[list[Any]], result: dict[str, Any]) -> dict[str, bool]:
+    """A name that does not follow from the violated assumption is wrong; a shape is not."""
+
+    def follows(step: Step) -> bool:
+        return any(
+            name == allowed_name and tuple(joints) in ((), own)
+            for name, own in _stated(step)
+            for allowed_name, joints in allowed
+        )
+
+    wrong = [s for s in result["steps"] if s["status"] != "shape" and not follows(s)]
+    return {"right": not wrong, "named_wrongly": bool(_has_status(wrong, "named"))}
+
+
+def _library_points(wanted: list[Named], result: dict[str, Any]) -> dict[str, bool]:
+    steps = result["steps"]
+    first = steps[0] if steps else None
+    sets = first is not None and bool(set(_stated(first)) & set(wanted))
+    within = all(any(w in _stated(s) for s in steps) for w in wanted)
+    extra = [s for s in steps if not set(_stated(s)) & set(wanted)]
+    alone = len(steps) == len(wanted) and not extra
+    names = [_named(s) for s in steps]
+    return {
+        "right": alone and sorted(names) == sorted(wanted),
+        "right_in_set": alone and within,
+        "right_first": first is not None and names[0] in wanted,
+        "right_first_in_set": sets,
+        "named_wrongly": bool(_has_status(extra, "named")),
+        "set_wrong": bool(_has_status(extra, "one_of")),
+    }
+
+
+def _outside_points(case: Case, effect: dict[str, Any], result: dict[str, Any]) -> dict[str, bool]:
+    """Right is a shape (or an unexplained part) of the right signals, or an equivalent effect.
+
+    No effect may be named that is not there: of a form, on another joint; of a foreign effect, any.
     """
-    open_steps, open_wanted = list(steps), list(wanted)
-    for step in steps:
-        if _named(step) in open_wanted:
-            open_wanted.remove(_named(step))
-            open_steps.remove(step)
-    if sets:
-        for step in list(open_steps):
-            rivals = [_named(r) for r in step["indistinguishable"]]
-            match = next((w for w in open_wanted if w in rivals), None)
-            if match is not None:
-                open_wanted.remove(match)
-                open_steps.remove(step)
-    extra = [_named(step) for step in open_steps]
-    return not extra and not open_wanted, extra, open_wanted
+    here = tuple(effect["joints"])
+    accepted = [(name, here) for name in effect["accepted"]]
+    steps = result["steps"]
+    parts = [
+        (s["joints"][0], s["depends_on"]) for s in steps if s["effect"] == "smooth" and s["joints"]
+    ] + [(u["joint"], u["depends_on"]) for u in result["unexplained"]]
+    joint, signals = parts[0] if parts else (0, [])
+    right_joint = joint == effect["joint"]
+    if case.kind == "form":  # several curves have this form: the first signal counts
+        described = right_joint and _are_signals(signals[:1], effect["signals"])
+    else:
+        wanted = effect["signals"]
+        described = right_joint and _are_signals(signals[: len(wanted)], wanted, every=True)
+    stated = [s for s in steps if s["status"] != "shape"]
+    equivalent = any(one in accepted for s in stated for one in _stated(s))
+    wrong = [s for s in stated if not set(_stated(s)) & set(accepted)]
+    if case.kind == "form":
+        wrong = [s for s in wrong if tuple(s["joints"]) != here]
+    return {
+        "right": not wrong and (equivalent or described),
+        "equivalent": equivalent,
+        "joint_right": right_joint,
+        "signals_right": described,
+        "no_wrong_step": not wrong,
+        "named_wrongly": bool(_has_status(wrong, "named")),
+        "right_first": bool(steps) and _named(steps[0]) in accepted,
+    }
+
+
+def _are_signals(shown: list[str], wanted: list[str], *, every: bool = False) -> bool:
+    """Whether the first signals are among those wanted, or all of them; ``a|b`` is either one."""
+    found = [any(s in w.split("|") for w in wanted) for s in shown]
+    complete = all(any(s in w.split("|") for s in shown) for w in wanted) if every else True
+    return bool(found) and all(found) and complete

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hidden_effects import effect_library, schedule
 from hidden_effects.arms import ARMS, load_arm
-from hidden_effects.base_span import BaseSpan, columns, noiseless_record
+from hidden_effects.base_span import BaseSpan, columns, noiseless_record, whitened
 from hidden_effects.case_setup import Case, CaseSetup, draw_setup
 from hidden_effects.effect_sizes import EffectSizes
 from hidden_effects.foreign import FOREIGN
@@ -24,6 +24,7 @@ from scipy.signal import lfilter
 
 from lieid_casadi import Recording, Robot
 from lieid_casadi.plant import Arm, JointFriction, Sensors, measure, move_along, perturbed_inertias
+from lieid_casadi.plant.sensors import coloured_noise
 from lieid_casadi.plant.trajectories import Envelope
 
 HERE = Path(__file__).parent
@@ -264,10 +265,41 @@ def test_the_schedule_contains_all_kinds_of_cases():
     for kind, names in (("foreign", FOREIGN), ("form", FORMS), ("world", WORLDS)):
         assert {c.effect for c in every if c.kind == kind} == set(names)
         for half in schedule.HALVES:
-            assert {c.effect for c in schedule.chosen(half=half, kinds=[kind])} == set(names)
+            chosen = schedule.chosen(half=half, kinds=[kind], series=[2])
+            assert {c.effect for c in chosen} == set(names)
     assert not set(schedule.chosen(half="tune")) & set(schedule.chosen(half="sealed"))
-    first, following = schedule.chosen(limit=7), schedule.chosen(skip=7, limit=5)
-    assert [*first, *following] == schedule.chosen(limit=12)
+    assert {c.half for c in schedule.quick()} == {"tune"}
+    assert {c.kind for c in schedule.quick()} == set(schedule.KINDS) - {"triple"}
+    first, following = schedule.chosen(count=7), schedule.chosen(skip=7, count=5)
+    assert [*first, *following] == schedule.chosen(count=12)
+
+
+def test_the_second_series_draws_correlated_noise_and_short_recordings():
+    cases = [Case("none", 100 + k) for k in range(40)]
+    setups = [draw_setup(c, np.random.default_rng(k), 1.0) for k, c in enumerate(cases)]
+    times = np.array([s.sensors.correlation_time for s in setups])
+    assert times.min() < 0.02
+    assert times.max() > 0.8
+    assert sum(max(p.duration for p in s.plans[:1]) < 25.0 for s in setups) > 10
+    for s in setups:
+        variance = np.square([s.sensors.torque_noise, s.sensors.coloured_noise]).sum(axis=0)
+        assert variance + np.square(s.sensors.torque_step) / 12.0 == pytest.approx(s.noise**2)
+
+
+@pytest.mark.parametrize("white", [0.05, 1.0])
+def test_the_filter_whitens_correlated_noise(white):
+    """Innovations of simulated noise are uncorrelated and of unit variance."""
+    t, random = np.arange(4000) / 100.0, np.random.default_rng(1)
+    noise = np.sqrt(1.0 - white) * coloured_noise(t, 2, 0.3, random)
+    noise += np.sqrt(white) * random.standard_normal(noise.shape)
+    seen = random.random(noise.shape) < 0.8
+    shown = whitened(noise[:, :, None], seen, t, np.full(2, white), 0.3)[:, :, 0]
+    assert np.all(shown[~seen] == 0.0)
+    for j in range(2):
+        kept = shown[seen[:, j], j]
+        assert np.std(kept) == pytest.approx(1.0, rel=0.06)
+        assert abs(np.mean(kept[1:] * kept[:-1])) < 0.07
+        assert abs(np.mean(kept[30:] * kept[:-30])) < 0.07
 
 
 def drawn_setups(count=24):
@@ -323,7 +355,7 @@ def test_a_world_changes_what_is_recorded_or_described(name, tmp_path):
     ],
 )
 def test_a_form_acts_on_its_joint(name):
-    drawn = draw(Case("form", 0, effect=name, size=5.0))
+    drawn = draw(Case("form", 100, effect=name, size=5.0))
     (effect,) = drawn.truth["effects"]
     assert effect["accepted"]
     assert effect["joints"] == [effect["joint"]]

@@ -50,7 +50,7 @@ def test_required_numbers_follow_from_the_rate():
 
 
 def test_the_small_part_is_the_first_of_the_order():
-    first = chosen(modes=["missing"], kinds=["single"], sizes=[5.0], limit=len(STRONG))
+    first = chosen(modes=["missing"], kinds=["single"], sizes=[5.0], series=[1], count=len(STRONG))
     assert tuple(case.name for case in first) == STRONG
     assert not draw(first[0]).truth["simulated"]
 
@@ -108,4 +108,4 @@ def test_command_line_and_python_agree():
     ids=["single", "pair", "none", "foreign", "form", "world", "changed", "unchanged"],
 )
 def test_more_of_the_benchmark(rate, wanted, limit):
-    assert_enough([case.name for case in chosen(**wanted, limit=limit)], rate)
+    assert_enough([case.name for case in chosen(**wanted, series=[1], count=limit)], rate)

@@ -206,6 +206,11 @@ def _torque_saturation(g: ReferenceMotion, j: int) -> World:
     return World("torque_saturation", (("torque_saturation", (j + 1,)),), record=record)
 
 
+def _bam_m1(g: ReferenceMotion, j: int) -> World:
+    """Rhoban's servo model M1, Coulomb and viscous friction: nothing is violated."""
+    return World("bam_m1")
+
+
 WORLDS: dict[str, Callable[[ReferenceMotion, int], World]] = {
     "torque_filter": _torque_filter,
     "kinematics": _kinematics,
@@ -217,4 +222,5 @@ WORLDS: dict[str, Callable[[ReferenceMotion, int], World]] = {
     "quantised_current": _quantised_current,
     "backlash": _backlash,
     "torque_saturation": _torque_saturation,
+    "bam_m1": _bam_m1,
 }
