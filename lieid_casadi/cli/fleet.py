@@ -24,7 +24,7 @@ MOST_FAULTS = 10  # printed; the history has all
 
 def run(args: argparse.Namespace) -> int:
     """Run the arm-nights that the history does not have; return the exit status."""
-    from lieid_casadi.fleet.alarm_history import read_alarms
+    from lieid_casadi.fleet.alarms import read_alarms
     from lieid_casadi.fleet.cluster import RunOptions
     from lieid_casadi.fleet.config import read_fleet
     from lieid_casadi.fleet.history import History
@@ -101,10 +101,9 @@ def _state(state: FleetProgress) -> str:
 
 def report(args: argparse.Namespace) -> output.Outcome:
     """Print the open alarms and write the report."""
-    from lieid_casadi.fleet.alarm_history import read_alarms
+    from lieid_casadi.fleet.alarms import read_alarms, suggested_action
     from lieid_casadi.fleet.fleet_report import alarm_table, fleet_report
     from lieid_casadi.fleet.history import History
-    from lieid_casadi.fleet.suggested_actions import suggested_action
 
     with History(args.history, read_only=True) as history:
         alarms = read_alarms(history)
@@ -142,7 +141,7 @@ def export(args: argparse.Namespace) -> output.Outcome:
 
 def acknowledge(args: argparse.Namespace) -> output.Outcome:
     """Close alarms and say how many."""
-    from lieid_casadi.fleet.alarm_history import acknowledge
+    from lieid_casadi.fleet.alarms import acknowledge
     from lieid_casadi.fleet.history import History
 
     if not Path(args.history).exists():

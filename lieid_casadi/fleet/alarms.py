@@ -1,16 +1,126 @@
-"""Alarms: one per cause, with its name, size, beginning and, for a drift, the date of a limit."""
+"""Alarms: one per cause, with its name, size, beginning and action; judged night after night."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from datetime import date
+from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime
+from typing import Any
 
 import numpy as np
 
-from lieid_casadi.fleet.alarm import Alarm
-from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, FoundEffect
-from lieid_casadi.fleet.judging import ChangedQuantity, JudgedArm
+from lieid_casadi.errors import FleetError
+from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, FoundEffect, read_arms
+from lieid_casadi.fleet.history import History
+from lieid_casadi.fleet.judging import ChangedQuantity, JudgedArm, judge_night
+
+INSPECT = "inspect the joint, and identify the arm again if it is in order"
+ACTIONS = {
+    "coulomb": "check lubrication, seals and brake of the joint; a steady rise indicates wear",
+    "viscous": "check lubricant and temperature of the joint",
+    "viscous_polynomial": "check lubricant and temperature of the joint",
+    "viscous_asymmetric": "check lubricant and seals of the joint",
+    "stribeck": "check lubrication of the joint; slow motion shows the change most",
+    "load_friction": "check bearings and gear of the joint under load",
+    "temperature_friction": "record temperatures, and identify with temperature_friction",
+    "warm_up": "warm the arm up before the nightly motion",
+    "position_friction": "inspect the bearing and gear of the joint over its whole range",
+    "presliding": "check the gear of the joint for tooth contact and preload",
+    "torque_ripple": "inspect gear and bearing of the joint for local damage",
+    "backlash": "inspect the gear of the joint for wear",
+    "joint_elasticity": "check the fixings of gear and motor of the joint",
+    "position_spring": "check hoses, cables and balancers at the joint",
+    "transmission_coupling": "inspect the gear that the two joints share",
+    "armature": "check that motor and gear of the joint are those of the fit",
+    "offset": "check the zero of the torque sensor and hoses or cables at the joint",
+    "torque_gain": "check current sensor, drive settings and torque constant of the joint",
+    "torque_delay": "check the drive's filter and the time stamps of the recording",
+    "time_shift": "check the time stamps of the recording",
+    "torque_lowpass": "check the filter settings of the drives",
+    "bias_drift": "check the zero of the torque sensor over time",
+    "encoder_offset": "check the zero position of the joint and its coupling to the encoder",
+    "base_tilt": "check the bolts of the base and the level of the floor",
+    "payload": "check what is mounted on the tool, and the payload in the fleet file",
+    "external_wrench": "check for contact, hoses or cables at the tool",
+    "error": "look at the diagnosis of the last night's recording",
+    "unexplained": "look at the diagnosis of the last night's recording",
+}
+
+
+def suggested_action(quantity: str) -> str:
+    """Return what to do about a change of a quantity, an effect or ``error``.
+
+    Examples
+    --------
+    >>> suggested_action("base_tilt")
+    'check the bolts of the base and the level of the floor'
+    """
+    return ACTIONS.get(quantity, INSPECT)
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """An alarm as in the history.
+
+    Attributes
+    ----------
+    serial : str
+    joint : int or None
+        From 1; None for the whole arm.
+    quantity : str
+        Name of an effect, ``error`` or ``unexplained``.
+    since, last : date
+        First and last night of the change.
+    change, std : float or None
+    unit, sentence : str
+    raised : date
+        Night on which it became significant.
+    closed : date or None
+    note : str
+        Of the acknowledgement.
+    severity : float
+        Part of a joint's torque that the fit no longer predicts.
+    slope : float or None
+        Of a drift, per day.
+    limit_date : date or None
+        When a drift reaches the limit of the fleet file.
+    series : str
+        Labels of the quantities that the alarm is about, separated by commas.
+    slope_low, slope_high : float or None
+        Bounds of the slope of 95 % confidence.
+    """
+
+    serial: str
+    joint: int | None
+    quantity: str
+    since: date
+    last: date
+    change: float | None
+    std: float | None
+    unit: str
+    sentence: str
+    raised: date
+    closed: date | None = None
+    note: str = ""
+    severity: float = 0.0
+    slope: float | None = None
+    limit_date: date | None = None
+    series: str = ""
+    slope_low: float | None = None
+    slope_high: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the alarm for JSON; dates as ISO 8601."""
+        return {
+            key: value.isoformat() if isinstance(value, date) else value
+            for key, value in vars(self).items()
+        }
+
+    @property
+    def labels(self) -> frozenset[str]:
+        """Labels of the quantities that the alarm is about."""
+        return frozenset(self.series.split(",")) - {""}
+
 
 UNEXPLAINED = "unexplained"
 LATEST_NIGHTS = 5  # since the change, in which an effect must be found to name it
@@ -236,3 +346,119 @@ def _amount(change: float, std: float | None, unit: str) -> str:
 
 def _label(name: str, joint: int | None) -> str:
     return name if joint is None else f"{name}:{joint}"
+
+
+COLUMNS = ", ".join(Alarm.__dataclass_fields__)
+
+
+def read_alarms(history: History, *, open_only: bool = False) -> list[Alarm]:
+    """Return the alarms, the most severe first."""
+    where = "WHERE closed IS NULL " if open_only else ""
+    rows = history.rows(
+        f"SELECT {COLUMNS} FROM alarms {where}ORDER BY severity DESC, since, serial, joint"
+    )
+    return [Alarm(*row) for row in rows]
+
+
+def judge_new_nights(history: History) -> list[Alarm]:
+    """Judge the nights that have runs which were not judged yet; return the new alarms.
+
+    Nights are judged one after another, as if each had been judged on its own morning. Runs that
+    arrive late for an earlier night are taken into account from the next night that is judged.
+    """
+    waiting = history.rows(
+        "SELECT DISTINCT date FROM runs WHERE status = 'done' AND started > "
+        "coalesce((SELECT max(written) FROM judged), TIMESTAMP '1970-01-01') ORDER BY date"
+    )
+    if not waiting:
+        return []
+    written = datetime.now(UTC).replace(tzinfo=None)
+    ((latest,),) = history.rows("SELECT max(date) FROM judged")
+    nights = [night for (night,) in waiting if latest is None or night >= latest] or [latest]
+    arms = read_arms(history)
+    alarms = read_alarms(history)
+    new: list[Alarm] = []
+    for night in nights:
+        alarms, raised = alarms_after(alarms, arms, night)
+        new += raised
+    with history.transaction():
+        history.connection.execute("DELETE FROM alarms")
+        for alarm in alarms:
+            history.insert("alarms", [tuple(vars(alarm).values())])
+        history.insert("judged", [(night, written) for night in nights])
+    return new
+
+
+def alarms_after(
+    alarms: Sequence[Alarm], arms: Sequence[ArmHistory], night: date
+) -> tuple[list[Alarm], list[Alarm]]:
+    """Return all alarms after a night, and those that are new.
+
+    Parameters
+    ----------
+    alarms : sequence of Alarm
+        Before the night.
+    arms : sequence of ArmHistory
+    night : date
+    """
+    alarmed = {alarm.serial for alarm in alarms if alarm.closed is None}
+    judged = {each.arm.serial: each for each in judge_night(arms, night, alarmed=alarmed)}
+    kept = [a for a in alarms if a.closed is not None or a.serial not in judged]
+    new: list[Alarm] = []
+    for serial, each in judged.items():
+        own = [a for a in alarms if a.serial == serial and a.closed is None]
+        after = updated_alarms(own, each)
+        kept += after
+        new += after[len(own) :]
+    return kept, new
+
+
+def acknowledge(
+    history: History, serial: str, *, joint: int | None = None, note: str, last: date | None = None
+) -> int:
+    """Close alarms of an arm and start new baselines; return the number of alarms closed.
+
+    Parameters
+    ----------
+    history : History
+        Open for writing.
+    serial : str
+    joint : int, optional
+        From 1; only alarms and baselines of this joint.
+    note : str
+        What was found or done.
+    last : date, optional
+        Last night before the repair; the arm's last night in the history if left out.
+
+    Raises
+    ------
+    FleetError
+        The history has no such arm, or the arm no such joint.
+    """
+    known = history.rows("SELECT joints FROM arms WHERE serial = ?", [serial])
+    if not known:
+        serials = ", ".join(s for (s,) in history.rows("SELECT serial FROM arms ORDER BY serial"))
+        raise FleetError(f"{history.path}: no arm {serial!r}; expected one of {serials}")
+    if joint is not None and not 1 <= joint <= known[0][0]:
+        raise FleetError(f"arm {serial} has no joint {joint}; expected 1 to {known[0][0]}")
+    if last is None:
+        ((last,),) = history.rows("SELECT max(date) FROM runs WHERE serial = ?", [serial])
+    if last is None:
+        raise FleetError(f"{history.path}: arm {serial} has no runs, so nothing to acknowledge")
+    chosen = "serial = ? AND closed IS NULL AND (? IS NULL OR joint = ?)"
+    values: list[object] = [serial, joint, joint]
+    with history.transaction():
+        closed = history.rows(f"SELECT series FROM alarms WHERE {chosen}", values)
+        history.connection.execute(
+            f"UPDATE alarms SET closed = ?, note = ? WHERE {chosen}", [last, note, *values]
+        )
+        joints = {joint} if joint is None else {joint, *_joints_of(closed)}
+        now = datetime.now(UTC).replace(tzinfo=None)
+        history.insert("acknowledgements", [(serial, j, last, note, now) for j in joints])
+    return len(closed)
+
+
+def _joints_of(alarms: Sequence[tuple[str]]) -> set[int]:
+    """Return the joints of the quantities that alarms are about."""
+    labels = [label for (series,) in alarms for label in series.split(",")]
+    return {int(label.rpartition(":")[2]) for label in labels if ":" in label}

@@ -1,14 +1,18 @@
-"""The Dask cluster that runs arm-nights: a given one, or one on this machine."""
+"""Arm-nights on a Dask cluster: the given one or one on this machine, timeouts, lost workers."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Iterator
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lieid_casadi.errors import FleetError, MissingDependency
+from lieid_casadi.errors import ClusterLost, FleetError, MissingDependency
+from lieid_casadi.fleet.arm_night import run_arm_night
+from lieid_casadi.fleet.night_result import ArmNight, NightResult
 from lieid_casadi.recording.readers.registry import reason_of
 
 DASHBOARD_WAIT = 5.0  # s: for the answer of the dashboard
@@ -100,3 +104,207 @@ def dashboard_of(client: Any) -> str | None:
             return link
     except (OSError, KeyError, ValueError):
         return None
+
+
+TOPIC = "lieid-fleet"  # of the events with which workers report that a task has begun
+WAITING_PER_THREAD = 3  # tasks that are submitted before earlier ones are finished
+CHECK_EVERY = 1.0  # s: of timeouts and of the connection
+WORKERS_WAIT = 120.0  # s: for which a cluster may be without workers
+
+
+def run_on_cluster(
+    client: Any,
+    nights: Sequence[ArmNight],
+    fits: Mapping[str, bytes],
+    options: RunOptions,
+    *,
+    finished: Callable[[ArmNight, NightResult], None],
+) -> None:
+    """Run arm-nights; each result is passed on as soon as it is there.
+
+    A worker that is lost fails its arm-night only after ``options.losses`` further attempts. An
+    arm-night that exceeds the timeout has failed, and its worker is started again.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    nights : sequence of ArmNight
+    fits : mapping
+        ``fit_sha256`` → content of the fit's file.
+    options : RunOptions
+    finished : callable
+        Called in this thread with an arm-night and its result.
+
+    Raises
+    ------
+    ClusterLost
+        The connection to the scheduler is lost.
+    """
+    _Submission(client, fits, options, finished).run(list(nights))
+
+
+def reporting_arm_night(night: ArmNight, fit_content: bytes, key: str) -> NightResult:
+    """Run an arm-night on a worker, which first reports that it has begun.
+
+    Parameters
+    ----------
+    night : ArmNight
+    fit_content : bytes
+    key : str
+        Of the task.
+    """
+    from distributed import get_worker
+
+    worker = get_worker()
+    worker.log_event(TOPIC, {"key": key, "worker": worker.address})
+    return run_arm_night(night, fit_content)
+
+
+def content(data: bytes) -> bytes:
+    """Return the content of a fit: as a task, it is there again after its worker is lost."""
+    return data
+
+
+class _Submission:
+    """Tasks of one call: waiting, on the cluster, and when they have begun."""
+
+    def __init__(
+        self,
+        client: Any,
+        fits: Mapping[str, bytes],
+        options: RunOptions,
+        finished: Callable[[ArmNight, NightResult], None],
+    ) -> None:
+        self.client, self.options, self.finished = client, options, finished
+        self.contents, self.fits = fits, dict[str, Any]()  # data on the cluster, when needed
+        self.tasks: dict[str, tuple[Any, ArmNight]] = {}
+        self.begun: dict[str, tuple[float, str]] = {}
+        self.count, self.again = 0, Counter[ArmNight]()
+        self.last_worker = time.monotonic()
+
+    def run(self, nights: list[ArmNight]) -> None:
+        from distributed import CancelledError, as_completed
+        from distributed.comm import CommClosedError
+
+        self.client.subscribe_topic(TOPIC, self._has_begun)
+        waiting = iter(nights)
+        completed = as_completed()
+        try:
+            while True:
+                self._fill(waiting, completed)
+                if not self.tasks:
+                    return
+                for future in _ready(completed):
+                    if future.key in self.tasks:
+                        self._take(future, completed)
+                self._give_up()
+                if self.client.status != "running":
+                    raise CommClosedError
+        except (CommClosedError, CancelledError, TimeoutError, OSError):
+            raise ClusterLost(
+                f"the connection to the Dask scheduler {self.options.scheduler or ''} was lost, "
+                f"with {len(self.tasks)} arm-nights in work; what is finished is recorded, "
+                "run the command again to continue"
+            ) from None
+        finally:
+            with contextlib.suppress(Exception):
+                self.client.unsubscribe_topic(TOPIC)
+                self.client.cancel([future for future, _ in self.tasks.values()], force=True)
+
+    def _fill(self, waiting: Iterator[ArmNight], completed: Any) -> None:
+        threads = sum(self.client.nthreads().values())
+        if threads:
+            self.last_worker = time.monotonic()
+        elif time.monotonic() - self.last_worker > WORKERS_WAIT:
+            raise ClusterLost(
+                f"the Dask cluster {self.options.scheduler or ''} has had no workers for "
+                f"{WORKERS_WAIT:g} s, with {len(self.tasks)} arm-nights in work; start workers and "
+                "run the command again to continue"
+            )
+        while len(self.tasks) < WAITING_PER_THREAD * max(threads, 1):
+            night = next(waiting, None)
+            if night is None:
+                return
+            completed.add(self._submitted(night))
+
+    def _submitted(self, night: ArmNight) -> Any:
+        self.count += 1
+        key = f"arm-night-{id(self):x}-{self.count}-{night.serial}-{night.date}"
+        if night.fit_sha256 not in self.fits:
+            self.fits[night.fit_sha256] = self.client.submit(
+                content, self.contents[night.fit_sha256], key=f"fit-{self.count}-{night.fit_sha256}"
+            )
+        future = self.client.submit(
+            reporting_arm_night, night, self.fits[night.fit_sha256], key, key=key, pure=False
+        )
+        self.tasks[key] = (future, night)
+        return future
+
+    def _take(self, future: Any, completed: Any) -> None:
+        """Pass the result of a task on; an exception becomes a failed arm-night.
+
+        Dask also gives up tasks that wait on workers that are lost: they are submitted again.
+        """
+        from distributed import CancelledError, KilledWorker
+
+        if future.status == "lost" or future.cancelled():
+            raise CancelledError(future.key)
+        _, night = self.tasks.pop(future.key)
+        has_begun = self.begun.pop(future.key, None) is not None
+        error = future.exception()
+        if error is None:
+            self.finished(night, future.result())
+            return
+        if isinstance(error, KilledWorker) and not has_begun:
+            self.again[night] += 1
+            if self.again[night] <= self.options.losses:
+                self.fits.pop(night.fit_sha256, None)  # it may have been given up as well
+                completed.add(self._submitted(night))
+                return
+        self.finished(night, NightResult("failed", _failure(error)))
+
+    def _has_begun(self, event: tuple[float, Mapping[str, str]]) -> None:
+        message = event[1]
+        self.begun[message["key"]] = time.monotonic(), message["worker"]
+
+    def _give_up(self) -> None:
+        """Record arm-nights beyond the timeout as failed, and start their workers again."""
+        now = time.monotonic()
+        for key, (start, worker) in list(self.begun.items()):
+            if key in self.tasks and now - start > self.options.timeout:
+                future, night = self.tasks.pop(key)
+                del self.begun[key]
+                future.cancel(force=True)
+                self.finished(
+                    night,
+                    NightResult(
+                        "failed",
+                        f"not finished after {self.options.timeout:g} s (--timeout)",
+                        seconds=now - start,
+                    ),
+                )
+                with contextlib.suppress(Exception):
+                    self.client.restart_workers([worker], raise_for_error=False)
+
+
+def _ready(completed: Any) -> list[Any]:
+    """Return the futures that are finished, after at least one is or a short time."""
+    from queue import Empty
+
+    queue = completed.queue
+    with queue.not_empty:  # next_batch cannot wait for a limited time
+        queue.not_empty.wait_for(lambda: queue.queue, CHECK_EVERY)
+    with contextlib.suppress(Empty):
+        return list(completed.next_batch(block=False))
+    return []
+
+
+def _failure(error: BaseException) -> str:
+    from distributed import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return (
+            "the worker was lost repeatedly (killed, or out of memory): see --memory and the logs "
+            "of the cluster"
+        )
+    return f"{type(error).__name__}: {reason_of(error)}"

@@ -12,9 +12,8 @@ from scipy.stats import false_discovery_control
 
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, Quantity
-from lieid_casadi.fleet.statistics.changes import FEWEST_NIGHTS, Change, strongest_change
-from lieid_casadi.fleet.statistics.repeated_findings import repeated_finding
-from lieid_casadi.fleet.statistics.scatter import (
+from lieid_casadi.fleet.changes import FEWEST_NIGHTS, Change, repeated_finding, strongest_change
+from lieid_casadi.fleet.scatter import (
     EXPECTED_SLOW,
     NightSeries,
     ScatterPrior,

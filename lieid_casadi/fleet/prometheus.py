@@ -7,11 +7,9 @@ from datetime import UTC, date, datetime, time
 
 import numpy as np
 
-from lieid_casadi.fleet.alarm import Alarm
-from lieid_casadi.fleet.alarm_history import read_alarms
-from lieid_casadi.fleet.arm_history import ERROR, ArmHistory
+from lieid_casadi.fleet.alarms import Alarm, read_alarms
+from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
 from lieid_casadi.fleet.history import History
-from lieid_casadi.fleet.read_arms import read_arms
 
 Samples = Iterable[tuple[Mapping[str, str], float]]  # labels and value of each
 

@@ -24,13 +24,13 @@ sys.path[:1] = [str(ROOT / "tests"), str(ROOT)]  # tests/fleet, not this file
 
 from fleet.changing_fleet import FIRST_NIGHT, arms_of, write_simulated_fleet  # noqa: E402
 
-from lieid_casadi.fleet.alarm_history import alarms_after  # noqa: E402
+from lieid_casadi.fleet.alarms import alarms_after  # noqa: E402
+from lieid_casadi.fleet.arm_history import read_arms  # noqa: E402
 from lieid_casadi.fleet.cluster import RunOptions  # noqa: E402
 from lieid_casadi.fleet.config import read_fleet  # noqa: E402
 from lieid_casadi.fleet.history import History  # noqa: E402
-from lieid_casadi.fleet.read_arms import read_arms  # noqa: E402
 from lieid_casadi.fleet.run import run_fleet  # noqa: E402
-from lieid_casadi.fleet.statistics.scatter import NightSeries  # noqa: E402
+from lieid_casadi.fleet.scatter import NightSeries  # noqa: E402
 
 #: Arms and nights unless stated otherwise; ``null`` uses the history of ``changes``.
 SIZES = {"changes": (40, 30), "null": (40, 30), "throughput": (12, 12), "faults": (2, 4)}

@@ -8,9 +8,8 @@ from fleet.synthetic_history import FIRST, write_history
 
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import FleetError
-from lieid_casadi.fleet.alarm_history import acknowledge, judge_new_nights, read_alarms
-from lieid_casadi.fleet.history import History
-from lieid_casadi.fleet.history_schema import SCHEMA
+from lieid_casadi.fleet.alarms import acknowledge, judge_new_nights, read_alarms
+from lieid_casadi.fleet.history import SCHEMA, History
 
 ARMS = [f"A{k}" for k in range(6)]
 WORN_FROM, LOADED_FROM = 6, 8

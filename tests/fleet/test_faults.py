@@ -11,7 +11,7 @@ from fleet.faults import ClusterProcesses, killed_run, lost_or_repeated, run_cli
 from fleet.synthetic_history import drawn_result
 
 from lieid_casadi.cli.main import main
-from lieid_casadi.fleet import cluster, scheduling
+from lieid_casadi.fleet import cluster as arm_nights
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.night_result import ArmNight, NightResult
 
@@ -52,21 +52,21 @@ def test_an_arm_night_beyond_the_memory_of_a_worker_fails_alone(monkeypatch):
         from distributed import get_worker
 
         worker = get_worker()
-        worker.log_event(scheduling.TOPIC, {"key": key, "worker": worker.address})
+        worker.log_event(arm_nights.TOPIC, {"key": key, "worker": worker.address})
         if night.date == "2026-01-02":
             kept = np.ones(10**8)
             time.sleep(60.0 + kept[0])
         return NightResult("done")
 
-    monkeypatch.setattr(scheduling, "reporting_arm_night", greedy)
+    monkeypatch.setattr(arm_nights, "reporting_arm_night", greedy)
     nights = [ArmNight("A1", f"2026-01-0{k}", f"{k}.csv", "", "f") for k in (1, 2, 3)]
-    options, found = cluster.RunOptions(workers=1, memory="500MB"), {}
-    with cluster.dask_client(options) as client:
+    options, found = arm_nights.RunOptions(workers=1, memory="500MB"), {}
+    with arm_nights.dask_client(options) as client:
         limits = {w["memory_limit"] for w in client.scheduler_info()["workers"].values()}
         assert limits == {500_000_000}
         trimmed = client.run(os.environ.get, "MALLOC_TRIM_THRESHOLD_")
         assert all(int(size) >= 2**20 for size in trimmed.values())  # Dask's 64 kB are slow
-        scheduling.run_on_cluster(
+        arm_nights.run_on_cluster(
             client, nights, {"f": b""}, options,
             finished=lambda night, result: found.update({night.date[-1]: result}),
         )  # fmt: skip
@@ -92,7 +92,7 @@ def test_an_exception_in_one_arm_night_fails_its_row_only(fleet_folder, schedule
             raise ZeroDivisionError("in a library")
         return NightResult("done", recording_sha256=f"{night.serial}{night.date}")
 
-    monkeypatch.setattr(scheduling, "run_arm_night", broken)
+    monkeypatch.setattr(arm_nights, "run_arm_night", broken)
     assert run(fleet_folder, scheduler) == 0
     assert reasons(fleet_folder) == [("failed", "ZeroDivisionError: in a library")] * 2
 
@@ -110,8 +110,8 @@ def test_an_arm_night_that_takes_too_long_fails(fleet_folder, scheduler, monkeyp
             recorded.set()
         record(self, night, result, started)
 
-    monkeypatch.setattr(scheduling, "run_arm_night", slow)
-    monkeypatch.setattr(scheduling, "CHECK_EVERY", 0.1)
+    monkeypatch.setattr(arm_nights, "run_arm_night", slow)
+    monkeypatch.setattr(arm_nights, "CHECK_EVERY", 0.1)
     monkeypatch.setattr(History, "record", noted)
     assert run(fleet_folder, scheduler, "--timeout", "0.8") == 0
     assert recorded.is_set()
@@ -121,8 +121,8 @@ def test_an_arm_night_that_takes_too_long_fails(fleet_folder, scheduler, monkeyp
 def test_a_cluster_without_workers_ends_with_status_3(fleet_folder, monkeypatch, capsys):
     from distributed import LocalCluster
 
-    monkeypatch.setattr(scheduling, "WORKERS_WAIT", 0.3)
-    monkeypatch.setattr(scheduling, "CHECK_EVERY", 0.1)
+    monkeypatch.setattr(arm_nights, "WORKERS_WAIT", 0.3)
+    monkeypatch.setattr(arm_nights, "CHECK_EVERY", 0.1)
     with LocalCluster(
         n_workers=0,
         processes=False,
@@ -144,7 +144,7 @@ def test_exit_code_5_if_an_alarm_was_raised_in_this_call(
         random = np.random.default_rng([k, ord(night.serial[-1])])
         return drawn_result(random, night.serial, k, **changes)
 
-    monkeypatch.setattr(scheduling, "run_arm_night", synthetic)
+    monkeypatch.setattr(arm_nights, "run_arm_night", synthetic)
     for status, text in ((5, "New alarm: A1: payload of the arm since 2026-01-03"), (0, "none;")):
         assert run(fleet_folder, scheduler, "--exit-code") == status
         shown = capsys.readouterr().out

@@ -8,7 +8,7 @@ import pytest
 from fleet.drawn_arms import drawn_fleet
 
 from lieid_casadi.fleet import judging
-from lieid_casadi.fleet.alarm_history import alarms_after
+from lieid_casadi.fleet.alarms import alarms_after
 from lieid_casadi.fleet.arm_history import FoundEffect, Quantity
 from lieid_casadi.fleet.judging import judge_night
 

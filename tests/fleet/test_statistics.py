@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lieid_casadi.fleet.statistics.changes import strongest_change
-from lieid_casadi.fleet.statistics.repeated_findings import repeated_finding
-from lieid_casadi.fleet.statistics.scatter import (
+from lieid_casadi.fleet.changes import repeated_finding, strongest_change
+from lieid_casadi.fleet.scatter import (
     NightSeries,
     ScatterPrior,
     TemperaturePrior,

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 from scipy.stats import chi2
 
-Array = NDArray[np.float64]
+from lieid_casadi.arrays import Array
 
 FEWEST_FREEDOM, MOST_FREEDOM = 4.0, 15.0  # of the prior of the scatter
 LEAST_SCATTER = 0.3  # in units of the nominal standard deviation

@@ -14,17 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f
+from scipy.stats import betabinom, f
 from scipy.stats import t as student
 
-from lieid_casadi.fleet.statistics.scatter import (
-    NightSeries,
-    ScatterPrior,
-    TemperaturePrior,
-    whitening,
-)
-
-Array = NDArray[np.float64]
+from lieid_casadi.arrays import Array
+from lieid_casadi.fleet.scatter import NightSeries, ScatterPrior, TemperaturePrior, whitening
 
 FEWEST_NIGHTS = 4  # of an arm that is judged
 BASELINE_NIGHTS = 2  # at least, before a step
@@ -236,3 +230,45 @@ def _shapes(days: Array) -> tuple[Array, NDArray[np.intp], Array]:
     drift_shapes = np.maximum(days[:, None] - days[starts], 0.0)
     kinds = np.array(["step"] * len(steps) + ["drift"] * len(starts))
     return kinds, np.concatenate([steps, starts + 1]), np.hstack([step_shapes, drift_shapes])
+
+
+#: Nights that the rate of the other arms counts as: rates of arms are alike, or differ freely.
+RATE_WEIGHTS = (20.0, 1.0)
+
+
+def repeated_finding(found: NDArray[np.bool_], rate: float) -> tuple[float, int]:
+    """Return the p-value that an effect is found more often since a night, and that night.
+
+    The rate of an arm has a beta distribution around that of the other arms, which the nights
+    before update; the number of findings since then has a beta-binomial distribution. The larger
+    p-value of a narrow and of a wide beta distribution is taken.
+
+    Parameters
+    ----------
+    found : (N,) bool
+        Whether a diagnosis found the effect, night by night.
+    rate : float
+        Part of the nights of the other arms on which it was found, above 0.
+
+    Returns
+    -------
+    float
+        Of the strongest beginning, corrected for the number of beginnings.
+    int
+        Position of the first night.
+    """
+    best, first = 1.0, len(found) - 1
+    starts = [k for k in np.flatnonzero(found) if k >= BASELINE_NIGHTS]
+    for k in starts:
+        own, after = found[:k].sum(), found[k:]
+        p = len(found) * max(
+            float(
+                betabinom.sf(
+                    after.sum() - 1, len(after), own + w * rate, k - own + w * (1.0 - rate)
+                )
+            )
+            for w in RATE_WEIGHTS
+        )
+        if p < best:
+            best, first = p, int(k)
+    return min(best, 1.0), first

@@ -1,1 +1,0 @@
-"""Statistics over nights: scatter, changes, repeated findings."""
