@@ -1,8 +1,8 @@
 """Coverage of standard deviations: a simulated arm is measured 200 times with different noise.
 
 Prints how often the 95 % intervals of base parameters contain the true values, for white and for
-coloured torque noise. Encoder noise causes a bias that standard deviations do not include and that
-instrumental variables reduce; the last two lines show it. Draws ``coverage.png``.
+coloured torque noise. Encoder noise causes a bias that standard deviations do not include; the last
+line shows it. Draws ``coverage.png``.
 
 Takes some minutes: python examples/uncertainty.py [RUNS]
 """
@@ -13,7 +13,6 @@ import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.identification.uncertainty.instrumental import instrumental
 
 EFFECTS = "coulomb,viscous,offset"
 NOISE = 0.005  # of each joint's torque scale
@@ -35,15 +34,13 @@ def true_values(model, arm):
     return model.base.combination @ np.concatenate([arm.parameters, effects])
 
 
-def errors(arm, t, motion, sensors, runs, instruments=False):
+def errors(arm, t, motion, sensors, runs):
     """Return errors (runs, p) of the base values, and their stated standard deviations."""
     model = lieid.Model(arm.robot, EFFECTS)
     truth, found, stated = true_values(model, arm), [], []
     for seed in range(runs):
         recording = plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed)
         fit = lieid.identify(model, recording, processing=lieid.Processing(cutoff=8.0))
-        if instruments:
-            fit = instrumental(fit, recording).fit
         found.append(fit.values - truth)
         stated.append(fit.std)
     return np.array(found), np.array(stated)
@@ -59,14 +56,13 @@ def main(runs=200):
     coloured = plant.Sensors(coloured_noise=noise, correlation_time=0.1)
     encoder = plant.Sensors(torque_noise=noise, position_noise=1e-4, velocity="difference")
     kinds = {
-        "white torque noise": (white, False),
-        "coloured torque noise, 0.1 s": (coloured, False),
-        "white torque and 1e-4 rad encoder noise": (encoder, False),
-        "the same, instrumental variables": (encoder, True),
+        "white torque noise": white,
+        "coloured torque noise, 0.1 s": coloured,
+        "white torque and 1e-4 rad encoder noise": encoder,
     }
     figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
-    for name, (sensors, instruments) in kinds.items():
-        found, stated = errors(arm, t, motion, sensors, runs, instruments)
+    for name, sensors in kinds.items():
+        found, stated = errors(arm, t, motion, sensors, runs)
         held = np.mean(np.abs(found) < 1.96 * stated, axis=0)
         bias = np.abs(found.mean(axis=0)) / found.std(axis=0)
         print(

@@ -20,14 +20,14 @@ from lieid_casadi.errors import (
     unique_warnings,
 )
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import (
+    Source,
     check_recordings,
     check_torque_constants,
     check_with_model,
 )
-from lieid_casadi.identification.regression.column_properties import has_dry_friction
-from lieid_casadi.identification.temperature import center_temperature
+from lieid_casadi.identification.regression.design_matrix import has_dry_friction
 from lieid_casadi.recording import Processed, Recording, process
 from lieid_casadi.recording.recording import listed
 

@@ -19,7 +19,7 @@ from lieid_casadi.errors import (
     SameRecordingWarning,
     warning_list,
 )
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.messages import joints_text
 from lieid_casadi.tables import Table, html, make_table

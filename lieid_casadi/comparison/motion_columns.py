@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
-from lieid_casadi.identification.uncertainty.motion_dependence import common_effect_columns
+from lieid_casadi.identification.uncertainty.noise_model import common_effect_columns
 from lieid_casadi.recording.processed import Processed
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.uncertainty.motion_dependence import common_effect_columns
+from lieid_casadi.identification.uncertainty.noise_model import common_effect_columns
 from lieid_casadi.recording import Recording, period_noise
 from lieid_casadi.recording.processed import Processed
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.prediction import torque_along
+from lieid_casadi.identification.prediction import relative_temperature, torque_along
 from lieid_casadi.identification.regression.segment_columns import effects_along
-from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.recording import Processed
 
 

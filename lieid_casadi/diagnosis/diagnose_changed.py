@@ -25,7 +25,7 @@ from lieid_casadi.diagnosis.search.effect_search import search
 from lieid_casadi.diagnosis.search.recording_differences import recording_differences
 from lieid_casadi.errors import LieidWarning, UnidentifiableWarning, unique_warnings
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.temperature import center_temperature
+from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.recording import Recording, process
 

@@ -32,10 +32,10 @@ from lieid_casadi.diagnosis.search.search_results import Difference, Proposal
 from lieid_casadi.errors import LieidWarning, SameRecordingWarning, unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.identify import Method, identify_segments
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.prediction import center_temperature
+from lieid_casadi.identification.recording_checks import Source
+from lieid_casadi.identification.regression.design_matrix import FilteredColumns
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
-from lieid_casadi.identification.regression.motion_columns import FilteredColumns
-from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording, process
 

@@ -13,7 +13,7 @@ from lieid_casadi.diagnosis.diagnosis_step import DiagnosisStep, numbers_or_null
 from lieid_casadi.diagnosis.events.event import Event
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.recording_checks import Source
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,7 +21,7 @@ from lieid_casadi.errors import EffectError, NoSolution
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.segment_columns import effects_along
-from lieid_casadi.identification.regression.shape_range import ShapeRange
+from lieid_casadi.identification.regression.variable_projection import ShapeRange
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording
 

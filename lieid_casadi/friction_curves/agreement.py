@@ -15,7 +15,7 @@ from lieid_casadi.friction_curves.constant_speed import steady_columns
 from lieid_casadi.friction_curves.curve import FrictionCurve
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.regression.shape_range import ShapeRange
+from lieid_casadi.identification.regression.variable_projection import ShapeRange
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

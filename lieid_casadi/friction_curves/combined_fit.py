@@ -16,9 +16,8 @@ from lieid_casadi.friction_curves.constant_speed import steady_columns
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.identify import identify
-from lieid_casadi.identification.prediction import torque_along
-from lieid_casadi.identification.provenance import Source
-from lieid_casadi.identification.temperature import relative_temperature
+from lieid_casadi.identification.prediction import relative_temperature, torque_along
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Recording, process
 

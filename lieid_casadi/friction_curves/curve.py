@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.friction_curves.curve_data import CurveData
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.tables import html
 

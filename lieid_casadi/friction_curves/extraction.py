@@ -24,8 +24,8 @@ from lieid_casadi.friction_curves.curve import FrictionCurve
 from lieid_casadi.friction_curves.curve_data import CurveData
 from lieid_casadi.friction_curves.position_matching import Matching, match
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.provenance import Source
-from lieid_casadi.identification.temperature import center_temperature
+from lieid_casadi.identification.prediction import center_temperature
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.recording.recording import listed

@@ -16,9 +16,9 @@ from lieid_casadi.errors import EffectError
 from lieid_casadi.friction_curves.curve import FrictionCurve
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
 from lieid_casadi.friction_curves.friction_fit_warnings import friction_fit_warnings
-from lieid_casadi.identification.regression.shape_range import ShapeRange
 from lieid_casadi.identification.regression.variable_projection import (
     SeparableProblem,
+    ShapeRange,
     forward_differences,
     minimize_shapes,
 )

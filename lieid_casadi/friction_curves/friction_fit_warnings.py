@@ -15,7 +15,7 @@ from lieid_casadi.errors import (
     UnidentifiableWarning,
 )
 from lieid_casadi.friction_curves.friction_fit import FrictionFit
-from lieid_casadi.identification.regression.shape_range import ShapeRange
+from lieid_casadi.identification.regression.variable_projection import ShapeRange
 
 PART = 0.05  # of a direction's largest component, above which a parameter is named
 FAR = 0.5  # of the largest measured friction, by which an extrapolation may leave its range

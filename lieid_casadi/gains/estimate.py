@@ -9,7 +9,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import IdentificationError, LieidWarning, warning_list
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.robot import Drive, Robot
 from lieid_casadi.tables import html

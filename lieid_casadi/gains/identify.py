@@ -21,10 +21,10 @@ from lieid_casadi.errors import (
 from lieid_casadi.gains.estimate import DriveGains, GainNotIdentified
 from lieid_casadi.gains.input_checks import check_input, known_payload, with_drive_signal
 from lieid_casadi.gains.regression import GainProblem, GainSolution
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.prediction import center_temperature
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
-from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.model import Model
 from lieid_casadi.payload.identify import require_one_load
 from lieid_casadi.recording import Processing, Recording, check, process

@@ -9,11 +9,11 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import IdentificationError
 from lieid_casadi.gains.total_least_squares import NullVector, most_likely, null_vector
-from lieid_casadi.identification.regression.column_properties import varying_columns
 from lieid_casadi.identification.regression.design_matrix import (
     Design,
     JointRows,
     Rows,
+    varying_columns,
 )
 from lieid_casadi.identification.regression.fixed_point import nominal_parameters
 from lieid_casadi.identification.regression.least_squares import (

@@ -8,17 +8,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification.feasible.certificate import Certificate
-from lieid_casadi.identification.prediction import predict_recording, torque_along
-from lieid_casadi.identification.provenance import Provenance
-from lieid_casadi.identification.recording_checks import check_joints
-from lieid_casadi.identification.regression.conditioning import Conditioning
-from lieid_casadi.identification.sample_torque import sample_torque
-from lieid_casadi.identification.temperature import relative_temperature
+from lieid_casadi.identification.prediction import (
+    predict_recording,
+    relative_temperature,
+    sample_torque,
+    torque_along,
+)
+from lieid_casadi.identification.recording_checks import Provenance, check_joints
+from lieid_casadi.identification.regression.least_squares import Conditioning
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model, Parameter
@@ -31,8 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lieid_casadi.identification.uncertainty.prediction_band import PredictionBand
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

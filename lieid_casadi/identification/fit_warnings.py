@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import (
     AliasWarning,
     BoundWarning,
@@ -16,7 +16,7 @@ from lieid_casadi.errors import (
     RelativeTorqueWarning,
     UnidentifiableWarning,
 )
-from lieid_casadi.identification.regression.column_properties import has_dry_friction
+from lieid_casadi.identification.regression.design_matrix import has_dry_friction
 from lieid_casadi.identification.regression.fixed_point import ROUNDS, FitState
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
@@ -24,12 +24,11 @@ from lieid_casadi.identification.regression.least_squares import (
     independent_fraction,
     name_direction,
 )
-from lieid_casadi.identification.regression.shape_range import ShapeRange
+from lieid_casadi.identification.regression.variable_projection import ShapeRange
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording
 from lieid_casadi.robot import Robot
 
-Array = NDArray[np.float64]
 WEAK = 0.05  # of a column's norm that the other columns do not span: below it, a warning
 SHARE_AT_REST = 0.01  # of the samples, above which rest is reported
 

@@ -6,22 +6,22 @@ from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import IdentificationError, LieidWarning, unique_warnings
 from lieid_casadi.identification import fit_warnings
 from lieid_casadi.identification.feasible.feasible_fit import certify, make_feasible
-from lieid_casadi.identification.feasible.options import FeasibleOptions
+from lieid_casadi.identification.feasible.problem import FeasibleOptions
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.prediction import training_errors
-from lieid_casadi.identification.provenance import Provenance, Source
+from lieid_casadi.identification.prediction import center_temperature, training_errors
 from lieid_casadi.identification.recording_checks import (
+    Provenance,
+    Source,
     check_recordings,
     check_with_model,
 )
-from lieid_casadi.identification.regression.conditioning import conditioning
 from lieid_casadi.identification.regression.cross_validation import (
     BLOCK_OVER_CUTOFF,
     Estimate,
@@ -29,24 +29,26 @@ from lieid_casadi.identification.regression.cross_validation import (
     cross_validated_rms,
     fold_factors,
 )
-from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.design_matrix import Design, FilteredColumns
 from lieid_casadi.identification.regression.fixed_point import (
     FitState,
     Progress,
     ShapeStart,
     fixed_point,
 )
-from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
-from lieid_casadi.identification.regression.motion_columns import FilteredColumns
-from lieid_casadi.identification.temperature import center_temperature
-from lieid_casadi.identification.uncertainty.fit_covariance import fit_covariance
+from lieid_casadi.identification.regression.least_squares import (
+    combine,
+    conditioning,
+    joint_factors,
+    solve,
+)
+from lieid_casadi.identification.uncertainty.covariance import fit_covariance
 from lieid_casadi.identification.uncertainty.noise_model import Noise, residual_noise
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.recording import Processed, Processing, Recording, process
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot import Robot
 
-Array = NDArray[np.float64]
 Method = Literal["ols", "wls", "robust", "feasible"]
 METHODS: tuple[Method, ...] = get_args(Method)
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import IdentificationError, RelativeTorqueWarning
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.identify import identify
@@ -16,7 +16,6 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot
 
-Array = NDArray[np.float64]
 GRAVITY_PARAMETERS = 4  # m, m·cx, m·cy, m·cz: the first of a link's ten parameters
 SMALL = 1e-9  # kg·m: smaller known parameters do not determine a scale
 

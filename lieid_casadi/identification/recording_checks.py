@@ -1,8 +1,9 @@
-"""Checks of recordings against a model, before they enter a fit or a comparison."""
+"""Recordings of a fit: which they were, and checks against a model before they are used."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from lieid_casadi.errors import (
     TorqueConstantsWarning,
 )
 from lieid_casadi.identification.prediction import predict_recording
-from lieid_casadi.identification.provenance import Provenance
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check, require_plausible_units
 from lieid_casadi.recording.recording import listed
@@ -102,3 +102,41 @@ def check_with_model(compiled: Compiled, recording: Recording) -> tuple[LieidWar
             compiled.model.initial_shapes,
         )
     return check(recording, robot, nominal_torque=nominal)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording that a result was computed from: its name and the SHA-256 of its data."""
+
+    name: str
+    sha256: str
+
+    @classmethod
+    def of(cls, recording: Recording) -> Source:
+        """Return name and hash of a recording."""
+        return cls(recording.name, recording.source_hash)
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the source for JSON: ``{name, sha256}``."""
+        return {"name": self.name, "sha256": self.sha256}
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a fit was computed from.
+
+    Attributes
+    ----------
+    version : str
+        Of the package.
+    recordings : tuple of Source
+    torque_constants : tuple of float or None
+        (n) N·m/A, of recordings of motor currents; None if torque was recorded.
+    units : tuple of str
+        Units of the recordings' files other than SI: ``deg``, and ``ms``, ``us`` or ``ns``.
+    """
+
+    version: str
+    recordings: tuple[Source, ...]
+    torque_constants: tuple[float, ...] | None = None
+    units: tuple[str, ...] = ()

@@ -10,7 +10,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning, warning_list
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.payload.body import NAMES, UNITS, FeasibleBody, physical_quantities
 

@@ -8,8 +8,7 @@ from scipy.linalg import null_space
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
-from lieid_casadi.identification.feasible.options import FeasibleOptions
-from lieid_casadi.identification.feasible.problem import FeasibleProblem
+from lieid_casadi.identification.feasible.problem import FeasibleOptions, FeasibleProblem
 from lieid_casadi.identification.regression.least_squares import Factor
 from lieid_casadi.robot.inertia import link_parameters, pseudo_inertia
 

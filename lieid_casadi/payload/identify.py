@@ -12,15 +12,14 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import IdentificationError, LieidWarning, unique_warnings
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.prediction import predict_recording
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.prediction import center_temperature, predict_recording
 from lieid_casadi.identification.recording_checks import (
+    Source,
     check_recordings,
     check_torque_constants,
 )
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
-from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.payload import payload_warnings
 from lieid_casadi.payload.body import (
     FeasibleBody,

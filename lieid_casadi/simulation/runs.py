@@ -12,8 +12,8 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.symbolic import symbolic
 from lieid_casadi.identification.fit import Fit
+from lieid_casadi.identification.prediction import relative_temperature
 from lieid_casadi.identification.recording_checks import check_joints
-from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.recording import Processed, Processing, Recording, process
 
 Input = Literal["command", "torque"]

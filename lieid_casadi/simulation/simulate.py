@@ -19,7 +19,7 @@ from lieid_casadi.errors import (
 )
 from lieid_casadi.identification import identify
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording

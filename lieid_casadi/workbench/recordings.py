@@ -19,10 +19,10 @@ from lieid_casadi.diagnosis import change_torque
 from lieid_casadi.errors import LieidWarning, RecordingError
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.identify import identify_segments
+from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import check_recordings, check_with_model
+from lieid_casadi.identification.regression.design_matrix import FilteredColumns
 from lieid_casadi.identification.regression.fixed_point import Progress, ShapeStart
-from lieid_casadi.identification.regression.motion_columns import FilteredColumns
-from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording, process
 from lieid_casadi.robot import Robot

@@ -12,8 +12,8 @@ from robot.random_arms import random_arm
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.provenance import Provenance, Source
-from lieid_casadi.identification.regression.conditioning import Conditioning
+from lieid_casadi.identification.recording_checks import Provenance, Source
+from lieid_casadi.identification.regression.least_squares import Conditioning
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.recording import Processing
 

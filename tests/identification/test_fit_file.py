@@ -153,7 +153,7 @@ def test_a_file_that_is_not_there_or_too_large(tmp_path, monkeypatch):
         lieid.Fit.load(tmp_path / "fit.json")
     with pytest.raises(FitFileError, match="cannot be read"):
         lieid.Fit.load(tmp_path)
-    monkeypatch.setattr("lieid_casadi.identification.fit_schema.LARGEST_FILE", 1 << 20)
+    monkeypatch.setattr("lieid_casadi.identification.fit_file.LARGEST_FILE", 1 << 20)
     assert "larger than 1 MB" in refusal(b" " * ((1 << 20) + 1), tmp_path)
 
 

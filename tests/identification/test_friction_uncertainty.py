@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 import lieid_casadi as lieid
-from lieid_casadi.identification.regression.friction_uncertainty import (
+from lieid_casadi.identification.uncertainty.noise_model import (
     dry_level,
     friction_torque_std,
 )

@@ -7,7 +7,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.identification.uncertainty.motion_dependence import explainable, motion_ratio_of
+from lieid_casadi.identification.uncertainty.noise_model import explainable, motion_ratio_of
 
 SURE = np.ones(900)
 

@@ -10,9 +10,8 @@ from lieid_casadi import plant
 from lieid_casadi.compiled import kernels, triangular_factors
 from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.identification.regression import design_matrix
-from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.design_matrix import Design, MotionColumns
 from lieid_casadi.identification.regression.least_squares import joint_factors
-from lieid_casadi.identification.regression.motion_columns import MotionColumns
 from lieid_casadi.recording import Processing, filtering, process
 from lieid_casadi.recording.filtering import filter_memory, windows
 

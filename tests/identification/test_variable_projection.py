@@ -6,9 +6,9 @@ from scipy.optimize import approx_fprime, least_squares
 
 import lieid_casadi as lieid
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.regression.shape_range import ShapeRange
 from lieid_casadi.identification.regression.variable_projection import (
     SeparableProblem,
+    ShapeRange,
     forward_differences,
     minimize_shapes,
 )

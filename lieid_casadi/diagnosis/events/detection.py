@@ -27,8 +27,8 @@ from lieid_casadi.diagnosis.events.returning_errors import (
 from lieid_casadi.diagnosis.events.tool_force import tool_force
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.provenance import Source
-from lieid_casadi.identification.temperature import center_temperature
+from lieid_casadi.identification.prediction import center_temperature
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.messages import joints_text
 from lieid_casadi.recording import Recording, process
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.recording_checks import Source
 
 Kind = Literal["contact", "fault", "standstill"]
 

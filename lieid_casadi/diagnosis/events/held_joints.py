@@ -8,8 +8,7 @@ import numpy as np
 
 from lieid_casadi.errors import HeldJointWarning
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.prediction import torque_along
-from lieid_casadi.identification.temperature import relative_temperature
+from lieid_casadi.identification.prediction import relative_temperature, torque_along
 from lieid_casadi.recording import Recording, process
 
 EXCESS = 3.0  # times dry friction and the error in motion, above which something holds a joint

@@ -11,11 +11,11 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from lieid_casadi.effects.torque_delay import delayed_change
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
-from lieid_casadi.identification.regression.friction_uncertainty import (
+from lieid_casadi.identification.uncertainty.noise_model import (
+    common_effect_columns,
     dry_level,
     friction_torque_std,
 )
-from lieid_casadi.identification.uncertainty.motion_dependence import common_effect_columns
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]

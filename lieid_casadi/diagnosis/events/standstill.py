@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.events.event import Event
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.messages import joints_text
 from lieid_casadi.recording import Processed
 from lieid_casadi.robot import Robot

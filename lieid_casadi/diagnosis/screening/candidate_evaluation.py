@@ -19,7 +19,7 @@ from lieid_casadi.diagnosis.screening.effect_columns import (
 from lieid_casadi.diagnosis.screening.shape_scan import ShapeScan
 from lieid_casadi.diagnosis.screening.smooth_functions import SmoothColumns
 from lieid_casadi.effects import ArmEffect, Effect
-from lieid_casadi.identification.regression.motion_columns import FilteredColumns
+from lieid_casadi.identification.regression.design_matrix import FilteredColumns
 from lieid_casadi.identification.uncertainty.noise_model import Runs
 
 Array = NDArray[np.float64]

@@ -25,14 +25,13 @@ from lieid_casadi.diagnosis.screening.model_factor import ModelFactor
 from lieid_casadi.diagnosis.screening.smooth_functions import SmoothFunction, smooth_candidates
 from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.regression.design_matrix import Design, Rows
-from lieid_casadi.identification.regression.friction_uncertainty import friction_torque_std
-from lieid_casadi.identification.regression.motion_columns import FilteredColumns
+from lieid_casadi.identification.regression.design_matrix import Design, FilteredColumns, Rows
 from lieid_casadi.identification.regression.shape_fit import shape_columns
 from lieid_casadi.identification.uncertainty.noise_model import (
     RATE_OVER_CUTOFF,
     Noise,
     Runs,
+    friction_torque_std,
     runs_of,
     spread_of,
 )

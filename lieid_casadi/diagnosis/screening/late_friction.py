@@ -17,8 +17,7 @@ from lieid_casadi.diagnosis.screening.baseline import Baseline
 from lieid_casadi.diagnosis.screening.context import ScreeningContext
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.regression.friction_uncertainty import dry_level, expected_sign
-from lieid_casadi.identification.uncertainty.noise_model import Noise
+from lieid_casadi.identification.uncertainty.noise_model import Noise, dry_level, expected_sign
 from lieid_casadi.recording import Processed
 
 Array = NDArray[np.float64]

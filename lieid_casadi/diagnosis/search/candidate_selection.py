@@ -15,7 +15,7 @@ from lieid_casadi.diagnosis.screening.cross_validation import cross_validated_ga
 from lieid_casadi.diagnosis.screening.screen import SelectionState
 from lieid_casadi.diagnosis.search.rivals import RivalGroup
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.identification.regression.shape_range import ShapeRange
+from lieid_casadi.identification.regression.variable_projection import ShapeRange
 
 Array = NDArray[np.float64]
 #: Part of a unit column outside the model's span, below which its coefficient is not fitted.

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.robot.inertia import pseudo_inertia
 from lieid_casadi.robot.robot import Robot
 
-Array = NDArray[np.float64]
 ROUNDING = 1e-8  # of the largest friction: the solver's tolerance
 
 

@@ -7,13 +7,12 @@ import time
 import warnings
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.identification.feasible.problem import PSEUDO, FeasibleProblem
 from lieid_casadi.identification.regression.least_squares import Factor
 
-Array = NDArray[np.float64]
 log = logging.getLogger("lieid_casadi")
 TOLERANCE = 1e-8
 FRICTION_MARGIN = 1e-6  # of the joint's noise: keeps friction dissipative within the tolerance

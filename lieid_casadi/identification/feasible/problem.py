@@ -14,18 +14,222 @@ approach", IEEE T-RO 2020; it does not depend on the choice of frames or units.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.triangular_factors import triangular
-from lieid_casadi.identification.feasible.options import FeasibleOptions
+from lieid_casadi.errors import IdentificationError, LieidWarning, NominalInertiaWarning
 from lieid_casadi.identification.regression.least_squares import Factor
-from lieid_casadi.robot.inertia import pseudo_inertia
+from lieid_casadi.model import Model
+from lieid_casadi.robot.inertia import body_inertia, link_parameters, pseudo_inertia
+from lieid_casadi.robot.robot import Robot
 
-Array = NDArray[np.float64]
+Range = tuple[float, float]
+Three = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeasibleOptions:
+    """Options of ``identify(..., method="feasible")``. Links and joints count from 0.
+
+    Attributes
+    ----------
+    total_mass
+        Bounds of the total mass of the moving links, kg; equal numbers fix it.
+    link_mass
+        Bounds of the mass of a link, by its number, kg.
+    com_box
+        Two corners (3,) of a box in the link frame that contains the centre of mass of a link,
+        by its number, m.
+    regularization
+        Weight λ of the divergence from the nominal bodies, relative to the mean squared error in
+        units of the joints' noise; None chooses it by blocked cross-validation.
+    margin
+        Each pseudo-inertia is at least ``margin`` times that of its reference body.
+    velocity
+        Speed per joint up to which friction is constrained to dissipate, rad/s. None: the
+        velocity limit, or the fastest recorded motion if that is faster or no limit is stated.
+    max_iterations
+        Of the convex solver.
+    poses, seed
+        Number of random poses at which the mass matrix is checked, and their seed.
+
+    Raises
+    ------
+    IdentificationError
+        Bounds that contradict each other.
+    """
+
+    total_mass: Range | None = None
+    link_mass: Mapping[int, Range] = field(default_factory=dict)
+    com_box: Mapping[int, tuple[Three, Three]] = field(default_factory=dict)
+    regularization: float | None = None
+    margin: float = 1e-3
+    velocity: Sequence[float] | None = None
+    max_iterations: int = 200
+    poses: int = 10_000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.total_mass is not None:
+            _check_masses("total_mass", self.total_mass)
+        for link, masses in self.link_mass.items():
+            _check_masses(f"link_mass of link {link} (from 0)", masses)
+        for link, (low, high) in self.com_box.items():
+            for axis, bounds in zip("xyz", zip(low, high, strict=True), strict=True):
+                _check_range(f"com_box of link {link} (from 0), {axis}", bounds, "m")
+        for name, number in (
+            ("regularization", self.regularization),
+            *(("velocity", speed) for speed in self.velocity or ()),
+        ):
+            if number is not None and not (np.isfinite(number) and number > 0.0):
+                raise IdentificationError(f"{name} is {number}, expected a number above 0")
+        if not 0.0 < self.margin < 0.5:
+            raise IdentificationError(f"margin is {self.margin}, expected above 0 and below 0.5")
+        for name, count in (("poses", self.poses), ("max_iterations", self.max_iterations)):
+            if count < 1:
+                raise IdentificationError(f"{name} is {count}, expected 1 or more")
+
+    def check_links(self, n: int) -> None:
+        """Raise `IdentificationError` if an option names a link that does not exist."""
+        for name, links in (("link_mass", self.link_mass), ("com_box", self.com_box)):
+            for link in links:
+                if not 0 <= link < n:
+                    raise IdentificationError(f"{name}: link {link}, expected 0 to {n - 1}")
+        if self.velocity is not None and len(self.velocity) != n:
+            raise IdentificationError(
+                f"velocity: {len(self.velocity)} numbers, expected one per joint ({n})"
+            )
+
+
+def _check_range(name: str, bounds: Range, unit: str) -> None:
+    low, high = bounds
+    if not (np.isfinite(low) and np.isfinite(high)):
+        raise IdentificationError(f"{name}: {low:g} to {high:g} {unit}, expected finite numbers")
+    if low > high:
+        raise IdentificationError(f"{name}: {low:g} to {high:g} {unit}, expected lower ≤ upper")
+
+
+def _check_masses(name: str, masses: Range) -> None:
+    _check_range(name, masses, "kg")
+    low, high = masses
+    if low < 0.0 or high <= 0.0:
+        raise IdentificationError(
+            f"{name}: {low:g} to {high:g} kg, expected 0 ≤ lower and upper above 0"
+        )
+
+
+FLAT = 1e-6  # smallest ratio of second moments of a body that is used as it is
+CORRECTED_FLATNESS = 1e-3  # smallest ratio of second moments of a corrected body
+CORRECTED_GYRATION = 0.01  # m, smallest radius of gyration of a corrected body
+SMALLEST_RADIUS = 0.05  # m, of a sphere
+DENSITY = (100.0, 5000.0)  # kg/m³, range for spheres
+
+
+def reference_bodies(model: Model, factor: Factor) -> tuple[Array, tuple[LieidWarning, ...]]:
+    """Return the reference pseudo-inertias (n, 4, 4), positive definite, and warnings.
+
+    The reference of a link is its nominal inertia; one that is physically impossible (flat, or
+    violating the triangle inequalities) is corrected and a warning returned. Links without
+    nominal inertia get a uniform sphere half-way to the next joint, all of the density that fits
+    the data best.
+
+    Parameters
+    ----------
+    model : Model
+    factor : Factor
+        Of the weighted rows, for the density.
+
+    Raises
+    ------
+    IdentificationError
+        A nominal mass is not positive.
+    """
+    found: list[LieidWarning] = []
+    links = []
+    for joint in model.robot.joints:
+        if joint.link is None:
+            links.append(np.full(10, np.nan))
+            continue
+        name = joint.link_name or joint.name
+        if joint.link[0] <= 0.0:
+            raise IdentificationError(
+                f"robot {model.robot.name!r}: link {name!r} has a mass of {joint.link[0]:g} kg; "
+                "expected a positive mass, or none"
+            )
+        corrected = _corrected(joint.link)
+        if corrected is not joint.link:
+            found.append(
+                NominalInertiaWarning(
+                    f"the nominal inertia of link {name!r} is physically impossible; method "
+                    "feasible uses a possible one near it as its reference; correct the robot "
+                    "description"
+                )
+            )
+        links.append(corrected)
+    stated = _with_spheres(model, np.array(links), factor)
+    return np.array([pseudo_inertia(link) for link in stated]), tuple(found)
+
+
+def _corrected(link: Array) -> Array:
+    """Return link parameters (10,) with positive second moments; the same array if they are."""
+    body = body_inertia(link)
+    moments, axes = np.linalg.eigh(0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia)
+    if moments[0] > FLAT * max(float(moments[-1]), FLAT * body.mass):
+        return link
+    least = max(CORRECTED_FLATNESS * float(moments[-1]), body.mass * CORRECTED_GYRATION**2)
+    sigma = axes @ np.diag(np.maximum(moments, least)) @ axes.T
+    return link_parameters(body.mass, body.com, np.trace(sigma) * np.eye(3) - sigma)
+
+
+def _with_spheres(model: Model, links: Array, factor: Factor) -> Array:
+    missing = np.isnan(links[:, 0])
+    if not missing.any():
+        return links
+    spheres = np.array([_sphere(model.robot, i) for i in range(model.n)])
+    stated = np.where(missing[:, None], 0.0, links)
+    density = _density(model, factor, stated, np.where(missing[:, None], spheres, 0.0))
+    return np.where(missing[:, None], density * spheres, links)
+
+
+def _sphere(robot: Robot, i: int) -> Array:
+    """Return a sphere of unit density between joint i and the next one, or the tool."""
+    here = robot.joints[i].home
+    following = robot.joints[i + 1].home if i + 1 < robot.n else here @ robot.tool
+    centre = 0.5 * (np.linalg.solve(here, following))[:3, 3]
+    radius = max(float(np.linalg.norm(centre)), SMALLEST_RADIUS)
+    mass = 4.0 / 3.0 * np.pi * radius**3
+    return link_parameters(mass, centre, 0.4 * mass * radius**2 * np.eye(3))
+
+
+def _density(model: Model, factor: Factor, stated: Array, spheres: Array) -> float:
+    """Return the density that fits best, with free effect coefficients, kg/m³.
+
+    Parameters
+    ----------
+    model : Model
+    factor : Factor
+    stated : (n, 10)
+        Nominal links, zero where not stated.
+    spheres : (n, 10)
+        Of unit density, zero where a link is stated.
+    """
+    combination, links = model.base.combination, 10 * model.n
+    r, z = factor.r[:, :-1], factor.r[:, -1]
+    columns = r @ combination
+    matrix = np.column_stack([columns[:, :links] @ spheres.ravel(), columns[:, links:]])
+    target = z - columns[:, :links] @ stated.ravel()
+    scale = np.linalg.norm(matrix, axis=0)
+    scale[scale == 0.0] = 1.0
+    best = np.linalg.lstsq(matrix / scale, target, rcond=1e-9)[0][0] / scale[0]
+    return float(np.clip(best, *DENSITY))
+
+
 NEGLIGIBLE = 1e-10  # of the largest column: coefficients without torque are set to zero
 #: link parameters (10,) to the pseudo-inertia as 16 numbers, row by row
 PSEUDO = np.array([pseudo_inertia(unit).ravel() for unit in np.eye(10)]).T

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.identification.regression.least_squares import (
     RANK_TOLERANCE,
@@ -17,7 +18,6 @@ from lieid_casadi.identification.regression.least_squares import (
 )
 from lieid_casadi.identification.regression.rows import Rows
 
-Array = NDArray[np.float64]
 Estimate = Callable[[Factor], Array]
 FOLDS = 3
 BLOCK_OVER_CUTOFF = 12.0  # block length, periods of the cut-off: many times the filter's response

@@ -6,18 +6,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.identification.regression.column_properties import varying_columns
-from lieid_casadi.identification.regression.design_matrix import Design, Rows
-from lieid_casadi.identification.regression.least_squares import LeastSquaresSolution, solve
+from lieid_casadi.identification.regression.design_matrix import Design, Rows, varying_columns
+from lieid_casadi.identification.regression.least_squares import (
+    ESTIMATORS,
+    LeastSquaresSolution,
+    Weighting,
+    solve,
+)
 from lieid_casadi.identification.regression.shape_fit import fit_shapes
-from lieid_casadi.identification.regression.shape_range import shapes_of_data
-from lieid_casadi.identification.regression.weights import ESTIMATORS, Weighting
+from lieid_casadi.identification.regression.variable_projection import shapes_of_data
 from lieid_casadi.model import Model
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 ROUNDS = 30  # largest number of iterations
 SETTLED = 1e-6  # relative change of the predicted torque at convergence

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
+
 if TYPE_CHECKING:
     from lieid_casadi.identification.regression.least_squares import Factor
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.effects.arm_effect import ArmEffect
 from lieid_casadi.model import Model
@@ -17,7 +18,6 @@ from lieid_casadi.recording.processed import Processed
 from lieid_casadi.robot import Drive
 from lieid_casadi.robot.inertia import parameter_transport
 
-Array = NDArray[np.float64]
 SMOOTH = 1.0 / 3.0  # of the cut-off, which is at least six times the bandwidth of the motion
 
 

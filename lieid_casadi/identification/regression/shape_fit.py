@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.rows import Rows
-from lieid_casadi.identification.regression.shape_range import ShapeRange
 from lieid_casadi.identification.regression.variable_projection import (
     STEP,
     SeparableProblem,
+    ShapeRange,
     minimize_shapes,
 )
 from lieid_casadi.recording import Processed
 
-Array = NDArray[np.float64]
 GRID = 17  # values tried over each shape's range
 COMMAND_ERRORS = (80.0, 99.5)  # percentiles of |error| between which saturation is searched
 STARTS = 3  # best values of the grid from which a local search starts

@@ -1,1 +1,1 @@
-"""Standard deviations, prediction bands, bootstrap and instrumental variables."""
+"""Standard deviations, noise of residuals, prediction bands and bootstrap."""

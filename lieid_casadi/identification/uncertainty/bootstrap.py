@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import IdentificationError, NoSolution
 from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
 from lieid_casadi.identification.feasible.feasible_fit import feasible_problem
-from lieid_casadi.identification.feasible.options import FeasibleOptions
+from lieid_casadi.identification.feasible.problem import FeasibleOptions
+from lieid_casadi.identification.prediction import relative_temperature
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.identification.regression.least_squares import (
@@ -28,7 +30,6 @@ from lieid_casadi.identification.regression.least_squares import (
     solve,
 )
 from lieid_casadi.identification.regression.rows import JointRows, Rows
-from lieid_casadi.identification.temperature import relative_temperature
 from lieid_casadi.identification.uncertainty.covariance import residual_correlation_length
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Recording, process
@@ -37,7 +38,6 @@ from lieid_casadi.recording.recording import listed
 if TYPE_CHECKING:
     from lieid_casadi.identification.fit import Fit
 
-Array = NDArray[np.float64]
 LENGTH = 4  # of a block, in correlation times of the residuals
 FEWEST_BLOCKS = 10
 MOST_BLOCKS = 60  # more only make a resample slower

@@ -5,7 +5,10 @@ gives standard deviations several times too small. The covariance of the scores 
 twice:
 
 - from the spectrum of the residuals, assumed to be stationary; precise, since only one spectrum
-  per pair of joints is estimated;
+  per pair of joints is estimated. The autocovariance is estimated from all pairs of instants of
+  one segment and truncated by a flat-top window where the correlogram is no longer significant
+  (Politis & Romano, J. Time Series Analysis 1995; the rule for the cut-off is that of Politis &
+  White, Econometric Reviews 2004);
 - from the scores x·e themselves (Newey & West, Econometrica 1987, with Parzen's kernel), which
   is valid for residuals that are larger in some motions than in others, and has more variance.
 
@@ -22,19 +25,157 @@ q are not accounted for; model errors are treated as noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import rfft
+from scipy.fft import irfft, next_fast_len, rfft
 
+from lieid_casadi.arrays import Array
+from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.fixed_point import FitState
+from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
 from lieid_casadi.identification.regression.rows import JointRows, Rows
-from lieid_casadi.identification.uncertainty.residual_spectrum import (
-    ResidualSpectrum,
-    TimeLine,
-    residual_spectrum,
-)
+from lieid_casadi.identification.regression.shape_fit import shape_columns
 
-Array = NDArray[np.float64]
+QUIET = 5  # consecutive lags without significant correlation that end the correlation
+SIGNIFICANT = 2.0  # times √(log₁₀N/N): threshold of significant correlation
+LONGEST = 2000  # lags
+
+
+@dataclass(frozen=True, eq=False)
+class TimeLine:
+    """All segments on one time axis, with gaps longer than any lag that is used.
+
+    Attributes
+    ----------
+    positions : (instants,) int
+        Of each instant on the axis.
+    size : int
+        Length of the Fourier transforms.
+    longest : int
+        Largest lag that can be estimated.
+    """
+
+    positions: NDArray[np.intp]
+    size: int
+    longest: int
+
+    @classmethod
+    def of(cls, rows: Rows) -> TimeLine:
+        """Return the time line of a regression's instants."""
+        lengths = np.diff(rows.segments)
+        longest = int(max(min(lengths.max(initial=1) // 2, LONGEST), 1))
+        shifts = np.repeat(np.arange(len(lengths)) * longest, lengths)
+        positions = np.arange(int(rows.segments[-1])) + shifts
+        total = int(rows.segments[-1]) + len(lengths) * longest
+        return cls(positions, next_fast_len(total + 1, real=True), longest)
+
+    def transform(self, instants: NDArray[np.intp], values: Array) -> NDArray[np.complex128]:
+        """Return the Fourier transform (F, …) of values (R, …) at given instants, else zero."""
+        placed = np.zeros((self.size, *values.shape[1:]))
+        placed[self.positions[instants]] = values
+        return np.asarray(rfft(placed, axis=0))
+
+    def back(self, instants: NDArray[np.intp], spectrum: NDArray[np.complex128]) -> Array:
+        """Return the values at given instants of a Fourier transform."""
+        return np.asarray(irfft(spectrum, self.size, axis=0)[self.positions[instants]])
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualSpectrum:
+    """Spectrum of the joints' residuals.
+
+    Attributes
+    ----------
+    density : (F, n, n) complex
+        Hermitian and positive semidefinite at each frequency.
+    variance : (n,)
+        Of each joint's residual.
+    correlation_length : int
+        Number of lags in which residuals are correlated.
+    window : (size,)
+        Window on the lags.
+    """
+
+    density: NDArray[np.complex128]
+    variance: Array
+    correlation_length: int
+    window: Array
+
+    def smoothed(self, line: TimeLine, joint: JointRows, power: Array) -> Array:
+        """Return a density (F,) from a periodogram (F,), smoothed as that of the residuals.
+
+        Parameters
+        ----------
+        line : TimeLine
+        joint : JointRows
+        power : (F,)
+        """
+        covariance = irfft(power, line.size) / _pairs(line, joint, joint)
+        return np.asarray(rfft(self.window * covariance).real)
+
+
+def residual_spectrum(line: TimeLine, rows: Rows, residuals: Sequence[Array]) -> ResidualSpectrum:
+    """Return the spectrum of residuals.
+
+    Parameters
+    ----------
+    line : TimeLine
+    rows : Rows
+    residuals : sequence of (R,)
+        Per joint, at the instants of its rows.
+    """
+    n = len(rows.joints)
+    series = [
+        line.transform(joint.instant, e) for joint, e in zip(rows.joints, residuals, strict=True)
+    ]
+
+    def covariance(j: int, k: int) -> Array:
+        product = irfft(np.conj(series[j]) * series[k], line.size)
+        return np.asarray(product / _pairs(line, rows.joints[j], rows.joints[k]))
+
+    own = [covariance(j, j) for j in range(n)]
+    instants = int(rows.segments[-1])
+    length = max((_correlation_length(c[: line.longest], instants) for c in own), default=1)
+    lag = np.arange(line.size)
+    window = np.clip(2.0 - np.minimum(lag, line.size - lag) / length, 0.0, 1.0)
+    density = np.empty((line.size // 2 + 1, n, n), dtype=np.complex128)
+    for j in range(n):
+        for k in range(n):
+            cut = window * (own[j] if j == k else covariance(j, k))
+            density[:, j, k] = rfft(cut)
+    variance = np.array([c[0] for c in own])
+    return ResidualSpectrum(_positive(density), variance, length, window)
+
+
+def _pairs(line: TimeLine, one: JointRows, other: JointRows) -> Array:
+    """Return the number of pairs of instants with each lag (size,), at least 1."""
+    there = [line.transform(j.instant, np.ones(len(j.instant))) for j in (one, other)]
+    counts = irfft(np.conj(there[0]) * there[1], line.size)
+    return np.asarray(np.maximum(np.round(counts), 1.0))
+
+
+def _correlation_length(covariance: Array, instants: int) -> int:
+    """Return the lag after which no correlation is significant."""
+    if len(covariance) < 2 or covariance[0] <= 0.0:
+        return 1
+    chance = SIGNIFICANT * np.sqrt(np.log10(max(instants, 10)) / instants)
+    quiet = np.abs(covariance[1:] / covariance[0]) < chance
+    if len(quiet) < QUIET:
+        return max(len(quiet), 1)
+    run = np.convolve(quiet, np.ones(QUIET), "valid") == QUIET
+    return int(np.argmax(run)) + 1 if run.any() else len(quiet)
+
+
+def _positive(density: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the nearest spectrum that is positive semidefinite."""
+    hermitian = 0.5 * (density + np.conj(np.swapaxes(density, 1, 2)))
+    sizes, vectors = np.linalg.eigh(hermitian)
+    scaled = vectors * np.maximum(sizes, 0.0)[:, None, :]
+    return np.asarray(scaled @ np.conj(np.swapaxes(vectors, 1, 2)))
+
+
 COLUMNS = 8  # transformed at once; bounds the memory of long recordings
 LEAST_SPECTRUM = 0.1  # of a residual's spectrum that no number of parameters absorbs
 NEGLIGIBLE = 1e-4  # of the kernel's maximum; frequencies below it are left out
@@ -214,3 +355,31 @@ def _parzen(size: int, lags: int) -> Array:
     x = np.minimum(lag, size - lag) / max(lags, 1)
     near, far = 1.0 - 6.0 * x**2 + 6.0 * x**3, 2.0 * np.clip(1.0 - x, 0.0, None) ** 3
     return np.asarray(rfft(np.where(x < 0.5, near, far)).real)
+
+
+def fit_covariance(design: Design, state: FitState) -> Array:
+    """Return the covariance of values and shapes (p + s, p + s)."""
+    rows, values = state.rows, state.solution.values
+    residuals = rows.residuals(values)
+    unit = state.solution.unit_covariance
+    if len(state.shapes):
+        slopes = shape_columns(design, values, state.shapes, state.parameters)
+        rows = _with_columns(rows, slopes)
+        weighted = combine(joint_factors(rows, state.weighting.rows), np.ones(design.model.n))
+        unit = solve(weighted).unit_covariance
+    return hac_covariance(rows, state.weighting.rows, residuals, unit)
+
+
+def _with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
+    """Return rows with further columns after the p base columns."""
+    count = rows.count + further[0].shape[1]
+    joints = tuple(
+        JointRows(
+            np.concatenate([joint.columns, np.arange(rows.count, count)]),
+            np.column_stack([joint.matrix, extra]),
+            joint.torque,
+            joint.instant,
+        )
+        for joint, extra in zip(rows.joints, further, strict=True)
+    )
+    return Rows(joints, count, rows.segments)

@@ -3,30 +3,32 @@
 Low-passed residuals at the rate of a fit are strongly correlated from row to row, and tests that
 treat them as independent find every candidate significant. Rows are decimated to twice the
 cut-off, and the correlation of the noise itself is removed by an autoregressive filter on torque
-and columns (Cochrane & Orcutt, JASA 1949). Rows where dry friction is uncertain get less weight.
+and columns (Cochrane & Orcutt, JASA 1949).
+
+Rows where dry friction is uncertain get less weight: the sign of a velocity within its noise of
+zero, or within half a sample of a reversal, is not determined, and at rest friction has any value
+up to its level. Model errors depend on the motion, noise does not: `Noise.motion_ratio`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
+from scipy.signal import oaconvolve
+from scipy.special import erf
+from scipy.stats import chi2
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.identification.regression.fixed_point import FitState
-from lieid_casadi.identification.regression.friction_uncertainty import friction_torque_std
-from lieid_casadi.identification.uncertainty.motion_dependence import (
-    BLOCK,
-    common_effect_columns,
-    explainable,
-    motion_ratio_of,
-)
+from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.recording.processed import Processed
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 RATE_OVER_CUTOFF = 2.0
 LARGEST_ORDER = 8
@@ -292,3 +294,174 @@ def _lags(residual: Array, runs: Runs, order: int) -> tuple[Array, Array]:
     if not now:
         return np.zeros((0, order)), np.zeros(0)
     return np.concatenate(past), np.concatenate(now)
+
+
+REST_VARIANCE = 1.0 / 3.0  # of a uniform distribution from −1 to 1
+REVERSAL = 1e-9  # rad/s, on either side of a reversal
+RESPONSE = 2.0  # periods of the cut-off, length of the filter's impulse response
+
+
+def friction_torque_std(
+    compiled: Compiled, segment: Processed, shapes: Array, parameters: Array
+) -> Array:
+    """Return the standard deviation (M, n) of filtered torque due to dry friction, N·m.
+
+    Parameters
+    ----------
+    compiled : Compiled
+    segment : Processed
+        With M filtered instants.
+    shapes : (s,)
+        Shape parameters of the effects.
+    parameters : (10 n + m,)
+        Link parameters and effect coefficients, which determine the level of dry friction.
+    """
+    reach = min(round(RESPONSE * segment.rate / segment.cutoff), len(segment) - 1)
+    impulse = np.zeros(2 * reach + 1)
+    impulse[reach] = 1.0
+    response = lowpass(impulse, segment.rate, segment.cutoff, segment.options.order)
+    parts = []
+    for window in segment.windows:
+        at = window.instants
+        level = dry_level(compiled, segment, at, shapes, parameters)
+        moving = segment.moving[at]
+        variance = np.where(moving, 1.0 - expected_sign(segment, at) ** 2, 0.0) * level**2
+        spread = oaconvolve(variance, response[:, None] ** 2, mode="same", axes=0)[window.inside]
+        rest = segment.filter_window(np.where(moving, 0.0, level), window)
+        parts.append(np.sqrt(np.maximum(spread, 0.0) + REST_VARIANCE * rest**2))
+    return np.concatenate(parts)
+
+
+def expected_sign(segment: Processed, at: slice) -> Array:
+    """Return the expected sign of the velocity (k, n), −1 to 1, at the instants ``at``.
+
+    Torque and position are synchronous to half a sample at best.
+    """
+    ahead = 0.5 * np.abs(segment.ddq[at]) / segment.rate
+    return np.asarray(erf(3.0 / np.sqrt(2.0) * segment.dq[at] / np.hypot(segment.dead_zone, ahead)))
+
+
+def dry_level(
+    compiled: Compiled, segment: Processed, at: slice, shapes: Array, parameters: Array
+) -> Array:
+    """Return half the jump of the effects' torque at a velocity reversal (k, n), N·m.
+
+    Parameters
+    ----------
+    compiled : Compiled
+    segment : Processed
+    at : slice
+        k instants of the segment.
+    shapes : (s,)
+    parameters : (10 n + m,)
+        Link parameters and effect coefficients.
+    """
+    n, q = compiled.n, segment.q[at]
+    signals: dict[str, Any] = {"shapes": shapes, "time": segment.t[at] - segment.t[0]}
+    if segment.temperature is not None:
+        signals["temperature"] = segment.temperature[at]
+    if segment.command_error is not None:
+        signals["command_error"] = segment.command_error[at]
+    if any("load" in p.effect.signals for p in compiled.model.placements):
+        motion = q, segment.dq[at], segment.ddq[at]
+        signals["load"] = compiled.inverse_dynamics(*motion, parameters[: 10 * n])
+    still, coefficients = np.zeros_like(q), parameters[10 * n :]
+    forward, back = (
+        compiled.friction(
+            q, np.full_like(q, dq), still, coefficients, **signals, joint_effects_only=True
+        )
+        for dq in (REVERSAL, -REVERSAL)
+    )
+    return np.asarray(0.5 * np.abs(forward - back))
+
+
+BLOCK = 2.0  # s
+CERTAIN = 0.9  # weight above which dry friction adds less than half of the noise
+FEWEST_ROWS = 8  # of a block whose mean square is used
+LEVEL = 0.95  # of the test that blocks differ more than by chance
+QUANTILE = 1.28  # standard deviations: one block in ten is above
+SLOW = 0.1  # of the top speed
+MOST_EXPLAINABLE = 0.9  # of the residual
+
+
+def motion_ratio_of(
+    residual: Array,
+    weights: Array,
+    at: NDArray[np.intp],
+    redundancy: float,
+    rows_per_block: int,
+) -> float:
+    """Return the RMS residual that one tenth of the motion exceeds, relative to that of all of it.
+
+    The variance of the blocks' mean squares counts by what exceeds the 95 % level of its χ²
+    distribution under noise alone. The ratio is therefore 1 if blocks differ no more than by
+    chance, and it grows from there without a jump.
+
+    Parameters
+    ----------
+    residual : (N,)
+        Of one joint.
+    weights : (N,)
+        Of its rows, 0 to 1. Those where dry friction is uncertain are left out: an uncertain sign
+        of the velocity gives large errors near rests and reversals, which are not evenly spread
+        over the motion.
+    at : (N,) int
+        Instants.
+    redundancy : float
+        Number of rows per independent sample, from the correlation of the residual.
+    rows_per_block : int
+        Instants per block.
+    """
+    sure = weights > CERTAIN
+    residual, at = (weights * residual)[sure], at[sure]
+    _, block, counts = np.unique(at // rows_per_block, return_inverse=True, return_counts=True)
+    squares = np.bincount(block, weights=residual**2) / counts
+    squares, counts = squares[counts >= FEWEST_ROWS], counts[counts >= FEWEST_ROWS]
+    if len(squares) < 3 or not squares.any():
+        return 1.0
+    relative = squares / squares.mean()
+    chance = float(np.mean(2.0 * redundancy / counts))
+    most = chance * float(chi2.ppf(LEVEL, len(relative) - 1)) / (len(relative) - 1)
+    variance = float(np.var(relative, ddof=1))
+    return float(np.sqrt(1.0 + QUANTILE * np.sqrt(max(variance - most, 0.0))))
+
+
+def explainable(residual: Array, columns: Array) -> float:
+    """Return the part of the residual's variance that columns explain, adjusted for their number.
+
+    Parameters
+    ----------
+    residual : (N,)
+    columns : (N, k)
+    """
+    total = float(np.sum(residual**2))
+    count, width = columns.shape
+    if count < 3 * width or total == 0.0:
+        return 0.0
+    norms = np.linalg.norm(columns, axis=0)
+    scaled = columns / np.where(norms > 0.0, norms, 1.0)
+    rest = residual - scaled @ np.linalg.lstsq(scaled, residual, rcond=1e-6)[0]
+    part = 1.0 - float(np.sum(rest**2)) / total * count / (count - width)
+    return float(np.clip(part, 0.0, MOST_EXPLAINABLE))
+
+
+def common_effect_columns(compiled: Compiled, segment: Processed, links: Array) -> Array:
+    """Return filtered columns (M, n, k) of common effects that depend on a joint's own motion.
+
+    Parameters
+    ----------
+    compiled : Compiled
+    segment : Processed
+        With M filtered instants.
+    links : (10 n,)
+        Link parameters.
+    """
+    top = np.maximum(np.abs(segment.dq).max(axis=0), 1e-9)
+    parts = []
+    for window in segment.windows:
+        q, dq, ddq = (x[window.instants] for x in (segment.q, segment.dq, segment.ddq))
+        x, load = dq / top, compiled.inverse_dynamics(q, dq, ddq, links)
+        slow = np.sign(x) * np.exp(-((x / SLOW) ** 2))
+        columns = [x * np.abs(x), x**3, slow, np.sign(x) * np.abs(load), ddq, np.sin(q), np.cos(q)]
+        parts.append(segment.filter_window(np.stack(columns, axis=-1), window))
+    return np.concatenate(parts)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ModelError
 from lieid_casadi.identification.prediction import on_recording_times, torque_along
 from lieid_casadi.identification.regression.segment_columns import effects_along
@@ -18,7 +18,6 @@ from lieid_casadi.recording.recording import Recording
 if TYPE_CHECKING:
     from lieid_casadi.identification.fit import Fit
 
-Array = NDArray[np.float64]
 STEP = 1e-4  # of a shape's size, for the torque's slope
 
 
