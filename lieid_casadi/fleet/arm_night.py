@@ -24,10 +24,10 @@ from lieid_casadi.fleet.night_result import (
 )
 from lieid_casadi.fleet.recordings import local_copy
 from lieid_casadi.identification import Fit
+from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import joint_factors
-from lieid_casadi.identification.temperature import center_temperature
 from lieid_casadi.identification.uncertainty.noise_model import RATE_OVER_CUTOFF
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Parameter
