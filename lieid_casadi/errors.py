@@ -117,6 +117,42 @@ class LargeFileWarning(LieidWarning):
     """A file that is larger than the memory: its rate was lowered while it was read."""
 
 
+class RepairWarning(LieidWarning):
+    """Damage of a recording that was repaired on reading.
+
+    Attributes
+    ----------
+    samples : int
+        How many rows, or values, it concerned.
+    joints : tuple of int
+        Numbers, from 1, of the joints that it concerned; empty where it is not one of joints.
+    """
+
+    def __init__(self, message: str, *, samples: int = 0, joints: Sequence[int] = ()) -> None:
+        super().__init__(message)
+        self.samples, self.joints = samples, tuple(joints)
+
+
+class DamagedRowsWarning(RepairWarning):
+    """Rows with missing or not finite values were left out."""
+
+
+class DuplicateRowsWarning(RepairWarning):
+    """Rows that repeat the previous one exactly, time included, were left out."""
+
+
+class WrappedAngleWarning(RepairWarning):
+    """Angles that jump by a whole turn were made continuous."""
+
+
+class OutlierWarning(RepairWarning):
+    """Rows with an outlier of a single sample were left out."""
+
+
+class ColumnNamesWarning(LieidWarning):
+    """Columns were assigned to signals by other names than those of the file format."""
+
+
 class DropoutWarning(LieidWarning):
     """Samples are missing; segments are not joined across gaps."""
 

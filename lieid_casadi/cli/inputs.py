@@ -211,6 +211,7 @@ def _reading_options(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
         "n": robot.n,
         "joint_names": [joint.name for joint in robot.joints],  # bags name theirs
         "units": args.units,
+        "columns": args.columns,
         "revolute": np.array([joint.revolute for joint in robot.joints]),
         "position_limits": np.column_stack(limits),
     }

@@ -157,6 +157,10 @@ READING = (
         default="",
     ),
     option(
+        "--columns NAME=COLUMN,…",
+        "columns of other names than those of the file format, such as t=stamp,q=pos_*,tau1=effort",
+    ),
+    option(
         "--inflate-limit MIB",
         "size that a compressed recording may inflate to; default: 1024",
         number,

@@ -13,7 +13,7 @@ from typing import Any
 from lieid_casadi.errors import ClusterLost, FleetError, MissingDependency
 from lieid_casadi.fleet.arm_night import run_arm_night
 from lieid_casadi.fleet.night_result import ArmNight, NightResult
-from lieid_casadi.recording.readers.registry import reason_of
+from lieid_casadi.messages import reason_of
 
 DASHBOARD_WAIT = 5.0  # s: for the answer of the dashboard
 #: Of a cluster on this machine. Dask lets malloc return memory after every array of 64 kB, which

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from lieid_casadi.atomic_file import check_file, reported
 from lieid_casadi.errors import FleetError, MissingDependency
 from lieid_casadi.fleet.night_result import ArmNight, NightResult
-from lieid_casadi.recording.readers.registry import reason_of
+from lieid_casadi.messages import reason_of
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

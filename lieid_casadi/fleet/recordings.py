@@ -13,7 +13,7 @@ from re import Pattern
 from typing import Any, TypeVar
 
 from lieid_casadi.errors import FleetError, MissingDependency
-from lieid_casadi.recording.readers.registry import reason_of
+from lieid_casadi.messages import reason_of
 
 T = TypeVar("T")
 ATTEMPTS, FIRST_WAIT = 3, 0.5  # at a store that cannot be reached; seconds, doubled each time

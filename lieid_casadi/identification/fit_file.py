@@ -34,9 +34,9 @@ from lieid_casadi.identification.recording_checks import Provenance, Source
 from lieid_casadi.identification.regression.least_squares import Conditioning
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import numbers_or_none
+from lieid_casadi.messages import reason_of
 from lieid_casadi.model import Model
 from lieid_casadi.recording.processed import Processing
-from lieid_casadi.recording.readers.registry import reason_of
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.robot import Robot
 from lieid_casadi.robot.yaml_file import write_yaml

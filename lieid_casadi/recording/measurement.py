@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import LieidWarning, RecordingError
@@ -128,8 +128,8 @@ class Measurement:
         """Return rows first … last − 1 (from 0)."""
         return self.at(slice(first, last))
 
-    def at(self, rows: slice | Mask) -> Self:
-        """Return the rows of a slice or of a mask (N,)."""
+    def at(self, rows: slice | Mask | NDArray[np.intp]) -> Self:
+        """Return the rows of a slice, a mask (N,) or numbers."""
         fields = ("t", "q", *OPTIONAL_SIGNALS)
         given = {field: getattr(self, field) for field in fields}
         signals = {field: x[rows] for field, x in given.items() if x is not None}
@@ -200,23 +200,31 @@ def first_fault(measurement: Measurement) -> Fault | None:
     return _out_of_range(measurement) or _not_increasing(measurement.t)
 
 
+def in_range(measurement: Measurement) -> Mask:
+    """Mark rows (N,) whose values are finite and small enough to compute with."""
+    sound = np.abs(measurement.t) <= LARGEST_TIME
+    for field in FIELDS.values():
+        values = getattr(measurement, field)
+        if values is not None:
+            sound &= np.all(np.abs(values) <= LARGEST_SIGNAL, axis=1)
+    return np.asarray(sound)
+
+
 def _out_of_range(measurement: Measurement) -> Fault | None:
     """Return the first value that is not finite or too large to compute with."""
-    faults = []
-    bad_times = np.nonzero(~(np.abs(measurement.t) <= LARGEST_TIME))[0]
-    if bad_times.size:
-        row = int(bad_times[0])
-        faults.append(Fault(_expected(measurement.t[row], LARGEST_TIME), row, "t"))
+    sound = in_range(measurement)
+    if sound.all():
+        return None
+    row = int(np.argmin(sound))
+    if not abs(measurement.t[row]) <= LARGEST_TIME:
+        return Fault(_expected(measurement.t[row], LARGEST_TIME), row, "t")
     for prefix, field in FIELDS.items():
         values = getattr(measurement, field)
-        if values is None:
-            continue
-        bad = ~(np.abs(values) <= LARGEST_SIGNAL)
-        if bad.any():
-            row, joint = (int(index) for index in np.argwhere(bad)[0])
-            column = f"{prefix}{joint + 1}"
-            faults.append(Fault(_expected(values[row, joint], LARGEST_SIGNAL), row, column))
-    return min(faults, key=lambda fault: fault.row or 0, default=None)
+        if values is not None:
+            for joint in np.flatnonzero(~(np.abs(values[row]) <= LARGEST_SIGNAL)):
+                value = float(values[row, joint])
+                return Fault(_expected(value, LARGEST_SIGNAL), row, f"{prefix}{joint + 1}")
+    return None
 
 
 def _expected(value: float, largest: float) -> str:
@@ -245,15 +253,13 @@ def _not_increasing(t: Array) -> Fault | None:
 
 
 def require_sound(measurement: Measurement) -> None:
-    """Refuse a measurement with a fault.
-
-    Raises
-    ------
-    RecordingError
-        Names the first row and column with a fault.
-    """
+    """Refuse a measurement with a fault; the error names its row and column."""
     fault = first_fault(measurement)
-    if fault is None:
-        return
+    if fault is not None:
+        raise fault_error(measurement, fault)
+
+
+def fault_error(measurement: Measurement, fault: Fault) -> RecordingError:
+    """Return the error of a fault with its row and column."""
     place = "" if fault.row is None else f"row {fault.row + 1}, column {fault.column}: "
-    raise RecordingError(f"{measurement.title}: {place}{fault}")
+    return RecordingError(f"{measurement.title}: {place}{fault}")

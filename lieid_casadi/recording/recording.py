@@ -24,10 +24,12 @@ from lieid_casadi.recording.conversion import (
 from lieid_casadi.recording.measurement import (
     OPTIONAL_SIGNALS,
     Measurement,
+    fault_error,
     hash_of_arrays,
     read_only,
     require_sound,
 )
+from lieid_casadi.recording.readers.column_names import ColumnNames, parse_columns
 from lieid_casadi.recording.readers.columns import measurement_of_columns
 from lieid_casadi.recording.readers.registry import (
     INFLATE_LIMIT,
@@ -36,6 +38,7 @@ from lieid_casadi.recording.readers.registry import (
     read_measurement,
     write_measurement,
 )
+from lieid_casadi.recording.repairs import repaired, without_damaged_rows
 from lieid_casadi.recording.sample_timing import gap_limit, sample_rate, segment_edges
 from lieid_casadi.robot.drive import Drive
 
@@ -131,6 +134,7 @@ class Recording(Measurement):
         torque_constants: ArrayLike | None = None,
         drives: Sequence[Drive] | None = None,
         units: str | Sequence[str] = (),
+        columns: ColumnNames | None = None,
     ) -> Self:
         """Return a recording from a pandas or polars data frame with the columns of a CSV.
 
@@ -141,7 +145,7 @@ class Recording(Measurement):
             ``i*``, ``qcmd*``, ``load``; N rows.
         name
             For messages.
-        torque_constants, drives, units
+        torque_constants, drives, units, columns
             As for :meth:`load`.
 
         Raises
@@ -149,8 +153,8 @@ class Recording(Measurement):
         RecordingError
             A missing column, or values that no recording may contain.
         """
-        columns = {str(column): np.asarray(frame[column]) for column in frame.columns}
-        made = measurement_of_columns(columns, name or "data frame")
+        given = {str(column): np.asarray(frame[column]) for column in frame.columns}
+        made = measurement_of_columns(given, name or "data frame", stated=parse_columns(columns))
         made = convert_units(made, units)
         arrays = [made.t, made.q, *(getattr(made, f) for f in OPTIONAL_SIGNALS)]
         made = replace(made, name=name, source_hash=hash_of_arrays([*arrays, made.payload_label]))
@@ -166,6 +170,7 @@ class Recording(Measurement):
         n: int | None = None,
         joint_names: Sequence[str] | None = None,
         topic: str | None = None,
+        columns: ColumnNames | None = None,
         episodes: tuple[int, int | None] = (0, None),
         calibration: str | None = None,
         position_limits: ArrayLike | None = None,
@@ -190,6 +195,10 @@ class Recording(Measurement):
         joint_names, topic
             For bags: the joints in the robot's order, and the topic to read. Datasets have
             names, too.
+        columns
+            Columns of other names than those of the file format: ``"t=stamp,q1=elbow"`` or a
+            mapping ``{"q1": "elbow"}``; ``"q=pos_*"`` stands for all joints in the order of
+            their numbers.
         episodes
             For LeRobot datasets: first episode and end (excluded; None: all).
         calibration, position_limits
@@ -215,6 +224,7 @@ class Recording(Measurement):
             n=n,
             joint_names=None if joint_names is None else tuple(joint_names),
             topic=topic,
+            columns=parse_columns(columns),
             episodes=episodes,
             calibration=calibration,
             position_limits=limit_pairs(position_limits),
@@ -223,20 +233,25 @@ class Recording(Measurement):
             part=_part_ends(start, end, unit_factors(units)[0]),
         )
         made = convert_units(read_measurement(file, options), units, revolute)
-        recording = cls.of_measurement(made).with_torque(torque_constants, drives)
+        recording = cls.of_measurement(made, revolute).with_torque(torque_constants, drives)
         return recording if start is None and end is None else recording.cut(start, end)
 
     @classmethod
-    def of_measurement(cls, measurement: Measurement) -> Self:
-        """Return a measurement as a recording.
+    def of_measurement(cls, measurement: Measurement, revolute: Mask | None = None) -> Self:
+        """Return a measurement as a recording, with small damage repaired and reported.
+
+        ``revolute`` (n,) marks the joints that turn; None: all of them.
 
         Raises
         ------
         RecordingError
-            Fewer than two rows, NaN or Inf, time that does not increase.
+            Fewer than two rows, many rows with NaN or Inf, time that does not increase.
         """
-        require_sound(measurement)
-        return cls(**{field: getattr(measurement, field) for field in cls.__dataclass_fields__})
+        made, fault = without_damaged_rows(measurement)
+        if fault is not None:
+            raise fault_error(measurement, fault)
+        made = repaired(made, revolute)
+        return cls(**{field: getattr(made, field) for field in cls.__dataclass_fields__})
 
     def cut(self, start: float | None = None, end: float | None = None) -> Self:
         """Return the part with start ≤ t < end, s, on the recording's own clock.

@@ -12,10 +12,11 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import LieidWarning, RecordingError, UnknownColumnWarning
+from lieid_casadi.messages import names_text, shortened
 from lieid_casadi.recording.measurement import FIELDS, Measurement
+from lieid_casadi.recording.readers.column_names import LABEL, signal_names
 
-#: Column of the payload's label.
-LABEL = "load"
+REMEDY = "other names are stated by --columns NAME=COLUMN,… (columns= in Python)"
 EXPECTED = "t,q1…qn and optionally dq*, tau*, ddq*, temp*, i*, qcmd*, load"
 
 _JOINT_COLUMN = re.compile(r"(q|dq|ddq|tau|temp|i|qcmd)([0-9]{1,6})")
@@ -50,17 +51,6 @@ class ColumnLayout:
         return [header[index] for index in indices]
 
 
-def shorten(text: str, length: int = 40) -> str:
-    """Quoted text for a message, cut to a readable length."""
-    return repr(text if len(text) <= length else text[: length - 1] + "…")
-
-
-def listed(names: Sequence[str], most: int = 8) -> str:
-    """Return names for a message, separated by commas; the first eight of a long list."""
-    shown = [name if name.isprintable() else repr(name) for name in names[:most]]
-    return ", ".join(shown) + (", …" if len(names) > most else "")
-
-
 def read_layout(header: Sequence[str], where: str, n: int | None = None) -> ColumnLayout:
     """Find the columns of a recording in a header.
 
@@ -81,11 +71,13 @@ def read_layout(header: Sequence[str], where: str, n: int | None = None) -> Colu
     names = [name.strip() for name in header]
     for name, count in Counter(names).items():
         if name and count > 1:
-            raise RecordingError(f"{where}: column {shorten(name)} occurs twice, expected it once")
+            raise RecordingError(
+                f"{where}: column {shortened(name)} occurs twice, expected it once"
+            )
     if "t" not in names:
-        found = shorten(",".join(names))
+        found = shortened(",".join(names))
         raise RecordingError(
-            f"{where}: found {found}, expected a header with column t ({EXPECTED})"
+            f"{where}: found {found}, expected a header with column t ({EXPECTED}); {REMEDY}"
         )
     numbered: dict[str, dict[int, int]] = {}
     unknown = []
@@ -109,14 +101,14 @@ def read_layout(header: Sequence[str], where: str, n: int | None = None) -> Colu
 
 def _count_joints(numbered: dict[str, dict[int, int]], where: str, n: int | None) -> int:
     if "q" not in numbered:
-        raise RecordingError(f"{where}: no column q1, expected {EXPECTED}")
+        raise RecordingError(f"{where}: no column q1, expected {EXPECTED}; {REMEDY}")
     count = max(max(indices) for indices in numbered.values())
     if n is not None and max(numbered["q"]) == len(numbered["q"]) == count != n:
         raise RecordingError(f"{where}: found {count} joints (q1…q{count}), expected {n}")
     for prefix, indices in numbered.items():
         for joint in range(1, count + 1):
             if joint not in indices:
-                found = listed([f"{prefix}{j}" for j in sorted(indices)])
+                found = names_text([f"{prefix}{j}" for j in sorted(indices)])
                 raise RecordingError(
                     f"{where}: column {prefix}{joint} is missing (found {found}), "
                     f"expected {prefix}1…{prefix}{count}"
@@ -132,31 +124,37 @@ def layout_warnings(layout: ColumnLayout, title: str) -> tuple[LieidWarning, ...
         return ()
     return (
         UnknownColumnWarning(
-            f"{title}: columns with unknown names ignored: {listed(layout.unknown)}"
+            f"{title}: columns with unknown names ignored: {names_text(layout.unknown)}"
         ),
     )
 
 
 def measurement_of_columns(
-    columns: Mapping[str, Any], title: str, n: int | None = None
+    given: Mapping[str, Any],
+    title: str,
+    n: int | None = None,
+    stated: Sequence[tuple[str, str]] = (),
 ) -> Measurement:
     """Return a measurement from named columns; values are not checked yet.
 
     Parameters
     ----------
-    columns
-        Column name -> (N,) values; see `lieid_casadi.recording.readers.columns` for the names.
+    given
+        Column name -> (N,) values.
     title
         Name of the source, for messages.
     n
         Number of joints that is expected; None takes it from the columns.
+    stated
+        Names of the file format and their columns.
 
     Raises
     ------
     RecordingError
         A missing column, one that does not hold numbers, or columns of unequal length.
     """
-    names = list(columns)
+    names, warnings = signal_names(list(given), title, stated)
+    columns = dict(zip(names, given.values(), strict=True))
     layout = read_layout(names, title, n)
     rows = len(columns[names[layout.time]])
     for name in layout.used(names):
@@ -176,7 +174,7 @@ def measurement_of_columns(
         t=number(layout.time),
         payload_label=None if label is None else tuple(str(x) for x in label),
         name=title,
-        warnings=layout_warnings(layout, title),
+        warnings=(*warnings, *layout_warnings(layout, title)),
         **signals,
     )
 
@@ -213,7 +211,7 @@ def _numbers(values: Any, where: str) -> Array:
         try:
             converted[row] = np.nan if value is None else float(value)
         except (TypeError, ValueError, OverflowError):
-            found = shorten(str(value))
+            found = shortened(str(value))
             raise RecordingError(
                 f"{where}, row {row + 1}: found {found}, expected a number"
             ) from None

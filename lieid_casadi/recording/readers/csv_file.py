@@ -16,14 +16,15 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LieidError, RecordingError
-from lieid_casadi.recording.measurement import Measurement, first_fault
+from lieid_casadi.messages import shortened
+from lieid_casadi.recording.measurement import Measurement
+from lieid_casadi.recording.readers.column_names import signal_names
 from lieid_casadi.recording.readers.columns import (
     EXPECTED,
     ColumnLayout,
     columns_of,
     layout_warnings,
     read_layout,
-    shorten,
 )
 from lieid_casadi.recording.readers.registry import (
     ReadOptions,
@@ -31,6 +32,7 @@ from lieid_casadi.recording.readers.registry import (
     beyond_limit,
     hash_of_file,
 )
+from lieid_casadi.recording.repairs import without_damaged_rows
 
 
 def read_csv(file: Path, options: ReadOptions) -> Measurement:
@@ -47,8 +49,10 @@ def read_csv(file: Path, options: ReadOptions) -> Measurement:
         raise RecordingError(f"{file}: found an empty file, expected a header {EXPECTED}")
     number, line = first
     header = _header(file, line, number)
-    layout = read_layout(header, f"{file}: line {number}", options.n)
-    matrix, labels = _parse(file, header, layout, limit)
+    where = f"{file}: line {number}"
+    names, assumed = signal_names(header, where, options.columns, options.joint_names)
+    layout = read_layout(names, where, options.n)
+    matrix, labels, mended = _parse(file, header, layout, limit)
     if len(matrix) < 2:
         found = "one row" if len(matrix) else "no rows"
         raise RecordingError(f"{file}: found {found} below the header, expected at least two")
@@ -61,15 +65,17 @@ def read_csv(file: Path, options: ReadOptions) -> Measurement:
         payload_label=labels,
         name=file.name,
         source_hash=hash_of_file(file),
-        warnings=layout_warnings(layout, file.name),
+        warnings=(*assumed, *layout_warnings(layout, file.name)),
         **signals,
     )
-    fault = first_fault(measurement)
+    repaired, fault = without_damaged_rows(measurement)
+    if fault is not None and mended:
+        raise _locate(file, header, layout, limit)
     if fault is not None and fault.row is not None:
         rows = (number for number, _ in numbered_lines(file, limit))
         bad_line = [number for number, _ in zip(rows, range(fault.row + 2), strict=False)][-1]
         raise RecordingError(f"{file}: line {bad_line}, column {fault.column}: {fault}")
-    return measurement
+    return repaired
 
 
 def write_csv(measurement: Measurement, file: Path) -> None:
@@ -95,9 +101,9 @@ def _header(file: Path, line: str, number: int) -> list[str]:
     where = f"{file}: line {number}"
     names = _cells(line)
     if names is None:
-        raise RecordingError(f"{where}: found {shorten(line)}, expected a header {EXPECTED}")
+        raise RecordingError(f"{where}: found {shortened(line)}, expected a header {EXPECTED}")
     names = [name.strip() for name in names]
-    if "t" in names:
+    if len(names) > 1 and not all(_is_number(name) for name in names):
         return names
     for separator, title in ((";", "semicolons"), ("\t", "tabs")):
         if "t" in [name.strip() for name in line.split(separator)]:
@@ -129,51 +135,70 @@ class _RowFault(LieidError):
 
 def _parse(
     file: Path, header: list[str], layout: ColumnLayout, limit: int
-) -> tuple[Array, tuple[str, ...] | None]:
-    """Return the numbers (N, columns) in the order of `_numeric`, and the payload's labels."""
-    labels: list[str] = []
-    count = 0
+) -> tuple[Array, tuple[str, ...] | None, bool]:
+    """Return the numbers (N, columns) in the order of `_numeric`, and the payload's labels.
 
-    def rows() -> Iterator[str]:
-        nonlocal count
-        lines = numbered_lines(file, limit)
-        next(lines)  # the header
-        commas: int | None = None
-        for _, line in lines:
-            if layout.label is not None:
-                cells = _cells(line)
-                if cells is None or len(cells) != len(header):
-                    raise _RowFault
-                labels.append(cells[layout.label].strip())
-            else:
-                here = line.count(",")
-                commas = here if commas is None else commas
-                if here != commas:
-                    raise _RowFault
-            count += 1
-            yield line
+    The last value is whether empty cells, and rows that end early, were read as NaN.
+    """
+    for mend in (False, True):
+        labels: list[str] = []
+        try:
+            source = _rows(file, header, layout, limit, labels, mend)
+            first = next(source, None)
+            if first is None:
+                return np.empty((0, len(_numeric(layout)))), None, False
+            matrix = np.loadtxt(
+                chain([first], source),
+                delimiter=",",
+                comments=None,
+                quotechar='"',
+                usecols=_numeric(layout),
+                ndmin=2,
+            )
+        except LieidError as error:
+            if not isinstance(error, _RowFault):
+                raise
+        except ValueError:
+            pass
+        else:
+            if len(matrix) == len(labels):
+                return matrix, None if layout.label is None else tuple(labels), mend
+    raise _locate(file, header, layout, limit)
 
-    try:
-        first = next(source := rows(), None)
-        if first is None:
-            return np.empty((0, len(_numeric(layout)))), None
-        matrix = np.loadtxt(
-            chain([first], source),
-            delimiter=",",
-            comments=None,
-            quotechar='"',
-            usecols=_numeric(layout),
-            ndmin=2,
-        )
-    except _RowFault:
-        raise _locate(file, header, layout, limit) from None
-    except LieidError:
-        raise
-    except ValueError:
-        raise _locate(file, header, layout, limit) from None
-    if len(matrix) != count:
-        raise _locate(file, header, layout, limit)
-    return matrix, tuple(labels) if layout.label is not None else None
+
+def _rows(
+    file: Path, header: list[str], layout: ColumnLayout, limit: int, labels: list[str], mend: bool
+) -> Iterator[str]:
+    """Yield the rows below the header and append the label of each."""
+    lines = numbered_lines(file, limit)
+    next(lines)  # the header
+    commas: int | None = None
+    for _, line in lines:
+        if mend:
+            line = _mended(line, len(header))
+        label = ""
+        if layout.label is not None:
+            cells = _cells(line)
+            if cells is None or len(cells) != len(header):
+                raise _RowFault
+            label = cells[layout.label].strip()
+        else:
+            here = line.count(",")
+            commas = here if commas is None else commas
+            if here != commas:
+                raise _RowFault
+        labels.append(label)
+        yield line
+
+
+def _mended(line: str, columns: int) -> str:
+    """Return a row with NaN in empty cells, and in all cells if it ends early."""
+    cells = line.split(",")
+    if '"' in line or len(cells) > columns:
+        raise _RowFault
+    if len(cells) < columns:
+        cells = [""] * columns
+    return ",".join(cell if cell.strip() else "nan" for cell in cells)
 
 
 def _locate(file: Path, header: list[str], layout: ColumnLayout, limit: int) -> RecordingError:
@@ -188,7 +213,7 @@ def _locate(file: Path, header: list[str], layout: ColumnLayout, limit: int) -> 
             return RecordingError(f"{where}: found damaged quotes, expected a CSV")
         for index, cell in enumerate(cells[: len(header)]):
             if index in numeric and not _is_number(cell):
-                found = shorten(cell.strip()) if cell.strip() else "an empty cell"
+                found = shortened(cell.strip()) if cell.strip() else "an empty cell"
                 return RecordingError(
                     f"{where}, column {header[index]}: found {found}, expected a number"
                 )

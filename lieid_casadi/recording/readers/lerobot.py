@@ -22,8 +22,8 @@ from lieid_casadi.errors import (
     RecordingError,
     UnknownColumnWarning,
 )
+from lieid_casadi.messages import names_text, shortened
 from lieid_casadi.recording.measurement import Measurement
-from lieid_casadi.recording.readers.columns import listed, shorten
 from lieid_casadi.recording.readers.parquet_file import import_pyarrow, require_bounded_size
 from lieid_casadi.recording.readers.registry import (
     ReadOptions,
@@ -114,7 +114,7 @@ def _info(folder: Path) -> _Info:
         info = msgspec.json.decode(file.read_bytes(), type=_Info)
     if info.codebase_version not in VERSIONS:
         raise RecordingError(
-            f"{file}: found codebase_version {shorten(info.codebase_version)}, "
+            f"{file}: found codebase_version {shortened(info.codebase_version)}, "
             f"expected {', '.join(VERSIONS)}"
         )
     if not 1.0 <= info.fps <= 1e5:
@@ -143,8 +143,8 @@ def _matched(names: Sequence[str], joints: Sequence[str], folder: Path) -> list[
     missing = [joint for joint in joints if joint not in names]
     if missing:
         raise RecordingError(
-            f"{folder}: no motor {shorten(missing[0])} (found {listed(list(names))}), "
-            f"expected the robot's joints {listed(list(joints))}"
+            f"{folder}: no motor {shortened(missing[0])} (found {names_text(list(names))}), "
+            f"expected the robot's joints {names_text(list(joints))}"
         )
     return [names.index(joint) for joint in joints]
 
@@ -209,7 +209,9 @@ def _ignored(
     unused = [name for k, name in enumerate(names) if k not in columns]
     if not unused:
         return ()
-    return (UnknownColumnWarning(f"{folder.name}: motors of no joint ignored: {listed(unused)}"),)
+    return (
+        UnknownColumnWarning(f"{folder.name}: motors of no joint ignored: {names_text(unused)}"),
+    )
 
 
 FORMAT = RecordingFormat(
@@ -302,15 +304,15 @@ def _limits(
     limits = np.array(options.position_limits or np.full((len(motors), 2), np.nan))
     if not np.all(np.isfinite(limits[per_cent])):
         raise RecordingError(
-            f"{folder}: {listed(needed)}: in per cent of their ranges, and the robot states no "
+            f"{folder}: {names_text(needed)}: in per cent of their ranges, and the robot states no "
             "position limits; expected LeRobot's calibration (--calibration FILE)"
         )
     return limits, (
         AssumedCalibrationWarning(
-            f"{folder.name}: assumed: the normalised ranges of {listed(needed)} end at the robot's "
-            "position limits. A wrong range scales angles, and a wrong middle shifts them, which "
-            "changes gravity and inertia parameters; LeRobot's calibration file of this arm "
-            "(--calibration FILE) replaces the assumption"
+            f"{folder.name}: assumed: the normalised ranges of {names_text(needed)} end at the "
+            "robot's position limits. A wrong range scales angles, and a wrong middle shifts "
+            "them, which changes gravity and inertia parameters; LeRobot's calibration file of "
+            "this arm (--calibration FILE) replaces the assumption"
         ),
     )
 
@@ -331,8 +333,8 @@ def _calibrated(
     missing = [motor for motor in motors if motor not in stated]
     if missing:
         raise RecordingError(
-            f"{file}: no motor {shorten(missing[0])} (found {listed(list(stated))}), "
-            f"expected {listed(list(motors))}"
+            f"{file}: no motor {shortened(missing[0])} (found {names_text(list(stated))}), "
+            f"expected {names_text(list(motors))}"
         )
     ends = []
     for joint, motor in enumerate(motors):

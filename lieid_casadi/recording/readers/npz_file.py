@@ -1,10 +1,11 @@
-"""Recordings as NumPy archives: arrays t (N,), q, dq, tau, ddq, temp, i (N, n), load (N,)."""
+"""Recordings as NumPy archives: arrays t (N,), q, dq … (N, n), or q1, q2 … (N,) as in a CSV."""
 
 from __future__ import annotations
 
 import io
 import math
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ import numpy as np
 
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LieidWarning, RecordingError, UnknownColumnWarning
+from lieid_casadi.messages import names_text
 from lieid_casadi.recording.measurement import FIELDS, Measurement
-from lieid_casadi.recording.readers.columns import LABEL, listed
+from lieid_casadi.recording.readers.column_names import LABEL, is_signal, signal_names
+from lieid_casadi.recording.readers.columns import measurement_of_columns
 from lieid_casadi.recording.readers.registry import (
     ReadOptions,
     RecordingFormat,
@@ -43,18 +46,22 @@ def read_npz(file: Path, options: ReadOptions) -> Measurement:
     if file.stat().st_size == 0:
         raise RecordingError(f"{file}: found an empty file, expected {EXPECTED}")
     with library_errors(file, "an NPZ of plain arrays"):
-        arrays, unknown = _arrays(file, options.inflate_limit)
+        arrays, unknown, assumed = _arrays(file, options)
+    numbered = {name: x for name, x in arrays.items() if name not in ("t", LABEL, *FIELDS)}
+    warnings: tuple[LieidWarning, ...] = assumed
+    if unknown:
+        warnings += (
+            UnknownColumnWarning(
+                f"{file.name}: arrays with unknown names ignored: {names_text(unknown)}"
+            ),
+        )
+    if numbered:
+        columns = measurement_of_columns(_columns(arrays), str(file), options.n)
+        return replace(columns, name=file.name, source_hash=hash_of_file(file), warnings=warnings)
     q = arrays["q"]
     if options.n is not None and q.ndim == 2 and q.shape[1] != options.n:
         raise RecordingError(f"{file}: found {q.shape[1]} joints in q, expected {options.n}")
     label = arrays.get(LABEL)
-    warnings: tuple[LieidWarning, ...] = ()
-    if unknown:
-        warnings = (
-            UnknownColumnWarning(
-                f"{file.name}: arrays with unknown names ignored: {listed(unknown)}"
-            ),
-        )
     return Measurement(
         t=arrays["t"],
         payload_label=None if label is None else tuple(str(x) for x in np.ravel(label)),
@@ -80,22 +87,38 @@ def write_npz(measurement: Measurement, file: Path) -> None:
 FORMAT = RecordingFormat(suffixes=(".npz",), read=read_npz, write=write_npz)
 
 
-def _arrays(file: Path, limit: int) -> tuple[dict[str, Any], list[str]]:
-    """Return the arrays of the signals, and the names of the members that are not signals."""
+def _arrays(
+    file: Path, options: ReadOptions
+) -> tuple[dict[str, Any], list[str], tuple[LieidWarning, ...]]:
+    """Return the arrays of the signals by name, the names of other members, and warnings."""
     with zipfile.ZipFile(file) as archive:
-        members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-        wanted = [name for name in ("t", LABEL, *FIELDS) if name in members]
-        if "t" not in wanted or "q" not in wanted:
-            found = listed(list(members)) or "nothing"
+        infos = archive.infolist()
+        stored = [info.filename.removesuffix(".npy") for info in infos]
+        names, assumed = signal_names(stored, str(file), options.columns, options.joint_names)
+        members = dict(zip(names, infos, strict=True))
+        wanted = [name for name in names if name in ("t", LABEL) or is_signal(name)]
+        if "t" not in wanted or not {"q", "q1"} & set(wanted):
+            found = names_text(stored) or "nothing"
             raise RecordingError(f"{file}: found {found}, expected {EXPECTED}")
-        if sum(members[name].file_size for name in wanted) > limit:
-            raise beyond_limit(file, limit)
+        if sum(members[name].file_size for name in wanted) > options.inflate_limit:
+            raise beyond_limit(file, options.inflate_limit)
         arrays = {}
         for name in wanted:
             # a member never yields more than the size in the archive's directory
             with archive.open(members[name]) as content:
                 arrays[name] = _array(content.read(), f"{file}: array {name}", name == LABEL)
-    return arrays, [name for name in members if name not in wanted]
+    return arrays, [name for name in names if name not in wanted], assumed
+
+
+def _columns(arrays: dict[str, Any]) -> dict[str, Any]:
+    """Return one array for each column, of arrays of a whole signal or of one joint."""
+    columns: dict[str, Any] = {}
+    for name, x in arrays.items():
+        if name in FIELDS and x.ndim == 2:
+            columns |= {f"{name}{j + 1}": x[:, j] for j in range(x.shape[1])}
+        else:
+            columns[name] = x
+    return columns
 
 
 def _array(content: bytes, where: str, label: bool) -> np.ndarray[Any, Any]:

@@ -15,8 +15,8 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LargeFileWarning, MissingDependency
 from lieid_casadi.recording.measurement import Measurement
+from lieid_casadi.recording.readers.column_names import signal_names
 from lieid_casadi.recording.readers.columns import (
-    LABEL,
     columns_of,
     layout_warnings,
     measurement_of_columns,
@@ -56,16 +56,19 @@ def read_parquet(file: Path, options: ReadOptions) -> Measurement:
     large = decoded_bytes(file) > MEMORY_PART * memory_bytes()
     with library_errors(file, "a Parquet file"):
         content = parquet.ParquetFile(file)
-        names = content.schema_arrow.names
+        stored = content.schema_arrow.names
+        names, assumed = signal_names(stored, str(file), options.columns, options.joint_names)
         layout = read_layout(names, str(file), options.n)
-        used = layout.used(names)
-        warnings = layout_warnings(layout, file.name)
+        used = layout.used(stored)
+        warnings = (*assumed, *layout_warnings(layout, file.name))
         if large:
-            columns, step = _decimated(content, used, options.part)
+            label = None if layout.label is None else stored[layout.label]
+            columns, step = _decimated(content, used, label, options.part)
             if step > 1:
                 warnings += (_large_file(file, step),)
         else:  # one by one, or all are in memory twice
             columns = {name: _values(content.read(columns=[name]).column(0)) for name in used}
+    columns = dict(zip(layout.used(names), columns.values(), strict=True))
     return replace(
         measurement_of_columns(columns, str(file), options.n),
         name=file.name,
@@ -132,7 +135,7 @@ def import_pyarrow(file: Path) -> tuple[Any, Any]:
 
 
 def _decimated(
-    content: Any, used: list[str], part: tuple[float, float]
+    content: Any, used: list[str], label: str | None, part: tuple[float, float]
 ) -> tuple[dict[str, Any], int]:
     """Return columns of the rows within a part, and of how many rows their values are means."""
     t = _values(content.read(columns=used[:1]).column(0))
@@ -145,11 +148,11 @@ def _decimated(
             inside = (t >= part[0]) & (t < part[1])
             if not inside.any():
                 continue
-            label = _values(batch.column(LABEL))[inside] if LABEL in used else None
-            first = _block_starts(t[inside], label, step)
+            labels = None if label is None else _values(batch.column(label))[inside]
+            first = _block_starts(t[inside], labels, step)
             for name in used:
                 x = _values(batch.column(name))[inside]
-                read[name].append(x[first] if name == LABEL else _means(x, first))
+                read[name].append(x[first] if name == label else _means(x, first))
     return {name: np.concatenate(parts) for name, parts in read.items()}, step
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.errors import LieidError, RecordingError
+from lieid_casadi.messages import reason_of
 from lieid_casadi.recording.measurement import Measurement
 
 #: Bytes that a compressed file may inflate to unless the caller raises the limit.
@@ -43,6 +44,8 @@ class ReadOptions:
         Bytes that a compressed file may inflate to.
     part
         First time and end (excluded) in the file's unit: a format may leave out other rows.
+    columns
+        Names of the file format and the columns that they stand for.
     """
 
     n: int | None = None
@@ -54,6 +57,7 @@ class ReadOptions:
     degrees: bool = False
     inflate_limit: int = INFLATE_LIMIT
     part: tuple[float, float] = (-np.inf, np.inf)
+    columns: tuple[tuple[str, str], ...] = ()
 
 
 def limit_pairs(limits: ArrayLike | None) -> tuple[tuple[float, float], ...] | None:
@@ -176,13 +180,6 @@ def library_errors(file: Path | str, expected: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise RecordingError(f"{file}: not {expected} ({reason_of(error)})") from error
-
-
-def reason_of(error: BaseException) -> str:
-    """Return the message of a library's exception as one short, printable line."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    text = "".join(c if c.isprintable() else "?" for c in text)
-    return text if len(text) <= 200 else f"{text[:199]}…"
 
 
 def hash_of_file(file: Path) -> str:

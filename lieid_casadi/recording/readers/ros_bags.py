@@ -16,8 +16,8 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import MissingDependency, RecordingError
+from lieid_casadi.messages import names_text, shortened
 from lieid_casadi.recording.measurement import Measurement
-from lieid_casadi.recording.readers.columns import listed, shorten
 from lieid_casadi.recording.readers.registry import (
     ReadOptions,
     RecordingFormat,
@@ -96,8 +96,8 @@ class _JointRows:
             return
         if missing:
             raise RecordingError(
-                f"{file}: message {len(self.times) + 1} has no joint {shorten(missing[0])} "
-                f"(found {listed(message.names)}), expected {listed(self.names)}"
+                f"{file}: message {len(self.times) + 1} has no joint {shortened(missing[0])} "
+                f"(found {names_text(message.names)}), expected {names_text(self.names)}"
             )
         order = [place[name] for name in self.names]
         for signal, rows in self.rows.items():
@@ -114,12 +114,12 @@ class _JointRows:
             No message, another number of joints, or messages without a signal of others.
         """
         if not self.times or not self.names:
-            wanted = f" with the joints {listed(self.names)}" if self.names else ""
-            found = f" (found {listed(self.others)})" if self.others else ""
+            wanted = f" with the joints {names_text(self.names)}" if self.names else ""
+            found = f" (found {names_text(self.others)})" if self.others else ""
             raise RecordingError(f"{file}: no JointState message{wanted}{found}, expected some")
         if n is not None and n != len(self.names):
             raise RecordingError(
-                f"{file}: found {len(self.names)} joints ({listed(self.names)}), "
+                f"{file}: found {len(self.names)} joints ({names_text(self.names)}), "
                 f"expected {n}: choose them by their names"
             )
         signals: dict[str, Array | None] = {}
@@ -195,15 +195,17 @@ def _topic(file: Path, reader: Any, topic: str | None) -> str:
     topics = sorted({str(c.topic) for c in reader.connections if c.msgtype == MESSAGE})
     if topic is not None:
         if topic not in topics:
-            found = listed(topics) or "none"
+            found = names_text(topics) or "none"
             raise RecordingError(f"{file}: JointState topics: {found}; expected {topic} among them")
         return topic
     if not topics:
         types = sorted({str(c.msgtype) for c in reader.connections})
-        raise RecordingError(f"{file}: found {listed(types) or 'no messages'}, expected {MESSAGE}")
+        raise RecordingError(
+            f"{file}: found {names_text(types) or 'no messages'}, expected {MESSAGE}"
+        )
     if len(topics) > 1:
         raise RecordingError(
-            f"{file}: found several JointState topics ({listed(topics)}), expected one: "
+            f"{file}: found several JointState topics ({names_text(topics)}), expected one: "
             "choose it by topic="
         )
     return topics[0]

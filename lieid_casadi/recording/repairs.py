@@ -1,0 +1,193 @@
+"""Small damage of recordings that is repaired on reading, and reported with its extent.
+
+Damaged and repeated rows and outliers of single samples are left out; angles that jump by a turn
+are made continuous. Damage beyond these limits is refused or left for the checks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lieid_casadi.arrays import Array, Mask
+from lieid_casadi.errors import (
+    DamagedRowsWarning,
+    DuplicateRowsWarning,
+    LieidWarning,
+    OutlierWarning,
+    WrappedAngleWarning,
+)
+from lieid_casadi.messages import joints_text
+from lieid_casadi.recording.measurement import (
+    FIELDS,
+    OPTIONAL_SIGNALS,
+    Fault,
+    Measurement,
+    first_fault,
+    in_range,
+)
+from lieid_casadi.recording.sample_timing import gap_limit
+
+#: Most rows that may be left out because of a damaged value or outlier, as a part of all rows.
+MOST_DAMAGED = 0.01
+#: A jump in one sample that differs from a turn by at most this, rad, is a wrapped angle: the
+#: motion between two samples.
+WRAP_TOLERANCE = 0.5
+#: Least ratio of a turn to the 90th percentile of the steps.
+RARE_STEP = 5.0
+#: Least size of an outlier: over the 99th percentile of how far samples leave both neighbours
+#: (white noise reaches 3), over the median step between samples, over the range of the signal
+#: without outliers, and over that of the joint with the largest range.
+OUTLIER, OUTLIER_STEPS, OUTLIER_RANGE, LARGEST_RANGE = 20.0, 20.0, 0.2, 0.05
+#: Rows from which these are estimated.
+ENOUGH_ROWS = 200
+
+
+def without_damaged_rows(measurement: Measurement) -> tuple[Measurement, Fault | None]:
+    """Leave out rows that no recording may contain, if they are few, and exact repetitions.
+
+    Returns
+    -------
+    tuple
+        The measurement, with a warning of each kind of row, and the first fault that is left: its
+        row is counted in the measurement that was given.
+    """
+    if first_fault(measurement) is None:
+        return measurement, None
+    bad = ~in_range(measurement)
+    damaged = int(bad.sum())
+    if damaged > MOST_DAMAGED * len(measurement):
+        return measurement, first_fault(measurement)
+    kept = np.flatnonzero(~bad)
+    title, found = measurement.title, list(measurement.warnings)
+    if damaged:
+        first = int(np.argmax(bad))
+        found.append(
+            DamagedRowsWarning(
+                f"{title}: {damaged} of {len(measurement)} rows have values that are missing or "
+                f"not finite, the first in row {first + 1}, and were left out",
+                samples=damaged,
+            )
+        )
+    repeated = _repetitions(measurement.at(kept))
+    if repeated.any():
+        count = int(repeated.sum())
+        found.append(
+            DuplicateRowsWarning(
+                f"{title}: {count} of {len(measurement)} rows are exact copies of the row before, "
+                "its time included, and were left out",
+                samples=count,
+            )
+        )
+        kept = kept[~repeated]
+    made = replace(measurement.at(kept), warnings=tuple(found))
+    fault = first_fault(made)
+    if fault is not None and fault.row is not None:
+        fault = replace(fault, row=int(kept[fault.row]))
+    return made, fault
+
+
+def _repetitions(measurement: Measurement) -> Mask:
+    """Mark rows (N,) that equal the row before in time and all signals."""
+    same = np.zeros(len(measurement), dtype=bool)
+    same[1:] = np.diff(measurement.t) == 0.0
+    if same.any():
+        for field in ("q", *OPTIONAL_SIGNALS):
+            values = getattr(measurement, field)
+            if values is not None:
+                same[1:] &= np.all(values[1:] == values[:-1], axis=1)
+    return same
+
+
+def repaired(measurement: Measurement, revolute: Mask | None = None) -> Measurement:
+    """Return a measurement, whose rows are sound, with continuous angles and without outliers.
+
+    ``revolute`` (n,) marks the joints that turn; None: all of them.
+    """
+    turning = np.ones(measurement.n, bool) if revolute is None else np.asarray(revolute, bool)
+    return _without_outliers(_continuous(measurement, turning))
+
+
+def _steps(measurement: Measurement, x: Array) -> Array:
+    """Return the differences (N − 1, n) of a signal, 0 across gaps."""
+    inside = np.diff(measurement.t) <= gap_limit(measurement.t)
+    return np.diff(x, axis=0) * inside[:, None]
+
+
+def _continuous(measurement: Measurement, turning: Mask) -> Measurement:
+    """Take the turns out of angles that jump by one between two samples."""
+    changed = {}
+    joints, samples = np.zeros(measurement.n, dtype=bool), 0
+    for field in ("q", "command"):
+        x = getattr(measurement, field)
+        if x is None:
+            continue
+        steps = _steps(measurement, x)
+        turns = np.rint(steps / (2.0 * np.pi)) * turning
+        jumps = (np.abs(turns) == 1.0) & (np.abs(steps - 2.0 * np.pi * turns) < WRAP_TOLERANCE)
+        if jumps.any():  # of angles in degrees, many steps are as large
+            jumps &= RARE_STEP * np.quantile(np.abs(steps), 0.9, axis=0) < 2.0 * np.pi
+        if not jumps.any():
+            continue
+        changed[field] = x.copy()
+        changed[field][1:] -= 2.0 * np.pi * np.cumsum(np.where(jumps, turns, 0.0), axis=0)
+        joints |= jumps.any(axis=0)
+        samples += int(jumps.sum())
+    if not changed:
+        return measurement
+    warning = WrappedAngleWarning(
+        f"{measurement.title}: angles of {joints_text(joints)} jump by a whole turn between two "
+        f"samples ({samples} times): they were wrapped, and have been made continuous",
+        samples=samples,
+        joints=_numbers(joints),
+    )
+    return replace(measurement, warnings=(*measurement.warnings, warning), **changed)
+
+
+def _without_outliers(measurement: Measurement) -> Measurement:
+    """Leave out rows where one sample of a signal lies far from both of its neighbours."""
+    if len(measurement) < ENOUGH_ROWS:
+        return measurement
+    found = np.zeros((len(measurement), measurement.n), dtype=bool)
+    columns = []
+    for prefix in ("q", "dq", "tau", "i"):
+        x = getattr(measurement, FIELDS[prefix])
+        if x is not None:
+            outliers = _outliers(x, _steps(measurement, x))
+            columns += [f"{prefix}{j + 1}" for j in np.flatnonzero(outliers.any(axis=0))]
+            found |= outliers
+    rows = np.asarray(found.any(axis=1))
+    count = int(rows.sum())
+    if not count or count > MOST_DAMAGED * len(rows):
+        return measurement
+    warning: LieidWarning = OutlierWarning(
+        f"{measurement.title}: {count} of {len(rows)} rows have an outlier of a single sample "
+        f"({', '.join(columns[:6])}{', …' if len(columns) > 6 else ''}; the first at "
+        f"t = {measurement.t[int(np.argmax(rows))]:.6g} s), and were left out",
+        samples=count,
+        joints=_numbers(np.asarray(found.any(axis=0))),
+    )
+    made = measurement.at(~rows)
+    return replace(made, warnings=(*made.warnings, warning))
+
+
+def _outliers(x: Array, steps: Array) -> Mask:
+    """Mark the samples (N, n) that leave both neighbours, to the same side, by far."""
+    leave, back = steps[:-1], -steps[1:]
+    away = np.where(leave * back > 0.0, np.minimum(np.abs(leave), np.abs(back)), 0.0)
+    usual = np.maximum(
+        OUTLIER * np.quantile(away, 0.99, axis=0),
+        OUTLIER_STEPS * np.median(np.abs(steps), axis=0),
+    )
+    low, high = np.quantile(x, [0.005, 0.995], axis=0)
+    reach = high - low
+    least = np.maximum(OUTLIER_RANGE * reach, LARGEST_RANGE * reach.max())
+    large = np.asarray(away > np.maximum(usual, least))
+    for j in np.flatnonzero(large.any(axis=0)):  # of a coarse signal, a few steps are none
+        large[:, j] &= away[:, j] > OUTLIER * float(np.min(np.diff(np.unique(x[:, j]))))
+    return np.pad(large, ((1, 1), (0, 0)))
+
+
+def _numbers(joints: Mask) -> tuple[int, ...]:
+    return tuple(int(j) + 1 for j in np.flatnonzero(joints))

@@ -1,0 +1,158 @@
+"""Small damage of files is repaired and counted; sound recordings stay as they are."""
+
+import numpy as np
+import pytest
+from recording.planar_arm import measured
+
+from lieid_casadi.errors import (
+    DamagedRowsWarning,
+    DuplicateRowsWarning,
+    OutlierWarning,
+    RecordingError,
+    RepairWarning,
+    WrappedAngleWarning,
+)
+from lieid_casadi.recording import Recording
+
+
+@pytest.fixture
+def run():
+    return measured(duration=8.0, rate=100.0)
+
+
+def saved(run, tmp_path, change=lambda lines: lines, name="run.csv"):
+    file = tmp_path / name
+    run.save(file)
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join(change(lines)) + "\n")
+    return file
+
+
+def replaced(line, text, column=2):
+    cells = line.split(",")
+    cells[column] = text
+    return ",".join(cells)
+
+
+@pytest.mark.parametrize("text", ["nan", "", " ", "inf", "1e300"])
+def test_a_row_with_a_missing_value_is_left_out(run, tmp_path, text):
+    file = saved(run, tmp_path, lambda x: [*x[:51], replaced(x[51], text), *x[52:]])
+    read = Recording.load(file)
+    assert len(read) == len(run) - 1
+    np.testing.assert_array_equal(read.tau, np.delete(run.tau, 50, axis=0))
+    (warning,) = read.warnings
+    assert isinstance(warning, DamagedRowsWarning)
+    assert warning.samples == 1
+    assert "1 of 800 rows" in str(warning)
+    assert "row 51" in str(warning)
+
+
+def test_a_file_that_ends_within_a_row(run, tmp_path):
+    file = saved(run, tmp_path, lambda x: [*x[:-1], x[-1][:9]])
+    read = Recording.load(file)
+    np.testing.assert_array_equal(read.q, run.q[:-1])
+    assert read.warnings[0].samples == 1
+
+
+def test_much_damage_is_refused_with_its_place(run, tmp_path):
+    file = saved(run, tmp_path, lambda x: [*x[:51], *(replaced(y, "") for y in x[51:71]), *x[71:]])
+    with pytest.raises(RecordingError, match="line 52, column q2: found an empty cell"):
+        Recording.load(file)
+
+
+def test_other_faults_are_refused_with_the_line_of_the_file(run, tmp_path):
+    """Rows that were left out before them count."""
+    lines = [*range(1, 51), 51, *range(52, 90), 88, *range(90, 801)]
+    file = saved(
+        run,
+        tmp_path,
+        lambda x: [x[0]] + [replaced(x[k], "nan") if k == 51 else x[k] for k in lines],
+    )
+    with pytest.raises(RecordingError, match=r"line 91, column t: .*time goes back"):
+        Recording.load(file)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
+def test_exact_copies_of_rows_are_left_out(run, tmp_path, suffix):
+    twice = np.sort(np.append(np.arange(len(run)), [7, 300, 301]))
+    file = tmp_path / f"run.{suffix}"
+    run.at(twice).save(file)
+    read = Recording.load(file)
+    np.testing.assert_array_equal(read.t, run.t)
+    np.testing.assert_array_equal(read.tau, run.tau)
+    (warning,) = read.warnings
+    assert isinstance(warning, DuplicateRowsWarning)
+    assert warning.samples == 3
+
+
+def test_two_measurements_of_one_time_are_refused(run, tmp_path):
+    twice = np.sort(np.append(np.arange(len(run)), 7))
+    tau = run.tau[twice] + 1e-3 * np.arange(len(twice))[:, None]
+    file = tmp_path / "run.npz"
+    np.savez(file, t=run.t[twice], q=run.q[twice], tau=tau)
+    with pytest.raises(RecordingError, match="twice"):
+        Recording.load(file)
+
+
+def test_wrapped_angles_are_made_continuous(tmp_path):
+    t = np.arange(0.0, 20.0, 0.01)
+    q = np.column_stack([2.5 + 2.0 * np.sin(t), 0.5 * t, np.sin(t)])
+    np.savez(tmp_path / "run.npz", t=t, q=(q + np.pi) % (2.0 * np.pi) - np.pi)
+    read = Recording.load(tmp_path / "run.npz")
+    np.testing.assert_allclose(read.q - read.q[0], q - q[0], atol=1e-12)
+    (warning,) = read.warnings
+    assert isinstance(warning, WrappedAngleWarning)
+    assert warning.joints == (1, 2)
+    # one crossing upwards of each odd multiple of π, and as many downwards where the joint returns
+    crossings = np.sum(np.diff(np.floor((q + np.pi) / (2.0 * np.pi)), axis=0) != 0)
+    assert warning.samples == crossings
+    slides = Recording.load(tmp_path / "run.npz", revolute=[True, False, True])
+    assert slides.warnings[0].joints == (1,)
+
+
+def test_degrees_are_no_wrapped_angles(tmp_path):
+    t = np.arange(0.0, 20.0, 0.01)
+    q = np.rad2deg(np.column_stack([2.0 * np.sin(5.0 * t), np.sin(t)]))
+    np.savez(tmp_path / "run.npz", t=t, q=q)
+    np.testing.assert_array_equal(Recording.load(tmp_path / "run.npz").q, q)
+
+
+@pytest.mark.parametrize(
+    ("field", "size"), [("q", 0.7), ("dq", -3.0), ("tau", 200.0), ("tau", None)]
+)
+def test_outliers_of_single_samples_are_left_out(run, tmp_path, field, size):
+    arrays = {name: getattr(run, name).copy() for name in ("q", "dq", "tau")}
+    rows = [200, 555]
+    for row in rows:  # without a size: a reading of zero, as after a lost message
+        values = arrays[field]
+        values[row, 0] = 0.0 if size is None else values[row, 0] + size
+    np.savez(tmp_path / "run.npz", t=run.t, **arrays)
+    read = Recording.load(tmp_path / "run.npz")
+    np.testing.assert_array_equal(read.t, np.delete(run.t, rows))
+    np.testing.assert_array_equal(getattr(read, field), np.delete(getattr(run, field), rows, 0))
+    (warning,) = read.warnings
+    assert isinstance(warning, OutlierWarning)
+    assert (warning.samples, warning.joints) == (2, (1,))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sound_signals_are_not_touched(tmp_path, seed):
+    """Noise with heavy tails, coarse encoders, steps of friction, joints at rest."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 30.0, 0.005)
+    q = np.column_stack([np.sin(t), 0.02 * np.sin(3.0 * t), np.full_like(t, 0.3)])
+    dq = np.gradient(q, t, axis=0) + 0.01 * rng.standard_t(3, q.shape)
+    tau = 5.0 * np.sign(dq) + 2.0 * q + 0.2 * rng.laplace(size=q.shape)
+    q = np.round(q / 1e-3) * 1e-3
+    q[:, 2] += 1e-3 * (rng.uniform(size=len(t)) < 0.01)
+    np.savez(tmp_path / "run.npz", t=t, q=q, dq=dq, tau=tau)
+    read = Recording.load(tmp_path / "run.npz")
+    assert not [w for w in read.warnings if isinstance(w, RepairWarning)]
+    np.testing.assert_array_equal(read.tau, tau)
+
+
+def test_a_repair_survives_pickling(run):
+    import pickle
+
+    made = pickle.loads(pickle.dumps(OutlierWarning("text", samples=3, joints=(2,))))
+    assert (str(made), made.samples, made.joints) == ("text", 3, (2,))
