@@ -50,8 +50,21 @@ def test_one_row(run, tmp_path):
 def test_nan(run, tmp_path):
     table = columns()
     table["dq2"] = table["dq2"].copy()
-    table["dq2"][20] = np.nan
+    table["dq2"][20:60] = np.nan
     refused(run("identify", "two_link", write(tmp_path / "a.csv", table)), "a.csv", "dq2")
+
+
+def test_small_damage_and_columns_of_other_names_are_read(run, tmp_path):
+    table = columns()
+    names = {name: f"my_{name}" for name in table}
+    stated = ",".join(f"{name}={column}" for name, column in names.items())
+    table["dq2"] = table["dq2"].copy()
+    table["dq2"][20] = np.nan
+    file = write(tmp_path / "a.csv", {names[name]: x for name, x in table.items()})
+    status, out, err = run("identify", "two_link", file, "--columns", stated)
+    assert status == 0, err
+    assert "1 of" in out + err
+    refused(run("identify", "two_link", file), "a.csv", "--columns")
 
 
 def test_time_going_back(run, tmp_path):
