@@ -242,7 +242,7 @@ class Compiled:
         size: int | None = None,
         **signals: Unpack[EffectSignals],
     ) -> BaseBlocks:
-        """See `base_regressor`; in blocks of ``size`` samples, by default as many as fit in cache."""
+        """See `base_regressor`; in blocks of ``size`` samples, by default fitting in cache."""
         values = self._signals(self._samples(q=q, dq=dq, ddq=ddq), signals)
         return BaseBlocks(self._evaluation("base_regressor"), values, len(values["q"]), size)
 
