@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import logging
 import platform
 import tempfile
@@ -38,6 +39,7 @@ from lieid_casadi.compiled.library import (
 from lieid_casadi.errors import CompilerError
 from lieid_casadi.expressions.c_writer import UnsupportedOperation
 from lieid_casadi.expressions.model_functions import SparseFunction
+from lieid_casadi.robot import Joint
 from lieid_casadi.robot.robot import Robot
 
 logger = logging.getLogger("lieid_casadi")
@@ -238,7 +240,7 @@ def _header() -> str:
 def _derivation() -> str:
     """Return a digest of the code between a robot and its C source."""
     package, here = Path(__file__).parents[1], Path(__file__).parent
-    files = [*(package / "dynamics").glob("*.py"), package / "robot" / "joint.py"]
+    files = [*(package / "dynamics").glob("*.py"), Path(inspect.getfile(Joint))]
     files += [package / "expressions" / name for name in ("model_functions.py", "c_writer.py")]
     files.append(here / "kernel_source.py")
     digest = hashlib.sha256(ca.CasadiMeta.version().encode())
