@@ -1,16 +1,20 @@
-"""The table of real arms: what a diagnosis finds, and the error in motion before and after.
+"""The table of real arms: what a diagnosis finds, and the error on recordings that it did not see.
 
-    python tests/benchmarks/real_arms.py [--arms ur10e tx40 panda] [--json FILE]
+    python tests/benchmarks/real_arms.py [--arms NAME…] [--forward] [--json FILE] [--record FILE]
 
-It needs the recordings that ``LIEID_RECORDINGS`` names (see tests/real_arms.py) and prints a
-Markdown table. A recording is called unseen only if no test of the suite reads it; the tests that
-read it are listed otherwise.
+It needs the recordings that ``LIEID_RECORDINGS`` names (see tests/real_arms.py; tests of the suite
+read all of them) and prints a Markdown table: RMS errors of samples in motion, N·m, of the plain
+fit, of the diagnosed model, and of the best version of this program so far on each joint
+(``real_arms_best.json``; ``--record`` adds this run to such a file). ``--forward`` adds a reference
+that looks at nothing but the cross-validated error: every effect on every joint is tried in turn.
+The processor time of a diagnosis is given in multiples of an identification of the same model.
 """
 
 import argparse
 import json
 import sys
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,44 +23,30 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
 
-from real_arms import PANDA, TX40, UR10E  # noqa: E402
+from real_arms import FINGERS, PANDA, TX40, UR10E  # noqa: E402
 
 import lieid_casadi as lieid  # noqa: E402
 from lieid_casadi.identification.default_effects import default_effects  # noqa: E402
 
+BEST = HERE / "real_arms_best.json"
+GOAL = 1.02  # error relative to the best so far
 BLOCK, MOVING = 0.6, 7.8  # s: the TX40's blocks, two of three for training; then it rests
-SHORT = 0.05  # s that are removed at both ends of these blocks
+FORWARD = ("stribeck", "viscous_polynomial", "viscous_asymmetric", "load_friction", "presliding",
+           "position_friction", "torque_ripple", "torque_lowpass", "armature")  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm with recordings for training and for tests.
-
-    Attributes
-    ----------
-    name : str
-    urdf : Path
-    lock : tuple of str
-    cutoff : float
-        Hz.
-    motor_side : bool
-        Whether torque comes from motor currents.
-    trim : float
-        s that are removed at both ends of each part.
-    train : tuple of str
-        Paths below the folder of the URDF, with parts.
-    tests : tuple of (str, tuple of str)
-        What is said of the test, and its recordings.
-    """
+    """Recordings of an arm: ``train`` and, by name, those of each test, below the URDF's folder."""
 
     name: str
     urdf: Path
-    lock: tuple[str, ...]
-    cutoff: float
-    motor_side: bool
-    trim: float
     train: tuple[str, ...]
-    tests: tuple[tuple[str, tuple[str, ...]], ...]
+    tests: dict[str, tuple[str, ...]]
+    cutoff: float  # Hz
+    motor_side: bool = False  # torque comes from motor currents
+    lock: tuple[str, ...] = ()
+    trim: float = 0.5  # s that are removed at both ends of each part
 
 
 def blocks(first, count):
@@ -65,92 +55,150 @@ def blocks(first, count):
     return tuple(f"excitation.csv.gz@{a:g}:{a + count * BLOCK:g}" for a in starts)
 
 
+def ur10e(said, train, tests):
+    return Arm(f"UR10e, {said}", UR10E / "ur10e.urdf", train,
+               {name: (f"{name}.csv.gz",) for name in tests}, 7.0, True)  # fmt: skip
+
+
+def panda(said, end):
+    return Arm(f"Franka Panda, {said}", PANDA / "panda.urdf", (f"excitation.csv.gz@0:{end:g}",),
+               {"15.6 to 24 s": ("excitation.csv.gz@15.6:",)}, 3.0, lock=FINGERS)  # fmt: skip
+
+
+OTHERS = ("excitation_50s", "excitation_14_harmonics", "point_to_point")
 ARMS = {
-    "ur10e": Arm(
-        "UR10e, 7 Hz", UR10E / "ur10e.urdf", (), 7.0, True, 0.5,
-        ("excitation_30s.csv.gz", "excitation_50s.csv.gz"),
-        (
-            ("other periodic motion", ("excitation_14_harmonics.csv.gz",)),
-            ("moves between poses", ("point_to_point.csv.gz",)),
-        ),
-    ),
-    "tx40": Arm(
-        "Stäubli TX40, 20 Hz", TX40 / "tx40.urdf", (), 20.0, True, SHORT, blocks(0, 2),
-        (("every third block of 0.6 s", blocks(2, 1)),),
-    ),
-    "panda": Arm(
-        "Franka Panda, 3 Hz", PANDA / "panda.urdf",
-        ("panda_finger_joint1", "panda_finger_joint2"), 3.0, False, 0.5,
-        ("excitation.csv.gz@0:15.6",), (("the last third", ("excitation.csv.gz@15.6:",)),),
-    ),
+    "ur10e": ur10e("30 s + 50 s", ("excitation_30s.csv.gz", "excitation_50s.csv.gz"), OTHERS[1:]),
+    "ur10e_30s": ur10e("30 s", ("excitation_30s.csv.gz",), OTHERS),
+    "ur10e_16s": ur10e("16 s", ("excitation_30s.csv.gz@0:16",), OTHERS),
+    "tx40": Arm("Stäubli TX40, two of three blocks of 0.6 s", TX40 / "tx40.urdf", blocks(0, 2),
+                {"every third block": blocks(2, 1)}, 20.0, True, trim=0.05),
+    "panda": panda("15.6 s", 15.6),
+    "panda_13s": panda("13 s", 13.0),
 }  # fmt: skip
 
 
-def recordings(arm, paths):
-    return [lieid.Recording.load(f"{arm.urdf.parent / path}") for path in paths]
+class Task:
+    """What an arm's diagnosis starts from."""
+
+    def __init__(self, arm):
+        self.arm, self.processing = arm, lieid.Processing(cutoff=arm.cutoff, trim=arm.trim)
+        robot = lieid.Robot.from_urdf(arm.urdf, lock=arm.lock)
+        self.train = self.recordings(arm.train)
+        first = default_effects(robot, self.train, motor_side=arm.motor_side)
+        self.model = lieid.Model(robot, first.names)
+        self.tests = {name: self.recordings(paths) for name, paths in arm.tests.items()}
+
+    def recordings(self, paths):
+        return [lieid.Recording.load(f"{self.arm.urdf.parent / path}") for path in paths]
+
+    def fitted(self, model):
+        return lieid.identify(model, self.train, processing=self.processing)
+
+    def errors(self, fit):
+        """Return the RMS (n,) of samples in motion of each test."""
+        return {
+            name: lieid.compare(fit, test).rms_moving.tolist() for name, test in self.tests.items()
+        }
 
 
-def tests_that_read(arm, path):
-    """Return the files of the suite that read a recording, by its name and its arm's."""
-    stem, folder = path.split(".csv")[0], arm.urdf.parent
-    constant = {UR10E: "UR10E", TX40: "TX40", PANDA: "PANDA"}[folder]
-    found = []
-    for file in sorted(HERE.parent.rglob("*.py")):
-        text = file.read_text("utf-8")
-        own = constant in text or folder.name in text
-        if "benchmarks" not in file.parts and own and stem in text:
-            found.append(str(file.relative_to(HERE.parent)))
-    return found
-
-
-def diagnosed(arm):
-    """Return the diagnosis of an arm without a test, and the errors on its tests."""
-    robot = lieid.Robot.from_urdf(arm.urdf, lock=arm.lock)
-    train = recordings(arm, arm.train)
-    default = default_effects(robot, train, motor_side=arm.motor_side)
-    model = lieid.Model(robot, default.names)
-    processing = lieid.Processing(cutoff=arm.cutoff, trim=arm.trim)
+def timed(function):
     start = time.process_time()
-    found = lieid.diagnose(model, train, processing=processing)
-    seconds = time.process_time() - start
-    first = lieid.identify(model, train, processing=processing)
-    rows = []
-    for said, paths in arm.tests:
-        test = recordings(arm, paths)
-        before, after = lieid.compare(first, test), lieid.compare(found.fit, test)
-        read = sorted({file for path in paths for file in tests_that_read(arm, path)})
-        rows.append(
-            {
-                "arm": arm.name,
-                "test": f"{said} ({', '.join(sorted({p.split('@')[0] for p in paths}))})",
-                "read_by": read,
-                "first": list(default.names),
-                "effects": [step.label for step in found.steps],
-                "before": before.rms_moving.tolist(),
-                "after": after.rms_moving.tolist(),
-                "noise_floor": after.noise_floor.tolist(),
-                "verdict": found.verdict,
-                "limits_reached": list(found.limits_reached),
-                "seconds": seconds,
-            }
-        )
-    return found, rows
+    result = function()
+    return result, time.process_time() - start
+
+
+def forward_selection(task, most=8):
+    """Return the effects that lower the cross-validated error most, one after another.
+
+    An effect is taken where it lowers the error of one joint by 2 %; it stops where none does.
+    """
+    labels = [f"{name}:{j + 1}" for name in FORWARD for j in range(task.model.n)]
+    taken, model, error = [], task.model, task.fitted(task.model).rms_cv
+    while len(taken) < most:
+        best, found = 0.98, None
+        for label in labels:
+            try:
+                trial = model.with_effect(label)
+                fit = task.fitted(trial)
+            except lieid.LieidError:
+                continue
+            ratio = float(np.exp(np.mean(np.log(fit.rms_cv / error)))) ** task.model.n
+            if ratio < best:
+                best, found = ratio, (label, trial, fit.rms_cv)
+        if found is None:
+            break
+        label, model, error = found
+        taken.append(label)
+        labels.remove(label)
+    return taken, task.fitted(model)
+
+
+def measured(key, *, forward=False):
+    """Return one row for each test of an arm."""
+    task = Task(ARMS[key])
+    task.fitted(task.model)  # compiled code is generated once
+    plain, plain_seconds = timed(lambda: task.fitted(task.model))
+    found, seconds = timed(
+        lambda: lieid.diagnose(task.model, task.train, processing=task.processing)
+    )
+    before, after = task.errors(plain), task.errors(found.fit)
+    reference, selected = {}, None
+    if forward:
+        selected, fit = forward_selection(task)
+        reference = task.errors(fit)
+    return [
+        {
+            "arm": key,
+            "test": test,
+            "effects": [
+                step.label + {"one_of": " (one of)", "shape": " (shape)"}.get(
+                    getattr(step, "status", ""), ""
+                )
+                for step in found.steps
+            ],
+            "verdict": str(found.verdict),
+            "before": before[test],
+            "after": after[test],
+            "forward": reference.get(test),
+            "forward_effects": selected,
+            "noise_floor": lieid.compare(found.fit, task.tests[test]).noise_floor.tolist(),
+            "seconds": seconds,
+            "times_identify": seconds / plain_seconds,
+        }
+        for test in task.tests
+    ]  # fmt: skip
+
+
+def load_best():
+    """Return the recorded runs: of arm, test and version, the errors of the diagnosed model."""
+    return json.loads(BEST.read_text("utf-8")) if BEST.exists() else []
+
+
+def lowest(runs, row):
+    """Return the lowest error on each joint of the recorded runs of a row; None without any."""
+    own = [r["after"] for r in runs if (r["arm"], r["test"]) == (row["arm"], row["test"])]
+    return np.min(own, axis=0) if own else None
+
+
+def whole(values, reference):
+    """Return the geometric mean over joints of the errors relative to others."""
+    return float(np.exp(np.mean(np.log(np.array(values) / np.array(reference)))))
 
 
 def numbers(values):
-    return " ".join(f"{value:.2f}" for value in values)
+    return "–" if values is None else " ".join(f"{value:.2f}" for value in values)
 
 
-def printed(row):
-    change = 100.0 * (np.array(row["after"]) / np.array(row["before"]) - 1.0)
-    read = ", ".join(row["read_by"]) or "no test: unseen"
-    effects = ", ".join(row["effects"]) or "none"
-    ends = f"; search ended by {', '.join(row['limits_reached'])}" if row["limits_reached"] else ""
+def printed(row, runs):
+    best = lowest(runs, row)
+    ratio = "–"
+    if best is not None:
+        ratio = f"{whole(row['after'], best):.2f} ({numbers(np.array(row['after']) / best)})"
     return (
-        f"| {row['arm']}, {row['test']} | {', '.join(row['first'])} | {effects}{ends} "
+        f"| {ARMS[row['arm']].name}, {row['test']} | {', '.join(row['effects']) or 'none'} "
         f"({row['verdict']}) | {numbers(row['before'])} | {numbers(row['after'])} "
-        f"({' '.join(f'{x:+.0f}' for x in change)} %) | {numbers(row['noise_floor'])} "
-        f"| {row['seconds']:.0f} s | {read} |"
+        f"| {whole(row['after'], row['before']):.2f} | {numbers(best)} | {ratio} "
+        f"| {numbers(row['noise_floor'])} | {row['seconds']:.0f} s, {row['times_identify']:.0f} × |"
     )
 
 
@@ -160,23 +208,41 @@ def show(line):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS))
-    parser.add_argument("--json", type=Path)
-    args = parser.parse_args()
-    show(
-        "| arm, test | first model | effects found | RMS in motion before, N·m | after (change) "
-        "| noise floor | processor | read by tests |\n" + "| --- " * 8 + "|"
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    rows = []
-    for name in args.arms:
-        found, own = diagnosed(ARMS[name])
+    parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS))
+    parser.add_argument("--forward", action="store_true", help="minutes for each arm")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="all rows")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="add this run to these")
+    parser.add_argument("--version", default="this", help="its name there, such as a commit")
+    args = parser.parse_args()
+    warnings.simplefilter("ignore")
+    show(
+        "| arm and its training, test | effects found | plain | diagnosed | ratio | best so far "
+        f"| to the best (goal ≤ {GOAL:g}) | noise floor | processor, to `identify` |\n"
+        + "| --- " * 9 + "|"
+    )  # fmt: skip
+    rows, runs = [], load_best()
+    for key in args.arms:
+        own = measured(key, forward=args.forward)
         rows += own
         for row in own:
-            show(printed(row))
-        show(f"<!-- {found.sentence} -->")
+            show(printed(row, runs))
+            if row["forward"]:
+                show(f"<!-- forward selection by rms_cv: {numbers(row['forward'])}: "
+                     f"{', '.join(row['forward_effects'])} -->")  # fmt: skip
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1), "utf-8")
+    if args.record:
+        kept = json.loads(args.record.read_text("utf-8")) if args.record.exists() else []
+        kept += [
+            {"arm": r["arm"], "test": r["test"], "version": args.version,
+             "after": [round(x, 4) for x in r["after"]]}
+            for r in rows
+        ]  # fmt: skip
+        lines = ",\n".join(" " + json.dumps(r) for r in kept)
+        args.record.write_text(f"[\n{lines}\n]\n", "utf-8")
 
 
 if __name__ == "__main__":
