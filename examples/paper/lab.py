@@ -36,7 +36,7 @@ from lieid_casadi.friction_curves import (
     friction_curve,
 )
 from lieid_casadi.identification import Fit
-from lieid_casadi.plant.true_motion import TrueMotion
+from lieid_casadi.plant.ideal_tracking import TrueMotion
 from lieid_casadi.recording import Processing, Recording
 
 PERIOD: float = PRINTED["period"]

@@ -3,52 +3,54 @@
 It shares no dynamics and no effects with the rest of the package, so that it reveals errors there.
 """
 
-from lieid_casadi.plant.arm import Arm, JointFriction, Thermal
-from lieid_casadi.plant.arm_effects import (
-    BaseTilt,
-    BiasDrift,
-    EncoderOffset,
-    ExternalWrench,
-    Payload,
-    TimeShift,
-    TorqueDelay,
-    TorqueGain,
-    TorqueLowpass,
-)
-from lieid_casadi.plant.constant_speed_sweep import sweep
+from lieid_casadi.plant.arm import Arm, JointFriction, Thermal, perturbed_inertias, with_payload
 from lieid_casadi.plant.demo_arm import (
     HIDDEN_EFFECT_NAMES,
     demo_arm,
     demo_sensors,
     hidden_effect,
 )
-from lieid_casadi.plant.effect import HiddenEffect, JointEffect, JointState
-from lieid_casadi.plant.ideal_tracking import measure_along, move_along
-from lieid_casadi.plant.inertias import perturbed_inertias, with_payload
-from lieid_casadi.plant.joint_effects import (
+from lieid_casadi.plant.effects import (
     Armature,
+    BaseTilt,
+    BiasDrift,
+    EncoderOffset,
+    ExternalWrench,
     ForeignTorque,
+    HiddenEffect,
+    JointEffect,
     JointElasticity,
     JointOffset,
+    JointState,
     LoadFriction,
+    Payload,
     PositionFriction,
     PositionSpring,
     Presliding,
     Stribeck,
     TemperatureFriction,
+    TimeShift,
+    TorqueDelay,
+    TorqueGain,
+    TorqueLowpass,
     TorqueRipple,
     TransmissionCoupling,
     ViscousAsymmetric,
     ViscousPolynomial,
     WarmUp,
 )
+from lieid_casadi.plant.ideal_tracking import TrueMotion, move_along
 from lieid_casadi.plant.position_control import PositionDrive, simulate_commands
 from lieid_casadi.plant.rigid import build_pinocchio
-from lieid_casadi.plant.sensors import Sensors, measure
+from lieid_casadi.plant.sensors import Sensors, measure, measure_along
 from lieid_casadi.plant.simulate import Control, move, simulate
-from lieid_casadi.plant.torque_scale import torque_scale
-from lieid_casadi.plant.trajectories import FourierTrajectory, point_to_point
-from lieid_casadi.plant.true_motion import ReferenceTrajectory, TrueMotion
+from lieid_casadi.plant.trajectories import (
+    FourierTrajectory,
+    ReferenceTrajectory,
+    point_to_point,
+    sweep,
+    torque_scale,
+)
 
 __all__ = [
     "HIDDEN_EFFECT_NAMES",

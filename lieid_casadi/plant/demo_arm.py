@@ -5,31 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieid_casadi.errors import EffectError
-from lieid_casadi.plant import joint_effects as on_joint
-from lieid_casadi.plant.arm import Arm, JointFriction, Thermal
-from lieid_casadi.plant.arm_effects import (
+from lieid_casadi.plant import effects
+from lieid_casadi.plant.arm import Arm, JointFriction, Thermal, perturbed_inertias
+from lieid_casadi.plant.effects import (
     BaseTilt,
     BiasDrift,
     EncoderOffset,
     ExternalWrench,
+    HiddenEffect,
     Payload,
     TimeShift,
     TorqueDelay,
     TorqueGain,
     TorqueLowpass,
 )
-from lieid_casadi.plant.effect import HiddenEffect
-from lieid_casadi.plant.inertias import perturbed_inertias
 from lieid_casadi.plant.rigid import build_pinocchio
 from lieid_casadi.plant.sensors import Sensors
-from lieid_casadi.plant.torque_scale import torque_scale
-from lieid_casadi.plant.trajectories import Envelope
+from lieid_casadi.plant.trajectories import Envelope, torque_scale
 from lieid_casadi.robot import Robot
-
-Array = NDArray[np.float64]
 
 TEMPERATURE_RISE = 12.0  # °C, of demo arms with a temperature effect
 
@@ -161,41 +156,41 @@ class _EffectSize:
 
 
 _MAKERS: dict[str, Callable[[_EffectSize], HiddenEffect]] = {
-    "viscous_polynomial": lambda s: on_joint.ViscousPolynomial(
+    "viscous_polynomial": lambda s: effects.ViscousPolynomial(
         s.joint, quadratic=-0.04 * s.torque / s.speed**2, cubic=0.06 * s.torque / s.speed**3
     ),
-    "viscous_asymmetric": lambda s: on_joint.ViscousAsymmetric(
+    "viscous_asymmetric": lambda s: effects.ViscousAsymmetric(
         s.joint, coefficient=s.sign() * 0.02 * s.torque / s.speed
     ),
-    "stribeck": lambda s: on_joint.Stribeck(s.joint, extra=0.04 * s.torque, velocity=0.1 * s.speed),
-    "load_friction": lambda s: on_joint.LoadFriction(s.joint, gain=0.1 * s.strength),
-    "temperature_friction": lambda s: on_joint.TemperatureFriction(
+    "stribeck": lambda s: effects.Stribeck(s.joint, extra=0.04 * s.torque, velocity=0.1 * s.speed),
+    "load_friction": lambda s: effects.LoadFriction(s.joint, gain=0.1 * s.strength),
+    "temperature_friction": lambda s: effects.TemperatureFriction(
         s.joint, viscous_decay=0.04 * s.strength, dry_slope=0.01 * s.strength
     ),
-    "warm_up": lambda s: on_joint.WarmUp(
+    "warm_up": lambda s: effects.WarmUp(
         s.joint, change=-min(0.5 * s.strength, 0.9), time_constant=20.0
     ),
-    "position_friction": lambda s: on_joint.PositionFriction(
+    "position_friction": lambda s: effects.PositionFriction(
         s.joint,
         amplitude=min(0.5 * s.strength, 0.95) * s.coulomb,
         harmonic=float(s.random.integers(1, 4)),
         phase=s.angle(),
     ),
-    "presliding": lambda s: on_joint.Presliding(s.joint, width=0.03 * s.strength),
-    "armature": lambda s: on_joint.Armature(s.joint, inertia=0.3 * s.strength * s.inertia()),
-    "joint_elasticity": lambda s: on_joint.JointElasticity(
+    "presliding": lambda s: effects.Presliding(s.joint, width=0.03 * s.strength),
+    "armature": lambda s: effects.Armature(s.joint, inertia=0.3 * s.strength * s.inertia()),
+    "joint_elasticity": lambda s: effects.JointElasticity(
         s.joint, stiffness=float(torque_scale(s.arm.robot)[s.joint]) / (0.02 * s.strength)
     ),
-    "torque_ripple": lambda s: on_joint.TorqueRipple(
+    "torque_ripple": lambda s: effects.TorqueRipple(
         s.joint,
         amplitude=0.02 * s.torque,
         harmonic=float(s.random.integers(2, 13)),
         phase=s.angle(),
     ),
-    "position_spring": lambda s: on_joint.PositionSpring(
+    "position_spring": lambda s: effects.PositionSpring(
         s.joint, stiffness=0.05 * s.torque, rest=0.3 * s.angle()
     ),
-    "transmission_coupling": lambda s: on_joint.TransmissionCoupling(
+    "transmission_coupling": lambda s: effects.TransmissionCoupling(
         s.joint,
         source=s.neighbour(),
         viscous_coefficient=0.03 * s.torque / s.speed,

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.plant.arm import Arm
-from lieid_casadi.plant.effect import JointEffect, JointState
-from lieid_casadi.plant.joint_effects import Presliding
-
-Array = NDArray[np.float64]
+from lieid_casadi.plant.effects import JointEffect, JointState, Presliding
 
 
 class Drive:

@@ -1,52 +1,61 @@
-"""Ideal tracking: torques and measurements along a given motion."""
+"""True signals of the plant, and those of an arm that tracks a motion perfectly."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.plant.arm import Arm
 from lieid_casadi.plant.drive import Drive
-from lieid_casadi.plant.effect import JointState
+from lieid_casadi.plant.effects import JointState
 from lieid_casadi.plant.rigid import rigid_torques, wrench_torque
-from lieid_casadi.plant.sensors import Sensors, measure
-from lieid_casadi.plant.true_motion import TrueMotion
-from lieid_casadi.recording import Recording
-
-Array = NDArray[np.float64]
 
 AT_REST = 1e-7  # rad/s; a filtered path has rounding errors at rest
 
 
-def measure_along(
-    arm: Arm,
-    t: ArrayLike,
-    q: ArrayLike,
-    dq: ArrayLike,
-    ddq: ArrayLike,
-    *,
-    sensors: Sensors | None = None,
-    seed: int = 0,
-    name: str = "",
-) -> Recording:
-    """Measure an arm that tracks a motion perfectly; much faster than a simulation.
+@dataclass(frozen=True, eq=False)
+class TrueMotion:
+    """True signals at N instants: t (N,), all others (N, n). SI units.
 
-    Parameters
+    τ = rigid + smooth + dry + armature·motor_ddq holds sample by sample.
+
+    Attributes
     ----------
-    arm : Arm
-    t : (N,)
-        s.
-    q, dq, ddq : (N, n)
-        True, mutually consistent motion of the links.
-    sensors : Sensors, optional
-        Default: ideal ones, one row per instant.
-    seed : int
-        Of the noise and of dry friction at rest.
-    name : str
-        Of the recording.
+    q, dq, ddq
+        Of the links.
+    motor_q, motor_dq, motor_ddq
+        Of the motors; they differ from those of the links at elastic joints.
+    tau
+        Torque that the drives deliver.
+    rigid
+        Torque of the rigid arm, payload and tool wrench included.
+    dry
+        Dry friction.
+    smooth
+        All other torques: viscous friction, offset, spring, ripple.
+    resting : bool
+        Whether the joint was at rest, came to rest or reversed within the step; dry friction then
+        does not follow from the velocity.
+    temperature
+        °C.
     """
-    motion = move_along(arm, t, q, dq, ddq, seed=seed)
-    return measure(arm, motion, sensors or Sensors(rate=None), seed=seed, name=name)
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    motor_q: Array
+    motor_dq: Array
+    motor_ddq: Array
+    tau: Array
+    rigid: Array
+    dry: Array
+    smooth: Array
+    resting: NDArray[np.bool_]
+    temperature: Array
 
 
 def move_along(

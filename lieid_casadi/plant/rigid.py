@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot import Robot
-
-Array = NDArray[np.float64]
 
 TOOL_FRAME = "tool"
 

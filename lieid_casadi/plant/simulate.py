@@ -8,20 +8,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import EffectError
 from lieid_casadi.plant.arm import Arm
-from lieid_casadi.plant.arm_effects import EncoderOffset
-from lieid_casadi.plant.ideal_tracking import move_along
+from lieid_casadi.plant.effects import EncoderOffset
+from lieid_casadi.plant.ideal_tracking import TrueMotion, move_along
 from lieid_casadi.plant.rigid import build_pinocchio, rigid_torques
 from lieid_casadi.plant.sensors import Sensors, measure
 from lieid_casadi.plant.stepper import DriveCommand, Stepper, StepResult
-from lieid_casadi.plant.torque_scale import torque_scale
-from lieid_casadi.plant.true_motion import ReferenceTrajectory, TrueMotion
+from lieid_casadi.plant.trajectories import ReferenceTrajectory, torque_scale
 from lieid_casadi.recording import Recording
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 logger = logging.getLogger("lieid_casadi")

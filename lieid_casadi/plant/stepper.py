@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.plant.arm import Arm
 from lieid_casadi.plant.drive import Drive
-from lieid_casadi.plant.effect import JointState
+from lieid_casadi.plant.effects import JointState
 from lieid_casadi.plant.rigid import wrench_torque
-
-Array = NDArray[np.float64]
 
 MAX_ITERATIONS = 30
 MAX_CHANGES = 4  # of one joint between stick and slip within a step

@@ -16,7 +16,7 @@ import numpy as np
 import lieid_casadi as lieid
 from lieid_casadi.excitation import Torque, excite
 from lieid_casadi.plant.demo_arm import demo_arm, demo_sensors
-from lieid_casadi.plant.ideal_tracking import measure_along
+from lieid_casadi.plant.sensors import measure_along
 from lieid_casadi.plant.trajectories import FourierTrajectory
 from lieid_casadi.recording import Processing
 

@@ -15,7 +15,7 @@ from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation import Torque, excite
 from lieid_casadi.excitation.sample_functions import FittedArm
 from lieid_casadi.excitation.trajectory import MotionSamples
-from lieid_casadi.plant.inertias import perturbed_inertias
+from lieid_casadi.plant.arm import perturbed_inertias
 from lieid_casadi.robot.drive import Drive
 
 N = 2

@@ -1,4 +1,8 @@
-"""Hidden effects on the torque of one joint; their methods are described in ``JointEffect``."""
+"""Hidden effects of the plant: on the torque of a joint, on the whole arm, on what is measured.
+
+Nothing here comes from ``lieid_casadi.effects``, so that an error in one is not repeated in the
+other. Each effect has the name of the library's effect, so that a diagnosis can be scored.
+"""
 
 # ruff: noqa: D102
 
@@ -10,7 +14,78 @@ from typing import ClassVar
 
 import numpy as np
 
-from lieid_casadi.plant.effect import Array, HiddenEffect, JointEffect, JointState
+from lieid_casadi.arrays import Array
+
+
+@dataclass(slots=True)
+class JointState:
+    """Quantities that joint torques depend on: (n,) in a simulation, (N, n) along a path.
+
+    Attributes
+    ----------
+    t
+        () or (N,), s.
+    q, dq
+        Angle and velocity of the motor (of the link, where the joint is rigid).
+    sign
+        Direction of motion: −1, 0 at rest, 1.
+    load
+        Rigid torque, payload included; armature and friction not. N·m.
+    temperature
+        °C.
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    sign: Array
+    load: Array
+    temperature: Array
+
+
+@dataclass(frozen=True)
+class HiddenEffect:
+    """An effect of the plant."""
+
+    name: ClassVar[str] = ""
+
+
+@dataclass(frozen=True)
+class JointEffect(HiddenEffect):
+    """An effect on the torque of one joint (from 0); undefined methods change nothing.
+
+    The drive's torque is rigid + armature·q̈ + ``torque``
+    + ``viscous_scale``·(f_v·q̇ + ``viscous``) + dry friction, where dry friction is
+    sgn(q̇)·``level_scale``·(f_c + ``level``) in motion; at rest it takes the value that keeps the
+    joint at rest, up to that level.
+    """
+
+    joint: int
+
+    def level(self, s: JointState) -> Array:
+        """Return what is added to the level of dry friction, N·m."""
+        return np.zeros(())
+
+    def level_slope(self, s: JointState) -> Array:
+        """Return the derivative of ``level`` by the load, for the simulation's Newton steps."""
+        return np.zeros(())
+
+    def level_scale(self, s: JointState) -> Array:
+        """Return the factor on dry friction."""
+        return np.ones(())
+
+    def viscous(self, s: JointState) -> Array:
+        """Return added friction that vanishes at rest, N·m."""
+        return np.zeros(())
+
+    def viscous_scale(self, s: JointState) -> Array:
+        """Return the factor on friction that vanishes at rest."""
+        return np.ones(())
+
+    def torque(self, s: JointState) -> Array:
+        """Return added torque that is not friction of this joint, N·m."""
+        return np.zeros(())
+
 
 SLOWEST = 1e-12  # rad/s: keeps |τ|/|q̇| finite at rest
 
@@ -222,3 +297,85 @@ class ForeignTorque(JointEffect):
 
     def torque(self, s: JointState) -> Array:
         return np.asarray(self.function(s))
+
+
+@dataclass(frozen=True)
+class BaseTilt(HiddenEffect):
+    """A tilted base: gravity rotated about the base's x, then y axis, rad."""
+
+    name: ClassVar[str] = "base_tilt"
+    about_x: float = 0.0
+    about_y: float = 0.0
+
+
+@dataclass(frozen=True)
+class Payload(HiddenEffect):
+    """A ball of ``radius`` (m) and ``mass`` (kg) at ``com`` (m) in the tool's frame."""
+
+    name: ClassVar[str] = "payload"
+    mass: float = 0.0
+    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    radius: float = 0.03
+
+
+@dataclass(frozen=True)
+class ExternalWrench(HiddenEffect):
+    """A constant wrench that the tool exerts at its origin, in base axes; N·m and N."""
+
+    name: ClassVar[str] = "external_wrench"
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class TorqueGain(HiddenEffect):
+    """τ_measured = (1 + gain)·τ."""
+
+    name: ClassVar[str] = "torque_gain"
+    joint: int
+    gain: float = 0.0
+
+
+@dataclass(frozen=True)
+class TorqueDelay(HiddenEffect):
+    """τ_measured(t) = τ(t − delay), s."""
+
+    name: ClassVar[str] = "torque_delay"
+    joint: int
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class TimeShift(HiddenEffect):
+    """τ_measured(t) = τ(t − delay) on every joint, s."""
+
+    name: ClassVar[str] = "time_shift"
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class TorqueLowpass(HiddenEffect):
+    """A filter of ``order`` first-order stages, time constant in s; on every joint for None."""
+
+    name: ClassVar[str] = "torque_lowpass"
+    joint: int | None = None
+    time_constant: float = 0.0
+    order: int = 1
+
+
+@dataclass(frozen=True)
+class BiasDrift(HiddenEffect):
+    """τ_measured = τ + rate·(t − t̄), N·m/s."""
+
+    name: ClassVar[str] = "bias_drift"
+    joint: int
+    rate: float = 0.0
+
+
+@dataclass(frozen=True)
+class EncoderOffset(HiddenEffect):
+    """q_true = q_measured + offset, rad."""
+
+    name: ClassVar[str] = "encoder_offset"
+    joint: int
+    offset: float = 0.0
