@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -55,25 +56,10 @@ class Thermal:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A simulated arm.
+    """A simulated arm. An effect on a joint that the robot does not have is an EffectError."""
 
-    Attributes
-    ----------
-    robot
-        Description that users have: kinematics, limits and nominal inertias.
-    parameters : (10 n,)
-        True link parameters, without the payload of an effect.
-    effects
-        Hidden effects.
-
-    Raises
-    ------
-    EffectError
-        An effect on a joint that the robot does not have.
-    """
-
-    robot: Robot
-    parameters: Array
+    robot: Robot  # the description that users have: kinematics, limits and nominal inertias
+    parameters: Array  # (10 n,), true link parameters without the payload of an effect
     friction: JointFriction
     effects: tuple[HiddenEffect, ...] = ()
     thermal: Thermal = field(default_factory=Thermal)
@@ -125,18 +111,14 @@ class Arm:
     @property
     def armature(self) -> Array:
         """Motor inertia per joint (n,), kg·m²."""
-        inertia = np.zeros(self.n)
-        for effect in self.effects_of(Armature):
-            inertia[effect.joint] += effect.inertia
-        return inertia
+        values = ((e.joint, e.inertia) for e in self.effects_of(Armature))
+        return _summed(values, self.n)
 
     @property
     def compliance(self) -> Array:
         """Compliance per joint (n,), rad/(N·m); 0 where the joint is rigid."""
-        compliance = np.zeros(self.n)
-        for effect in self.effects_of(JointElasticity):
-            compliance[effect.joint] += 1.0 / effect.stiffness
-        return compliance
+        values = ((e.joint, 1.0 / e.stiffness) for e in self.effects_of(JointElasticity))
+        return _summed(values, self.n)
 
     @property
     def tool_wrench(self) -> Array:
@@ -151,6 +133,13 @@ class Arm:
         return build_pinocchio(self.robot, self.loaded_parameters, gravity=self.gravity)
 
 
+def _summed(values: Iterable[tuple[int, float]], n: int) -> Array:
+    total = np.zeros(n)
+    for joint, value in values:
+        total[joint] += value
+    return total
+
+
 def _cos_sin(angle: float) -> tuple[float, float]:
     return float(np.cos(angle)), float(np.sin(angle))
 
@@ -158,41 +147,21 @@ def _cos_sin(angle: float) -> tuple[float, float]:
 LEAST_MOMENT = 1e-3  # of the largest principal second moment of mass
 
 
-def perturbed_inertias(
-    robot: Robot, *, spread: float = 0.2, seed: int, payload: Array | None = None
-) -> Array:
+def perturbed_inertias(robot: Robot, *, spread: float = 0.2, seed: int) -> Array:
     """Return physically consistent link parameters (10 n,) near the nominal ones.
 
     Each mass is scaled by a uniform factor in 1 ± spread, each centre of mass moved by up to
     ``spread`` of its distance and of the body's radius of gyration, and the body stretched
     along its principal axes so that the second moments change by 1 ± spread. A description
     with a physically inconsistent body (flat or negative distribution of mass) is corrected first.
-
-    Parameters
-    ----------
-    robot : Robot
-    spread : float
-    seed : int
-    payload : (10,), optional
-        Body at the tool: link parameters in the tool's frame, added to the last link.
     """
     random = np.random.default_rng(seed)
     links = [_perturbed(link, spread, random) for link in robot.link_parameters.reshape(-1, 10)]
-    parameters = np.concatenate(links)
-    return parameters if payload is None else with_payload(robot, parameters, payload)
+    return np.concatenate(links)
 
 
 def with_payload(robot: Robot, parameters: Array, payload: Array) -> Array:
-    """Return link parameters with a body added at the tool.
-
-    Parameters
-    ----------
-    robot : Robot
-    parameters : (10 n,)
-        Without the body.
-    payload : (10,)
-        Link parameters of the body in the tool's frame.
-    """
+    """Return link parameters (10 n,) with a body (10,), in the tool's frame, added at the tool."""
     body = body_inertia(payload)
     rotation, origin = robot.tool[:3, :3], robot.tool[:3, 3]
     carried = link_parameters(

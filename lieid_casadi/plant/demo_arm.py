@@ -3,24 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from lieid_casadi.errors import EffectError
 from lieid_casadi.plant import effects
 from lieid_casadi.plant.arm import Arm, JointFriction, Thermal, perturbed_inertias
-from lieid_casadi.plant.effects import (
-    BaseTilt,
-    BiasDrift,
-    EncoderOffset,
-    ExternalWrench,
-    HiddenEffect,
-    Payload,
-    TimeShift,
-    TorqueDelay,
-    TorqueGain,
-    TorqueLowpass,
-)
+from lieid_casadi.plant.effects import HiddenEffect
 from lieid_casadi.plant.rigid import build_pinocchio
 from lieid_casadi.plant.sensors import Sensors
 from lieid_casadi.plant.trajectories import Envelope, torque_scale
@@ -40,18 +30,8 @@ def demo_arm(
     """Return the arm that ``lieid demo`` measures.
 
     Inertias differ from the nominal ones by up to 20 %. Every joint has Coulomb and viscous
-    friction and an offset in proportion to its torque limit. One effect is hidden.
-
-    Parameters
-    ----------
-    robot : Robot
-    seed : int
-    hidden : str, HiddenEffect or None
-        An effect, or the name of one (see `hidden_effect`).
-    joint : int
-        Joint of a named effect, from 0.
-    strength : float
-        Factor on the size of a named effect.
+    friction and an offset in proportion to its torque limit. One effect is hidden: ``hidden``, or
+    the effect of this name (see `hidden_effect`) on ``joint`` (from 0) with a factor on its size.
     """
     random = np.random.default_rng([seed, 10])
     scale, speed = torque_scale(robot), Envelope.of(robot).velocity
@@ -61,14 +41,11 @@ def demo_arm(
         offset=scale * random.uniform(-0.01, 0.01, robot.n),
     )
     arm = Arm(robot, perturbed_inertias(robot, seed=seed), friction)
-    if hidden is None:
-        return arm
-    if isinstance(hidden, HiddenEffect):
-        return arm.with_effects(hidden)
+    if not isinstance(hidden, str):
+        return arm if hidden is None else arm.with_effects(hidden)
     effect = hidden_effect(arm, hidden, joint, strength=strength, seed=seed)
     if hidden == "temperature_friction":
-        thermal = Thermal(rise=TEMPERATURE_RISE, time_constant=20.0)
-        arm = Arm(robot, arm.parameters, friction, (), thermal)
+        arm = replace(arm, thermal=Thermal(rise=TEMPERATURE_RISE, time_constant=20.0))
     return arm.with_effects(effect)
 
 
@@ -89,19 +66,9 @@ def demo_sensors(robot: Robot, *, rate: float = 200.0) -> Sensors:
 def hidden_effect(
     arm: Arm, name: str, joint: int, *, strength: float = 1.0, seed: int = 0
 ) -> HiddenEffect:
-    """Return an effect of realistic size.
+    """Return an effect of `HIDDEN_EFFECT_NAMES` of realistic size times ``strength``.
 
-    Parameters
-    ----------
-    arm : Arm
-    name : str
-        One of `HIDDEN_EFFECT_NAMES`.
-    joint : int
-        From 0.
-    strength : float
-        Factor on its size.
-    seed : int
-        Of random details (phase, harmonic, source).
+    The joint is counted from 0; ``seed`` determines details (phase, harmonic, source).
 
     Raises
     ------
@@ -196,17 +163,19 @@ _MAKERS: dict[str, Callable[[_EffectSize], HiddenEffect]] = {
         viscous_coefficient=0.03 * s.torque / s.speed,
         coulomb=0.02 * s.torque,
     ),
-    "torque_gain": lambda s: TorqueGain(s.joint, gain=s.sign() * 0.08 * s.strength),
-    "torque_delay": lambda s: TorqueDelay(s.joint, delay=0.02 * s.strength),
-    "torque_lowpass": lambda s: TorqueLowpass(s.joint, time_constant=0.02 * s.strength),
-    "time_shift": lambda s: TimeShift(delay=0.02 * s.strength),
-    "bias_drift": lambda s: BiasDrift(s.joint, rate=s.sign() * 0.002 * s.torque),
-    "encoder_offset": lambda s: EncoderOffset(s.joint, offset=s.sign() * 0.05 * s.strength),
-    "base_tilt": lambda s: BaseTilt(
+    "torque_gain": lambda s: effects.TorqueGain(s.joint, gain=s.sign() * 0.08 * s.strength),
+    "torque_delay": lambda s: effects.TorqueDelay(s.joint, delay=0.02 * s.strength),
+    "torque_lowpass": lambda s: effects.TorqueLowpass(s.joint, time_constant=0.02 * s.strength),
+    "time_shift": lambda s: effects.TimeShift(delay=0.02 * s.strength),
+    "bias_drift": lambda s: effects.BiasDrift(s.joint, rate=s.sign() * 0.002 * s.torque),
+    "encoder_offset": lambda s: effects.EncoderOffset(s.joint, offset=s.sign() * 0.05 * s.strength),
+    "base_tilt": lambda s: effects.BaseTilt(
         about_x=s.sign() * 0.06 * s.strength, about_y=s.sign() * 0.04 * s.strength
     ),
-    "payload": lambda s: Payload(mass=0.05 * s.strength * s.weight() / 9.81, com=s.three(0.05)),
-    "external_wrench": lambda s: ExternalWrench(
+    "payload": lambda s: effects.Payload(
+        mass=0.05 * s.strength * s.weight() / 9.81, com=s.three(0.05)
+    ),
+    "external_wrench": lambda s: effects.ExternalWrench(
         moment=s.three(0.005 * s.strength * s.weight()),
         force=s.three(0.05 * s.strength * s.weight()),
     ),

@@ -8,6 +8,7 @@ other. Each effect has the name of the library's effect, so that a diagnosis can
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
@@ -19,35 +20,25 @@ from lieid_casadi.arrays import Array
 
 @dataclass(slots=True)
 class JointState:
-    """Quantities that joint torques depend on: (n,) in a simulation, (N, n) along a path.
+    """Quantities that joint torques depend on: (n,) in a simulation, (N, n) along a path."""
 
-    Attributes
-    ----------
-    t
-        () or (N,), s.
-    q, dq
-        Angle and velocity of the motor (of the link, where the joint is rigid).
-    sign
-        Direction of motion: −1, 0 at rest, 1.
-    load
-        Rigid torque, payload included; armature and friction not. N·m.
-    temperature
-        °C.
-    """
-
-    t: Array
-    q: Array
+    t: Array  # () or (N,), s
+    q: Array  # of the motor (of the link, where the joint is rigid)
     dq: Array
-    sign: Array
-    load: Array
-    temperature: Array
+    sign: Array  # direction of motion: −1, 0 at rest, 1
+    load: Array  # rigid torque, payload included; armature and friction not, N·m
+    temperature: Array  # °C
 
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """An effect of the plant."""
+    """An effect of the plant; its name is that of its class in lower case with underscores."""
 
     name: ClassVar[str] = ""
+
+    def __init_subclass__(cls) -> None:
+        if "name" not in vars(cls):
+            cls.name = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
 
 
 @dataclass(frozen=True)
@@ -94,7 +85,6 @@ SLOWEST = 1e-12  # rad/s: keeps |τ|/|q̇| finite at rest
 class ViscousPolynomial(JointEffect):
     """f2·sgn(q̇)·q̇² + f3·q̇³."""
 
-    name: ClassVar[str] = "viscous_polynomial"
     quadratic: float = 0.0
     cubic: float = 0.0
 
@@ -107,7 +97,6 @@ class ViscousPolynomial(JointEffect):
 class ViscousAsymmetric(JointEffect):
     """f·|q̇|: different viscous coefficients forward and backward."""
 
-    name: ClassVar[str] = "viscous_asymmetric"
     coefficient: float = 0.0
 
     def viscous(self, s: JointState) -> Array:
@@ -118,7 +107,6 @@ class ViscousAsymmetric(JointEffect):
 class Stribeck(JointEffect):
     """Dry friction that is larger by ``extra`` (N·m) at rest: extra·exp(−(q̇/velocity)²)."""
 
-    name: ClassVar[str] = "stribeck"
     extra: float = 0.0
     velocity: float = 0.1
 
@@ -134,7 +122,6 @@ class LoadFriction(JointEffect):
     ``generating`` replaces ``gain`` where the load drives the joint (τ·q̇ < 0).
     """
 
-    name: ClassVar[str] = "load_friction"
     gain: float = 0.0
     generating: float | None = None
     extra: float = 0.0
@@ -166,7 +153,6 @@ class LoadFriction(JointEffect):
 class TemperatureFriction(JointEffect):
     """Friction that decreases when warm: f_v·exp(−decay·(T − T̄)), f_c·(1 − slope·(T − T̄))."""
 
-    name: ClassVar[str] = "temperature_friction"
     viscous_decay: float = 0.0
     dry_slope: float = 0.0
     reference: float = 25.0
@@ -183,7 +169,6 @@ class TemperatureFriction(JointEffect):
 class WarmUp(JointEffect):
     """Friction × (1 + change·(1 − exp(−t/time_constant)))."""
 
-    name: ClassVar[str] = "warm_up"
     change: float = -0.3
     time_constant: float = 30.0
 
@@ -198,7 +183,6 @@ class WarmUp(JointEffect):
 class PositionFriction(JointEffect):
     """Dry friction that varies with the position: amplitude·sin(harmonic·q + phase)."""
 
-    name: ClassVar[str] = "position_friction"
     amplitude: float = 0.0
     harmonic: float = 1.0
     phase: float = 0.0
@@ -211,7 +195,6 @@ class PositionFriction(JointEffect):
 class Presliding(HiddenEffect):
     """Dahl's hysteresis in place of the sign in dry friction, with the width ``width`` (rad)."""
 
-    name: ClassVar[str] = "presliding"
     joint: int
     width: float = 0.01
 
@@ -220,7 +203,6 @@ class Presliding(HiddenEffect):
 class Armature(HiddenEffect):
     """I·q̈ of the motor's rotor, kg·m² at the joint."""
 
-    name: ClassVar[str] = "armature"
     joint: int
     inertia: float = 0.0
 
@@ -229,7 +211,6 @@ class Armature(HiddenEffect):
 class TorqueRipple(JointEffect):
     """amplitude·sin(k·q + phase)."""
 
-    name: ClassVar[str] = "torque_ripple"
     amplitude: float = 0.0
     harmonic: float = 2.0
     phase: float = 0.0
@@ -242,7 +223,6 @@ class TorqueRipple(JointEffect):
 class PositionSpring(JointEffect):
     """stiffness·(q − rest): balancer, hose, cable."""
 
-    name: ClassVar[str] = "position_spring"
     stiffness: float = 0.0
     rest: float = 0.0
 
@@ -254,7 +234,6 @@ class PositionSpring(JointEffect):
 class TransmissionCoupling(JointEffect):
     """Friction on this joint from the motion of joint ``source`` in a shared gear."""
 
-    name: ClassVar[str] = "transmission_coupling"
     source: int = 0
     viscous_coefficient: float = 0.0
     coulomb: float = 0.0
@@ -268,7 +247,6 @@ class TransmissionCoupling(JointEffect):
 class JointElasticity(HiddenEffect):
     """The measured motor angle leads the link by (rigid torque)/stiffness, N·m/rad."""
 
-    name: ClassVar[str] = "joint_elasticity"
     joint: int
     stiffness: float = 1e4
 
@@ -303,7 +281,6 @@ class ForeignTorque(JointEffect):
 class BaseTilt(HiddenEffect):
     """A tilted base: gravity rotated about the base's x, then y axis, rad."""
 
-    name: ClassVar[str] = "base_tilt"
     about_x: float = 0.0
     about_y: float = 0.0
 
@@ -312,7 +289,6 @@ class BaseTilt(HiddenEffect):
 class Payload(HiddenEffect):
     """A ball of ``radius`` (m) and ``mass`` (kg) at ``com`` (m) in the tool's frame."""
 
-    name: ClassVar[str] = "payload"
     mass: float = 0.0
     com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     radius: float = 0.03
@@ -322,7 +298,6 @@ class Payload(HiddenEffect):
 class ExternalWrench(HiddenEffect):
     """A constant wrench that the tool exerts at its origin, in base axes; N·m and N."""
 
-    name: ClassVar[str] = "external_wrench"
     moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
     force: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -331,7 +306,6 @@ class ExternalWrench(HiddenEffect):
 class TorqueGain(HiddenEffect):
     """τ_measured = (1 + gain)·τ."""
 
-    name: ClassVar[str] = "torque_gain"
     joint: int
     gain: float = 0.0
 
@@ -340,7 +314,6 @@ class TorqueGain(HiddenEffect):
 class TorqueDelay(HiddenEffect):
     """τ_measured(t) = τ(t − delay), s."""
 
-    name: ClassVar[str] = "torque_delay"
     joint: int
     delay: float = 0.0
 
@@ -349,7 +322,6 @@ class TorqueDelay(HiddenEffect):
 class TimeShift(HiddenEffect):
     """τ_measured(t) = τ(t − delay) on every joint, s."""
 
-    name: ClassVar[str] = "time_shift"
     delay: float = 0.0
 
 
@@ -357,7 +329,6 @@ class TimeShift(HiddenEffect):
 class TorqueLowpass(HiddenEffect):
     """A filter of ``order`` first-order stages, time constant in s; on every joint for None."""
 
-    name: ClassVar[str] = "torque_lowpass"
     joint: int | None = None
     time_constant: float = 0.0
     order: int = 1
@@ -367,7 +338,6 @@ class TorqueLowpass(HiddenEffect):
 class BiasDrift(HiddenEffect):
     """τ_measured = τ + rate·(t − t̄), N·m/s."""
 
-    name: ClassVar[str] = "bias_drift"
     joint: int
     rate: float = 0.0
 
@@ -376,6 +346,5 @@ class BiasDrift(HiddenEffect):
 class EncoderOffset(HiddenEffect):
     """q_true = q_measured + offset, rad."""
 
-    name: ClassVar[str] = "encoder_offset"
     joint: int
     offset: float = 0.0

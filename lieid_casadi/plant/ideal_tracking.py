@@ -20,42 +20,23 @@ AT_REST = 1e-7  # rad/s; a filtered path has rounding errors at rest
 class TrueMotion:
     """True signals at N instants: t (N,), all others (N, n). SI units.
 
-    τ = rigid + smooth + dry + armature·motor_ddq holds sample by sample.
-
-    Attributes
-    ----------
-    q, dq, ddq
-        Of the links.
-    motor_q, motor_dq, motor_ddq
-        Of the motors; they differ from those of the links at elastic joints.
-    tau
-        Torque that the drives deliver.
-    rigid
-        Torque of the rigid arm, payload and tool wrench included.
-    dry
-        Dry friction.
-    smooth
-        All other torques: viscous friction, offset, spring, ripple.
-    resting : bool
-        Whether the joint was at rest, came to rest or reversed within the step; dry friction then
-        does not follow from the velocity.
-    temperature
-        °C.
+    τ = rigid + smooth + dry + armature·motor_ddq holds sample by sample. Where a joint rested, came
+    to rest or reversed within the step, its dry friction does not follow from the velocity.
     """
 
     t: Array
-    q: Array
+    q: Array  # of the links
     dq: Array
     ddq: Array
-    motor_q: Array
+    motor_q: Array  # of the motors; they differ from those of the links at elastic joints
     motor_dq: Array
     motor_ddq: Array
-    tau: Array
-    rigid: Array
-    dry: Array
-    smooth: Array
+    tau: Array  # that the drives deliver
+    rigid: Array  # of the rigid arm, payload and tool wrench included
+    dry: Array  # dry friction
+    smooth: Array  # all other torques: viscous friction, offset, spring, ripple
     resting: NDArray[np.bool_]
-    temperature: Array
+    temperature: Array  # °C
 
 
 def move_along(
@@ -64,17 +45,7 @@ def move_along(
     """Return the true signals of an arm along a given motion.
 
     Dry friction at rest is undetermined: during each rest of a joint it is a constant random
-    fraction of its level.
-
-    Parameters
-    ----------
-    arm : Arm
-    t : (N,)
-        s.
-    q, dq, ddq : (N, n)
-        Motion of the links.
-    seed : int
-        Of dry friction at rest.
+    fraction of its level that the seed determines. Times are (N,), the motion of the links (N, n).
     """
     t, q, dq, ddq = (np.asarray(x, dtype=float) for x in (t, q, dq, ddq))
     rigid = rigid_torques(arm.rigid_model(), q, dq, ddq) + _tool_torques(arm, q)

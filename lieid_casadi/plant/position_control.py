@@ -12,8 +12,7 @@ from lieid_casadi.errors import EffectError
 from lieid_casadi.plant.arm import Arm, JointFriction
 from lieid_casadi.plant.effects import Armature
 from lieid_casadi.plant.sensors import Sensors, measure
-from lieid_casadi.plant.simulate import MotionRows
-from lieid_casadi.plant.stepper import DriveCommand, Stepper
+from lieid_casadi.plant.stepper import DriveCommand, Stepper, motion_of
 from lieid_casadi.plant.trajectories import ReferenceTrajectory
 from lieid_casadi.recording import Recording
 
@@ -25,27 +24,15 @@ DAMPING = 0.5  # of that oscillation, relative to critical damping
 class PositionDrive:
     """One joint's position controller: torque = K·e − D·q̇ with e = q_cmd − q, limited.
 
-    Attributes
-    ----------
-    stiffness, damping : float
-        N·m/rad, N·m·s/rad.
-    limit : float
-        Largest torque that is proportional to the error, N·m.
-    delay : float
-        Of the command, s.
-    deadband : float
-        Errors of this size, rad, and smaller ones cause no torque.
-    backlash : float
-        Play between motor and link, rad: the encoder is at the motor. The arm needs an armature
-        on this joint, which is the inertia of the motor.
+    With backlash the encoder is at the motor, whose inertia is the armature of the arm's joint.
     """
 
-    stiffness: float
-    damping: float
-    limit: float = np.inf
-    delay: float = 0.0
-    deadband: float = 0.0
-    backlash: float = 0.0
+    stiffness: float  # N·m/rad
+    damping: float  # N·m·s/rad
+    limit: float = np.inf  # largest torque that is proportional to the error, N·m
+    delay: float = 0.0  # of the command, s
+    deadband: float = 0.0  # errors of this size, rad, and smaller ones cause no torque
+    backlash: float = 0.0  # play between motor and link, rad
 
 
 def simulate_commands(
@@ -62,24 +49,8 @@ def simulate_commands(
 ) -> Recording:
     """Simulate an arm that follows commands, and record commands in place of torques.
 
-    The commands are the trajectory, held from one command to the next.
-
-    Parameters
-    ----------
-    arm : Arm
-    trajectory : ReferenceTrajectory
-    drives : sequence of PositionDrive
-        One per joint.
-    duration : float
-        s.
-    command_rate, rate : float
-        Of the commands and of the integration, Hz.
-    sensors : Sensors, optional
-        Default: ideal ones at 200 Hz.
-    seed : int
-        Of the sensor noise.
-    name : str
-        Of the recording.
+    The commands are the trajectory at ``command_rate`` (Hz), held from one command to the next;
+    there is one drive for each joint. Sensors are ideal at 200 Hz by default.
 
     Raises
     ------
@@ -102,7 +73,7 @@ def simulate_commands(
     )
     motors = _motors(arm, drives, goals[0])
     stepper = Stepper(_without_motors(arm, list(motors)), h, goals[0])
-    rows, motor = MotionRows(t.size, arm.n), np.empty((t.size, arm.n))
+    steps, motor = [], np.empty((t.size, arm.n))
     unlimited, temperature = np.full(arm.n, np.inf), arm.thermal.at(t, arm.n)
     for step in range(t.size):
         q, dq = stepper.q.copy(), stepper.dq.copy()
@@ -120,13 +91,12 @@ def simulate_commands(
             middles[j] = own.step(constant[j], gain[j], contact, h)
             constant[j], gain[j] = contact, 0.0
         result = stepper.step(t[step], DriveCommand(constant, gain, unlimited), temperature[step])
-        rows.put(step, result)
+        steps.append(result)
         motor[step] = result.q
         for j, middle_angle in middles.items():
             motor[step, j] = middle_angle
     middle = np.asarray(t + 0.5 * h)  # of the steps, to which the rows belong
-    motion = rows.motion(middle, temperature, slice(None))
-    motion = replace(motion, motor_q=motor)
+    motion = replace(motion_of(steps, middle, temperature), motor_q=motor)
     recorded = measure(arm, motion, sensors or Sensors(), seed=seed, name=name)
     return replace(recorded, tau=None, command=commands(recorded.t))
 
@@ -167,22 +137,11 @@ class MotorWithPlay:
 
     The link feels the contact alone: a spring and a damper that push and never pull while the
     angles differ by more than half of the play.
-
-    Attributes
-    ----------
-    inertia, link_inertia : float
-        Of the motor, and of what it drives, kg·m²; the second one sets the contact's stiffness.
-    play : float
-        rad.
-    coulomb, viscous, offset : float
-        Friction, N·m and N·m·s/rad.
-    q, dq : float
-        State of the motor, rad and rad/s.
     """
 
-    inertia: float
-    link_inertia: float
-    play: float
+    inertia: float  # kg·m²
+    link_inertia: float  # of what it drives; sets the stiffness of the contact
+    play: float  # rad
     coulomb: float
     viscous: float
     offset: float
@@ -201,16 +160,9 @@ class MotorWithPlay:
         return torque if torque * depth > 0.0 else 0.0
 
     def step(self, constant: float, gain: float, contact: float, h: float) -> float:
-        """Move by h, s, under the torque constant − gain·a of its drive; return the middle angle.
+        """Move by h (s) under the torque constant − gain·a of its drive and that of the contact.
 
-        Parameters
-        ----------
-        constant, gain : float
-            N·m and N·m·s²/rad; a is the acceleration of the motor.
-        contact : float
-            Torque on the link, N·m.
-        h : float
-            s.
+        Returns the angle in the middle of the step; a is the acceleration of the motor.
         """
         middle = self.q + 0.5 * h * self.dq
         total = self.inertia + gain + 0.5 * h * self.viscous

@@ -21,15 +21,8 @@ def build_pinocchio(
 
     Pinocchio rotates a link about the origin of its joint frame, but the origin of a link frame may
     be off the joint axis. The joint frame is placed at the nearest point of the axis, with the same
-    orientation, and inertias are transformed.
-
-    Parameters
-    ----------
-    robot : Robot
-    parameters : (10 n,), optional
-        Link parameters about the link frames' origins. Default: the robot's own.
-    gravity : (3,), optional
-        In the base frame, m/s². Default: the robot's own.
+    orientation, and inertias are transformed. Link parameters (10 n,), about the link
+    frames' origins, and gravity (3,) in the base frame are the robot's own by default.
 
     Raises
     ------
@@ -88,18 +81,7 @@ def _inertia(link: Array) -> Any:
 
 
 def rigid_torques(model: Any, q: Array, dq: Array, ddq: Array) -> Array:
-    """Return the rigid torques along a path.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-    q, dq, ddq : (N, n)
-
-    Returns
-    -------
-    (N, n)
-        N·m.
-    """
+    """Return the rigid torques (N, n) of a ``pinocchio.Model`` along a path (N, n), N·m."""
     import pinocchio as pin
 
     data = model.createData()
@@ -110,16 +92,7 @@ def rigid_torques(model: Any, q: Array, dq: Array, ddq: Array) -> Array:
 
 
 def wrench_torque(model: Any, data: Any, q: Array, wrench: Array) -> Array:
-    """Return Jᵀ·F (n,) of a wrench that the tool exerts.
-
-    Parameters
-    ----------
-    model, data : pinocchio.Model, pinocchio.Data
-    q : (n,)
-        rad.
-    wrench : (6,)
-        [m; f] at the origin of the tool, base axes, N·m and N.
-    """
+    """Return Jᵀ·F (n,) of a wrench [m; f] (6,) that the tool exerts at its origin, base axes."""
     import pinocchio as pin
 
     frame = model.getFrameId(TOOL_FRAME)

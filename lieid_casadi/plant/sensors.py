@@ -29,60 +29,29 @@ PerJoint = float | tuple[float, ...]
 class Sensors:
     """Sensor properties; ideal by default. Numbers are for all joints, tuples for each.
 
-    Attributes
-    ----------
-    rate
-        Hz; None: every instant. If it does not divide the control rate, the nearest instants are
-        sampled, with their true time stamps.
-    counts_per_turn
-        Encoder counts per turn of the joint; 0: no quantization.
-    counts_per_metre
-        The same for sliding joints.
-    position_noise
-        White noise on q before quantization, rad or m.
-    velocity
-        ``"exact"``: true velocity and ``velocity_noise``; ``"difference"``: central difference
-        of the measured position over ``velocity_span``; ``"none"``: not recorded.
-    velocity_noise
-        White noise, rad/s.
-    torque_noise
-        White noise, N·m.
-    coloured_noise, correlation_time
-        First-order coloured noise: standard deviation in N·m, correlation time in s.
-    torque_step
-        Quantization of the torque, N·m; 0: none.
-    temperature
-        Whether to record temperatures (0.1 °C resolution).
+    If the rate does not divide that of the motion, the nearest instants are sampled, with their
+    true time stamps. The velocity is the true one with noise (``exact``), the central difference of
+    the measured position over ``velocity_span``, or not recorded (``none``).
     """
 
-    rate: float | None = 200.0
-    counts_per_turn: float = 0.0
-    counts_per_metre: float = 0.0
-    position_noise: PerJoint = 0.0
+    rate: float | None = 200.0  # Hz; None: every instant
+    counts_per_turn: float = 0.0  # of the encoders; 0: no quantization
+    counts_per_metre: float = 0.0  # the same for sliding joints
+    position_noise: PerJoint = 0.0  # white, before quantization, rad or m
     velocity: Literal["exact", "difference", "none"] = "exact"
-    velocity_noise: PerJoint = 0.0
-    velocity_span: float = 0.01
-    torque_noise: PerJoint = 0.0
-    coloured_noise: PerJoint = 0.0
-    correlation_time: float = 0.02
-    torque_step: PerJoint = 0.0
-    temperature: bool = False
+    velocity_noise: PerJoint = 0.0  # white, rad/s
+    velocity_span: float = 0.01  # s
+    torque_noise: PerJoint = 0.0  # white, N·m
+    coloured_noise: PerJoint = 0.0  # standard deviation of first-order noise, N·m
+    correlation_time: float = 0.02  # of this noise, s
+    torque_step: PerJoint = 0.0  # quantization, N·m; 0: none
+    temperature: bool = False  # whether to record temperatures (0.1 °C resolution)
 
 
 def measure(
     arm: Arm, motion: TrueMotion, sensors: Sensors, *, seed: int = 0, name: str = ""
 ) -> Recording:
-    """Return the recording of a motion.
-
-    Parameters
-    ----------
-    arm : Arm
-    motion : TrueMotion
-    sensors : Sensors
-    seed : int
-        Of the noise.
-    name : str
-        Of the recording.
+    """Return the recording of a motion; the seed is that of the noise.
 
     Raises
     ------
@@ -125,19 +94,8 @@ def measure_along(
 ) -> Recording:
     """Measure an arm that tracks a motion perfectly; much faster than a simulation.
 
-    Parameters
-    ----------
-    arm : Arm
-    t : (N,)
-        s.
-    q, dq, ddq : (N, n)
-        True, mutually consistent motion of the links.
-    sensors : Sensors, optional
-        Default: ideal ones, one row per instant.
-    seed : int
-        Of the noise and of dry friction at rest.
-    name : str
-        Of the recording.
+    The motion (N, n) of the links at times (N,) must be consistent. Sensors are ideal by default,
+    with one row per instant; the seed is that of the noise and of dry friction at rest.
     """
     motion = move_along(arm, t, q, dq, ddq, seed=seed)
     return measure(arm, motion, sensors or Sensors(rate=None), seed=seed, name=name)
@@ -164,18 +122,7 @@ def sampled_rows(t: Array, rate: float | None) -> NDArray[np.intp]:
 
 
 def coloured_noise(t: Array, n: int, correlation_time: float, random: np.random.Generator) -> Array:
-    """Return first-order stationary noise (N, n) of unit variance, correlation exp(−Δt/time).
-
-    Parameters
-    ----------
-    t : (N,)
-        s.
-    n : int
-        Number of joints.
-    correlation_time : float
-        s.
-    random : Generator
-    """
+    """Return first-order stationary noise (N, n) of unit variance, correlation exp(−Δt/time)."""
     white = random.standard_normal((t.size, n))
     keep = np.exp(-np.diff(t) / correlation_time)
     noise = np.empty_like(white)

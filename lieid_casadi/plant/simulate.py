@@ -16,7 +16,7 @@ from lieid_casadi.plant.effects import EncoderOffset
 from lieid_casadi.plant.ideal_tracking import TrueMotion, move_along
 from lieid_casadi.plant.rigid import build_pinocchio, rigid_torques
 from lieid_casadi.plant.sensors import Sensors, measure
-from lieid_casadi.plant.stepper import DriveCommand, Stepper, StepResult
+from lieid_casadi.plant.stepper import DriveCommand, Stepper, motion_of
 from lieid_casadi.plant.trajectories import ReferenceTrajectory, torque_scale
 from lieid_casadi.recording import Recording
 
@@ -33,19 +33,12 @@ REPORTS = 100
 class Control:
     """Joint PD control with the nominal model, critically damped at the least nominal inertia.
 
-    Attributes
-    ----------
-    bandwidth
-        rad/s, of each joint alone.
-    stiffness
-        Least stiffness in parts of the torque scale per radian (metre), so that light joints also
-        overcome friction: with 100, friction of 4 % of the torque limit causes an error of 0.0004.
-    feedforward
-        Whether to add nominal rigid torques along the reference; otherwise gravity at the actual
-        pose.
+    ``feedforward`` adds nominal rigid torques along the reference, otherwise gravity at the actual
+    pose. The least stiffness, in parts of the torque scale per radian (metre), lets light joints
+    overcome friction: with 100, friction of 4 % of the torque limit causes an error of 0.0004.
     """
 
-    bandwidth: float = 100.0
+    bandwidth: float = 100.0  # rad/s, of each joint alone
     stiffness: float = 100.0
     feedforward: bool = True
 
@@ -64,23 +57,9 @@ def simulate(
 ) -> Recording:
     """Simulate an arm that tracks a trajectory and record it.
 
-    Parameters
-    ----------
-    arm : Arm
-    trajectory : ReferenceTrajectory
-    duration : float, optional
-        s. Default: that of the trajectory.
-    rate : float
-        Of control and integration, Hz.
-    sensors : Sensors, optional
-        Default: ideal ones at 200 Hz.
-    control : Control, optional
-    seed : int
-        Of the sensor noise.
-    progress : callable, optional
-        Called with the fraction that is done, 0 to 1.
-    name : str
-        Of the recording.
+    The duration (s) is that of the trajectory by default; ``rate`` (Hz) is that of control and
+    integration. Sensors are ideal at 200 Hz by default; the seed is that of their noise.
+    ``progress`` is called with the fraction that is done, 0 to 1.
 
     Raises
     ------
@@ -110,12 +89,7 @@ def move(
     joint), so that a joint at rest stays exactly at rest.
 
     With elastic joints the links follow the path of the rigid arm, smoothed to 20 Hz; motion of the
-    motors and torques follow from this path.
-
-    Parameters
-    ----------
-    arm, trajectory, duration, rate, control, progress
-        See `simulate`.
+    motors and torques follow from this path. Arguments are those of `simulate`.
 
     Raises
     ------
@@ -132,20 +106,20 @@ def move(
     controller = _Controller(arm, trajectory, t, control or Control())
     stepper = Stepper(arm, 1.0 / rate, controller.reference[0])
     _check_presliding(arm, stepper, controller.inertia, 1.0 / rate)
-    rows = MotionRows(t.size, arm.n)
+    steps = []
     every = max(1, t.size // REPORTS)
     for k in range(t.size):
         command = controller.command(k, stepper.q, stepper.dq)
-        rows.put(k, stepper.step(t[k], command, temperature[k]))
+        steps.append(stepper.step(t[k], command, temperature[k]))
         if progress is not None and k % every == 0:
             progress(k / t.size)
     if stepper.unsettled:
         logger.debug("%d of %d steps did not settle stick and slip", stepper.unsettled, t.size)
     recorded = slice(settling, last + 1)
     if elastic:
-        motion = _elastic(arm, t, rows.q, recorded)
+        motion = _elastic(arm, t, np.array([step.q for step in steps]), recorded)
     else:
-        motion = rows.motion(t, temperature, recorded)
+        motion = motion_of(steps[recorded], t[recorded], temperature[recorded])
     if progress is not None:
         progress(1.0)
     return motion
@@ -215,40 +189,6 @@ def _check_presliding(arm: Arm, stepper: Stepper, inertia: Array, h: float) -> N
             f"presliding on joint {joint + 1}: too stiff for control at {1.0 / h:g} Hz; "
             f"expected a larger width, or a rate of at least {rate:.0f} Hz"
         )
-
-
-class MotionRows:
-    """Recorded signals of a simulation."""
-
-    def __init__(self, size: int, n: int) -> None:
-        self.q, self.dq, self.ddq, self.tau, self.rigid, self.dry, self.smooth = np.zeros(
-            (7, size, n)
-        )
-        self.resting = np.zeros((size, n), dtype=bool)
-
-    def put(self, k: int, step: StepResult) -> None:
-        """Store the result of step k."""
-        self.q[k], self.dq[k], self.ddq[k] = step.q, step.dq, step.ddq
-        self.tau[k], self.rigid[k] = step.tau, step.rigid
-        self.smooth[k], self.dry[k] = step.smooth, step.dry
-        self.resting[k] = step.resting
-
-    def motion(self, t: Array, temperature: Array, rows: slice) -> TrueMotion:
-        """Return some rows as the motion of a rigid arm.
-
-        Parameters
-        ----------
-        t : (N,)
-            s.
-        temperature : (N, n)
-            °C.
-        rows : slice
-        """
-        q, dq, ddq = self.q[rows], self.dq[rows], self.ddq[rows]
-        return TrueMotion(
-            t[rows], q, dq, ddq, q, dq, ddq, self.tau[rows], self.rigid[rows],
-            self.dry[rows], self.smooth[rows], self.resting[rows], temperature[rows],
-        )  # fmt: skip
 
 
 def _elastic(arm: Arm, t: Array, q: Array, recorded: slice) -> TrueMotion:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.plant.arm import Arm
 from lieid_casadi.plant.drive import Drive
 from lieid_casadi.plant.effects import JointState
+from lieid_casadi.plant.ideal_tracking import TrueMotion
 from lieid_casadi.plant.rigid import wrench_torque
 
 MAX_ITERATIONS = 30
@@ -37,7 +39,7 @@ class DriveCommand:
 
 @dataclass(slots=True)
 class StepResult:
-    """The instant in the middle of a step, (n,) each; see ``Motion``."""
+    """The instant in the middle of a step, (n,) each; see ``TrueMotion``."""
 
     q: Array
     dq: Array
@@ -47,6 +49,15 @@ class StepResult:
     smooth: Array
     dry: Array
     resting: NDArray[np.bool_]
+
+
+def motion_of(steps: Sequence[StepResult], t: Array, temperature: Array) -> TrueMotion:
+    """Return the motion of a rigid arm from its steps at times (N,), with temperatures (N, n)."""
+    q, dq, ddq, *torques, resting = (
+        np.array([getattr(step, field.name) for step in steps]) for field in fields(StepResult)
+    )
+    tau, rigid, smooth, dry = torques
+    return TrueMotion(t, q, dq, ddq, q, dq, ddq, tau, rigid, dry, smooth, resting, temperature)
 
 
 class Stepper:
@@ -81,16 +92,7 @@ class Stepper:
         self.unsettled = 0
 
     def step(self, t: float, command: DriveCommand, temperature: Array) -> StepResult:
-        """Integrate one step under the torque of the drives.
-
-        Parameters
-        ----------
-        t : float
-            Start of the step, s.
-        command : DriveCommand
-        temperature : (n,)
-            °C.
-        """
+        """Integrate one step, which starts at t (s), under the torque of the drives."""
         h, drive = self._h, self._drive
         q = self.q + 0.5 * h * self.dq
         if drive.hysteretic.any():

@@ -91,19 +91,7 @@ class FourierTrajectory:
 
     q(t) = q0 + Σ a_l/(lω)·sin(lωt) − b_l/(lω)·cos(lωt), with Σ a_l = Σ l·b_l = 0, so that
     velocity and acceleration vanish at the ends. Accelerations stay below 5 rad/s² and the robot's
-    own limit.
-
-    Parameters
-    ----------
-    robot : Robot
-    harmonics : int
-        At least 2.
-    base_frequency : float
-        Hz: one over the period.
-    periods : int
-        Number of periods.
-    seed : int
-        Of the coefficients.
+    own limit. ``base_frequency`` (Hz) is one over the period; there are at least two harmonics.
     """
 
     def __init__(
@@ -158,20 +146,11 @@ class FourierTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class Waypoints:
-    """Quintic moves from rest to rest between poses, with dwells between them.
+    """Quintic moves from rest to rest between poses, with dwells between them."""
 
-    Attributes
-    ----------
-    poses : (P, n)
-    starts, moves : (P − 1,)
-        Start and duration of each move, s.
-    duration
-        s.
-    """
-
-    poses: Array
-    starts: Array
-    moves: Array
+    poses: Array  # (P, n)
+    starts: Array  # (P − 1,), s
+    moves: Array  # (P − 1,), durations, s
     duration: float
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
@@ -190,18 +169,9 @@ class Waypoints:
 def point_to_point(
     robot: Robot, *, poses: int = 8, dwell: float = 1.0, speed: float = 0.7, seed: int
 ) -> Waypoints:
-    """Return moves between random poses.
+    """Return moves between random poses, at rest for ``dwell`` (s) between them.
 
-    Parameters
-    ----------
-    robot : Robot
-    poses : int
-        Number of poses.
-    dwell : float
-        At rest between two moves, s.
-    speed : float
-        Part of the velocity limits that the fastest joint of a move reaches.
-    seed : int
+    The fastest joint of a move reaches the part ``speed`` of its velocity limit.
     """
     envelope = Envelope.of(robot)
     random = np.random.default_rng(seed)
@@ -227,29 +197,19 @@ def _or(stated: Array, default: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """One joint forward and backward at constant speeds while the others hold their pose.
+    """One joint forward and backward at constant speeds while the others hold their pose."""
 
-    Attributes
-    ----------
-    pose : (n,)
-        Pose of the other joints; the moving joint starts at ``lower``.
-    speeds : (S,)
-        One run forward and one backward for each.
-    """
-
-    pose: Array
+    pose: Array  # (n,), of the other joints
     joint: int
-    lower: float
+    lower: float  # where the moving joint starts
     upper: float
-    speeds: tuple[float, ...]
+    speeds: tuple[float, ...]  # one run forward and one backward for each
     acceleration: float
     dwell: float
 
     def _run(self, speed: float) -> tuple[float, float]:
         """Ramp time and total time of one run."""
-        ramp = (
-            1.5 * speed / self.acceleration
-        )  # the peak acceleration of the ramp is 1.5 of its mean
+        ramp = 1.5 * speed / self.acceleration  # its peak acceleration is 1.5 of the mean
         return ramp, ramp + (self.upper - self.lower) / speed
 
     @property
@@ -283,19 +243,10 @@ def sweep(
     pose: ArrayLike | None = None,
     dwell: float = 0.5,
 ) -> Sweep:
-    """Return forward and backward runs of one joint across its range.
+    """Return forward and backward runs of one joint (from 0) across its range.
 
-    Parameters
-    ----------
-    robot : Robot
-    joint : int
-        From 0.
-    speeds : sequence of float, optional
-        rad/s. Default: 5, 15 and 40 % of the joint's limit.
-    pose : (n,), optional
-        Of the other joints, rad. Default: the middle of the ranges.
-    dwell : float
-        At rest between two runs, s.
+    Speeds (rad/s) are 5, 15 and 40 % of the joint's limit by default, the pose of the other joints
+    the middle of their ranges; ``dwell`` (s) is at rest between two runs.
 
     Raises
     ------
