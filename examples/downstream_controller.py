@@ -18,15 +18,14 @@ from pathlib import Path
 import numpy as np
 
 import lieid_casadi as lieid
-from lieid_casadi import plant
+from lieid_casadi import export, plant
 from lieid_casadi.codegen_files import codegen_folder
-from lieid_casadi.exporters.c.export import export_c
 from lieid_casadi.plant.stepper import DriveCommand, Stepper
 
 EFFECTS = "coulomb,viscous,offset,load_friction:2"
 PERIOD = 1e-3  # s
 BANDWIDTH = 25.0  # 1/s
-SMOOTH = 0.02  # rad/s, v0 of the sign
+SMOOTH = 0.04  # rad/s, half width of the smooth sign
 ADAPTATION = 4.0
 COUNTS = 2**19  # of the encoders, per turn
 COMPUTED_TORQUE, SLOTINE_LI = 0, 1
@@ -64,7 +63,7 @@ class Controller:
     """The C controller, linked to an exported model."""
 
     def __init__(self, fit, folder):
-        export_c(fit, folder / "arm", force=True)
+        export(fit, folder / "arm", force=True, to="c")
         configure = ["cmake", "-S", str(codegen_folder() / "controller"), "-B", str(folder / "b")]
         for command in (
             [*configure, f"-DARM_DIR={folder / 'arm'}"],
@@ -83,14 +82,14 @@ class Controller:
         class Settings(ctypes.Structure):  # controller_settings of controller.h
             _fields_ = (
                 ("law", ctypes.c_int), ("period", ctypes.c_double), ("bandwidth", ctypes.c_double),
-                ("adaptation", ctypes.c_double), ("v0", ctypes.c_double * n),
+                ("adaptation", ctypes.c_double), ("smooth_velocity", ctypes.c_double * n),
                 ("sizes", ctypes.c_double * count),
             )  # fmt: skip
 
         sizes = parameter_sizes(self.fit.model)
-        v0 = (ctypes.c_double * n)(*[SMOOTH] * n)
+        smooth = (ctypes.c_double * n)(*[SMOOTH] * n)
         kept = (ctypes.c_double * count)(*sizes)
-        return Settings(law, PERIOD, BANDWIDTH, adaptation, v0, kept)
+        return Settings(law, PERIOD, BANDWIDTH, adaptation, smooth, kept)
 
     def drive(self, arm, trajectory, law, *, seconds, adaptation=ADAPTATION):
         """Return the run of the arm along a trajectory, which is repeated for ``seconds``."""

@@ -19,7 +19,7 @@ void computed_torque(controller *c, const controller_reference *reference, const
     memcpy(sample.q, reference->q, sizeof sample.q);
     memcpy(sample.dq, reference->dq, sizeof sample.dq);
     sample.time = c->cycles * c->settings.period;
-    arm_advance(&c->state, &sample, c->settings.v0);
-    arm_friction(&sample, torque, &c->state, c->settings.v0, friction);
+    arm_advance(&c->state, &sample, c->settings.smooth_velocity);
+    arm_effect_torque(&sample, torque, &c->state, c->settings.smooth_velocity, friction);
     for (int j = 0; j < ARM_JOINTS; j++) torque[j] += friction[j];
 }

@@ -26,7 +26,7 @@ typedef struct {
     double period;                /* s, from cycle to cycle */
     double bandwidth;             /* 1/s: both laws place a double pole there */
     double adaptation;            /* gain of SLOTINE_LI on sizes squared; 0: no adaptation */
-    double v0[ARM_JOINTS];        /* of the smooth sign of friction, rad/s or m/s */
+    double smooth_velocity[ARM_JOINTS]; /* half width of the smooth sign of friction, rad/s or m/s */
     double sizes[CONTROLLER_PARAMETERS]; /* how far each parameter may be off, in its unit */
 } controller_settings;
 

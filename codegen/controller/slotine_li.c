@@ -47,11 +47,11 @@ void slotine_li(controller *c, const controller_reference *reference, const doub
     sample.time = c->cycles * c->settings.period;
     arm_slotine_li_regressor(q, dq, sample.dq, sample.ddq, y);
     add_product(y, LINKS, c->parameters, torque);
-    arm_advance(&c->state, &sample, c->settings.v0);
+    arm_advance(&c->state, &sample, c->settings.smooth_velocity);
 #if ARM_EFFECT_COEFFICIENTS > 0
     double columns[ARM_JOINTS * EFFECTS], load[ARM_JOINTS];
     memcpy(load, torque, sizeof load);
-    arm_effect_columns(&sample, load, &c->state, c->settings.v0, columns);
+    arm_effect_columns(&sample, load, &c->state, c->settings.smooth_velocity, columns);
     add_product(columns, EFFECTS, c->parameters + LINKS, torque);
     adapt(c, columns, EFFECTS, s, LINKS, c->parameters);
 #endif

@@ -19,10 +19,13 @@ static inline double lieid_sign(double x)
     return x > 0.0 ? 1.0 : (x < 0.0 ? -1.0 : x);
 }
 
-/* The sign of a velocity: sharp without v0 or where v0[j] is 0, else tanh(dq / v0[j]). */
-static inline double lieid_direction(double dq, const double *v0, int j)
+/* The sign of a velocity: within ± width[j] a polynomial of degree 7 whose first three derivatives
+ * vanish at the ends, with slope 35 / (16 width[j]) at rest; sharp without widths or where one is 0. */
+static inline double lieid_direction(double dq, const double *width, int j)
 {
-    return v0 != NULL && v0[j] > 0.0 ? tanh(dq / v0[j]) : lieid_sign(dq);
+    if (width == NULL || !(dq < width[j] && dq > -width[j])) return lieid_sign(dq);
+    const double x = dq / width[j], s = x * x;
+    return x * (35.0 - s * (35.0 - s * (21.0 - 5.0 * s))) / 16.0;
 }
 
 /* the other operand where one is NaN, as fmin and fmax */

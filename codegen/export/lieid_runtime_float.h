@@ -13,9 +13,11 @@ static inline float lieid_signf(float x)
     return x > 0.0f ? 1.0f : (x < 0.0f ? -1.0f : x);
 }
 
-static inline float lieid_directionf(float dq, const float *v0, int j)
+static inline float lieid_directionf(float dq, const float *width, int j)
 {
-    return v0 != NULL && v0[j] > 0.0f ? tanhf(dq / v0[j]) : lieid_signf(dq);
+    if (width == NULL || !(dq < width[j] && dq > -width[j])) return lieid_signf(dq);
+    const float x = dq / width[j], s = x * x;
+    return x * (35.0f - s * (35.0f - s * (21.0f - 5.0f * s))) / 16.0f;
 }
 
 static inline float lieid_fminf(float a, float b) { return a < b || b != b ? a : b; }

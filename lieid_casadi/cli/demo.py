@@ -49,7 +49,7 @@ COMMANDS = (
 
 def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
     """Write all files of a demo into a folder, as a whole or not at all."""
-    from lieid_casadi.exporters.c.export import export_c
+    from lieid_casadi.exporters.export import export
     from lieid_casadi.output_folder import output_folder
     from lieid_casadi.report import diagnosis_report
 
@@ -67,7 +67,7 @@ def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
             (fresh / name).write_bytes(output.picture_bytes(name, figure))
         report = diagnosis_report(demo.diagnosis, demo.better_comparison)
         (fresh / "report.html").write_bytes(output.html_bytes(report))
-        export_c(demo.better, fresh / "c")
+        export(demo.better, fresh / "c", to="c")
 
 
 def content(demo: Demo) -> dict[str, Any]:

@@ -267,7 +267,7 @@ class Compiled:
         values = self._signals(self._samples(q=q, dq=dq, ddq=ddq), given)
         return self._matrix("effect_columns", values, given.get("out"), given.get("threads"))
 
-    def friction(
+    def effect_torque(
         self,
         q: ArrayLike,
         dq: ArrayLike,
@@ -289,7 +289,7 @@ class Compiled:
         values = self._signals(self._samples(q=q, dq=dq, ddq=ddq), given)
         width = len(self.model.columns)
         values["coefficients"] = _constants("coefficients", coefficients, width)
-        return self._vector("friction", values, given.get("out"), given.get("threads"))
+        return self._vector("effect_torque", values, given.get("out"), given.get("threads"))
 
     def _require_joint_effects(self) -> None:
         labels = [p.label for p in self.model.placements if isinstance(p.effect, ArmEffect)]

@@ -48,13 +48,13 @@ class KernelFunctions(ModelFunctions):
         return sparse_function("base_effects", inputs, names, matrix)
 
     @cached_property
-    def friction(self) -> SparseFunction:
+    def effect_torque(self) -> SparseFunction:
         """Torque of all effects (n, 1), given their linear coefficients."""
         coefficients = ca.SX.sym("coefficients", len(self.model.columns))
         inputs, names = self._effect_inputs
         torque = ca.densify(ca.mtimes(self._effect_matrix, coefficients))
         return sparse_function(
-            "friction", [*inputs, coefficients], [*names, "coefficients"], torque
+            "effect_torque", [*inputs, coefficients], [*names, "coefficients"], torque
         )
 
     @cached_property

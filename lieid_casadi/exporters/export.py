@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Literal
 
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.c.export import export_c
-from lieid_casadi.exporters.mjcf.export import export_mjcf
-from lieid_casadi.exporters.urdf.export import export_urdf
+from lieid_casadi.exporters.c.export import c_files
+from lieid_casadi.exporters.mjcf import mjcf_files
+from lieid_casadi.exporters.urdf import urdf_files
 from lieid_casadi.identification.fit import Fit
+from lieid_casadi.output_folder import check_folder, write_folder
 
 
 @dataclass(frozen=True)
@@ -53,14 +54,17 @@ def export(
         C99 code with its self-test, a URDF with a MuJoCo fragment of the joints, or a MuJoCo
         model.
     prefix : str, optional
-        Of all C names; ``arm`` if left out.
+        Of all C names, so that one program can contain several arms; ``arm`` if left out.
     functions : sequence of str, optional
-        C functions to write, see `lieid_casadi.exporters.c.export.export_c`; all if left out.
+        C functions to write, of `lieid_casadi.exporters.c.functions.NAMES`; those that they
+        call are added. Default: all that the fit has. Forward dynamics are left out, with a
+        note, if the mass matrix is not positive definite in a pose within the joint limits.
     runtime : sequence of str
-        Numbers that are arguments of the C functions instead of constants: ``payload``,
-        ``parameters``.
+        Numbers that are arguments of the C functions instead of constants: ``payload`` (ten link
+        parameters of a body at the tool), ``parameters`` (all link parameters, effect coefficients
+        and shape parameters).
     float32 : bool
-        C in single precision.
+        C in single precision, and a self-test with the tolerance of such values.
     force : bool
         Replace what an earlier export wrote into the folder; other files are kept.
 
@@ -75,23 +79,19 @@ def export(
     OutputError
         The folder has other content or cannot be written.
     """
+    check_folder(folder, force=force)
+    if to not in ("c", "urdf", "mjcf"):
+        raise ExportError(f"format {to!r}; expected 'c', 'urdf' or 'mjcf'")
     if to == "c":
-        made = export_c(
+        files, notes = c_files(
             fit,
-            folder,
             prefix="arm" if prefix is None else prefix,
             functions=functions,
             runtime=runtime,
             float32=float32,
-            force=force,
         )
-        return Export(made.files, made.notes)
-    if to not in ("urdf", "mjcf"):
-        raise ExportError(f"format {to!r}; expected 'c', 'urdf' or 'mjcf'")
-    if prefix is not None or functions is not None or runtime or float32:
+    elif prefix is not None or functions is not None or runtime or float32:
         raise ExportError("prefix, functions, runtime and float32 apply to C code; expected to='c'")
-    if to == "mjcf":
-        model = export_mjcf(fit, folder, force=force)
-        return Export((model.mjcf,), model.notes)
-    written = export_urdf(fit, folder, force=force)
-    return Export((written.urdf, written.mjcf, written.isaac), written.notes)
+    else:
+        files, notes = mjcf_files(fit) if to == "mjcf" else urdf_files(fit)
+    return Export(write_folder(folder, files, force=force), tuple(notes))

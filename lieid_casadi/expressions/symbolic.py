@@ -101,6 +101,17 @@ class SymbolicDynamics:
         return self._function("mass_matrix", ["q"], {"M": self._torque.mass_matrix})
 
     @cached_property
+    def link_mass_matrix(self) -> ca.Function:
+        """``q -> M`` (n, n) of the links alone, without armature: that of `rigid_torque`."""
+        return self._function("link_mass_matrix", ["q"], {"M": self._torque.link_mass_matrix})
+
+    @cached_property
+    def rigid_torque(self) -> ca.Function:
+        """``(q, dq, ddq) -> tau`` of the links alone: the load of load-dependent friction."""
+        leading = ["q", "dq", "ddq"]
+        return self._function("rigid_torque", leading, {"tau": self._torque.rigid_torque})
+
+    @cached_property
     def coriolis(self) -> ca.Function:
         """``(q, dq) -> C`` (n, n), with Ṁ − 2C skew-symmetric."""
         return self._function("coriolis", ["q", "dq"], {"C": self._torque.coriolis})
@@ -114,8 +125,7 @@ class SymbolicDynamics:
     def friction(self) -> ca.Function:
         """``(q, dq[, load]) -> tau``: all effects of single joints except armature.
 
-        ``load`` (n,) is the rigid torque, ``M·ddq + C·dq + gravity`` without armature; it is an
-        input where friction depends on it.
+        ``load`` (n,) is `rigid_torque`; it is an input where friction depends on it.
         """
         leading = ["q", "dq", *(["load"] if self._torque.uses_load else [])]
         return self._function("friction", leading, {"tau": self._torque.friction})
@@ -287,7 +297,8 @@ class SymbolicDynamics:
         return (
             "inverse_dynamics", "forward_dynamics", "forward_dynamics_derivatives", "mass_matrix",
             "coriolis", "gravity", "friction", "energy", "regressor", "base_regressor",
-            "forward_kinematics", "jacobian", "f_explicit", "f_implicit",
+            "forward_kinematics", "jacobian", "f_explicit", "f_implicit", "link_mass_matrix",
+            "rigid_torque",
         )  # fmt: skip
 
     def _require_solution(self) -> None:
@@ -370,8 +381,9 @@ def symbolic(
         fit's numbers.
     smooth_velocity : float or (n,), optional
         Half width w in rad/s (m/s) of the range in which sgn(q̇) is replaced by a polynomial of
-        degree 7, twice continuously differentiable at ±w, so that derivatives are finite at rest.
-        None: sgn(q̇) itself, with sgn(0) = 0.
+        degree 7, three times continuously differentiable at ±w, so that derivatives are finite at
+        rest, where its slope is 35/(16 w). Exported C takes the same width and has the same
+        polynomial. None: sgn(q̇) itself, with sgn(0) = 0.
     as_measured : bool
         Whether the torque is what the sensor reads, with the model's measurement effects (gain,
         encoder offset), instead of what the drives deliver. The positions are then those that the

@@ -89,21 +89,13 @@ def geometry_inputs(robot: Robot) -> dict[str, ca.SX]:
 class ArmInstant:
     """A model at one instant; implements `lieid_casadi.effects.arm_effect.InstantModel`.
 
-    Attributes
-    ----------
-    robot : Robot
-    motion : Motion
-        Symbols q, q̇, q̈ (n,).
-    links, all_links : (10 n,)
-        Link parameters; the second set holds in any gravity.
-    load, torque : (n,)
-        Rigid torque, and rigid torque with all effects on single joints, N·m.
+    ``links`` (10 n,): link parameters; ``load``, ``torque`` (n,): rigid torque, and rigid torque
+    with all effects on single joints, N·m.
     """
 
     robot: Robot
     motion: Motion
     links: ca.SX
-    all_links: ca.SX
     load: ca.SX
     torque: ca.SX
 
@@ -122,7 +114,7 @@ class ArmInstant:
 
     def gravity_torque(self, gravity: ca.SX) -> ca.SX:
         """Return the torque (n,) at rest in another gravity (3,), m/s²."""
-        return closed_form.gravity(self.robot, self.motion, self.all_links, gravity=gravity)
+        return closed_form.gravity(self.robot, self.motion, self.links, gravity=gravity)
 
     def jacobian(self) -> ca.SX:
         """Return the tool's Jacobian (6, n), [ω; v], base axes."""
@@ -270,7 +262,7 @@ class TorqueExpressions:
     @cached_property
     def _instant(self) -> ArmInstant:
         torque = self.load + self.joint_torque
-        return ArmInstant(self.model.robot, self.motion, self.links, self.links, self.load, torque)
+        return ArmInstant(self.model.robot, self.motion, self.links, self.load, torque)
 
     @cached_property
     def arm_columns(self) -> ca.SX:
@@ -335,12 +327,9 @@ class TorqueExpressions:
     @cached_property
     def gravity(self) -> ca.SX:
         """Torque (n,) at rest: gravity, and effects on the whole arm."""
-        at_rest = ca.substitute(
-            [self.rigid_torque + self.arm_torque],
-            [self.motion.dq, self.motion.ddq],
-            [ca.SX.zeros(self.n), ca.SX.zeros(self.n)],
-        )
-        return at_rest[0]
+        zero, m = ca.SX.zeros(self.n), self.motion
+        beside = ca.substitute([self.arm_torque], [m.dq, m.ddq], [zero, zero])[0]
+        return closed_form.gravity(self.model.robot, m, self.links) + beside
 
     @cached_property
     def friction(self) -> ca.SX:

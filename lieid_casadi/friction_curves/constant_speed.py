@@ -48,5 +48,6 @@ def steady_columns(
         temperature=temperatures,
         time=np.full(rows, time),
         shapes=shapes,
+        joint_effects_only=True,
     )[1::2, joint]
     return np.asarray(0.5 * (columns[: len(speeds)] - columns[len(speeds) :]))

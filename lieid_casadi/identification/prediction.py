@@ -113,7 +113,7 @@ def _effect_torque(
     signals = effect_signals(segment, shapes, None)
     time, temperature = signals["time"][at], signals.get("temperature")
     error = signals.get("command_error")
-    return compiled.friction(
+    return compiled.effect_torque(
         segment.q[at],
         segment.dq[at],
         segment.ddq[at],
@@ -328,7 +328,7 @@ def sample_torque(
     if temperature is not None and fit.temperature_mean is not None:
         temperature = np.asarray(temperature, dtype=float) - fit.temperature_mean
     load = fit.compiled.inverse_dynamics(q, dq, ddq, fit.link_parameters)
-    joints = fit.compiled.friction(
+    joints = fit.compiled.effect_torque(
         q,
         dq,
         ddq,
@@ -355,7 +355,7 @@ def _arm_effect_torque(fit: Fit) -> ca.Function:
     )
     links = ca.SX(ca.DM(fit.link_parameters))
     coefficients = ca.SX(ca.DM(fit.effect_coefficients))
-    arm = ArmInstant(model.robot, Motion.of(q, dq, ddq), links, links, load, torque)
+    arm = ArmInstant(model.robot, Motion.of(q, dq, ddq), links, load, torque)
     columns = [
         arm_effect_columns(model, arm, coefficients, measurement=measurement)
         for measurement in (False, True)

@@ -25,7 +25,7 @@ from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
 
 import lieid_casadi as lieid  # noqa: E402
-from lieid_casadi.exporters.c.export import export_c  # noqa: E402
+from lieid_casadi.exporters.export import export  # noqa: E402
 from lieid_casadi.robot.geometry import relative  # noqa: E402
 
 FLAGS = ("-O3", "-DNDEBUG")
@@ -90,7 +90,7 @@ def compiled(folder, flags, real, *, headers):
 
 def linked(robot, folder, flags, real, calls):
     """Commands that measure a robot, one for each of the compiled calls."""
-    export_c(nominal(robot), folder / robot.name, float32=real == "float")
+    export(nominal(robot), folder / robot.name, float32=real == "float", to="c")
     (folder / robot.name / "arm.txt").write_text(numbers(robot))
     c = [
         "gcc",

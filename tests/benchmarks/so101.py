@@ -24,7 +24,7 @@ import mujoco
 import numpy as np
 
 import lieid_casadi as lieid
-from lieid_casadi.exporters.mjcf.model import mjcf_text
+from lieid_casadi.exporters.mjcf import mjcf_text
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from exporters.c_arms import made_fit

@@ -147,9 +147,9 @@ def test_an_error_on_the_way_leaves_a_folder_as_it_was(tmp_path, exists):
 
 def test_library_functions_do_not_replace_files_of_others(work):
     fit = lieid.Fit.load("fit.json")
-    from lieid_casadi.exporters.c.export import export_c
+    from lieid_casadi.exporters.export import export
 
-    for made in (lambda: export_c(fit, ".", force=True), lambda: fit.save("inner/..")):
+    for made in (lambda: export(fit, ".", force=True, to="c"), lambda: fit.save("inner/..")):
         before = tree(work)
         with pytest.raises(OutputError):
             made()

@@ -55,7 +55,7 @@ def calls(model, samples=21, seed=0):
         "rigid_base_regressor": (motion, {}),
         "effect_columns": (motion, signals),
         "inverse_dynamics": ((*motion, links), {}),
-        "friction": ((*motion, strength), signals),
+        "effect_torque": ((*motion, strength), signals),
         "mass_matrix": ((q, links), {}),
         "coriolis_matrix": ((q, dq, links), {}),
         "gravity": ((q, links), {}),

@@ -184,7 +184,7 @@ def test_a_model_without_effects_has_no_columns_of_them():
     model = lieid.Model(lieid.robots.two_link())
     arm, values = compile(model), motion(5)
     assert arm.effect_columns(*values).shape == (5, 2, 0)
-    np.testing.assert_array_equal(arm.friction(*values, []), np.zeros((5, 2)))
+    np.testing.assert_array_equal(arm.effect_torque(*values, []), np.zeros((5, 2)))
     np.testing.assert_array_equal(arm.base_regressor(*values), arm.rigid_base_regressor(*values))
 
 

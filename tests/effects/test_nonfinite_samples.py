@@ -10,7 +10,7 @@ import lieid_casadi as lieid
 from lieid_casadi.compiled.batch_evaluation import states_along as compiled_states
 from lieid_casadi.compiled.kernel_source import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
-from lieid_casadi.exporters.c.export import export_c
+from lieid_casadi.exporters.export import export
 from lieid_casadi.expressions.model_functions import states_along
 
 MODEL = lieid.Model(lieid.robots.two_link(), "presliding:1,presliding/lugre:2")
@@ -57,7 +57,7 @@ def test_the_state_is_held_and_recovers(evaluate, name, value):
 
 def test_exported_c_holds_the_state(tmp_path):
     fit = made_fit(MODEL.robot, "presliding:1,presliding/lugre:2")
-    export_c(fit, tmp_path / "arm")
+    export(fit, tmp_path / "arm", to="c")
     c, state, zero = library(tmp_path / "arm"), ctypes.create_string_buffer(4096), np.zeros(2)
     motion, torque = signals("q", np.nan), np.empty((200, 2))
     c.arm_begin(state)
@@ -66,7 +66,7 @@ def test_exported_c_holds_the_state(tmp_path):
         sample.q[:], sample.dq[:] = motion["q"][k].tolist(), motion["dq"][k].tolist()
         sample.time = float(motion["time"][k, 0])
         c.arm_advance(state, ctypes.byref(sample), None)
-        c.arm_friction(ctypes.byref(sample), pointer(zero), state, None, pointer(torque[k]))
+        c.arm_effect_torque(ctypes.byref(sample), pointer(zero), state, None, pointer(torque[k]))
     motion["shapes"] = fit.shapes
     held = by_casadi(motion)[:, 0] / fit.shapes[0]
     expected = fit.effect_coefficients[0] * held

@@ -10,7 +10,7 @@ import pytest
 from exporters.c_arms import ARMS, WARNINGS, run
 
 from lieid_casadi.codegen_files import codegen_folder
-from lieid_casadi.exporters.c.export import export_c
+from lieid_casadi.exporters.export import export
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "downstream_controller.py"
 
@@ -59,7 +59,7 @@ def test_every_cycle_was_timed(runs):
 @pytest.mark.parametrize("name", list(ARMS))
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_controller_builds_with_any_arm(tmp_path, name, compiler):
-    export_c(ARMS[name](), tmp_path / "arm")
+    export(ARMS[name](), tmp_path / "arm", to="c")
     for source in sorted((codegen_folder() / "controller").glob("*.c")):
         command = [compiler, "-std=c99", *WARNINGS, f"-I{tmp_path / 'arm'}", "-c", str(source)]
         run(command, tmp_path)

@@ -7,7 +7,7 @@ import pytest
 from exporters.c_arms import made_fit, run
 
 import lieid_casadi as lieid
-from lieid_casadi.exporters.c.export import export_c
+from lieid_casadi.exporters.export import export
 
 FOLDER = Path(__file__).parents[2] / "examples" / "ros2_control"
 
@@ -16,7 +16,7 @@ FOLDER = Path(__file__).parents[2] / "examples" / "ros2_control"
 def built(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ros2_control")
     effects = "coulomb,viscous,offset,armature,presliding:2"
-    export_c(made_fit(lieid.robots.two_link(), effects), folder / "arm")
+    export(made_fit(lieid.robots.two_link(), effects), folder / "arm", to="c")
     configure = ["cmake", "-S", str(FOLDER), "-B", "build", f"-DARM_DIR={folder / 'arm'}"]
     assert "no ROS 2: building against the stub" in run(configure, folder)
     run(["cmake", "--build", "build"], folder)

@@ -28,7 +28,6 @@ BUILDS = {
     "g++": ("g++", "-x", "c++", "-std=c++11", "-O1"),
     "clang++": ("clang++", "-x", "c++", "-std=c++11", "-O1"),
     "sanitizers": ("gcc", "-std=c99", "-O0", *SANITIZERS),
-    "clang sanitizers": ("clang", "-std=c99", "-O0", *SANITIZERS),
 }
 PANDA = (
     "coulomb,viscous,offset,armature,viscous_polynomial:1,viscous_asymmetric:2,"

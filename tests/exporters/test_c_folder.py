@@ -8,7 +8,7 @@ from exporters.c_arms import ARMS, made_fit
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExportError, OutputError
-from lieid_casadi.exporters.c.export import export_c
+from lieid_casadi.exporters.export import export
 from lieid_casadi.output_folder import MANIFEST, write_folder
 
 FILES = {
@@ -34,26 +34,26 @@ def names(folder):
 
 
 def test_all_files_and_nothing_else(fit, tmp_path):
-    made = export_c(fit, tmp_path / "new" / "arm")
+    made = export(fit, tmp_path / "new" / "arm", to="c")
     assert names(tmp_path / "new" / "arm") == FILES
     assert {path.name for path in made.files} == FILES - {MANIFEST}
     assert names(tmp_path / "new") == {"arm"}
-    export_c(fit, tmp_path / "empty", prefix="left2")
+    export(fit, tmp_path / "empty", prefix="left2", to="c")
     assert "left2_test.c" in names(tmp_path / "empty")
 
 
 def test_exports_of_one_fit_are_equal(fit, tmp_path):
     for name in ("a", "b"):
-        export_c(fit, tmp_path / name)
+        export(fit, tmp_path / name, to="c")
     for name in FILES:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
 def test_an_earlier_export_is_replaced_only_by_force(fit, tmp_path):
-    export_c(fit, tmp_path / "arm", prefix="left")
+    export(fit, tmp_path / "arm", prefix="left", to="c")
     with pytest.raises(OutputError, match="arm: not empty; expected a new folder, or --force"):
-        export_c(fit, tmp_path / "arm")
-    export_c(fit, tmp_path / "arm", force=True)
+        export(fit, tmp_path / "arm", to="c")
+    export(fit, tmp_path / "arm", force=True, to="c")
     assert names(tmp_path / "arm") == FILES
     assert names(tmp_path) == {"arm"}
 
@@ -62,14 +62,14 @@ def test_a_file_in_place_of_the_folder(fit, tmp_path):
     (tmp_path / "arm").write_text("")
     for folder, message in (("arm", "is a file"), ("arm/below", "is not a folder")):
         with pytest.raises(OutputError, match=message):
-            export_c(fit, tmp_path / folder, force=True)
+            export(fit, tmp_path / folder, force=True, to="c")
     assert (tmp_path / "arm").read_text() == ""
 
 
 @pytest.mark.parametrize("prefix", ["", "2arm", "my-arm", "a b", "é", "arm;"])
 def test_prefix_must_be_a_name(fit, tmp_path, prefix):
     with pytest.raises(ExportError, match=r"expected letters, digits and _"):
-        export_c(fit, tmp_path / "arm", prefix=prefix)
+        export(fit, tmp_path / "arm", prefix=prefix, to="c")
     assert not names(tmp_path)
 
 
@@ -98,7 +98,7 @@ def test_failure_leaves_the_folder_as_it_was(tmp_path):
     fit = made_fit(lieid.robots.two_link(), [Erf()])
     write_folder(tmp_path / "arm", {"old.c": b"old"})
     with pytest.raises(ExportError, match="operation ERF, which exported C does not have"):
-        export_c(fit, tmp_path / "arm", force=True)
+        export(fit, tmp_path / "arm", force=True, to="c")
     assert names(tmp_path) == {"arm"}
     assert names(tmp_path / "arm") == {"old.c", MANIFEST}
 
@@ -121,7 +121,7 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path):
     fit = ARMS["rigid"]()
     broken = dataclasses.replace(fit, parameters=np.where(fit.parameters > 0.1, np.nan, 0.0))
     with pytest.raises(ExportError, match="nan; expected finite"):
-        export_c(broken, tmp_path / "arm")
+        export(broken, tmp_path / "arm", to="c")
     assert not names(tmp_path)
 
 
@@ -137,7 +137,7 @@ def test_user_effect_is_exported(tmp_path):
 
     from exporters.c_arms import run
 
-    export_c(made_fit(lieid.robots.two_link(), [Waves()]), tmp_path / "arm")
+    export(made_fit(lieid.robots.two_link(), [Waves()]), tmp_path / "arm", to="c")
     sources = ["arm.c", "arm_parameters.c", "arm_test.c"]
     run(["gcc", "-std=c99", *sources, "-lm", "-o", "t"], tmp_path / "arm")
     run([str(tmp_path / "arm" / "t")], tmp_path / "arm")
@@ -158,7 +158,7 @@ def test_command_writes_c(fit_file, tmp_path, capsys):
 
 
 def test_saved_fit_is_exported_bit_by_bit(fit, fit_file, tmp_path):
-    export_c(fit, tmp_path / "a")
+    export(fit, tmp_path / "a", to="c")
     assert main(["export", str(fit_file), "--to", "c", "-o", str(tmp_path / "b")]) == 0
     for name in ("arm.c", "arm_parameters.c", "arm_test.c"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()

@@ -9,7 +9,7 @@ import pytest
 from exporters.c_arms import ARMS, made_fit
 
 import lieid_casadi as lieid
-from lieid_casadi.exporters.c.export import export_c
+from lieid_casadi.exporters.export import export
 
 NUMBER = re.compile(r"(?<![\w.])\d+\.\d{3,}(?:e[-+]?\d+)?")
 ASSIGNED = re.compile(
@@ -99,13 +99,13 @@ def altered(line):
 def exported(tmp_path_factory):
     made = {}
 
-    def export(name, fit):
+    def written(name, fit):
         if name not in made:
             made[name] = tmp_path_factory.mktemp("mutations") / name
-            export_c(fit(), made[name])
+            export(fit(), made[name], to="c")
         return made[name]
 
-    return export
+    return written
 
 
 def survivors(folder, chosen):

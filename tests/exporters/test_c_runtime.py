@@ -9,7 +9,7 @@ from exporters.c_arms import ARMS, BUILDS, WARNINGS, library, made_fit, pointer,
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.c.export import export_c
+from lieid_casadi.exporters.export import export
 
 SOURCES = ["arm.c", "arm_parameters.c", "arm_test.c"]
 BOTH = ("payload", "parameters")
@@ -42,7 +42,7 @@ SLOW_CASES = [
     [*CASES, *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW_CASES)],
 )
 def test_self_test_passes(arm, runtime, float32, build, tmp_path):
-    export_c(ARMS[arm](), tmp_path / "arm", runtime=runtime, float32=float32)
+    export(ARMS[arm](), tmp_path / "arm", runtime=runtime, float32=float32, to="c")
     shown = self_test(tmp_path / "arm", BUILDS[build])
     assert shown.endswith(f"0 of the above differ by more than {1e-5 if float32 else 1e-12:.0e}\n")
     assert "nominal" in shown
@@ -52,7 +52,7 @@ class Numbers:
     """Functions of an export with run-time numbers."""
 
     def __init__(self, fit, folder):
-        export_c(fit, folder, runtime=BOTH)
+        export(fit, folder, runtime=BOTH, to="c")
         model = fit.model
         sizes = {
             "link_parameters": 10 * model.n,
@@ -112,7 +112,7 @@ def test_numbers_are_those_of_symbolic(tmp_path):
 
 def test_a_payload_alone_leaves_the_other_numbers_constant(tmp_path):
     fit = ARMS["rigid"]()
-    export_c(fit, tmp_path / "arm", runtime=["payload"])
+    export(fit, tmp_path / "arm", runtime=["payload"], to="c")
     header = (tmp_path / "arm" / "arm.h").read_text()
     struct = header[header.index("typedef struct") : header.index("} arm_numbers;")]
     assert "payload[10]" in struct
@@ -121,14 +121,16 @@ def test_a_payload_alone_leaves_the_other_numbers_constant(tmp_path):
 
 
 def test_kinematics_alone_have_no_numbers(tmp_path):
-    made = export_c(ARMS["rigid"](), tmp_path / "arm", functions=["jacobian"], runtime=["payload"])
+    made = export(
+        ARMS["rigid"](), tmp_path / "arm", functions=["jacobian"], runtime=["payload"], to="c"
+    )
     assert any("payload: no function depends on it" in note for note in made.notes)
     assert "arm_numbers" not in (tmp_path / "arm" / "arm.h").read_text()
     assert "jacobian" in self_test(tmp_path / "arm", BUILDS["gcc"])
 
 
 def test_float_code_has_no_double(tmp_path):
-    export_c(ARMS["rigid"](), tmp_path / "arm", float32=True)
+    export(ARMS["rigid"](), tmp_path / "arm", float32=True, to="c")
     for name in ("arm.h", "arm.c", "arm_parameters.c"):
         assert "double" not in (tmp_path / "arm" / name).read_text().split("*/", 1)[1]
     promoted = ["gcc", "-std=c99", "-O1", "-Wdouble-promotion", "-Werror", "-c"]
@@ -140,7 +142,7 @@ def test_float_code_has_no_double(tmp_path):
 def test_an_unknown_name_is_refused(tmp_path, capsys):
     fit = ARMS["rigid"]()
     with pytest.raises(ExportError, match="runtime: got 'mass'; expected some of payload, param"):
-        export_c(fit, tmp_path / "arm", runtime=["mass"])
+        export(fit, tmp_path / "arm", runtime=["mass"], to="c")
     fit.save(tmp_path / "fit.json")
     command = ["export", str(tmp_path / "fit.json"), "-o", str(tmp_path / "out")]
     for further in (["--to", "c", "--runtime", "mass"], ["--to", "urdf", "--float32"]):
@@ -179,6 +181,6 @@ ARM_BUILDS = {
 def test_self_test_passes_on_arm(build, float32, tmp_path):
     """Robot controllers often have ARM processors, whose compilers fuse products and sums."""
     (compiler, *options), machine = ARM_BUILDS[build]
-    export_c(ARMS["presliding"](), tmp_path / "arm", float32=float32)
+    export(ARMS["presliding"](), tmp_path / "arm", float32=float32, to="c")
     shown = self_test(tmp_path / "arm", [compiler, "-std=gnu99", "-O2", *options], [machine])
     assert shown.splitlines()[-1].startswith("0 of the above differ")

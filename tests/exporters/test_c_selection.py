@@ -10,8 +10,8 @@ from exporters.c_arms import ARMS, WARNINGS, made_fit, run, with_load_friction
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.c.export import export_c
 from lieid_casadi.exporters.c.functions import NAMES
+from lieid_casadi.exporters.export import export
 
 SOURCES = ["arm.c", "arm_parameters.c", "arm_test.c"]
 
@@ -29,7 +29,7 @@ def exported_names(folder):
 )
 def test_a_selection_builds_and_passes_its_self_test(tmp_path, requested):
     folder = tmp_path / "arm"
-    export_c(ARMS["presliding"](), folder, functions=requested)
+    export(ARMS["presliding"](), folder, functions=requested, to="c")
     run(["gcc", "-std=c99", *WARNINGS, *SOURCES, "-lm", "-o", "t"], folder)
     shown = run([str(folder / "t")], folder)
     assert shown.endswith("0 of the above differ by more than 1e-12\n")
@@ -39,11 +39,11 @@ def test_a_selection_builds_and_passes_its_self_test(tmp_path, requested):
 
 
 def test_by_default_all_functions_are_exported(tmp_path):
-    export_c(ARMS["presliding"](), tmp_path / "arm")
+    export(ARMS["presliding"](), tmp_path / "arm", to="c")
     assert exported_names(tmp_path / "arm") == set(NAMES)
     readme = (tmp_path / "arm" / "README.md").read_text()
     assert all(f"`arm_{name}`" in readme for name in NAMES)
-    export_c(ARMS["rigid"](), tmp_path / "rigid")
+    export(ARMS["rigid"](), tmp_path / "rigid", to="c")
     assert exported_names(tmp_path / "rigid") == set(NAMES) - {"effect_columns"}
 
 
@@ -75,7 +75,7 @@ def indefinite_fit(effects):
 
 @pytest.mark.parametrize("effects", ["viscous", ""])
 def test_an_indefinite_mass_matrix_has_no_forward_dynamics(tmp_path, effects):
-    made = export_c(indefinite_fit(effects), tmp_path / "arm")
+    made = export(indefinite_fit(effects), tmp_path / "arm", to="c")
     (note,) = [note for note in made.notes if note.startswith("forward_dynamics is left out")]
     assert "--method feasible" in note
     assert "forward_dynamics" not in exported_names(tmp_path / "arm")
@@ -83,7 +83,7 @@ def test_an_indefinite_mass_matrix_has_no_forward_dynamics(tmp_path, effects):
         text = " ".join((tmp_path / "arm" / name).read_text().replace("*", " ").split())
         assert "is left out: the mass matrix is not positive definite" in text.replace("\\", "")
     with pytest.raises(ExportError, match="forward_dynamics: the mass matrix is not positive"):
-        export_c(indefinite_fit(effects), tmp_path / "other", functions=["forward_dynamics"])
+        export(indefinite_fit(effects), tmp_path / "other", functions=["forward_dynamics"], to="c")
     assert not (tmp_path / "other").exists()
 
 
@@ -91,7 +91,7 @@ def test_unphysical_load_friction_has_no_forward_dynamics(tmp_path):
     """A friction of more than the load itself leaves the acceleration undetermined."""
     for size, has in ((0.005, True), (2.0, False)):
         fit = with_load_friction(made_fit(lieid.robots.two_link(), "load_friction/square"), size)
-        made = export_c(fit, tmp_path / f"{size}")
+        made = export(fit, tmp_path / f"{size}", to="c")
         assert ("forward_dynamics" in exported_names(tmp_path / f"{size}")) is has
         assert any("changes by more than the load" in note for note in made.notes) is not has
 
@@ -108,7 +108,7 @@ def test_forward_dynamics_are_those_of_symbolic(tmp_path):
     parameters = fit.parameters.copy()
     parameters[20:][payload] = [0.4, 0.002, 0.001, 0.003]
     fit = dataclasses.replace(fit, parameters=parameters)
-    export_c(fit, tmp_path / "arm", functions=["forward_dynamics"])
+    export(fit, tmp_path / "arm", functions=["forward_dynamics"], to="c")
     loaded, expected = library(tmp_path / "arm"), lieid.symbolic(fit).forward_dynamics
     random, sample = np.random.default_rng(1), sample_type(2)()
     for _ in itertools.repeat(None, 5):

@@ -14,7 +14,7 @@ from robot.random_arms import random_arm
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.mjcf.model import mjcf_text
+from lieid_casadi.exporters.mjcf import mjcf_text
 from lieid_casadi.robot.drive import Drive
 
 SO101 = lieid.robots.so101().with_drives(lieid.servo_drive("sts3215"))
@@ -93,15 +93,15 @@ def test_the_stated_error_is_that_of_the_friction():
     """Monte Carlo of the same rule, with the formula of load friction written out."""
     robot = lieid.robots.two_link()
     fit = made_fit(robot, "coulomb,load_friction:2")
-    from lieid_casadi.exporters.mjcf.friction import mujoco_friction
+    from lieid_casadi.exporters.simulator_joints import linear_friction
 
-    found = mujoco_friction(fit)[1]
+    found = linear_friction(fit)[1]
     random = np.random.default_rng(5)
     q = random.uniform(-2.5, 2.5, (20000, 2))
     load = fit.compiled.inverse_dynamics(q, 0 * q, 0 * q, fit.link_parameters)[:, 1]
     f_c, f_tau = fit.effect_coefficients[1], fit.effect_coefficients[2]
     friction = f_c + f_tau * np.abs(load)
-    assert found.frictionloss == pytest.approx(friction.mean(), rel=0.1)
+    assert found.loss == pytest.approx(friction.mean(), rel=0.1)
     assert found.error == pytest.approx(friction.std(), rel=0.15)
 
 

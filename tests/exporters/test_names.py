@@ -8,10 +8,10 @@ import pytest
 from exporters.c_arms import made_fit
 
 import lieid_casadi as lieid
-from lieid_casadi.exporters.c.export import export_c
-from lieid_casadi.exporters.joint_friction import simulator_joints
-from lieid_casadi.exporters.urdf.mujoco_joints import mjcf_snippet
-from lieid_casadi.exporters.urdf.write import written_urdf
+from lieid_casadi.exporters.export import export
+from lieid_casadi.exporters.simulator_joints import simulator_joints
+from lieid_casadi.exporters.urdf import mjcf_snippet
+from lieid_casadi.exporters.urdf_bodies import written_urdf
 from lieid_casadi.exporters.xml_text import comment
 
 NAMES = [
@@ -76,7 +76,7 @@ def test_names_are_no_markup_in_the_readme(tmp_path):
         fit, provenance=dataclasses.replace(fit.provenance, recordings=sources)
     )
     assert np.isfinite(fit.values).all()
-    export_c(fit, tmp_path / "arm")
+    export(fit, tmp_path / "arm", to="c")
     text = (tmp_path / "arm" / "README.md").read_text()
     assert "<img" not in text
     assert "<b>" not in text

@@ -13,7 +13,7 @@ from robot.random_arms import random_arm
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.urdf.export import export_urdf
+from lieid_casadi.exporters.export import export
 from lieid_casadi.recording import Processing
 
 ARM = """<?xml version="1.0" encoding="utf-8"?>
@@ -161,9 +161,9 @@ def check_torques(path, fit):
 
 
 def test_rigid_torques_of_pinocchio_and_mujoco(bench, tmp_path):
-    done = export_urdf(bench, tmp_path)
-    assert done.urdf.name == "bench_arm.urdf"
-    model = check_torques(done.urdf, bench)
+    done = export(bench, tmp_path, to="urdf")
+    assert done.files[0].name == "bench_arm.urdf"
+    model = check_torques(done.files[0], bench)
     viscous = dict(
         zip([c.label for c in bench.model.columns], bench.effect_coefficients, strict=True)
     )
@@ -173,7 +173,7 @@ def test_rigid_torques_of_pinocchio_and_mujoco(bench, tmp_path):
 
 def test_everything_else_of_the_file_stays(bench, tmp_path):
     """Without <inertial> of the moving links and <dynamics>, the two texts are the same."""
-    text = export_urdf(bench, tmp_path).urdf.read_text()
+    text = export(bench, tmp_path, to="urdf").files[0].read_text()
 
     def rest(xml):
         for link in ("upper", "fore", "hand", "finger"):
@@ -195,40 +195,40 @@ def test_everything_else_of_the_file_stays(bench, tmp_path):
 
 
 def test_the_robot_reads_back(bench, tmp_path):
-    done = export_urdf(bench, tmp_path)
-    again = lieid.Robot.from_urdf(done.urdf, lock=("slide",))
+    done = export(bench, tmp_path, to="urdf")
+    again = lieid.Robot.from_urdf(done.files[0], lock=("slide",))
     np.testing.assert_allclose(again.link_parameters, bench.link_parameters, rtol=1e-12, atol=1e-14)
 
 
 def test_members_keep_their_nominal_inertia_if_possible(bench, tmp_path):
     fit = heavier(bench, 3.0)
-    done = export_urdf(fit, tmp_path)
+    done = export(fit, tmp_path, to="urdf")
     (note,) = [note for note in done.notes if note.startswith("hand, finger")]
     assert (
         note
         == "hand, finger: rigidly attached to fore; the nominal inertia is kept, fore has the rest"
     )
-    root = ElementTree.parse(done.urdf).getroot()
+    root = ElementTree.parse(done.files[0]).getroot()
     assert root.find("link[@name='hand']/inertial/mass").get("value") == "0.6"
     mass = float(root.find("link[@name='fore']/inertial/mass").get("value"))
     assert mass == pytest.approx(3 * 0.7 - 0.7, rel=1e-12)
-    check_torques(done.urdf, fit)
+    check_torques(done.files[0], fit)
 
 
 def test_members_are_scaled_if_the_identified_inertia_is_smaller(bench, tmp_path):
     fit = heavier(bench, 0.4)
-    done = export_urdf(fit, tmp_path)
+    done = export(fit, tmp_path, to="urdf")
     (note,) = [note for note in done.notes if note.startswith("hand, finger")]
     assert "exceeds the identified one and was scaled by 0.2," in note  # half of 0.4
-    root = ElementTree.parse(done.urdf).getroot()
+    root = ElementTree.parse(done.files[0]).getroot()
     for name, nominal in (("hand", 0.6), ("finger", 0.1)):
         mass = root.find(f"link[@name='{name}']/inertial/mass").get("value")
         assert float(mass) == pytest.approx(0.2 * nominal, rel=1e-9)
-    check_torques(done.urdf, fit)
+    check_torques(done.files[0], fit)
 
 
 def test_effects_that_are_not_exported_are_named(bench, tmp_path):
-    notes = export_urdf(bench, tmp_path).notes
+    notes = export(bench, tmp_path, to="urdf").notes
     assert any("no element for armature" in note for note in notes)
     assert any("URDF and MuJoCo have no element for it: offset" in note for note in notes)
 
@@ -236,10 +236,10 @@ def test_effects_that_are_not_exported_are_named(bench, tmp_path):
 def test_the_mujoco_file_has_armature_damping_and_friction(bench, tmp_path):
     import mujoco
 
-    done = export_urdf(bench, tmp_path)
+    done = export(bench, tmp_path, to="urdf")
     body = '<body><joint class="identified_{}" axis="0 0 1"/><geom size="1"/></body>'
     xml = (
-        f'<mujoco><include file="{done.mjcf.name}"/><worldbody>'
+        f'<mujoco><include file="{done.files[1].name}"/><worldbody>'
         + body.format("shoulder")
         + body.format("elbow")
         + "</worldbody></mujoco>"
@@ -263,7 +263,7 @@ def test_a_fit_without_certificate_is_refused_with_the_command(bench, tmp_path):
         with pytest.raises(
             ExportError, match=r"method feasible: lieid identify ROBOT run\.csv"
         ) as raised:
-            export_urdf(fit, tmp_path / "out")
+            export(fit, tmp_path / "out", to="urdf")
         assert "--effects coulomb,viscous,offset,armature --method feasible" in str(raised.value)
     assert not (tmp_path / "out").exists()
 
@@ -271,9 +271,9 @@ def test_a_fit_without_certificate_is_refused_with_the_command(bench, tmp_path):
 @pytest.mark.parametrize("robot", [lieid.robots.panda(), lieid.robots.two_link()], ids=["7", "2"])
 def test_bundled_robots_get_a_urdf_from_their_screws(robot, tmp_path):
     fit = fitted(robot)
-    done = export_urdf(fit, tmp_path)
-    check_torques(done.urdf, fit)
-    again = lieid.Robot.from_urdf(done.urdf)
+    done = export(fit, tmp_path, to="urdf")
+    check_torques(done.files[0], fit)
+    again = lieid.Robot.from_urdf(done.files[0])
     for mine, theirs in zip(robot.joints, again.joints, strict=True):
         np.testing.assert_allclose(theirs.screw, mine.screw, atol=1e-12)
         for limit in ("position_lower", "position_upper", "velocity", "torque"):
@@ -286,8 +286,8 @@ def test_bundled_robots_get_a_urdf_from_their_screws(robot, tmp_path):
 def test_offset_axes_prismatic_joints_and_other_gravity(seed, tmp_path):
     robot = random_arm(np.random.default_rng(seed), 4)
     fit = fitted(robot, effects="viscous")
-    done = export_urdf(fit, tmp_path)
-    check_torques(done.urdf, fit)
+    done = export(fit, tmp_path, to="urdf")
+    check_torques(done.files[0], fit)
     assert any("set it to" in note for note in done.notes)
 
 
@@ -295,24 +295,24 @@ def test_offset_axes_prismatic_joints_and_other_gravity(seed, tmp_path):
 @pytest.mark.parametrize(("path", "lock"), URDFS)
 def test_urdfs_of_real_arms(path, lock, tmp_path):
     fit = fitted(lieid.Robot.from_urdf(path, lock=lock))
-    check_torques(export_urdf(fit, tmp_path).urdf, fit)
+    check_torques(export(fit, tmp_path, to="urdf").files[0], fit)
 
 
 def test_ros2_control_and_isaac_joints(tmp_path):
     robot = lieid.robots.two_link()
     fit = fitted(robot)
-    done = export_urdf(fit, tmp_path / "torque")
-    assert ElementTree.parse(done.urdf).getroot().find("ros2_control") is None
+    done = export(fit, tmp_path / "torque", to="urdf")
+    assert ElementTree.parse(done.files[0]).getroot().find("ros2_control") is None
     law = lieid.Drive(stiffness=30.0, damping=2.0)
     driven = replace(fit, model=lieid.Model(robot.with_drives(law), EFFECTS))
-    done = export_urdf(driven, tmp_path / "position")
-    control = ElementTree.parse(done.urdf).getroot().find("ros2_control")
+    done = export(driven, tmp_path / "position", to="urdf")
+    control = ElementTree.parse(done.files[0]).getroot().find("ros2_control")
     assert [joint.get("name") for joint in control.findall("joint")] == ["shoulder", "elbow"]
     assert {e.get("name") for e in control.iter("command_interface")} == {"position"}
-    joints = yaml.safe_load(done.isaac.read_text())
+    joints = yaml.safe_load(done.files[2].read_text())
     values = dict(zip([c.label for c in fit.model.columns], fit.effect_coefficients, strict=True))
     assert joints["elbow"]["stiffness"] == 30.0
     assert joints["elbow"]["damping"] == pytest.approx(2.0 + values["viscous.f_v:2"])
     assert joints["elbow"]["armature"] == pytest.approx(values["armature.I_a:2"])
     assert joints["elbow"]["effort_limit_sim"] == 15.0
-    assert lieid.Robot.from_urdf(done.urdf).n == 2
+    assert lieid.Robot.from_urdf(done.files[0]).n == 2

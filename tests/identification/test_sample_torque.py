@@ -53,12 +53,12 @@ def test_functions_of_single_joints_refuse_effects_on_the_whole_arm():
     fit, run = made_fit(PANDA, "coulomb,payload"), recording()
     motion, coefficients = (run.q, run.dq, run.ddq), fit.effect_coefficients
     for call in (
-        lambda: fit.compiled.friction(*motion, coefficients),
+        lambda: fit.compiled.effect_torque(*motion, coefficients),
         lambda: fit.compiled.effect_columns(*motion),
         lambda: fit.compiled.base_regressor(*motion),
     ):
         with pytest.raises(ModelError, match=r"payload.*Fit\.torque"):
             call()
-    friction = fit.compiled.friction(*motion, coefficients, joint_effects_only=True)
+    friction = fit.compiled.effect_torque(*motion, coefficients, joint_effects_only=True)
     coulomb = np.sign(run.dq) * coefficients[:7]
     np.testing.assert_allclose(friction, coulomb, atol=1e-12)

@@ -8,7 +8,7 @@ from robot.random_arms import random_arm
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import RobotError
-from lieid_casadi.exporters.mjcf.model import mjcf_text
+from lieid_casadi.exporters.mjcf import mjcf_text
 from lieid_casadi.robot.drive import Drive
 
 ARM = """<mujoco model="bench"><compiler angle="radian"/><worldbody>

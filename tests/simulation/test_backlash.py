@@ -9,7 +9,7 @@ from exporters.c_arms import made_fit
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.exporters.mjcf.model import mjcf_text
+from lieid_casadi.exporters.mjcf import mjcf_text
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.simulation.play import plays_of
 

@@ -13,7 +13,7 @@ from exporters.c_arms import made_fit
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ModelError, RecordingError
-from lieid_casadi.exporters.mjcf.model import mjcf_text
+from lieid_casadi.exporters.mjcf import mjcf_text
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.simulation import mujoco_callback, window_drift
 

@@ -18,7 +18,7 @@ bool finite(const Joints & values)
 
 ComputedTorque::ComputedTorque(const Settings & settings) : settings_(settings)
 {
-  v0_.fill(settings.velocity_width);
+  width_.fill(settings.velocity_width);
   begin();
 }
 
@@ -49,8 +49,8 @@ bool ComputedTorque::cycle(
   std::copy(reference.dq.begin(), reference.dq.end(), sample.dq);
   sample.time = time_;
   time_ += period;
-  arm_advance(&state_, &sample, v0_.data());
-  arm_friction(&sample, rigid.data(), &state_, v0_.data(), effects.data());
+  arm_advance(&state_, &sample, width_.data());
+  arm_effect_torque(&sample, rigid.data(), &state_, width_.data(), effects.data());
   for (std::size_t j = 0; j < q.size(); j++) {
     torque[j] = rigid[j] + effects[j];
     if (settings_.effort_limit > 0.0) {

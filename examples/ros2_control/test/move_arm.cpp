@@ -45,8 +45,8 @@ int main()
   arm_sample sample{};
   arm_state state;
   arm_begin(&state);
-  double effort[n] = {}, v0[n], acceleration[n];
-  std::fill(v0, v0 + n, 0.01);
+  double effort[n] = {}, width[n], acceleration[n];
+  std::fill(width, width + n, 0.01);
   for (int j = 0; j < n; j++) sample.q[j] = 0.1 * (j + 1);
   std::vector<hardware_interface::LoanedCommandInterface> commands;
   std::vector<hardware_interface::LoanedStateInterface> states;
@@ -70,8 +70,8 @@ int main()
     for (int j = 0; j < n; j++) worst = std::max(worst, std::abs(sample.q[j] - point.positions[j]));
     if (controller.update({}, {0, 1000000}) != return_type::OK) return fail("update");
     for (int s = 0; s < steps; s++) {
-      arm_advance(&state, &sample, v0);
-      arm_forward_dynamics(&sample, effort, &state, v0, acceleration);
+      arm_advance(&state, &sample, width);
+      arm_forward_dynamics(&sample, effort, &state, width, acceleration);
       for (int j = 0; j < n; j++) {
         sample.dq[j] += period / steps * acceleration[j];
         sample.q[j] += period / steps * sample.dq[j];

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
 from lieid_casadi.codegen_files import codegen_folder
+from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.c.arm_effects import arm_notes
 from lieid_casadi.exporters.c.functions import (
     RUNTIME,
     WITHOUT_NUMBERS,
@@ -16,73 +15,83 @@ from lieid_casadi.exporters.c.functions import (
     exported_functions,
     select,
 )
-from lieid_casadi.exporters.c.numbers import DOUBLE, SINGLE
-from lieid_casadi.exporters.c.prefix import check_prefix
 from lieid_casadi.exporters.c.self_test import self_test_content
-from lieid_casadi.exporters.c.template_variables import template_variables
-from lieid_casadi.exporters.c.text import comment, render, wrapped
+from lieid_casadi.exporters.c.statements import DOUBLE, SINGLE
+from lieid_casadi.exporters.c.templates import comment, render, template_variables, wrapped
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.output_folder import check_folder, write_folder
+
+C_KEYWORDS = (
+    "auto break case char const continue default do double else enum extern float for goto if "
+    "inline int long register restrict return short signed sizeof static struct switch typedef "
+    "union unsigned void volatile while alignas alignof bool constexpr false nullptr static_assert "
+    "thread_local true typeof typeof_unqual asm fortran"
+)
+CPP_KEYWORDS = (
+    "and and_eq bitand bitor catch char8_t char16_t char32_t class compl concept consteval "
+    "constinit const_cast co_await co_return co_yield decltype delete dynamic_cast explicit export "
+    "friend import module mutable namespace new noexcept not not_eq operator or or_eq private "
+    "protected public reinterpret_cast requires static_cast template this throw try typeid "
+    "typename using virtual wchar_t xor xor_eq final override"
+)
+STANDARD_HEADERS = (  # PREFIX.h would be included in their place
+    "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal "
+    "stdalign stdarg stdatomic stdbit stdbool stdckdint stddef stdint stdio stdlib stdnoreturn "
+    "string strings tgmath threads time uchar wchar wctype memory malloc alloca unistd fcntl "
+    "pthread sched semaphore dirent dlfcn features poll sys"
+)
+BUILD_TARGETS = (  # of CMake and its generators; c and m are libraries
+    "all all_build c clean continuous depend edit_cache experimental help install m nightly "
+    "package package_source rebuild_cache run_tests test zero_check"
+)
+OWN_FILES = "lieid_runtime"
+_CLASHES = {
+    **dict.fromkeys(C_KEYWORDS.split(), "a keyword of C"),
+    **dict.fromkeys(CPP_KEYWORDS.split(), "a keyword of C++"),
+    **dict.fromkeys(STANDARD_HEADERS.split(), "the name of a system header"),
+    **dict.fromkeys(BUILD_TARGETS.split(), "a name that build tools use"),
+    **dict.fromkeys(OWN_FILES.split(), "a file of every export"),
+}
 
 
-@dataclass(frozen=True)
-class CExport:
-    """The files of an export, and notes for their users."""
+def check_prefix(prefix: str) -> None:
+    """Refuse a prefix that gives no C names, or names that clash.
 
-    files: tuple[Path, ...]
-    notes: tuple[str, ...]
+    Raises `ExportError`.
+
+    Examples
+    --------
+    >>> check_prefix("left_arm")
+    """
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix, re.ASCII):
+        raise ExportError(
+            f"prefix {prefix!r}: expected letters, digits and _, beginning with a letter"
+        )
+    # file names differ by more than case on some systems, and macros are in capitals
+    clash = _CLASHES.get(prefix.lower())
+    if clash is None and prefix.lower().startswith("lieid_"):
+        clash = "a name of the runtime header"
+    if clash is not None:
+        raise ExportError(f"prefix {prefix!r}: is {clash}; expected another, such as my_{prefix}")
 
 
-def export_c(
+def c_files(
     fit: Fit,
-    folder: str | Path,
     *,
     prefix: str = "arm",
     functions: Sequence[str] | None = None,
     runtime: Sequence[str] = (),
     float32: bool = False,
-    force: bool = False,
-) -> CExport:
-    """Write the identified model as C99: library, self-test, CMake project and README.
+) -> tuple[dict[str, bytes], list[str]]:
+    """Return library, self-test, CMake project and README by file name, and notes for their users.
 
     The functions use no memory except their arguments, and of the mathematical library only sin,
     cos, exp, tanh, fabs and sqrt; the header states order, shape and unit of each argument. The
-    self-test compares their results with CasADi.
+    self-test compares their results with CasADi. Options are those of `lieid_casadi.export`.
 
-    Parameters
-    ----------
-    fit : Fit
-    folder : str or Path
-        Made if it does not exist; written as a whole or not at all.
-    prefix : str
-        Prefix of all names, so that one program can contain several arms.
-    functions : sequence of str, optional
-        Functions to write, of `lieid_casadi.exporters.c.functions.NAMES`; those that they call are
-        added. Default: all that the fit has. Forward dynamics are left out, with a note, if the
-        mass matrix is not positive definite in a pose within the joint limits.
-    runtime : sequence of str
-        Numbers that are arguments of the functions, so that they may change while the program
-        runs: ``payload`` (ten link parameters of a body at the tool) and ``parameters`` (all link
-        parameters, effect coefficients and shape parameters). All others are constants.
-    float32 : bool
-        Single precision: values of type float, and a self-test with the tolerance of such values.
-    force : bool
-        Replace what an earlier export wrote into the folder; other files are kept.
-
-    Returns
-    -------
-    CExport
-
-    Raises
-    ------
-    ExportError
-        The prefix is not usable, a function or a name in ``runtime`` does not exist, an effect has
-        no C form or needs more than one instant, or a number is not finite.
-    OutputError
-        The folder has other content or cannot be written.
+    Raises `ExportError`: the prefix is not usable, a function or a name in ``runtime`` does not
+    exist, an effect has no C form or needs more than one instant, or a number is not finite.
     """
     check_prefix(prefix)
-    check_folder(folder, force=force)
     for value in (*fit.parameters, *fit.values, *fit.shapes):
         DOUBLE.number(value)
     unknown = [name for name in runtime if name not in RUNTIME]
@@ -97,23 +106,11 @@ def export_c(
     form = ExportForm(
         SINGLE if float32 else DOUBLE, tuple(name for name in RUNTIME if name in runtime)
     )
-    written = write_folder(folder, c_files(fit, prefix, chosen, notes, form), force=force)
-    return CExport(written, tuple(notes))
-
-
-def c_files(
-    fit: Fit, prefix: str, names: Sequence[str], notes: list[str], form: ExportForm
-) -> dict[str, bytes]:
-    """Return the content of all files by name.
-
-    ``prefix``: of files and functions; ``names``: functions, in the order of `NAMES`; ``notes``:
-    what the export leaves out.
-    """
-    made = exported_functions(fit, names, form)
-    content = template_variables(fit, prefix, made, form) | {
-        "notes": [comment(note) for note in notes]
-    }
-    content["note_lines"] = wrapped(content["notes"])
+    made = exported_functions(fit, chosen, form)
+    comments = [comment(note) for note in notes]
+    content = template_variables(fit, prefix, made, form)
+    content |= {"notes": comments, "note_lines": wrapped(comments)}
+    content |= self_test_content(fit, made.bodies, form)
     templates = {
         f"{prefix}.h": "arm.h.jinja",
         f"{prefix}.c": "arm.c.jinja",
@@ -122,10 +119,10 @@ def c_files(
         "CMakeLists.txt": "CMakeLists.txt.jinja",
         "README.md": "README.md.jinja",
     }
-    content |= self_test_content(fit, made.bodies, form)
     files = {name: render(template, content).encode() for name, template in templates.items()}
-    headers = ["lieid_runtime.h", *(["lieid_runtime_float.h"] if form.precision.suffix else [])]
-    return files | {name: (codegen_folder() / "export" / name).read_bytes() for name in headers}
+    headers = ["lieid_runtime.h", *(["lieid_runtime_float.h"] if float32 else [])]
+    files |= {name: (codegen_folder() / "export" / name).read_bytes() for name in headers}
+    return files, notes
 
 
 def _notes(fit: Fit) -> list[str]:
@@ -141,4 +138,13 @@ def _notes(fit: Fit) -> list[str]:
     stateless = [p.label for p in fit.model.placements if p.effect.states]
     if set(timed) - set(stateless):
         notes.append(f"{', '.join(timed)}: time counts from the start of the motion")
-    return notes + arm_notes(fit)
+    inside = []
+    for p in fit.model.placements:
+        if isinstance(p.effect, ArmEffect):
+            if p.effect.export_note:
+                notes.append(f"{p.label}: {p.effect.export_note}")
+            else:
+                inside.append(p.label)
+    if inside:
+        notes.append(f"{', '.join(inside)}: part of effect_torque, not of rigid_torque")
+    return notes

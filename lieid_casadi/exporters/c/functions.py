@@ -7,10 +7,21 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.c.expressions import ExportExpressions, ExportSymbols, model_numbers
-from lieid_casadi.exporters.c.numbers import DOUBLE, Precision
-from lieid_casadi.exporters.c.statements import FunctionBody, FunctionInput, body, each
+from lieid_casadi.exporters.c.expressions import (
+    ExportExpressions,
+    SampleSymbols,
+    export_expressions,
+)
+from lieid_casadi.exporters.c.statements import (
+    DOUBLE,
+    FunctionBody,
+    FunctionInput,
+    Precision,
+    body,
+    each,
+)
 from lieid_casadi.expressions.forward_dynamics import obstacle
 from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.identification.fit import Fit
@@ -19,6 +30,7 @@ RIGID_ARGUMENTS = {  # function: its arguments before the result
     "rigid_torque": ("q", "dq", "ddq"),
     "gravity": ("q",),
     "mass_matrix": ("q",),
+    "link_mass_matrix": ("q",),
     "coriolis": ("q", "dq"),
     "forward_kinematics": ("q",),
     "jacobian": ("q",),
@@ -27,6 +39,7 @@ RIGID_ARGUMENTS = {  # function: its arguments before the result
 }
 SAMPLE_ARGUMENTS = {  # function: its argument between the sample and the state
     "friction": "load",
+    "effect_torque": "load",
     "torque": "",
     "forward_dynamics": "torque",
     "effect_columns": "load",
@@ -40,9 +53,19 @@ _RESULTS = {  # name of the result, where it is no matrix
     "gravity": "torque",
     "forward_kinematics": "pose",
     "friction": "torque",
+    "effect_torque": "torque",
     "torque": "torque",
     "forward_dynamics": "acceleration",
 }
+NUMBERS = {"parameters": "link_parameters", "effects": "effect_coefficients"}  # input: name in C
+
+
+@dataclass(frozen=True)
+class ExportForm:
+    """How numbers appear in exported C: their type, and those that are arguments (`RUNTIME`)."""
+
+    precision: Precision = DOUBLE
+    runtime: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,56 +113,31 @@ def _no_forward_dynamics(fit: Fit) -> dict[str, str]:
     return {"forward_dynamics": reason} if reason else {}
 
 
-@dataclass(frozen=True)
-class ExportForm:
-    """How numbers appear in exported C.
-
-    Attributes
-    ----------
-    precision : Precision
-        The floating-point type.
-    runtime : tuple of str
-        Those of `RUNTIME` that are arguments of the functions instead of constants.
-    """
-
-    precision: Precision = DOUBLE
-    runtime: tuple[str, ...] = ()
-
-
-CONSTANTS = ExportForm()
-
-
 def exported_functions(
-    fit: Fit, names: Sequence[str], form: ExportForm = CONSTANTS
+    fit: Fit, names: Sequence[str], form: ExportForm | None = None
 ) -> ExportedFunctions:
-    """Return the C of functions, and of those that they call.
+    """Return the C of functions (of `select`), and of those that they call.
 
-    ``names``: result of `select`.
     Raises `ExportError`: an effect uses an operation without a C form, or needs more than one
     instant.
     """
-    now = ExportSymbols.of(fit)
-    values = model_numbers(fit, form.runtime)
-    expressions = ExportExpressions(fit, now, values)
-    numbers = {name: each(x, f"numbers->{name}[{{j}}]") for name, x in values.inputs.items()}
-    rigid = (
-        rigid_inputs(now, form.precision)
-        | numbers
-        | {
-            "dq_r": each(now.dq_r, "dq_r[{j}]"),
-            "ddq_r": each(now.ddq_r, "ddq_r[{j}]"),
-        }
-    )
-    sample = sample_inputs(fit, now, form.precision, of="sample->") | numbers
+    form = form or ExportForm()
+    made = export_expressions(fit, form.runtime)
+    numbers = {
+        NUMBERS.get(name, name): each(symbol, f"numbers->{NUMBERS.get(name, name)}[{{j}}]")
+        for name, symbol in made.further_inputs(static=True).items()
+    }
+    references = {"dq_r": each(made.dq_r, "dq_r[{j}]"), "ddq_r": each(made.ddq_r, "ddq_r[{j}]")}
+    rigid = _motion_inputs(made.motion, form.precision) | numbers | references
+    sample = _sample_inputs(fit, made, form.precision) | numbers
     further = {
         "": {},
-        "load": {"load": each(now.load, "load[{j}]")},
-        "torque": {"torque": each(now.torque, "torque[{j}]")},
+        "load": {"load": each(made.load, "load[{j}]")},
+        "torque": {"torque": each(made.tau, "torque[{j}]")},
     }
-    used = any(name in SAMPLE_ARGUMENTS for name in names)
     advance = None
-    if fit.model.states and used:
-        advance = _advance(fit, expressions, now, form, numbers)
+    if fit.model.states and any(name in SAMPLE_ARGUMENTS for name in names):
+        advance = _advance(fit, made, form, numbers)
     remembers = advance is not None and "before_load" in advance.used
     reads = remembers or (advance is not None and "load" in advance.used)
     bodies = {}
@@ -147,7 +145,7 @@ def exported_functions(
         if name in names or (name == "rigid_torque" and reads):
             inputs = rigid if name in RIGID_ARGUMENTS else sample | further[SAMPLE_ARGUMENTS[name]]
             bodies[name] = body(
-                getattr(expressions, name),
+                getattr(made, name),
                 inputs,
                 to=_RESULTS.get(name, "matrix"),
                 arguments=_arguments(name, form),
@@ -162,39 +160,33 @@ def _arguments(name: str, form: ExportForm) -> list[str]:
     if name in RIGID_ARGUMENTS:
         return [*RIGID_ARGUMENTS[name], *numbers]
     given = [SAMPLE_ARGUMENTS[name]] if SAMPLE_ARGUMENTS[name] else []
-    return ["sample", *given, "state", "v0", *numbers]
+    return ["sample", *given, "state", "smooth_velocity", *numbers]
 
 
 def _advance(
-    fit: Fit,
-    expressions: ExportExpressions,
-    now: ExportSymbols,
-    form: ExportForm,
-    numbers: dict[str, FunctionInput],
+    fit: Fit, made: ExportExpressions, form: ExportForm, numbers: dict[str, FunctionInput]
 ) -> FunctionBody:
     """Return the body that computes the states at a sample from those at the sample before."""
-    before = ExportSymbols.of(fit, "before_")
-    after = expressions.advance(before)
-    past = sample_inputs(fit, before, form.precision, of="state->before.")
+    before = SampleSymbols.before(fit.model.n)
+    past = _signal_inputs(fit, before, form.precision, of="state->before.")
     past["load"] = each(before.load, "state->before_load[{j}]")
-    inputs = sample_inputs(fit, now, form.precision, of="sample->") | numbers
-    inputs["load"] = each(now.load, "load[{j}]")
+    inputs = _sample_inputs(fit, made, form.precision) | numbers
+    inputs["load"] = each(made.load, "load[{j}]")
     inputs |= {f"before_{name}": given for name, given in past.items()}
-    inputs["states"] = inputs.pop("before_states")
-    arguments = ["state", "sample", "load", "v0", *(["numbers"] if form.runtime else [])]
+    arguments = ["state", "sample", "load", "smooth_velocity"]
     return body(
-        ca.densify(after), inputs, to="after", arguments=arguments, precision=form.precision
+        ca.densify(made.advance(before)),
+        inputs,
+        to="after",
+        arguments=[*arguments, *(["numbers"] if form.runtime else [])],
+        precision=form.precision,
     )
 
 
-def rigid_inputs(
-    symbols: ExportSymbols, precision: Precision, *, of: str = ""
+def _motion_inputs(
+    motion: Motion, precision: Precision, *, of: str = ""
 ) -> dict[str, FunctionInput]:
-    """Return the inputs of functions of the motion alone.
-
-    ``of``: C expression of a sample, such as ``sample->``, whose members are read.
-    """
-    motion = symbols.motion
+    """Return the inputs of functions of the motion; ``of``: C of a sample, such as ``sample->``."""
     return {
         "q": each(motion.q, of + "q[{j}]"),
         "sin": each(motion.sin, f"{precision.call('sin')}({of}q[{{j}}])"),
@@ -204,22 +196,26 @@ def rigid_inputs(
     }
 
 
-def sample_inputs(
-    fit: Fit, symbols: ExportSymbols, precision: Precision, *, of: str
+def _signal_inputs(
+    fit: Fit, symbols: SampleSymbols | ExportExpressions, precision: Precision, *, of: str
 ) -> dict[str, FunctionInput]:
-    """Return the inputs of functions of a whole sample and the state.
-
-    ``of``: C expression of the sample, such as ``sample->``.
-    """
+    """Return the inputs of functions of a whole sample; ``of``: its C, such as ``sample->``."""
     mean = fit.temperature_mean
     warmth = [
         f"{of}temperature[{j}]" + (f" - {precision.number(mean[j])}" if mean is not None else "")
         for j in range(fit.model.n)
     ]
     direction = precision.call("lieid_direction")
-    return rigid_inputs(symbols, precision, of=of) | {
-        "sign": each(symbols.sign, f"{direction}({of}dq[{{j}}], v0, {{j}})"),
+    return _motion_inputs(symbols.motion, precision, of=of) | {
+        "sign": each(symbols.sign, f"{direction}({of}dq[{{j}}], smooth_velocity, {{j}})"),
         "temperature": FunctionInput(symbols.temperature, tuple(warmth)),
         "time": FunctionInput(symbols.time, (f"{of}time",)),
-        "states": each(symbols.states, "state->values[{j}]"),
     }
+
+
+def _sample_inputs(
+    fit: Fit, made: ExportExpressions, precision: Precision
+) -> dict[str, FunctionInput]:
+    """Return the inputs of functions of the sample and the state."""
+    states = {"states": each(made.states, "state->values[{j}]")}
+    return _signal_inputs(fit, made, precision, of="sample->") | states

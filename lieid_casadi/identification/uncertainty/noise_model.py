@@ -367,7 +367,7 @@ def dry_level(
         signals["load"] = compiled.inverse_dynamics(*motion, parameters[: 10 * n])
     still, coefficients = np.zeros_like(q), parameters[10 * n :]
     forward, back = (
-        compiled.friction(
+        compiled.effect_torque(
             q, np.full_like(q, dq), still, coefficients, **signals, joint_effects_only=True
         )
         for dq in (REVERSAL, -REVERSAL)

@@ -41,7 +41,7 @@ public:
 
 private:
   Settings settings_;
-  Joints v0_{};
+  Joints width_{};
   arm_state state_{};
   double time_ = 0.0;
 };

@@ -10,9 +10,13 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.mjcf.friction import MujocoFriction, mujoco_friction
-from lieid_casadi.exporters.mjcf.notes import notes_of
-from lieid_casadi.exporters.urdf.bodies import number
+from lieid_casadi.exporters.simulator_joints import (
+    LinearFriction,
+    check_possible,
+    file_name,
+    linear_friction,
+)
+from lieid_casadi.exporters.urdf_bodies import number
 from lieid_casadi.exporters.xml_text import allowed, comment
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot import Drive, Joint
@@ -31,12 +35,75 @@ HEAD = """
      {robot}, identified by lieid-casadi {version} (method {method}) from {recordings}.
      Joints and actuators are in the robot's order. ctrl: {control}.
 {notes}"""
+#: Effects that MuJoCo has itself.
+EXPRESSED = frozenset(
+    ("armature", "command_delay", "coulomb", "offset", "position_spring", "torque_saturation",
+     "viscous")
+)  # fmt: skip
+
+
+def mjcf_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
+    """Return ``ROBOT.xml``, a MuJoCo model, by its name, and notes on its approximations.
+
+    Raises `ExportError`: the fit's masses and inertias are not certified to be physically
+    consistent; the message has the command that makes a fit whose are.
+    """
+    check_possible(fit)
+    text, notes = mjcf_text(fit)
+    return {f"{file_name(fit.model.robot.name)}.xml": text.encode()}, notes
+
+
+def notes_of(fit: Fit, friction: Sequence[LinearFriction]) -> list[str]:
+    """Return notes on what the model approximates and leaves out, a sentence each."""
+    robot, notes = fit.model.robot, []
+    names = {p.effect.name for p in fit.model.placements}
+    for j, own in enumerate(friction):
+        if not own.exact:
+            notes.append(
+                f"joint {j + 1}: friction approximated by damping {own.damping:.4g} and "
+                f"frictionloss {own.loss:.4g}; RMS error {own.error:.3g} N·m, "
+                f"{100.0 * own.share:.0f} % of the friction (speeds of 2 to 50 % of the limit, "
+                "loads at rest over the position range)"
+            )
+    if not all(own.exact for own in friction):
+        notes.append("lieid_casadi.simulation.mujoco_callback adds the exact torque of the fit")
+    dry = {label.split(".")[0] for label in (c.name for c in fit.model.columns)}
+    approximated = {
+        p.effect.name
+        for p in fit.model.placements
+        if set(p.effect.signals) & {"dq", "sign"} and p.effect.name in dry
+    }
+    plays = plays_of(fit)
+    rigid = {p.joint for p in fit.model.placements if p.effect.name == "backlash"}
+    rigid -= {play.joint for play in plays}
+    expressed = EXPRESSED | (set() if rigid else {"backlash"})
+    left = sorted(names - expressed - approximated)
+    notes.extend(
+        f"joint {play.joint + 1}: a play of {play.width:.4g} rad is the joint NAME_play beside "
+        "joint NAME, which is the motor's; qpos and qvel contain both"
+        for play in plays
+    )
+    if left:
+        notes.append(f"not part of the MuJoCo model: {', '.join(left)}")
+    if "command_delay" in names:
+        notes.append(
+            "command delays are attributes of the actuators, which MuJoCo 4.0 has; if ctrl is held "
+            "for an interval between commands, as in the recordings, subtract half of it"
+        )
+    relative = [drive for drive in robot.drives or () if drive.relative]
+    if relative:
+        notes.append(
+            "the drive stiffness K is unknown: masses, inertias and torques are divided by it, "
+            "and kp is 1; motion under commands is the same, forces are not in N"
+        )
+    if robot.drives is None and any(np.isnan(robot.limit("torque"))):
+        notes.append("no torque limits are stated: the range of the motors is not limited")
+    return notes
 
 
 def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
     """Return a MuJoCo model and notes on its approximations.
 
-    ``fit``: with physically consistent inertias.
     Raises `ExportError`: a number that is not finite.
     """
     from lieid_casadi import __version__
@@ -44,7 +111,7 @@ def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
     robot = fit.model.robot
     if not np.all(np.isfinite(fit.parameters)):
         raise ExportError("a parameter of the fit is not finite; fit again")
-    friction = mujoco_friction(fit)
+    friction = linear_friction(fit)
     root = ElementTree.Element("mujoco", model=allowed(robot.name) or "robot")
     _add(root, "compiler", angle="radian", autolimits="true")
     gravity = _vector(robot.gravity)
@@ -108,12 +175,9 @@ def _add_inertial(parent: Element, parameters: Array) -> None:
 
 
 def _add_joint(
-    parent: Element, joint: Joint, name: str, fit: Fit, index: int, friction: MujocoFriction
+    parent: Element, joint: Joint, name: str, fit: Fit, index: int, friction: LinearFriction
 ) -> None:
-    """Add a joint with its passive torques.
-
-    ``name``: unique; ``index``: of the joint, from 0.
-    """
+    """Add a joint (from 0) with its passive torques."""
     own = _of_joint(fit, index)
     attributes = {"name": name, **_axis(joint)}
     limits = joint.limits
@@ -122,7 +186,7 @@ def _add_joint(
     damping = friction.damping + (_servo_damping(joint.drive) if joint.drive else 0.0)
     armature = max(own.get("armature.I_a", 0.0), 0.0)
     for key, value in (
-        ("armature", armature), ("damping", damping), ("frictionloss", friction.frictionloss),
+        ("armature", armature), ("damping", damping), ("frictionloss", friction.loss),
     ):  # fmt: skip
         if value:
             attributes[key] = number(value)
@@ -139,8 +203,6 @@ def _add_play(parent: Element, joint: Joint, name: str, width: float) -> None:
     """Add the angle of a link relative to its motor: a joint beside the actuated one.
 
     The armature of the actuated joint is then the inertia of the motor alone.
-
-    ``width``: play, rad.
     """
     sides = {"range": _vector([-0.5 * width, 0.5 * width]), "solreflimit": _vector(SIDES)}
     _add(parent, "joint", name=name, **_axis(joint), **sides)
@@ -168,10 +230,7 @@ def _of_joint(fit: Fit, index: int) -> dict[str, float]:
 
 
 def _add_actuator(parent: Element, joint: Joint, name: str, own: dict[str, float]) -> None:
-    """Add a position actuator with the gains of the drive, or a motor.
-
-    ``name``: unique; ``own``: coefficients and shape parameters of the joint's effects by name.
-    """
+    """Add a position actuator with the gains of the drive, or a motor."""
     limit = joint.limits.torque
     attributes = {"name": name, "joint": name}
     if joint.drive is None:

@@ -1,0 +1,134 @@
+"""What exports to simulators share: armature, damping and dry friction of joints, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from lieid_casadi.errors import ExportError
+from lieid_casadi.friction_curves.constant_speed import steady_columns
+from lieid_casadi.identification.fit import Fit
+
+SAMPLES = 400  # of speed, load and position, at which friction is evaluated
+SPEEDS = (0.02, 0.5)  # of the joint's velocity limit, from and to
+UNKNOWN_SPEED = 2.0  # rad/s, velocity limit of a robot that states none
+WARM = 1e6  # s since the start, at which warm-up has ended
+EXACT = 1e-9  # relative error of friction of the linear form
+# coefficients that simulators have an attribute for
+PLACES = {"armature.I_a": "armature", "viscous.f_v": "damping", "coulomb.f_c": "friction"}
+
+
+@dataclass(frozen=True)
+class SimulatorJoint:
+    """Properties of one joint; None if the model does not have the effect.
+
+    Armature in kg·m², damping in N·m·s/rad, friction in N·m (sliding joints: kg, N·s/m, N).
+    """
+
+    armature: float | None = None
+    damping: float | None = None
+    friction: float | None = None
+
+
+def simulator_joints(fit: Fit) -> tuple[SimulatorJoint, ...]:
+    """Return the properties of each joint; negative values, which simulators refuse, become 0."""
+    found: list[dict[str, float]] = [{} for _ in range(fit.model.n)]
+    for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True):
+        place = PLACES.get(column.name)
+        if place is not None:
+            found[column.joint][place] = max(float(value), 0.0)
+    return tuple(SimulatorJoint(**numbers) for numbers in found)
+
+
+def left_out(fit: Fit, places: set[str]) -> list[str]:
+    """Return the names of effects that have none of the given attributes."""
+    names = []
+    for column in fit.model.columns:
+        effect = column.name.rpartition(".")[0]
+        if PLACES.get(column.name) not in places and effect not in names:
+            names.append(effect)
+    return names
+
+
+def negative(fit: Fit) -> list[str]:
+    """Return the labels of coefficients that were set to 0 because they are negative."""
+    return [
+        column.label
+        for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True)
+        if column.name in PLACES and value < 0.0
+    ]
+
+
+@dataclass(frozen=True)
+class LinearFriction:
+    """Friction of one joint as damping·q̇ + loss·sgn(q̇), neither of them negative.
+
+    ``error`` is the RMS of the difference from the model's friction, N·m, and ``share`` the same in
+    parts of the RMS friction.
+    """
+
+    damping: float
+    loss: float
+    error: float
+    share: float
+
+    @property
+    def exact(self) -> bool:
+        """Whether this form has all of the friction."""
+        return self.share < EXACT
+
+
+def linear_friction(fit: Fit) -> tuple[LinearFriction, ...]:
+    """Return the friction of all joints by non-negative least squares.
+
+    The model's friction (half the difference between forward and backward motion in steady
+    state) is evaluated at speeds that are uniform from 2 to 50 % of the joint's velocity limit, at
+    random poses within the position limits, under the load of the links at these poses and at
+    rest.
+    """
+    robot = fit.model.robot
+    lower, upper = robot.limit("position_lower"), robot.limit("position_upper")
+    lower, upper = np.nan_to_num(lower, nan=-np.pi), np.nan_to_num(upper, nan=np.pi)
+    q = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, robot.n))
+    loads = fit.compiled.inverse_dynamics(q, 0.0 * q, 0.0 * q, fit.link_parameters)
+    limit = robot.limit("velocity")
+    limit = np.where(np.isfinite(limit), limit, UNKNOWN_SPEED)
+    found = []
+    for joint in range(robot.n):
+        speed = np.linspace(*SPEEDS, SAMPLES) * limit[joint]
+        columns = steady_columns(
+            fit.compiled, joint, speed, fit.shapes,
+            load=loads[:, joint], position=q[:, joint], time=WARM,
+        )  # fmt: skip
+        friction = columns @ fit.effect_coefficients
+        (damping, loss), _ = nnls(np.column_stack([speed, np.ones_like(speed)]), friction)
+        error = float(np.sqrt(np.mean((damping * speed + loss - friction) ** 2)))
+        size = float(np.sqrt(np.mean(friction**2)))
+        found.append(
+            LinearFriction(float(damping), float(loss), error, error / size if size else 0.0)
+        )
+    return tuple(found)
+
+
+def check_possible(fit: Fit) -> None:
+    """Refuse a fit whose masses and inertias are not certified to be physically consistent.
+
+    Raises `ExportError`: with the command that makes a fit whose are.
+    """
+    if fit.certificate is not None and fit.certificate.holds and fit.physically_consistent:
+        return
+    effects = ",".join(fit.model.effects)
+    runs = " ".join(source.name or "TRAIN" for source in fit.provenance.recordings) or "TRAIN…"
+    option = f" --effects {effects}" if effects else ""
+    raise ExportError(
+        f"masses and inertias of a fit of method {fit.method} may not be physically consistent; "
+        f"expected a fit of method feasible: lieid identify ROBOT {runs}{option} --method feasible "
+        "-o fit.json"
+    )
+
+
+def file_name(name: str) -> str:
+    """Return a name of a file for the name of a robot."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name) or "robot"

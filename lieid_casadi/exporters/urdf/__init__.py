@@ -1,1 +1,0 @@
-"""URDF with identified inertias."""
