@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 
 from hidden_effects.case_setup import LATER, SIZES, Case
@@ -94,9 +95,21 @@ def chosen(
 
 def quick() -> list[Case]:
     """Return about 30 cases of the tune half, of all kinds, for use during development."""
-    found = []
-    for mode, kind, count in QUICK:
-        cases = chosen(modes=[mode], kinds=[kind], sizes=(5.0, 2.0, 1.0, 0.0), series=[2])
-        first = {case.effect or case.name: case for case in reversed(cases)}  # of each effect
-        found += [case for case in cases if case in first.values()][:count]
-    return found
+    return [
+        case
+        for mode, kind, count in QUICK
+        for case in varied(
+            chosen(modes=[mode], kinds=[kind], sizes=(5.0, 2.0, 1.0, 0.0), series=[2])
+        )[:count]
+    ]
+
+
+def varied(cases: Sequence[Case]) -> list[Case]:
+    """Return the cases in an order in which every effect comes once before any comes twice."""
+    seen = Counter[tuple[str, bool, str]]()
+    turns = []
+    for case in cases:
+        key = (case.kind, case.changed, case.effect)
+        turns.append(seen[key])
+        seen[key] += 1
+    return [case for _, case in sorted(zip(turns, cases, strict=True), key=lambda pair: pair[0])]
