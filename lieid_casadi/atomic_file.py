@@ -57,12 +57,7 @@ def atomic_binary(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def check_file(path: str | Path) -> None:
-    """Refuse a path that a file cannot be written to; nothing is changed.
-
-    Raises
-    ------
-    OutputError
-    """
+    """Refuse a path that a file cannot be written to; nothing is changed."""
     if not str(path):
         raise OutputError("the path of an output is empty; expected the name of a file")
     with reported(path):
@@ -76,12 +71,7 @@ def check_file(path: str | Path) -> None:
 
 
 def check_parent(path: str | Path) -> None:
-    """Refuse a path in whose folder, or in what exists of it, nothing can be made.
-
-    Raises
-    ------
-    OutputError
-    """
+    """Refuse a path in whose folder, or in what exists of it, nothing can be made."""
     folder = Path(os.path.realpath(path)).parent
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
@@ -93,12 +83,7 @@ def check_parent(path: str | Path) -> None:
 
 @contextlib.contextmanager
 def reported(path: str | Path) -> Iterator[None]:
-    """Turn an error of the operating system into one line that names the output.
-
-    Raises
-    ------
-    OutputError
-    """
+    """Turn an error of the operating system into one line that names the output."""
     try:
         yield
     except BrokenPipeError:

@@ -163,11 +163,6 @@ def demo_recordings(progress: Progress | None = None) -> tuple[Path, Path]:
     They are simulated on the first call, which takes a few seconds, and kept in the package's
     cache, or in a temporary folder where there is none.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with the stage and the completed fraction.
-
     Returns
     -------
     train, test : Path

@@ -23,20 +23,7 @@ PROGRAM = "lieid-casadi"
 
 
 def check_folder(folder: str | Path, *, force: bool = False) -> Path:
-    """Return the folder's real path, if it may be written; nothing is changed.
-
-    Parameters
-    ----------
-    folder : str or Path
-        A new or empty folder, or one that this program wrote.
-    force : bool
-        Replace the files that the folder's manifest lists.
-
-    Raises
-    ------
-    OutputError
-        It is a file, has content that may not be replaced, or cannot be written.
-    """
+    """Return the folder's real path, if it may be written; nothing is changed."""
     with reported(folder):
         target = Path(os.path.realpath(folder))
         if target.exists() and not target.is_dir():

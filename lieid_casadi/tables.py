@@ -38,18 +38,7 @@ class Table:
 def make_table(
     title: str, headings: Sequence[str], rows: Iterable[Sequence[object]], *, note: str = ""
 ) -> Table:
-    """Return a table.
-
-    Parameters
-    ----------
-    title : str
-    headings : sequence of str
-        One per column.
-    rows : iterable of sequence
-        Cells, one per column.
-    note : str
-        Explanation of the columns, for reports.
-    """
+    """Return a table."""
     return Table(title, tuple(headings), tuple(tuple(row) for row in rows), note)
 
 

@@ -48,15 +48,7 @@ class Blocks:
 
 
 def block_means(recording: Recording, nominal: Array | None = None) -> Blocks:
-    """Return block means of all segments; no block spans a gap.
-
-    Parameters
-    ----------
-    recording
-        N rows, n joints.
-    nominal
-        (N, n) nominal torque, N·m.
-    """
+    """Return block means of all segments; no block spans a gap."""
     size = max(1, round(BLOCK_SECONDS * recording.rate))
     edges = _edges(recording, size)
     parts: dict[str, list[Array]] = {name: [] for name in Blocks.__dataclass_fields__}
@@ -123,16 +115,7 @@ ENOUGH_MOTION = 0.05
 
 
 def check_torque(recording: Recording, blocks: Blocks, robot: Robot | None) -> list[LieidWarning]:
-    """Report torques that are constant, exchanged, of the wrong sign or clipped.
-
-    Parameters
-    ----------
-    recording : Recording
-    blocks : Blocks
-        Its block means.
-    robot : Robot or None
-        For limits and nominal torques.
-    """
+    """Report torques that are constant, exchanged, of the wrong sign or clipped."""
     if recording.tau is None:
         return []
     title = recording.title

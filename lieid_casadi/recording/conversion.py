@@ -24,19 +24,7 @@ ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
 
 
 def unit_factors(units: str | Sequence[str]) -> tuple[float, float]:
-    """Return the factors of time and of angles to seconds and radians.
-
-    Parameters
-    ----------
-    units
-        ``deg``, ``ms``, ``us``, ``ns`` (or ``rad``, ``s``): one name, several separated by
-        commas, or a sequence of names.
-
-    Raises
-    ------
-    RecordingError
-        An unknown unit, or two units of the same quantity.
-    """
+    """Return the factors of time and of angles to seconds and radians."""
     names = units.split(",") if isinstance(units, str) else list(units)
     names = [name.strip() for name in names if name.strip()]
     for name in names:
@@ -97,13 +85,7 @@ MOST = 0.99  # of the samples that the control laws state
 
 
 def torque_of_currents(measurement: Measurement, constants: ArrayLike) -> Array:
-    """Return the torque (N, n) of the currents, N·m; constants (n,), N·m/A.
-
-    Raises
-    ------
-    RecordingError
-        No currents, or not one finite constant per joint.
-    """
+    """Return the torque (N, n) of the currents, N·m; constants (n,), N·m/A."""
     k = np.atleast_1d(np.asarray(constants, dtype=np.float64))
     title, n = measurement.title, measurement.n
     if measurement.current is None:
@@ -123,18 +105,6 @@ def torque_of_commands(measurement: Measurement, drives: Sequence[Drive]) -> Arr
     """Return the torque (N, n) that the drives' control laws state, N·m.
 
     Without measured velocities, those that the damping acts on are differences of the positions.
-
-    Parameters
-    ----------
-    measurement
-        With commanded positions.
-    drives
-        (n) laws.
-
-    Raises
-    ------
-    RecordingError
-        No commanded positions, or not one law per joint.
     """
     title, n = measurement.title, measurement.n
     if measurement.command is None:

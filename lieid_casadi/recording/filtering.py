@@ -62,45 +62,17 @@ def uniform_time(t: Array, rate: float) -> Array:
 
 
 def smooth_at(t: Array, x: Array, instants: Array) -> Array:
-    """Return values at given instants by monotone cubics: no overshoot, no kinks.
-
-    Parameters
-    ----------
-    t : (N,)
-        Stamps, s.
-    x : (N, …)
-        Values at the stamps.
-    instants : (K,)
-        s.
-    """
+    """Return values at given instants by monotone cubics: no overshoot, no kinks."""
     return np.asarray(PchipInterpolator(t, x, axis=0)(instants), dtype=np.float64)
 
 
 def straight_at(t: Array, x: Array, instants: Array) -> Array:
-    """Return values at given instants by straight lines, for noisy signals.
-
-    Parameters
-    ----------
-    t : (N,)
-        Stamps, s.
-    x : (N, n)
-        Values at the stamps.
-    instants : (K,)
-        s.
-    """
+    """Return values at given instants by straight lines, for noisy signals."""
     return np.column_stack([np.interp(instants, t, column) for column in x.T])
 
 
 def decimate(x: Array, rate: float, step: int) -> Array:
-    """Return every step-th sample of x (K, ...) after an anti-aliasing zero-phase low-pass.
-
-    Parameters
-    ----------
-    x : (K, …)
-    rate : float
-        Of x, Hz.
-    step : int
-    """
+    """Return every step-th sample of x (K, ...) after an anti-aliasing zero-phase low-pass."""
     if step == 1:
         return x
     return lowpass(x, rate, 0.4 * rate / step, order=8)[::step]
@@ -132,17 +104,7 @@ class Window:
 
 
 def filter_memory(rate: float, cutoff: float, order: int = 4) -> int:
-    """Return the number of samples after which the response of :func:`lowpass` is below 1e-14.
-
-    Parameters
-    ----------
-    rate : float
-        Hz.
-    cutoff : float
-        Hz.
-    order : int
-        Of the Butterworth filter (one way).
-    """
+    """Return the number of samples after which the response of :func:`lowpass` is below 1e-14."""
     if cutoff >= HIGHEST_CUTOFF * rate:
         return 0
     _, poles, _ = butter(order, cutoff, fs=rate, output="zpk")

@@ -76,13 +76,7 @@ def period_noise(recording: Recording, *, cutoff: float | None = None) -> Array 
 
 
 def mean_period(recording: Recording, margin: float) -> Recording:
-    """Return the mean over all full periods, continued periodically by a margin, s, at both ends.
-
-    Raises
-    ------
-    RecordingError
-        The motion is not periodic, or not two periods long.
-    """
+    """Return the mean over all full periods, continued by a margin, s, at both ends."""
     period = detect_period(recording)
     if period is None:
         raise RecordingError(
@@ -137,17 +131,7 @@ def _first_return(difference: Array) -> int | None:
 
 
 def _refined_period(difference: Array, period: float, multiple: int) -> float:
-    """Return the period in samples, by a parabola through the lowest point near a multiple.
-
-    Parameters
-    ----------
-    difference
-        (K,) difference by lag.
-    period
-        First estimate, samples.
-    multiple
-        Number of periods of the lag at which it is refined.
-    """
+    """Return the period in samples, by a parabola through the lowest point near a multiple."""
     centre = round(period * multiple)
     reach = max(2, multiple)
     low, high = max(1, centre - reach), min(difference.size - 2, centre + reach)

@@ -107,32 +107,13 @@ REMEDY = "convert with --units deg (units='deg' in Python)"
 
 
 def require_plausible_units(recording: Recording, robot: Robot | None = None) -> None:
-    """Refuse stamps that are not in seconds and positions that are not in radians.
-
-    Parameters
-    ----------
-    recording
-        As it was loaded.
-    robot
-        Adds the position limits.
-
-    Raises
-    ------
-    RecordingError
-        Names the unit that the values seem to be in.
-    """
+    """Refuse stamps that are not in seconds and positions that are not in radians."""
     require_plausible_rate(recording.t, recording.title)
     check_units(recording, robot)
 
 
 def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
-    """Refuse degrees; warn where values look like degrees or leave the robot's limits.
-
-    Raises
-    ------
-    RecordingError
-        Joints far beyond their limits or, without limits, half of them beyond two turns.
-    """
+    """Refuse degrees; warn where values look like degrees or leave the robot's limits."""
     title = recording.title
     revolute = np.ones(recording.n, dtype=bool)
     if robot is not None:
@@ -264,14 +245,7 @@ def _clusters(recording: Recording) -> list[LieidWarning]:
 
 
 def check_velocity(recording: Recording, blocks: Blocks) -> list[LieidWarning]:
-    """Compare the integral of dq with q.
-
-    Raises
-    ------
-    RecordingError
-        One of them is in degrees and the other in radians, or t is not in seconds, on most of
-        the moving joints.
-    """
+    """Compare the integral of dq with q."""
     if recording.dq is None or blocks.integrated is None or len(blocks.travelled) < 8:
         return []
     title = recording.title

@@ -16,7 +16,7 @@ from lieid_casadi.recording.filtering import HIGHEST_CUTOFF, Window, filter_memo
 from lieid_casadi.recording.measurement import read_only
 from lieid_casadi.recording.periods import mean_period
 from lieid_casadi.recording.recording import Recording
-from lieid_casadi.recording.repeated_rows import without_repeats
+from lieid_casadi.recording.repairs import without_repeats
 from lieid_casadi.recording.sample_timing import require_plausible_rate, sample_rate
 from lieid_casadi.recording.spectrum import choose_cutoff
 from lieid_casadi.recording.uniform_signals import signals_on_grid
@@ -154,16 +154,7 @@ class Processed:
         return tuple(windows(self.t.size, self.kept, margin))
 
     def filter_window(self, x: Array, window: Window, axis: int = 0) -> Array:
-        """Return the rows of one window of :meth:`filter`.
-
-        Parameters
-        ----------
-        x : (…, W, …)
-            A signal at the W instants of the window along ``axis``.
-        window : Window
-            One of `windows`.
-        axis : int
-        """
+        """Return the rows of one window of :meth:`filter`."""
         values = np.moveaxis(np.asarray(x, dtype=np.float64), axis, 0)
         low = lowpass(values, self.rate, self.cutoff, self.options.order)
         return np.moveaxis(low[window.inside], 0, axis)

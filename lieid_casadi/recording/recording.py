@@ -384,13 +384,7 @@ def _times(recordings: Sequence[Recording]) -> list[Array]:
 
 
 def listed(recordings: Recording | Iterable[Recording]) -> list[Recording]:
-    """Return one recording or several as a list.
-
-    Raises
-    ------
-    RecordingError
-        One of them is something else, such as the path of a file.
-    """
+    """Return one recording or several as a list."""
     if isinstance(recordings, Iterable) and not isinstance(recordings, str):
         result = list(recordings)
     else:
@@ -408,13 +402,7 @@ _PART = re.compile(r"(?P<path>.+)@(?P<start>[^:@/]*):(?P<end>[^:@/]*)")
 
 
 def split_part(path: str | Path) -> tuple[Path, float | None, float | None]:
-    """Return file and ends, s, of ``FILE@T0:T1``; open ends are None.
-
-    Raises
-    ------
-    RecordingError
-        Ends that are not finite numbers, or not in order.
-    """
+    """Return file and ends, s, of ``FILE@T0:T1``; open ends are None."""
     match = _PART.fullmatch(str(path))
     if match is None or Path(path).exists():
         return Path(path), None, None

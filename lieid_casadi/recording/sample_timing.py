@@ -32,15 +32,7 @@ def gap_limit(t: Array) -> float:
 
 
 def segment_edges(t: Array, labels: Sequence[str] | None = None) -> list[int]:
-    """Return the first row of each segment and, last, the number of rows.
-
-    Parameters
-    ----------
-    t
-        (N,) stamps, s.
-    labels
-        (N,) label of the payload; a segment has one.
-    """
+    """Return the first row of each segment and, last, the number of rows."""
     breaks = np.diff(t) > gap_limit(t)
     if labels is not None:
         payload = np.asarray(labels)
@@ -77,13 +69,6 @@ def sample_rate(t: Array) -> float:
 def uniform_count(t: Array, rate: float) -> int:
     """Return the number of uniform instants from the first stamp to the last.
 
-    Parameters
-    ----------
-    t
-        (N,) stamps of one segment, s.
-    rate
-        Wanted rate, Hz.
-
     Returns
     -------
     int
@@ -94,13 +79,7 @@ def uniform_count(t: Array, rate: float) -> int:
 
 
 def require_plausible_rate(t: Array, title: str) -> None:
-    """Refuse stamps (N,) whose mean rate shows that they are not in seconds.
-
-    Raises
-    ------
-    RecordingError
-        Mean rate of 1 Hz or less, or above 1 MHz; names the unit that the stamps seem to be in.
-    """
+    """Refuse stamps (N,) whose mean rate shows that they are not in seconds."""
     if t.size < 2:
         return
     rate = mean_rate(t)

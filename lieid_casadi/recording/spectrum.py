@@ -15,7 +15,7 @@ from lieid_casadi.recording.filtering import (
     uniform_time,
 )
 from lieid_casadi.recording.recording import Recording
-from lieid_casadi.recording.repeated_rows import without_repeats
+from lieid_casadi.recording.repairs import without_repeats
 
 #: Least and most cut-off over the band of the motion.
 LEAST_BANDS, MOST_BANDS = 6.0, 25.0

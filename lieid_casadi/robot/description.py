@@ -112,13 +112,7 @@ LARGEST = 16_000_000  # bytes; descriptions with every mesh's name take well bel
 
 
 def read_text(path: str | Path) -> str:
-    """Return the text of a file.
-
-    Raises
-    ------
-    RobotError
-        The file is missing, a folder, not UTF-8, or larger than `LARGEST`.
-    """
+    """Return the text of a file."""
     try:
         with open(path, "rb") as file:
             data = file.read(LARGEST + 1)

@@ -64,13 +64,7 @@ def _steiner(c: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def impossible_moments(parameters: ArrayLike | None) -> str | None:
-    """Return why no body has these moments of inertia about its centre of mass, else None.
-
-    Parameters
-    ----------
-    parameters : (10,) or None
-        Link parameters; None gives None.
-    """
+    """Return why no body has these moments of inertia about its centre of mass, else None."""
     if parameters is None:
         return None
     moments = np.linalg.eigvalsh(body_inertia(parameters).inertia)

@@ -98,14 +98,7 @@ def _chain(model: Any, path: str | Path, tip: str | None) -> list[int]:
 
 
 def _is_play(model: Any, first: int, joint: int) -> bool:
-    """Return whether a joint has the axis of its body's first one and no actuator.
-
-    Parameters
-    ----------
-    model : MjModel
-    first, joint : int
-        Joints of one body.
-    """
+    """Return whether a joint has the axis of its body's first one and no actuator."""
     places = (model.jnt_axis, model.jnt_pos, model.jnt_type)
     same = all(np.allclose(place[first], place[joint]) for place in places)
     moved = model.actuator_trnid[model.actuator_trntype == 0, 0]
@@ -130,16 +123,7 @@ def _rigid_with(model: Any, body: int) -> list[int]:
 
 
 def _joint(model: Any, data: Any, body: int, bodies: list[int]) -> Joint:
-    """Return the joint of a body.
-
-    Parameters
-    ----------
-    model, data : MjModel, MjData
-        At ``qpos0``.
-    body : int
-    bodies : list of int
-        The body and those rigidly attached to it.
-    """
+    """Return the joint of a body."""
     index = int(model.body_jntadr[body])
     home = _pose(data, body)
     axis, anchor = np.array(data.xaxis[index]), np.array(data.xanchor[index])

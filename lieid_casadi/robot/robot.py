@@ -301,23 +301,7 @@ class Robot(RobotDescription):
 def read_description(
     path: str | Path, *, tip: str | None = None, lock: Sequence[str] = ()
 ) -> RobotDescription:
-    """Read a URDF, MJCF or YAML file, or a bundled description; see `Robot.load`.
-
-    Parameters
-    ----------
-    path : str or Path
-        File, or one of `BUNDLED`. ``.xml`` is MJCF if it has the element ``mujoco``.
-    tip : str, optional
-        Last link of a URDF's chain, or body at which an MJCF's chain ends.
-    lock : sequence of str
-        Joints of a URDF to lock at zero.
-
-    Raises
-    ------
-    RobotError
-        The file is missing, of another type, or not a serial arm; ``tip`` or ``lock`` with a
-        format that has no choice of them.
-    """
+    """Read a URDF, MJCF or YAML file, or a bundled description; see `Robot.load`."""
     origin, suffix = str(path), Path(path).suffix.lower()
     if origin in BUNDLED or suffix in (".yaml", ".yml"):
         if tip is not None or lock:

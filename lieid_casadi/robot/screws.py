@@ -27,23 +27,7 @@ def arm_of_screws(
     joint_names: Sequence[str] | None,
     name: str,
 ) -> RobotDescription:
-    """Return the arm; arguments and errors are those of `Robot.from_screws`.
-
-    Parameters
-    ----------
-    screws, homes : n of (6,), n of (4, 4)
-        Joints and link frames in the base frame at the zero pose.
-    links : n of (10,) or None
-        Link parameters.
-    tool : (4, 4) or None
-        In the last link's frame.
-    gravity : (3,) or None
-        m/s².
-    limits : n of Limits or None
-    joint_names : n of str or None
-    name : str
-        Of the robot.
-    """
+    """Return the arm; arguments and errors are those of `Robot.from_screws`."""
     n = len(screws)
     names = [f"joint{j + 1}" for j in range(n)] if joint_names is None else list(joint_names)
     for what, given in (("homes", homes), ("links", links), ("limits", limits), ("names", names)):

@@ -206,21 +206,7 @@ def _joints(model: Any, chain: Sequence[UrdfJoint]) -> tuple[Joint, ...]:
 def check_tree(
     joints: Sequence[UrdfJoint], links: Sequence[str], origin: str
 ) -> dict[str, UrdfJoint]:
-    """Return the joint that carries each link but the root.
-
-    Parameters
-    ----------
-    joints : sequence of UrdfJoint
-    links : sequence of str
-        Names of all links.
-    origin : str
-        Named in errors.
-
-    Raises
-    ------
-    RobotError
-        An unknown link, a loop, more than one root.
-    """
+    """Return the joint that carries each link but the root."""
     known = set(links)
     parents: dict[str, UrdfJoint] = {}
     for joint in joints:
@@ -248,16 +234,7 @@ def check_tree(
 
 
 def path_to_root(link: str, parents: dict[str, UrdfJoint], origin: str) -> list[UrdfJoint]:
-    """Return the joints from the root to a link.
-
-    Parameters
-    ----------
-    link : str
-    parents : dict
-        Link → the joint above it.
-    origin : str
-        Name of the file, for error messages.
-    """
+    """Return the joints from the root to a link."""
     path: list[UrdfJoint] = []
     while link in parents:
         path.append(parents[link])
@@ -275,25 +252,7 @@ def serial_chain(
     lock: Sequence[str],
     origin: str,
 ) -> list[UrdfJoint]:
-    """Return the movable joints from the root to the tip that are not locked.
-
-    Parameters
-    ----------
-    joints : sequence of UrdfJoint
-    parents : mapping
-        Link → the joint that carries it.
-    tip : str or None
-        Last link; None if all joints that are not locked form one chain.
-    lock : sequence of str
-        Joints that do not move.
-    origin : str
-        Named in errors.
-
-    Raises
-    ------
-    RobotError
-        An unknown tip or joint, branches without a tip, no joint, a joint that mimics another.
-    """
+    """Return the movable joints from the root to the tip that are not locked."""
     if tip is not None and tip not in {link for j in joints for link in (j.parent, j.child)}:
         links = dict.fromkeys(link for j in joints for link in (j.parent, j.child))
         raise RobotError(f"{origin}: no link {tip!r}; links are {', '.join(links)}")
@@ -327,14 +286,7 @@ def serial_chain(
 
 
 def tip_link(joints: Sequence[UrdfJoint], chain: Sequence[UrdfJoint], tip: str | None) -> str:
-    """Return the tip; if none is given, the last of the fixed links after the chain.
-
-    Parameters
-    ----------
-    joints, chain : sequence of UrdfJoint
-        All joints, and those of the arm.
-    tip : str or None
-    """
+    """Return the tip; if none is given, the last of the fixed links after the chain."""
     if tip is not None:
         return tip
     link = chain[-1].child

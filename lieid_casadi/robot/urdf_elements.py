@@ -63,14 +63,7 @@ class UrdfJoint:
 
 
 def read_elements(root: Element, origin: str) -> tuple[list[UrdfLink], list[UrdfJoint]]:
-    """Return the links and joints of a URDF.
-
-    Raises
-    ------
-    RobotError
-        A name that is missing or given twice, a joint of an unsupported type, a number that is
-        not one, not finite or too large, an axis without direction, limits that are exchanged.
-    """
+    """Return the links and joints of a URDF."""
     links = [_link(e, f"{origin}: link {_name(e, origin)!r}") for e in root.findall("link")]
     joints = [_joint(e, f"{origin}: joint {_name(e, origin)!r}") for e in root.findall("joint")]
     for what, names in (("link", [x.name for x in links]), ("joint", [x.name for x in joints])):

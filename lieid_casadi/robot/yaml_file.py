@@ -60,21 +60,6 @@ MOST_JOINTS = 100
 def read_yaml(text: str, *, origin: str = "YAML") -> RobotDescription:
     """Return the serial arm that a YAML text describes (keys: see the module).
 
-    Parameters
-    ----------
-    text : str
-        The YAML.
-    origin : str
-        Named in errors, such as the file's path.
-
-    Raises
-    ------
-    RobotError
-        One line that names the place, what was found and what was expected: not YAML, an unknown
-        or missing key, text in place of a number, a number that is not finite or too large, a
-        screw that is neither revolute nor prismatic, a range whose limits are exchanged, two
-        joints of the same name.
-
     Examples
     --------
     >>> robot = read_yaml("{name: one, joints: [{name: turn, screw: [0, 0, 1, 0, 0, 0]}]}")

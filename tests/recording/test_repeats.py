@@ -7,7 +7,7 @@ from recording.planar_arm import motion, rigid_torque
 
 from lieid_casadi.errors import RepeatedRowsWarning
 from lieid_casadi.recording import Processing, Recording, process
-from lieid_casadi.recording.repeated_rows import repeats
+from lieid_casadi.recording.repairs import repeats
 
 SOURCE = 0.034
 

@@ -79,24 +79,7 @@ def signal_names(
     columns: Sequence[tuple[str, str]] = (),
     joint_names: Sequence[str] | None = None,
 ) -> tuple[list[str], tuple[LieidWarning, ...]]:
-    """Return the header with the names of the file format, and a warning of those assumed.
-
-    Parameters
-    ----------
-    header
-        Names of the columns.
-    where
-        Start of messages.
-    columns
-        Stated names, see `parse_columns`.
-    joint_names
-        Of the robot, which columns may contain.
-
-    Raises
-    ------
-    RecordingError
-        A stated column does not exist.
-    """
+    """Return the header with the names of the file format, and a warning of those assumed."""
     names = [name.strip() for name in header]
     if columns:
         return _stated(names, where, columns), ()

@@ -52,22 +52,7 @@ class ColumnLayout:
 
 
 def read_layout(header: Sequence[str], where: str, n: int | None = None) -> ColumnLayout:
-    """Find the columns of a recording in a header.
-
-    Parameters
-    ----------
-    header
-        Column names, in any order; joints are numbered from 1.
-    where
-        Start of the messages: file name and line.
-    n
-        Number of joints that is expected; None takes it from the columns.
-
-    Raises
-    ------
-    RecordingError
-        A column is missing or doubled, or the number of joints is not ``n``.
-    """
+    """Find the columns of a recording in a header."""
     names = [name.strip() for name in header]
     for name, count in Counter(names).items():
         if name and count > 1:
@@ -135,24 +120,7 @@ def measurement_of_columns(
     n: int | None = None,
     stated: Sequence[tuple[str, str]] = (),
 ) -> Measurement:
-    """Return a measurement from named columns; values are not checked yet.
-
-    Parameters
-    ----------
-    given
-        Column name -> (N,) values.
-    title
-        Name of the source, for messages.
-    n
-        Number of joints that is expected; None takes it from the columns.
-    stated
-        Names of the file format and their columns.
-
-    Raises
-    ------
-    RecordingError
-        A missing column, one that does not hold numbers, or columns of unequal length.
-    """
+    """Return a measurement from named columns; values are not checked yet."""
     names, warnings = signal_names(list(given), title, stated)
     columns = dict(zip(names, given.values(), strict=True))
     layout = read_layout(names, title, n)

@@ -36,13 +36,7 @@ from lieid_casadi.recording.repairs import without_damaged_rows
 
 
 def read_csv(file: Path, options: ReadOptions) -> Measurement:
-    """Read a CSV with a header.
-
-    Raises
-    ------
-    RecordingError
-        Names file, line and column, what was found and what was expected.
-    """
+    """Read a CSV with a header."""
     limit = options.inflate_limit
     first = next(numbered_lines(file, limit), None)
     if first is None:
@@ -239,20 +233,7 @@ LONGEST_LINE = 1 << 22
 
 
 def numbered_lines(file: Path, inflate_limit: int) -> Iterator[tuple[int, str]]:
-    """Yield number (from 1) and text of each line that is not blank.
-
-    Parameters
-    ----------
-    file
-        Gzipped if its name ends in ``.gz``.
-    inflate_limit
-        Bytes that a gzipped file may inflate to.
-
-    Raises
-    ------
-    RecordingError
-        Binary data, a damaged gzip file, or a limit that is exceeded.
-    """
+    """Yield number (from 1) and text of each line that is not blank."""
     with file.open("rb") as raw:
         binary: IO[bytes] = raw
         if file.name.lower().endswith(".gz"):

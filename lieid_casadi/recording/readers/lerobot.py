@@ -55,23 +55,7 @@ class _Info(msgspec.Struct):
 
 
 def read_dataset(folder: Path, options: ReadOptions) -> Measurement:
-    """Read the episodes of a LeRobot dataset as one measurement with a segment per episode.
-
-    Parameters
-    ----------
-    folder
-        With ``meta/info.json`` and Parquet files under ``data``.
-    options
-        ``joint_names``: the joints in the robot's order. ``episodes``, ``calibration``,
-        ``position_limits`` and ``degrees``: what to read, and the units of the positions.
-
-    Raises
-    ------
-    RecordingError
-        Not a dataset of these versions, a joint missing, no such episode, units not stated.
-    MissingDependency
-        pyarrow is not installed.
-    """
+    """Read the episodes of a LeRobot dataset as one measurement with a segment per episode."""
     _, parquet = import_pyarrow(folder)
     info = _info(folder)
     names = _names(info, STATE, folder)
@@ -242,22 +226,6 @@ def convert_positions(
     LeRobot stores each motor in per cent of its calibrated range, −100 to 100 (grippers 0 to
     100), or, with ``use_degrees``, in degrees from the middle of that range; grippers stay in per
     cent. The zero of a joint is the middle of its range.
-
-    Parameters
-    ----------
-    folder
-        The dataset, for messages.
-    motors
-        (n) names.
-    positions
-        Measured and commanded positions (N, n) as stored.
-    options
-        ``calibration``, ``position_limits`` and ``degrees``.
-
-    Raises
-    ------
-    RecordingError
-        Neither degrees nor a calibration is stated, or the calibration lacks a motor.
     """
     measured, command = (np.asarray(x, dtype=np.float64) for x in positions)
     per_cent = np.array(["gripper" in motor or not options.degrees for motor in motors])

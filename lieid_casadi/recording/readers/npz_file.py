@@ -37,11 +37,6 @@ def read_npz(file: Path, options: ReadOptions) -> Measurement:
     """Read an NPZ; pickled objects are refused, so that loading never runs code.
 
     Members with other names than those of signals are not inflated.
-
-    Raises
-    ------
-    RecordingError
-        Not an archive, a missing array, or a shape that does not fit.
     """
     if file.stat().st_size == 0:
         raise RecordingError(f"{file}: found an empty file, expected {EXPECTED}")

@@ -43,13 +43,6 @@ def read_parquet(file: Path, options: ReadOptions) -> Measurement:
 
     Of a file whose columns exceed an eighth of the memory, the mean of every few rows is read, or
     the rows of the part that is asked for.
-
-    Raises
-    ------
-    RecordingError
-        Not Parquet, a missing column, or one that does not hold numbers.
-    MissingDependency
-        pyarrow is not installed.
     """
     _, parquet = import_pyarrow(file)
     require_bounded_size(file, options.inflate_limit)
@@ -117,13 +110,7 @@ def memory_bytes() -> int:
 
 
 def import_pyarrow(file: Path) -> tuple[Any, Any]:
-    """Return pyarrow and its reader of Parquet.
-
-    Raises
-    ------
-    MissingDependency
-        pyarrow is not installed.
-    """
+    """Return pyarrow and its reader of Parquet."""
     try:
         import pyarrow
         import pyarrow.parquet as parquet

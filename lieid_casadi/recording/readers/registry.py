@@ -100,13 +100,7 @@ def recording_formats() -> tuple[RecordingFormat, ...]:
 
 
 def format_of(file: Path) -> RecordingFormat:
-    """Return the format of a file by its suffix, or of a folder.
-
-    Raises
-    ------
-    RecordingError
-        No such file, or a suffix that no format has.
-    """
+    """Return the format of a file by its suffix, or of a folder."""
     for made in recording_formats():
         in_folder = made.folder is not None and file.is_dir() and made.folder(file)
         if in_folder or (made.suffixes and file.name.lower().endswith(made.suffixes)):
@@ -126,15 +120,7 @@ def format_of(file: Path) -> RecordingFormat:
 
 
 def read_measurement(file: Path, options: ReadOptions) -> Measurement:
-    """Read a file in the format that its name states.
-
-    Raises
-    ------
-    RecordingError
-        Names the file and the place, what was found and what was expected.
-    MissingDependency
-        The format needs an extra that is not installed.
-    """
+    """Read a file in the format that its name states."""
     made = format_of(file)
     if not file.exists():
         raise RecordingError(f"{file}: no such file, expected a recording")
@@ -147,15 +133,7 @@ def read_measurement(file: Path, options: ReadOptions) -> Measurement:
 
 
 def write_measurement(measurement: Measurement, file: Path) -> None:
-    """Write a file in the format that its name states, atomically.
-
-    Raises
-    ------
-    RecordingError
-        A suffix that cannot be written.
-    OutputError
-        The file cannot be written.
-    """
+    """Write a file in the format that its name states, atomically."""
     writers = {s: made.write for made in recording_formats() for s in made.suffixes if made.write}
     write = next((writers[s] for s in writers if file.name.lower().endswith(s)), None)
     if write is None:
@@ -165,15 +143,7 @@ def write_measurement(measurement: Measurement, file: Path) -> None:
 
 @contextlib.contextmanager
 def library_errors(file: Path | str, expected: str) -> Iterator[None]:
-    """Turn every exception of a library that decodes a file into one RecordingError.
-
-    Parameters
-    ----------
-    file
-        Named in the message.
-    expected
-        What the file is expected to be, such as ``a Parquet file``.
-    """
+    """Turn every exception of a library that decodes a file into one RecordingError."""
     try:
         yield
     except LieidError:

@@ -106,13 +106,7 @@ class _JointRows:
         self.times.append((message.header_time, message.arrival_time))
 
     def measurement(self, file: Path, n: int | None) -> Measurement:
-        """Return the rows as arrays.
-
-        Raises
-        ------
-        RecordingError
-            No message, another number of joints, or messages without a signal of others.
-        """
+        """Return the rows as arrays."""
         if not self.times or not self.names:
             wanted = f" with the joints {names_text(self.names)}" if self.names else ""
             found = f" (found {names_text(self.others)})" if self.others else ""
@@ -216,20 +210,7 @@ _CHUNK = 0x06  # MCAP's opcode
 
 
 def require_bounded(file: Path, limit: int) -> None:
-    """Refuse a bag, or a folder with one, whose chunks inflate beyond the limit.
-
-    Parameters
-    ----------
-    file
-        A ``.mcap``, ``.bag`` or ``.zstd`` file, or a folder of them; others have no chunks.
-    limit
-        Bytes, all chunks together.
-
-    Raises
-    ------
-    RecordingError
-        States the limit and how to raise it.
-    """
+    """Refuse a bag, or a folder with one, whose chunks inflate beyond the limit."""
     parts = sorted(file.iterdir()) if file.is_dir() else [file]
     total = 0
     for part in parts:
