@@ -1,8 +1,9 @@
-"""Output files that are either replaced as a whole or left as they were."""
+"""Files: output that is replaced as a whole or left as it was, and input that can be read."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import io
 import os
@@ -17,6 +18,21 @@ from typing import BinaryIO
 from lieid_casadi.errors import OutputError
 
 PREFIX, SUFFIX = ".lieid-", ".part"  # of temporary files and folders
+
+
+def require_regular(path: str | Path) -> None:
+    """Refuse to read what is no regular file, such as a pipe that nobody writes to.
+
+    Raises
+    ------
+    OSError
+        With the reason; also where the file does not exist.
+    """
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "its name has a null character")
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        folder = "is a folder" if os.path.isdir(path) else "is a pipe or a device"
+        raise OSError(errno.EINVAL, f"{folder}; expected a regular file")
 
 
 @contextlib.contextmanager

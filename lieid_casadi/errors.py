@@ -101,6 +101,18 @@ class NominalInertiaWarning(LieidWarning):
     """A stated inertia that is physically impossible."""
 
 
+class NotReadWarning(LieidWarning):
+    """Statements of a robot's description that change its dynamics and were not read."""
+
+
+class LockedBranchWarning(LieidWarning):
+    """Joints off the chain were locked, and their bodies added to a link."""
+
+
+class MissingMeshWarning(LieidWarning):
+    """Files of shapes that do not exist; the robot was read without them."""
+
+
 class MimicJointWarning(LieidWarning):
     """A joint that follows another in the robot's description, and is kept at zero here."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
+import io
 import logging
 import os
 import sys
@@ -57,6 +58,8 @@ def _commands() -> list[Command]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run ``lieid`` and return its exit status (DESIGN: 0, 1, 2, 3 or 130)."""
+    if words is None:
+        _open_streams()
     try:
         given = _joined(sys.argv[1:] if words is None else words)
         args = build_parser().parse_args(given)  # imports modules, which takes a moment
@@ -89,6 +92,24 @@ def main(words: Sequence[str] | None = None) -> int:
         if words is None:
             _discard_unwritten()
         return status
+
+
+def _open_streams() -> None:
+    """Replace closed standard streams by the null device; characters that one lacks by ``?``.
+
+    A file that is opened later would otherwise get the number of a closed stream, and with it
+    what libraries print.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        stream = getattr(sys, name)
+        if stream is None:
+            handle = os.open(os.devnull, os.O_RDWR)
+            if handle != number:
+                os.dup2(handle, number)
+            mode = "r" if name == "stdin" else "w"
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
+        elif name != "stdin" and isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _run(args: argparse.Namespace) -> int:

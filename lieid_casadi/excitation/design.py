@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.atomic_file import require_regular
 from lieid_casadi.errors import ExcitationError, NoSolution
 from lieid_casadi.excitation.checks import MARGIN, default_limits
 from lieid_casadi.excitation.criteria import (
@@ -412,6 +413,7 @@ def load_positions(path: str | Path, n: int) -> Array:
         Not such a file; names what is missing.
     """
     try:
+        require_regular(path)
         lines = Path(path).read_text("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ExcitationError(f"start: {path} cannot be read: {error}") from None

@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.atomic_file import require_regular
 from lieid_casadi.errors import FleetError, RobotError
 from lieid_casadi.robot import yaml_text
 from lieid_casadi.robot.geometry import pose
@@ -151,6 +152,7 @@ def read_fleet(path: str | Path) -> Fleet:
     """
     file = Path(path)
     try:
+        require_regular(file)
         text = file.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise FleetError(f"{path}: no such file; expected a fleet file (YAML)") from None

@@ -21,7 +21,7 @@ from msgspec import Meta, Struct
 
 import lieid_casadi.errors as errors
 from lieid_casadi.arrays import Array
-from lieid_casadi.atomic_file import atomic_binary
+from lieid_casadi.atomic_file import atomic_binary, require_regular
 from lieid_casadi.errors import (
     EffectError,
     FitFileError,
@@ -365,6 +365,7 @@ def read_content(path: Path) -> Content:
 
 def _bytes(path: Path) -> bytes:
     try:
+        require_regular(path)
         with path.open("rb") as file:
             data = file.read(LARGEST_FILE + 1)
     except FileNotFoundError:

@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.atomic_file import require_regular
 from lieid_casadi.errors import LieidWarning, RobotError
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.geometry import Geometry, expressions, geometry
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s²
 NOT_STATED = float("nan")
+MOST_JOINTS = 100  # of an arm
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,7 @@ LARGEST = 16_000_000  # bytes; descriptions with every mesh's name take well bel
 def read_text(path: str | Path) -> str:
     """Return the text of a file."""
     try:
+        require_regular(path)
         with open(path, "rb") as file:
             data = file.read(LARGEST + 1)
     except FileNotFoundError:

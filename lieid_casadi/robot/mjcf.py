@@ -3,27 +3,53 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.errors import MissingDependency, RobotError
-from lieid_casadi.robot.description import NOT_STATED, Joint, Limits, RobotDescription
+from lieid_casadi.arrays import Array
+from lieid_casadi.errors import (
+    LieidWarning,
+    LockedBranchWarning,
+    MissingDependency,
+    MissingMeshWarning,
+    NotReadWarning,
+    RobotError,
+)
+from lieid_casadi.messages import names_text, reason_of
+from lieid_casadi.robot.description import (
+    MOST_JOINTS,
+    NOT_STATED,
+    Joint,
+    Limits,
+    RobotDescription,
+    read_text,
+)
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.inertia import link_parameters, parameter_transport
 
-Array = NDArray[np.float64]
+#: Most copies that elements of a model may ask for, and most cells of a height field or texture:
+#: MuJoCo makes them before it looks at anything else.
+MOST_COPIES, MOST_CELLS = 10_000, 10_000_000
+MOST_FILES = 200  # of a model and those that it includes or attaches
+SLIDE, HINGE = 2, 3  # MuJoCo's types of joints
+INTEGRATOR, NO_DYNAMICS = 1, 0  # MuJoCo's types of activation dynamics
 
 
-def read_mjcf(path: str | Path, *, tip: str | None = None) -> RobotDescription:
+def read_mjcf(
+    path: str | Path, *, tip: str | None = None, lock: Sequence[str] = ()
+) -> RobotDescription:
     """Return the serial arm of a MuJoCo model, in its pose ``qpos0``.
 
-    Bodies without joints move with their parents and add to their inertia. Position actuators
-    become drives, and force ranges torque limits. Friction, armature, contacts and plays (joints
+    Bodies without joints move with their parents and add to their inertia, as do branches off the
+    chain to ``tip``, whose joints are locked at the first keyframe. Position actuators become
+    drives, and force ranges torque limits. Friction, armature, contacts and plays (joints
     without actuator on the axis of the joint before, in the same body) are not read: they are
-    what an identification finds.
+    what an identification finds. Springs, gravity compensation and the dynamics of actuators are
+    not read either, and named in the warnings. Meshes that are missing are left out.
 
     Parameters
     ----------
@@ -31,6 +57,8 @@ def read_mjcf(path: str | Path, *, tip: str | None = None) -> RobotDescription:
         MJCF or a URDF that MuJoCo reads, with its assets beside it.
     tip : str, optional
         Body at which the chain ends; needed where the model branches.
+    lock : sequence of str
+        Joints to lock.
 
     Raises
     ------
@@ -45,56 +73,173 @@ def read_mjcf(path: str | Path, *, tip: str | None = None) -> RobotDescription:
         raise MissingDependency(
             f"{path}: MuJoCo models need mujoco: pip install 'lieid-casadi[mujoco]'"
         ) from error
+    _require_bounded(Path(path))
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
+        missing = _without_appearance(spec, Path(path))
+        model = spec.compile()
     except (ValueError, OSError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise RobotError(f"{path}: not a MuJoCo model ({reason})") from error
+        raise RobotError(f"{path}: not a MuJoCo model ({reason_of(error)})") from error
+    joints = [model.joint(k).name for k in range(model.njnt)]
+    unknown = next((name for name in lock if name not in joints), None)
+    if unknown is not None:
+        raise RobotError(f"{path}: no joint {unknown!r}; joints are {names_text(joints)}")
+    chain = _chain(model, path, tip, lock)
     data = mujoco.MjData(model)
+    inside = {int(model.body_jntadr[b]) for b in chain}
+    if model.nkey:
+        for k in range(model.njnt):
+            if k not in inside:
+                place = slice(model.jnt_qposadr[k], _end(model, k))
+                data.qpos[place] = model.key_qpos[0][place]
     mujoco.mj_kinematics(model, data)
-    chain = _chain(model, path, tip)
-    joints = [_joint(model, data, body, _rigid_with(model, body)) for body in chain]
     name = model.names[: model.names.find(b"\0")].decode(errors="replace")
     return RobotDescription(
         name=name or "robot",
-        joints=tuple(joints),
+        joints=tuple(_joint(model, data, b, _rigid_with(model, b, chain)) for b in chain),
         gravity=np.array(model.opt.gravity, dtype=float),
+        warnings=(*missing, *_locked(model, path, chain), *_not_read(model, path, chain)),
     )
 
 
-def _chain(model: Any, path: str | Path, tip: str | None) -> list[int]:
-    """Return the bodies with joints from the base to the tip."""
-    moving = [b for b in range(1, model.nbody) if model.body_jntnum[b]]
+def _require_bounded(path: Path) -> None:
+    """Refuse a model, with the files that it includes, that asks for very many copies or cells."""
+    waiting: list[tuple[Path, tuple[Path, ...]]] = [(path, ())]
+    seen = 0
+    while waiting:
+        file, above = waiting.pop()
+        seen += 1
+        if file in above or seen > MOST_FILES:
+            what = "attaches itself" if file in above else f"reads more than {MOST_FILES} files"
+            raise RobotError(f"{path}: the model {what}; expected a MuJoCo model")
+        text = read_text(file)
+        if "<!ENTITY" in text:
+            raise RobotError(f"{file}: not a MuJoCo model: found an entity definition")
+        try:
+            root = ElementTree.fromstring(text)
+        except (ElementTree.ParseError, ValueError) as error:
+            raise RobotError(f"{file}: not a MuJoCo model ({reason_of(error)})") from None
+        for tag, count, most in _sizes(root, 1):
+            if not count <= most:
+                raise RobotError(
+                    f"{file}: <{tag}> asks for {count:.3g} elements; expected at most {most:.0g}"
+                )
+        below = (*root.iter("include"), *root.iterfind("asset/model"))
+        files = [path.parent / name for element in below if (name := element.get("file"))]
+        waiting += [(below, (*above, file)) for below in files if below.is_file()]
+
+
+def _sizes(element: ElementTree.Element, copies: float) -> Iterator[tuple[str, float, float]]:
+    """Yield tag, number and limit of the copies and cells that an element and those in it make."""
+    tag = element.tag
+    if tag in ("replicate", "composite", "flexcomp"):
+        copies *= math.prod(_whole(x) for x in element.get("count", "1").split())
+        yield tag, copies, MOST_COPIES
+    elif tag in ("hfield", "texture"):
+        names = ("nrow", "ncol") if tag == "hfield" else ("width", "height")
+        yield tag, math.prod(_whole(element.get(x, "1")) for x in names), MOST_CELLS
+    for below in element:
+        yield from _sizes(below, copies)
+
+
+def _whole(text: str) -> float:
+    try:
+        return max(float(text), 1.0)
+    except ValueError:
+        return 1.0  # MuJoCo names the place
+
+
+def _without_appearance(spec: Any, path: Path) -> list[LieidWarning]:
+    """Remove what dynamics do not need, and meshes whose file does not exist."""
+
+    def remove(elements: Collection[Any]) -> None:
+        for element in list(elements):
+            spec.delete(element) if hasattr(spec, "delete") else element.delete()
+
+    folder = path.parent / (spec.meshdir or "")
+    missing = [
+        mesh
+        for mesh in spec.meshes
+        if mesh.file and not any((at / mesh.file).is_file() for at in (folder, path.parent))
+    ]
+    names = {mesh.name or Path(mesh.file).stem for mesh in missing}
+    files = sorted({mesh.file for mesh in missing})
+    heights = {field.name for field in spec.hfields}
+    for geom in spec.geoms:
+        geom.material = ""
+    remove([g for g in spec.geoms if g.meshname in names or g.hfieldname in heights])
+    for group in (missing, spec.hfields, spec.skins, spec.pairs, spec.sensors):
+        remove(group)
+    for site in spec.sites:
+        site.material = ""
+    for tendon in spec.tendons:
+        tendon.material = ""
+    remove(spec.materials)
+    remove(spec.textures)
+    if not missing:
+        return []
+    return [
+        MissingMeshWarning(
+            f"{path}: no such mesh: {names_text(files)}; its shapes were left out, which changes "
+            "the inertia of bodies that do not state theirs"
+        )
+    ]
+
+
+def _end(model: Any, joint: int) -> int:
+    """Return the end of a joint's coordinates."""
+    following = joint + 1
+    return int(model.jnt_qposadr[following]) if following < model.njnt else int(model.nq)
+
+
+def _chain(model: Any, path: str | Path, tip: str | None, lock: Sequence[str]) -> list[int]:
+    """Return the bodies with joints that are not locked from the base to the tip."""
+    moving = [b for b in range(1, model.nbody) if _own_joints(model, b, lock)]
     if not moving:
         raise RobotError(f"{path}: found no joints, expected hinges or slides")
+
+    def moving_parent(body: int) -> int:
+        """Return the next moving body towards the base, 0 for none."""
+        parent = int(model.body_parentid[body])
+        while parent and parent not in moving:
+            parent = int(model.body_parentid[parent])
+        return parent
+
     if tip is not None:
         names = [model.body(b).name for b in range(model.nbody)]
         if tip not in names:
             raise RobotError(f"{path}: no body {tip!r}; expected one of {', '.join(names[1:])}")
         end = names.index(tip)
     else:
-        parents = {_moving_parent(model, b) for b in moving}
+        parents = {moving_parent(b) for b in moving}
         ends = [b for b in moving if b not in parents]
         if len(ends) > 1:
             found = ", ".join(model.body(b).name for b in ends)
             raise RobotError(
                 f"{path}: the model branches into chains that end at {found}; expected tip= "
-                "(--tip BODY)"
+                "(--tip BODY) or lock= (--lock JOINT…)"
             )
         end = ends[0]
-    chain = [] if not model.body_jntnum[end] else [end]
-    while (end := _moving_parent(model, end)) > 0:
+    chain = [end] if end in moving else []
+    while (end := moving_parent(end)) > 0:
         chain.append(end)
+    if not 1 <= len(chain) <= MOST_JOINTS:
+        raise RobotError(f"{path}: a chain of {len(chain)} joints; expected 1 to {MOST_JOINTS}")
     for body in chain:
-        first = model.body_jntadr[body]
-        own = range(first, first + model.body_jntnum[body])
-        kinds = [int(model.jnt_type[k]) for k in own if not _is_play(model, first, k)]
-        if kinds not in ([2], [3]):  # slide, hinge
+        first, *others = _own_joints(model, body, lock)
+        kinds = [int(model.jnt_type[k]) for k in (first, *others) if not _is_play(model, first, k)]
+        if kinds not in ([SLIDE], [HINGE]):
             raise RobotError(
                 f"{path}: body {model.body(body).name!r} has {len(kinds)} joints or one that is "
                 "neither a hinge nor a slide; expected one hinge or slide per body"
             )
     return chain[::-1]
+
+
+def _own_joints(model: Any, body: int, lock: Sequence[str] = ()) -> list[int]:
+    first = int(model.body_jntadr[body])
+    own = range(first, first + int(model.body_jntnum[body]))
+    return [k for k in own if model.joint(k).name not in lock]
 
 
 def _is_play(model: Any, first: int, joint: int) -> bool:
@@ -105,25 +250,66 @@ def _is_play(model: Any, first: int, joint: int) -> bool:
     return joint != first and same and joint not in moved
 
 
-def _moving_parent(model: Any, body: int) -> int:
-    """Return the next body with joints towards the base, 0 for none."""
-    parent = int(model.body_parentid[body])
-    while parent and not model.body_jntnum[parent]:
-        parent = int(model.body_parentid[parent])
-    return parent
-
-
-def _rigid_with(model: Any, body: int) -> list[int]:
-    """Return a body and those that are rigidly attached to it."""
+def _rigid_with(model: Any, body: int, chain: Sequence[int]) -> list[int]:
+    """Return a body and those that move with it, with all joints off the chain locked."""
     found = [body]
     for other in range(body + 1, model.nbody):
-        if model.body_parentid[other] in found and not model.body_jntnum[other]:
+        if model.body_parentid[other] in found and other not in chain:
             found.append(other)
     return found
 
 
+def _locked(model: Any, path: str | Path, chain: Sequence[int]) -> list[LieidWarning]:
+    """Return a warning for each link of the chain that carries locked branches."""
+    found: list[LieidWarning] = []
+    for body in chain:
+        branches = [b for b in _rigid_with(model, body, chain)[1:] if model.body_jntnum[b]]
+        if not branches:
+            continue
+        joints = [model.joint(k).name for b in branches for k in _own_joints(model, b)]
+        mass = sum(float(model.body_mass[b]) for b in branches)
+        at = "the first keyframe" if model.nkey else "their pose qpos0"
+        found.append(
+            LockedBranchWarning(
+                f"{path}: joints {names_text(joints)} are locked at {at}; their bodies, {mass:.3g} "
+                f"kg, are part of {model.body(body).name!r}"
+            )
+        )
+    return found
+
+
+def _not_read(model: Any, path: str | Path, chain: Sequence[int]) -> list[LieidWarning]:
+    """Return a warning that names what acts on the chain and is not part of a description."""
+    found: list[str] = []
+    joints = {int(model.body_jntadr[body]): k + 1 for k, body in enumerate(chain)}
+    for index, number in joints.items():
+        if model.jnt_stiffness[index] > 0.0:
+            rest = float(model.qpos_spring[model.jnt_qposadr[index]])
+            found.append(
+                f"the spring of joint {model.joint(index).name} (stiffness "
+                f"{model.jnt_stiffness[index]:.4g}, springref {rest:.4g}; the effects "
+                f"position_spring:{number} and offset:{number} describe it)"
+            )
+    bodies = {other for body in chain for other in _rigid_with(model, body, chain)}
+    found += [
+        f"gravcomp = {model.body_gravcomp[body]:.4g} of body {model.body(body).name}"
+        for body in sorted(bodies)
+        if model.body_gravcomp[body] != 0.0
+    ]
+    for k in range(model.nu):
+        index, kind = int(model.actuator_trnid[k, 0]), int(model.actuator_dyntype[k])
+        if int(model.actuator_trntype[k]) != 0 or index not in joints or kind == NO_DYNAMICS:
+            continue
+        what = "its integrator" if kind == INTEGRATOR else "its time constant"
+        name = model.actuator(k).name or f"{k + 1}"
+        found.append(
+            f"the dynamics of actuator {name} ({what}, dynprm = {model.actuator_dynprm[k, 0]:.4g})"
+        )
+    return [NotReadWarning(f"{path}: not read: {'; '.join(found)}")] if found else []
+
+
 def _joint(model: Any, data: Any, body: int, bodies: list[int]) -> Joint:
-    """Return the joint of a body."""
+    """Return the joint of a body, which moves ``bodies``."""
     index = int(model.body_jntadr[body])
     home = _pose(data, body)
     axis, anchor = np.array(data.xaxis[index]), np.array(data.xanchor[index])
@@ -151,19 +337,29 @@ def _joint(model: Any, data: Any, body: int, bodies: list[int]) -> Joint:
 
 
 def _drive(model: Any, joint: int) -> tuple[Drive | None, float]:
-    """Return the control law of a joint's position actuator, and the torque limit, N·m."""
+    """Return the control law of a joint's position actuator, and the torque limit, N·m.
+
+    An actuator with a gear acts on the angle times its ratio: its stiffness grows with the
+    square, and a command is in units of the motor's side.
+    """
+    force = NOT_STATED
+    if model.jnt_actfrclimited[joint]:
+        force = float(model.jnt_actfrcrange[joint, 1])
     for k in range(model.nu):
         if int(model.actuator_trntype[k]) != 0 or int(model.actuator_trnid[k, 0]) != joint:
             continue
-        limited = bool(model.actuator_forcelimited[k])
-        force = float(model.actuator_forcerange[k, 1]) if limited else math.nan
+        gear = abs(float(model.actuator_gear[k, 0]))
+        if model.actuator_forcelimited[k]:
+            force = float(np.fmin(force, gear * model.actuator_forcerange[k, 1]))
         gain, bias = float(model.actuator_gainprm[k, 0]), model.actuator_biasprm[k]
-        if bias[1] < 0.0 and np.isclose(gain, -bias[1]):
-            return Drive(stiffness=gain, damping=max(-float(bias[2]), 0.0)), force
-        if math.isnan(force) and model.actuator_ctrllimited[k]:
-            force = float(model.actuator_ctrlrange[k, 1]) * gain
+        position = bias[1] < 0.0 and np.isclose(gain, -bias[1])
+        if position and int(model.actuator_dyntype[k]) != INTEGRATOR:
+            damping = max(-float(bias[2]), 0.0)
+            return Drive(stiffness=gear**2 * gain, damping=gear**2 * damping), force
+        if math.isnan(force) and model.actuator_ctrllimited[k] and not position:
+            force = float(model.actuator_ctrlrange[k, 1]) * gain * gear
         return None, force
-    return None, NOT_STATED
+    return None, force
 
 
 def _pose(data: Any, body: int) -> Array:

@@ -63,7 +63,7 @@ class Robot(RobotDescription):
         tip : str, optional
             Last link of a URDF's chain, or body at which an MJCF's chain ends.
         lock : sequence of str
-            Joints of a URDF to lock at zero.
+            Joints to lock: of a URDF at zero, of an MJCF at the first keyframe.
 
         Raises
         ------
@@ -89,7 +89,9 @@ class Robot(RobotDescription):
         return cls.parse_urdf(read_text(path), tip=tip, lock=lock, origin=str(path))
 
     @classmethod
-    def from_mjcf(cls, path: str | Path, *, tip: str | None = None) -> Robot:
+    def from_mjcf(
+        cls, path: str | Path, *, tip: str | None = None, lock: Sequence[str] = ()
+    ) -> Robot:
         """Read a MuJoCo model (extra ``mujoco``); see :func:`lieid_casadi.robot.mjcf.read_mjcf`.
 
         Parameters
@@ -97,6 +99,8 @@ class Robot(RobotDescription):
         path : str or Path
         tip : str, optional
             Body at which the chain ends.
+        lock : sequence of str
+            Joints to lock at the first keyframe.
 
         Raises
         ------
@@ -105,7 +109,7 @@ class Robot(RobotDescription):
         MissingDependency
             MuJoCo is not installed.
         """
-        return cls._of(read_mjcf(path, tip=tip))
+        return cls._of(read_mjcf(path, tip=tip, lock=lock))
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Robot:
@@ -305,13 +309,11 @@ def read_description(
     origin, suffix = str(path), Path(path).suffix.lower()
     if origin in BUNDLED or suffix in (".yaml", ".yml"):
         if tip is not None or lock:
-            raise RobotError(f"{path}: --tip and --lock apply to URDF files only")
+            raise RobotError(f"{path}: --tip and --lock apply to URDF and MJCF only")
         text = bundled_text(origin) if origin in BUNDLED else read_text(path)
         return read_yaml(text, origin=origin)
     if suffix == ".xml" and "<mujoco" in read_text(path):
-        if lock:
-            raise RobotError(f"{path}: --lock applies to URDF files only")
-        return read_mjcf(path, tip=tip)
+        return read_mjcf(path, tip=tip, lock=lock)
     if suffix in (".urdf", ".xml"):
         return read_urdf(read_text(path), tip=tip, lock=lock, origin=origin)
     names = ", ".join(BUNDLED)

@@ -21,7 +21,7 @@ from lieid_casadi.errors import (
     NominalInertiaWarning,
     RobotError,
 )
-from lieid_casadi.robot.description import Joint, RobotDescription, RobotSource
+from lieid_casadi.robot.description import MOST_JOINTS, Joint, RobotDescription, RobotSource
 from lieid_casadi.robot.inertia import impossible_moments
 from lieid_casadi.robot.urdf_elements import INERTIA, UrdfJoint, UrdfLink, read_elements
 
@@ -276,6 +276,10 @@ def serial_chain(
             )
     if not chain:
         raise RobotError(f"{origin}: no movable joint between the root and the tip")
+    if len(chain) > MOST_JOINTS:
+        raise RobotError(
+            f"{origin}: found a chain of {len(chain)} joints; expected at most {MOST_JOINTS}"
+        )
     for joint in chain:
         if joint.mimics:
             raise RobotError(

@@ -40,6 +40,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import NominalInertiaWarning, RobotError
 from lieid_casadi.robot.description import (
+    MOST_JOINTS,
     NOT_STATED,
     STANDARD_GRAVITY,
     Joint,
@@ -54,7 +55,6 @@ from lieid_casadi.robot.yaml_text import FARTHEST, Field
 
 # Accepts seven printed digits of a unit vector, but no wrong axis.
 SCREW_TOLERANCE = 1e-6
-MOST_JOINTS = 100
 
 
 def read_yaml(text: str, *, origin: str = "YAML") -> RobotDescription:

@@ -157,8 +157,8 @@ def arm_meshes(robot: Robot, file: str) -> tuple[ArmMesh, ...]:
     meshes = []
     for shape in geometry.geometryObjects:
         triangles = _triangles(shape)
-        if triangles is None:
-            return ()  # primitive shapes; the capsules show the arm
+        if triangles is None or not np.isfinite(triangles).all():
+            return ()  # primitive or damaged shapes; the capsules show the arm
         meshes.append((links.get(reduced.names[shape.parentJoint], 0), triangles))
     if sum(len(triangles) for _, triangles in meshes) > MOST_TRIANGLES:
         return ()

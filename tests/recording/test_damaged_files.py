@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import os
 import struct
 import tracemalloc
 import zipfile
@@ -97,6 +98,32 @@ def test_parquet_that_decodes_to_far_more_than_its_size(tmp_path, run):
     assert "inflates to more than the limit" in refused(file, inflate_limit=1 << 20)
     run.save(file)
     assert len(Recording.load(file, inflate_limit=16)) == len(run)  # of plausible size
+
+
+def test_gzipped_text_that_inflates_to_far_more_than_its_size(tmp_path, run, monkeypatch):
+    """Blank lines, and rows that compress as no measurement does, are refused before the limit."""
+    monkeypatch.setattr(csv_file, "UNSUSPICIOUS", 1 << 16)
+    monkeypatch.setattr(csv_file, "MOST_BLANK", 1000)
+    rows, blank = tmp_path / "rows.csv.gz", tmp_path / "blank.csv.gz"
+    rows.write_bytes(gzip.compress(b"t,q1\n" + b"1,2\n" * (1 << 18)))
+    blank.write_bytes(gzip.compress(b"t,q1\n" + b"\n" * 2000))
+    assert "raise the limit (--inflate-limit" in refused(rows)
+    assert "one row" in refused(rows, inflate_limit=1 << 22)  # a limit that was asked for
+    assert "found 1001 blank lines" in refused(blank)
+    run.save(tmp_path / "run.csv.gz")
+    assert len(Recording.load(tmp_path / "run.csv.gz")) == len(run)
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.csv.gz", "run.npz", "run.parquet", "bag"])
+def test_pipes_and_names_with_a_null_character_are_refused(tmp_path, name):
+    if name == "bag":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "metadata.yaml").write_text("a: b")
+        os.mkfifo(tmp_path / name / "data.db3")
+    else:
+        os.mkfifo(tmp_path / name)
+    assert "is a pipe or a device" in refused(tmp_path / name)
+    assert "null character" in refused(f"{tmp_path}/a\0{name}")
 
 
 # -- statements that the bytes do not hold --------------------------------------------

@@ -175,3 +175,23 @@ def test_a_urdf_is_read_without_a_temporary_folder(monkeypatch):
 
     monkeypatch.setattr(urdf_reader.tempfile, "TemporaryFile", refuse)
     assert Robot.parse_urdf(urdf()).n == 1
+
+
+def test_a_very_long_chain_is_refused():
+    links = "".join(f'<link name="l{k}"/>' for k in range(1000))
+    joints = "".join(
+        f'<joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        for k in range(999)
+    )
+    with pytest.raises(RobotError, match="found a chain of 999 joints; expected at most 100"):
+        Robot.parse_urdf(f'<robot name="r">{links}{joints}</robot>')
+
+
+@pytest.mark.parametrize("suffix", ["urdf", "yaml", "xml"])
+def test_a_pipe_and_a_name_with_a_null_character_are_refused(tmp_path, suffix):
+    os.mkfifo(tmp_path / f"arm.{suffix}")
+    with pytest.raises(RobotError, match="is a pipe or a device"):
+        Robot.load(tmp_path / f"arm.{suffix}")
+    with pytest.raises(RobotError, match="null character"):
+        Robot.load(f"arm\0.{suffix}")

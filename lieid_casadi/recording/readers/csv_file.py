@@ -27,6 +27,7 @@ from lieid_casadi.recording.readers.columns import (
     read_layout,
 )
 from lieid_casadi.recording.readers.registry import (
+    INFLATE_LIMIT,
     ReadOptions,
     RecordingFormat,
     beyond_limit,
@@ -230,6 +231,9 @@ def _is_number(text: str) -> bool:
 
 #: Longest line, characters; some 100,000 columns.
 LONGEST_LINE = 1 << 22
+MOST_BLANK = 100_000  # lines
+#: Largest ratio of inflated to stored size of a gzipped file of this size, bytes, and more.
+LARGEST_RATIO, UNSUSPICIOUS = 100, 1 << 24
 
 
 def numbered_lines(file: Path, inflate_limit: int) -> Iterator[tuple[int, str]]:
@@ -237,15 +241,22 @@ def numbered_lines(file: Path, inflate_limit: int) -> Iterator[tuple[int, str]]:
     with file.open("rb") as raw:
         binary: IO[bytes] = raw
         if file.name.lower().endswith(".gz"):
+            limit = inflate_limit
+            if limit == INFLATE_LIMIT:  # not one that was asked for
+                limit = min(limit, max(UNSUSPICIOUS, LARGEST_RATIO * file.stat().st_size))
             inflated = gzip.GzipFile(fileobj=raw)
-            error = beyond_limit(file, inflate_limit)
-            binary = io.BufferedReader(_BoundedStream(inflated, inflate_limit, error), 1 << 18)
+            error = beyond_limit(file, limit)
+            binary = io.BufferedReader(_BoundedStream(inflated, limit, error), 1 << 18)
         text = io.TextIOWrapper(binary, encoding="utf-8-sig")
-        number = 0
+        number = blank = 0
         while line := _next_line(text, file, number + 1):
             number += 1
             if line.strip():
                 yield number, line.rstrip("\r\n")
+                continue
+            blank += 1
+            if blank > MOST_BLANK:
+                raise RecordingError(f"{file}: found {blank} blank lines, expected a CSV")
 
 
 def _next_line(text: IO[str], file: Path, number: int) -> str:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieid_casadi.atomic_file import require_regular
 from lieid_casadi.errors import LieidError, RecordingError
 from lieid_casadi.messages import reason_of
 from lieid_casadi.recording.measurement import Measurement
@@ -121,10 +122,15 @@ def format_of(file: Path) -> RecordingFormat:
 
 def read_measurement(file: Path, options: ReadOptions) -> Measurement:
     """Read a file in the format that its name states."""
+    if "\0" in str(file):
+        raise RecordingError(f"{str(file)!r}: found a null character in the name of a file")
     made = format_of(file)
     if not file.exists():
         raise RecordingError(f"{file}: no such file, expected a recording")
     try:
+        for part in file.rglob("*") if file.is_dir() else [file]:
+            if not part.is_dir():
+                require_regular(part)
         return made.read(file, options)
     except OSError as error:
         raise RecordingError(f"{file}: cannot be read ({error.strerror or error})") from error
