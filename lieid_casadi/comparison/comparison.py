@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 AT_NOISE = 1.05  # times the noise floor, below which the multiple is not stated
 AS_NOISE = 1.3  # times the noise floor, up to which an error is explained by noise
 BEYOND_NOISE = 2.0  # times the noise floor, from which an error is certainly systematic
+NUMBERS = (
+    "rms", "rms_raw", "rms_moving", "rms_at_rest", "at_rest", "error_at_rest", "torque_rms",
+    "relative_rms", "relative_rms_moving", "correlation", "bias", "noise_floor",
+)  # fmt: skip
 HEADINGS = (
     "joint", "in motion", "noise floor", "of torque", "at rest", "all", "raw", "correlation",
     "bias", "unit",
@@ -140,18 +144,7 @@ class Comparison:
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid compare --json`` writes; one number per joint, None for NaN."""
         return {
-            "rms": numbers_or_none(self.rms),
-            "rms_raw": numbers_or_none(self.rms_raw),
-            "rms_moving": numbers_or_none(self.rms_moving),
-            "rms_at_rest": numbers_or_none(self.rms_at_rest),
-            "at_rest": numbers_or_none(self.at_rest),
-            "error_at_rest": numbers_or_none(self.error_at_rest),
-            "torque_rms": numbers_or_none(self.torque_rms),
-            "relative_rms": numbers_or_none(self.relative_rms),
-            "relative_rms_moving": numbers_or_none(self.relative_rms_moving),
-            "correlation": numbers_or_none(self.correlation),
-            "bias": numbers_or_none(self.bias),
-            "noise_floor": numbers_or_none(self.noise_floor),
+            **{name: numbers_or_none(getattr(self, name)) for name in NUMBERS},
             "noise_source": self.noise_source,
             "worst": [error.to_dict() for error in self.worst],
             "warnings": warning_list(self.warnings),

@@ -101,15 +101,7 @@ def _independent_of_motion(fit: Fit, segments: Sequence[Processed]) -> Array:
 
 
 def _unexplained(columns: Array, error: Array, fold: NDArray[np.intp]) -> float:
-    """Return the RMS of what columns (N, k) do not explain of an error (N,).
-
-    Parameters
-    ----------
-    columns : (N, k)
-    error : (N,)
-    fold : (N,) int
-        Blocks of time, held out in turn.
-    """
+    """Return the RMS of what columns (N, k) do not explain of an error (N,)."""
     size = np.sqrt(np.mean(columns**2, axis=0))
     scaled = columns[:, size > 0.0] / size[size > 0.0]
     count, total = len(error), float(np.mean(error**2))

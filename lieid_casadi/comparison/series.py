@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -66,13 +66,7 @@ def series_along(
 ) -> tuple[Series, Array]:
     """Return the series of a segment, and its error (K, n) on the grid, not filtered, N·m.
 
-    Parameters
-    ----------
-    fit : Fit
-    segment : Processed
-        Of K instants.
-    added : (K, n)
-        Torque in addition to the fit's on the grid, N·m.
+    ``added`` (K, n) is torque in addition to the fit's on the grid, N·m.
     """
     assert segment.tau is not None  # checked by compare
     torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes) + added
@@ -161,56 +155,27 @@ class LargeError:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON, with joints from 1."""
-        return {
-            "recording": self.recording,
-            "time": self.time,
-            "joint": self.joint + 1,
-            "error": self.error,
-            "measured": self.measured,
-            "q": self.q,
-            "dq": self.dq,
-            "moving": self.moving,
-        }
+        return {**asdict(self), "joint": self.joint + 1}
 
 
-def largest_errors(
-    series: Sequence[Series], *, per_joint: int = PER_JOINT, apart: float = APART
-) -> tuple[LargeError, ...]:
-    """Return the largest errors of each joint, largest first.
-
-    Parameters
-    ----------
-    series : sequence of Series
-    per_joint : int
-        Number of errors per joint.
-    apart : float
-        Smallest time between two of them, s.
-    """
+def largest_errors(series: Sequence[Series]) -> tuple[LargeError, ...]:
+    """Return the largest errors of each joint at different times, largest first."""
     found: list[LargeError] = []
     for joint in range(series[0].error.shape[1]):
-        candidates = [m for each in series for m in _peaks(each, joint, per_joint, apart)]
-        candidates.sort(key=lambda found: -abs(found.error))
-        found += candidates[:per_joint]
+        peaks = [peak for each in series for peak in _peaks(each, joint)]
+        found += sorted(peaks, key=lambda peak: -abs(peak.error))[:PER_JOINT]
     return tuple(found)
 
 
-def _peaks(series: Series, joint: int, count: int, apart: float) -> list[LargeError]:
+def _peaks(series: Series, joint: int) -> list[LargeError]:
     size = np.abs(series.error[:, joint])
     allowed = np.ones(size.size, dtype=bool)
     peaks: list[LargeError] = []
-    while len(peaks) < count and allowed.any():
+    while len(peaks) < PER_JOINT and allowed.any():
         k = int(np.argmax(np.where(allowed, size, -1.0)))
-        allowed &= np.abs(series.time - series.time[k]) >= apart
-        peaks.append(
-            LargeError(
-                recording=series.recording,
-                time=float(series.time[k]),
-                joint=joint,
-                error=float(series.error[k, joint]),
-                measured=float(series.measured[k, joint]),
-                q=float(series.q[k, joint]),
-                dq=float(series.dq[k, joint]),
-                moving=bool(series.moving[k, joint]),
-            )
-        )
+        allowed &= np.abs(series.time - series.time[k]) >= APART
+        signals = (series.error, series.measured, series.q, series.dq)
+        values = (float(signal[k, joint]) for signal in signals)
+        moving = bool(series.moving[k, joint])
+        peaks.append(LargeError(series.recording, float(series.time[k]), joint, *values, moving))
     return peaks

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import unicodedata
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from io import BytesIO
@@ -45,11 +45,15 @@ def table_section(
     *tables: Table,
     sentences: Sequence[str] = (),
     facts: Sequence[tuple[str, str]] = (),
+    notes: Sequence[str] = (),
     titles: bool = False,
     links: Mapping[str, str] | None = None,
+    text: Collection[str] = (),
+    bars: Mapping[str, Sequence[float]] | None = None,
+    weak: Sequence[bool] = (),
     folded: bool = False,
 ) -> Section:
-    """Return a section of tables.
+    """Return a section of sentences, facts and tables, in this order.
 
     Parameters
     ----------
@@ -58,13 +62,20 @@ def table_section(
     tables : Table
         Those without rows are left out.
     sentences : sequence of str
-        Shown first, emphasized; several as a list.
+        Emphasized; several as a list.
     facts : sequence of (name, value)
-        Shown before the tables.
+    notes : sequence of str
+        Shown last.
     titles : bool
         Whether each table has its own heading.
     links : mapping, optional
         Text of cells → anchor in the page that they link to.
+    text : collection of str
+        Headings of columns that are aligned left, as long texts are anyway.
+    bars : mapping, optional
+        Heading of a column → a bar in each of its cells, 0 to 100.
+    weak : sequence of bool
+        Rows that are shown in grey.
     folded : bool
         As in `Section`.
     """
@@ -72,22 +83,25 @@ def table_section(
         "tables": tables,
         "sentences": sentences,
         "facts": facts,
+        "notes": notes,
         "titles": titles,
         "links": links or {},
+        "text": text,
+        "bars": bars or {},
+        "weak": weak,
     }
     return Section(title, "tables.html", data, folded)
+
+
+def picture_section(title: str, figure: Figure, note: str = "") -> Section:
+    """Return a section of one figure with an explanation before it."""
+    return Section(title, "picture.html", {"uri": data_uri(figure), "alt": title, "note": note})
 
 
 def data_uri(figure: Figure, *, dpi: float = 110.0, colors: int | None = None) -> str:
     """Return a figure as a PNG in a ``data:`` URI, of as many colors (a quarter of the bytes).
 
-    Parameters
-    ----------
-    figure : Figure
-    dpi : float
-        Pixels per inch.
-    colors : int, optional
-        All of them if left out.
+    All colors if ``colors`` is left out; ``dpi`` are pixels per inch.
     """
     stream = BytesIO()
     figure.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})

@@ -2,58 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+import math
+import platform
+from collections.abc import Iterable, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from lieid_casadi.comparison import Comparison
+from lieid_casadi.comparison.comparison import digits, error_table, largest_errors_table, verdict
+from lieid_casadi.diagnosis import text_summary
+from lieid_casadi.effects import make
+from lieid_casadi.effects.description import describe
+from lieid_casadi.effects.registry import REGISTER
+from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification import Fit
-from lieid_casadi.report.page import Section, render
-from lieid_casadi.report.sections import (
-    dependence_section,
-    descriptions_section,
-    effects_section,
-    errors_section,
-    evidence_section,
-    finding_section,
-    largest_errors_section,
-    links_section,
-    payload_picture_section,
-    payload_section,
-    payload_verdict_section,
-    provenance_section,
-    simulation_section,
-    torques_section,
-    training_section,
-    unexplained_section,
-    verdict_section,
-    warnings_section,
-    waterfall_section,
-)
+from lieid_casadi.identification.provenance import Source
+from lieid_casadi.payload.view import not_identified
+from lieid_casadi.report.page import Section, data_uri, picture_section, render, table_section
+from lieid_casadi.simulation.view import window_table
+from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis import Diagnosis
     from lieid_casadi.payload import PayloadEstimate
     from lieid_casadi.simulation import WindowDrift
 
+SIGNIFICANT = 2.0  # standard deviations away from zero
+
 
 def comparison_report(fit: Fit, comparison: Comparison, drift: WindowDrift | None = None) -> str:
-    """Return the HTML report of a fit on test recordings.
+    """Return the HTML report of a fit on test recordings, with errors of a simulation.
 
     The verdict comes first, then warnings, errors and figures, then the details of the fit.
-
-    Parameters
-    ----------
-    fit : Fit
-    comparison : Comparison
-    drift : WindowDrift, optional
-        Errors of a simulation, shown beside the torque errors.
     """
+    sections = [
+        table_section("", sentences=[verdict(comparison)]),
+        _warnings(comparison.warnings, fit.warnings),
+        _errors(comparison),
+    ]
+    if drift is not None:
+        reason = [f"Not simulated: {drift.reason}."] if drift.reason else []
+        title = "Simulation error per joint"
+        sections.append(table_section(title, window_table(drift), sentences=reason))
+    largest = table_section("Largest errors", largest_errors_table(comparison), folded=True)
     return render(
         f"{fit.model.robot.name}: model and measurement",
         [
-            *comparison_sections(fit, comparison, drift),
+            *sections,
+            *_pictures(comparison),
+            largest,
             *fit_sections(fit),
-            provenance_section(fit, comparison),
+            _provenance(fit, comparison),
         ],
     )
 
@@ -62,74 +63,256 @@ def fit_report(fit: Fit) -> str:
     """Return the HTML report of a fit that has not been tested."""
     return render(
         f"{fit.model.robot.name}: identified model",
-        [warnings_section(fit.warnings), *fit_sections(fit), provenance_section(fit)],
+        [_warnings(fit.warnings), *fit_sections(fit), _provenance(fit)],
     )
 
 
 def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None) -> str:
     """Return the HTML report of a diagnosis; with a comparison of its last fit, that too."""
-    fit = diagnosis.fit
-    sections = [
-        finding_section(diagnosis),
-        waterfall_section(diagnosis),
-        evidence_section(diagnosis),
-        warnings_section(diagnosis.warnings),
-    ]
-    if diagnosis.unexplained:
-        sections.insert(3, unexplained_section(diagnosis))
-    if comparison is not None:
-        sections += [torques_section(comparison), dependence_section(comparison)]
+    fit, sentences = diagnosis.fit, text_summary.sentences(diagnosis)
+    errors = text_summary.error_table(diagnosis)
+    evidence = table_section(
+        "Evidence",
+        text_summary.evidence_table(diagnosis),
+        text_summary.unexplained_table(diagnosis),
+        text_summary.rejected_table(diagnosis),
+        titles=True,
+        links=anchors(step.effect for step in diagnosis.steps),
+    )
     named = [step.effect for step in diagnosis.steps]
     named += [c.placement.effect.label for s in diagnosis.steps for c, _ in s.indistinguishable]
     return render(
         f"{fit.model.robot.name}: diagnosis",
-        [*sections, *fit_sections(fit, named=named), provenance_section(fit, comparison)],
+        [
+            table_section("Verdict", errors, sentences=sentences, titles=True),
+            picture_section("From the first model to the last", diagnosis.plot()),
+            evidence,
+            *([_unexplained(diagnosis)] if diagnosis.unexplained else []),
+            _warnings(diagnosis.warnings),
+            *([] if comparison is None else _pictures(comparison)),
+            *fit_sections(fit, named=named),
+            _provenance(fit, comparison),
+        ],
     )
 
 
 def payload_report(fit: Fit, payload: PayloadEstimate) -> str:
     """Return the HTML report of a payload."""
+    note = (
+        "RMS error in motion, measured and predicted through the same filter: with the fit alone, "
+        "and with the payload added and nothing else changed."
+    )
+    friction = "Coulomb and viscous friction and offsets were identified again from the loaded run."
+    notes = [friction] if payload.friction else []
     return render(
         f"{payload.robot}: payload",
         [
-            payload_verdict_section(payload),
-            payload_section(payload),
-            payload_picture_section(payload),
-            warnings_section(payload.warnings, fit.warnings),
+            table_section("", sentences=[payload.sentence], notes=notes),
+            _payload(payload),
+            picture_section("Error per joint", payload.plot(), note),
+            _warnings(payload.warnings, fit.warnings),
             *fit_sections(fit),
-            provenance_section(fit, loaded=payload.recordings),
+            _provenance(fit, loaded=payload.recordings),
         ],
     )
 
 
-def comparison_sections(
-    fit: Fit, comparison: Comparison, drift: WindowDrift | None = None
-) -> list[Section]:
-    """Return the sections of a comparison.
-
-    Parameters
-    ----------
-    fit : Fit
-    comparison : Comparison
-    drift : WindowDrift, optional
-        Errors of a simulation.
-    """
-    return [
-        verdict_section(comparison),
-        warnings_section(comparison.warnings, fit.warnings),
-        errors_section(comparison),
-        *([] if drift is None else [simulation_section(drift)]),
-        torques_section(comparison),
-        dependence_section(comparison),
-        largest_errors_section(comparison),
-    ]
-
-
 def fit_sections(fit: Fit, *, named: Sequence[str] = ()) -> list[Section]:
     """Return the sections of a fit; ``named`` are further effects to describe."""
-    sections = [training_section(fit), effects_section(fit), links_section(fit)]
-    sections = [section for section in sections if section.data.get("rows") != []]
+    rows = fit.parameter_table()
+    effects = [row for row in rows if "." in row["name"]]
+    links = [row for row in rows if "." not in row["name"]]
     return [
-        *sections,
-        descriptions_section([*named, *(p.effect.label for p in fit.model.placements)]),
+        _training(fit),
+        *([_parameters("Effects", effects)] if effects else []),
+        *([_parameters("Base parameters of the links", links, folded=True)] if links else []),
+        _descriptions([*named, *(p.effect.label for p in fit.model.placements)]),
     ]
+
+
+def anchors(labels: Iterable[str]) -> dict[str, str]:
+    """Return effect → anchor of its description in the page; unregistered ones are left out."""
+    return {label: f"effect-{label.replace('/', '-')}" for label in labels if label in REGISTER}
+
+
+def value_text(value: float, std: float | None) -> str:
+    """Return a value to the second digit of its standard deviation.
+
+    Examples
+    --------
+    >>> value_text(12.3456, 0.021)
+    '12.346'
+    >>> value_text(12.3456, None)
+    '12.35'
+    """
+    if not std:
+        return f"{value:.4g}"
+    decimals = 1 - math.floor(math.log10(std))
+    return f"{value:z.{decimals}f}" if 0 <= decimals <= 8 else f"{value:.4g}"
+
+
+def _warnings(warnings: Sequence[LieidWarning], of_fit: Sequence[LieidWarning] = ()) -> Section:
+    """Return the warnings of a result, and those of the fit that it uses."""
+    groups = [
+        {"title": title, "warnings": warning_list(group)}
+        for title, group in (("", warnings), ("Warnings of the fit", of_fit))
+        if group
+    ]
+    return Section("Warnings", "warnings.html", {"groups": groups})
+
+
+def _errors(comparison: Comparison) -> Section:
+    """Return the errors, one row per joint, with bars in proportion to the relative error."""
+    parts = np.nan_to_num(np.clip(comparison.relative_rms_moving, 0.0, 1.0))
+    bars = np.round(100.0 * parts / max(float(parts.max()), 1e-12), 1)
+    shown = {"of torque": bars.tolist()}
+    return table_section("Error per joint", error_table(comparison), bars=shown)
+
+
+def _pictures(comparison: Comparison) -> list[Section]:
+    """Return torque and error over time, and the error over the signals that it may depend on."""
+    note = (
+        "Mean error over position, speed, direction, load and time. A line at zero shows no "
+        "dependence. The same curve in both directions indicates gravity, inertia or a spring. "
+        "A difference between the directions that grows with speed indicates viscous friction; "
+        "with load, load-dependent friction; with position, position-dependent friction."
+    )
+    return [
+        picture_section("Torque over time", comparison.plot()),
+        picture_section("Dependence of the error on signals", comparison.plot_errors(), note),
+    ]
+
+
+def _training(fit: Fit) -> Section:
+    """Return the errors of training and cross-validation, and the conditioning of the fit."""
+    columns = (fit.rms_cv, fit.rms_train, fit.rms_train_raw)
+    rows = [
+        (
+            f"{j + 1} {joint.name}",
+            *(digits(values[j]) for values in columns),
+            "N·m" if joint.revolute else "N",
+        )
+        for j, joint in enumerate(fit.model.robot.joints)
+    ]
+    headings = ("joint", "cross-validated, in motion", "all", "raw", "unit")
+    note = "Cross-validated: on blocks left out, joints in motion. All, raw: errors of training."
+    facts = [
+        ("effects", ", ".join(fit.model.effects) or "none"),
+        ("method", fit.method),
+        ("base parameters", str(fit.model.base.count)),
+        ("condition number", f"{fit.conditioning.condition_number:.3g}"),
+        ("physically consistent", "yes" if fit.physically_consistent else "no"),
+    ]
+    return table_section("Training", make_table("", headings, rows, note=note), facts=facts)
+
+
+def _parameters(title: str, rows: list[dict[str, Any]], *, folded: bool = False) -> Section:
+    """Return identified parameters with their standard deviations."""
+    weak = [row["std"] is None or abs(row["value"]) < SIGNIFICANT * row["std"] for row in rows]
+    cells = [
+        (
+            str(row["joint"]),
+            row["name"],
+            value_text(row["value"], row["std"]),
+            None if row["std"] is None else f"{row['std']:#.2g}".rstrip("."),
+            row["unit"],
+            _meaning(row),
+        )
+        for row in rows
+    ]
+    headings = ("joint", "name", "value", "std", "unit", "combination")
+    shown = len(headings) - (not any(row[-1] for row in cells))
+    note = "Grey: within two standard deviations of zero, or without a standard deviation."
+    rows_shown = [row[:shown] for row in cells]
+    table = make_table("", headings[:shown], rows_shown, note=note if any(weak) else "")
+    text = {"name", "unit", "combination"}
+    return table_section(title, table, text=text, weak=weak, folded=folded)
+
+
+def _meaning(row: dict[str, Any]) -> str:
+    """Return the combination that a parameter is; empty if that is its name."""
+    name, joint, expression = row["name"], row["joint"], str(row["expression"])
+    return "" if expression in (name, f"{name}{joint}", f"{name}:{joint}") else expression
+
+
+def _descriptions(labels: Iterable[str]) -> Section:
+    """Return the descriptions of effects: formula, coefficients, rivals, and what reveals them."""
+    effects = [
+        {"label": label, "anchor": anchor, "facts": describe(make(label))}
+        for label, anchor in anchors(dict.fromkeys(labels)).items()
+    ]
+    return Section("Effects in this report", "effects.html", {"effects": effects}, folded=True)
+
+
+def _unexplained(diagnosis: Diagnosis) -> Section:
+    """Return the shape of the unexplained residual, and its code as a user-defined effect."""
+    from lieid_casadi.diagnosis.residual.user_effect_code import own_effects
+
+    own = own_effects(diagnosis.unexplained)
+    drawn = any(part.shapes for part in diagnosis.unexplained)
+    data = {
+        "uri": data_uri(diagnosis.plot_unexplained()) if drawn else "",
+        "code": own.code,
+        "options": text_summary.rerun_options(diagnosis, own.labels) if own.labels else "",
+    }
+    return Section("Unexplained residual", "unexplained.html", data)
+
+
+def _payload(payload: PayloadEstimate) -> Section:
+    """Return the table of quantities, and those that cannot be identified."""
+    rows = payload.table()
+    parts = not_identified(payload)
+    note = (
+        "In the tool frame, inertia about the centre of mass. The standard deviations include "
+        "the fit's own uncertainty. Feasible: the nearest physically consistent body."
+    )
+    note += " Grey: not identifiable from this recording." if parts else ""
+    return table_section(
+        "Payload",
+        make_table("", ("", "value", "std", "95 % from", "to", "feasible", "unit"),
+                   map(_payload_row, rows), note=note),
+        notes=[f"{names}: {reason}." for names, reason in parts],
+        text={"", "unit"},
+        weak=[not row["identified"] for row in rows],
+    )  # fmt: skip
+
+
+def _payload_row(row: dict[str, Any]) -> tuple[object, ...]:
+    value, std, interval = row["value"], row["std"], row["interval"] or (None, None)
+    ends = [None if end is None else f"{end:.4g}" for end in interval]
+    return (
+        row["name"],
+        None if value is None else value_text(value, std),
+        None if std is None else f"{std:.2g}",
+        *ends,
+        f"{row['feasible']:.4g}",
+        row["unit"],
+    )
+
+
+def _provenance(
+    fit: Fit, comparison: Comparison | None = None, *, loaded: Sequence[Source] = ()
+) -> Section:
+    """Return versions, and names and hashes of all recordings."""
+    sources = [("training", source) for source in fit.provenance.recordings]
+    if comparison is not None:
+        sources += [("test", source) for source in comparison.recordings]
+    sources += [("with payload", source) for source in loaded]
+    facts = [
+        ("robot", fit.model.robot.name),
+        ("fitted with lieid-casadi", fit.provenance.version),
+        ("cut-off", f"{fit.processing.cutoff:.4g} Hz"),
+        ("Python", platform.python_version()),
+        *((name, _version(name)) for name in ("casadi", "numpy", "scipy")),
+    ]
+    headings = ("use", "recording", "sha256")
+    rows = [(use, source.name or None, source.sha256 or None) for use, source in sources]
+    table = make_table("", headings, rows)
+    return table_section("Provenance", table, facts=facts, text=headings, folded=True)
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"

@@ -45,11 +45,8 @@ class AccessControl:
 
     Parameters
     ----------
-    app : ASGI application
-    token : str
     hosts : set of str
         Values of the header ``Host`` that are served, with the port.
-    port : int
     """
 
     def __init__(self, app: ASGIApp, *, token: str, hosts: set[str], port: int) -> None:
@@ -124,7 +121,6 @@ class Sessions:
     ----------
     inputs : WorkbenchInputs
         Of new sessions.
-    setup : WorkerSetup
     """
 
     def __init__(self, inputs: WorkbenchInputs, setup: WorkerSetup) -> None:
@@ -164,16 +160,7 @@ class Sessions:
 
 
 class _Server(uvicorn.Server):
-    """A server that reports when it is ready, and that ends soon after SIGTERM.
-
-    Parameters
-    ----------
-    config : Config
-    ready : callable
-        Called once pages are served.
-    close : callable
-        Ends the worker processes.
-    """
+    """A server that reports when it is ready, and that ends soon after SIGTERM."""
 
     def __init__(
         self, config: uvicorn.Config, ready: Callable[[], None], close: Callable[[], None]
@@ -215,8 +202,6 @@ def run_application(
     ----------
     inputs : WorkbenchInputs
         Of new pages.
-    setup : WorkerSetup
-    listener : socket
     token : str
         Of the URL.
     hosts : set of str

@@ -133,7 +133,6 @@ def arm_meshes(robot: Robot, file: str) -> tuple[ArmMesh, ...]:
 
     Parameters
     ----------
-    robot : Robot
     file : str
         The URDF; ``package://NAME/…`` is looked for in the folders above it, in
         ``ROS_PACKAGE_PATH`` and in ``AMENT_PREFIX_PATH``.

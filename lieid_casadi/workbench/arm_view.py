@@ -26,7 +26,6 @@ class ArmView:
 
     Parameters
     ----------
-    workbench : Workbench
     moved : callable
         Called with the time, s, when the arm shows another instant.
     """

@@ -14,7 +14,6 @@ def shell_lines(session: Session, cutoff: float | None = None) -> str:
 
     Parameters
     ----------
-    session : Session
     cutoff : float, optional
         Of the fit's filter, Hz; by default each command chooses it.
     """
@@ -43,7 +42,6 @@ def python_lines(session: Session, cutoff: float | None = None) -> str:
 
     Parameters
     ----------
-    session : Session
     cutoff : float, optional
         Of the fit's filter, Hz; by default it is chosen from the data.
     """

@@ -57,13 +57,7 @@ Prepared = tuple[PreparedRecordings | None, PreparedRecordings | None]  # traini
 
 
 class Computation:
-    """Inputs that are open, and what was computed for them.
-
-    Parameters
-    ----------
-    setup : WorkerSetup
-    inputs : WorkbenchInputs
-    """
+    """Inputs that are open, and what was computed for them."""
 
     def __init__(self, setup: WorkerSetup, inputs: WorkbenchInputs) -> None:
         self.inputs = inputs
@@ -96,7 +90,6 @@ class Computation:
 
         Parameters
         ----------
-        step : ModelStep
         quick : bool
             Hold shape parameters, use parts of long recordings, and leave out what takes longer
             than the fit: standard deviations, and the noise floor, which is that of the model
@@ -133,7 +126,6 @@ class Computation:
 
         Parameters
         ----------
-        step : ModelStep
         report : callable
             Called with the name of a stage and the fraction done.
         found : callable
@@ -165,8 +157,6 @@ class Computation:
 
         Parameters
         ----------
-        step : ModelStep
-        recording : int
         report : callable
             Called with the name of a stage and the fraction done.
         """
@@ -305,8 +295,6 @@ def saved_file(
 
     Parameters
     ----------
-    state : Computation
-    step : ModelStep
     kind : {"fit", "report", "c", "urdf", "mjcf"}
         Exports are zip files; for URDF and MJCF, the model is fitted with physically consistent
         inertias.

@@ -25,7 +25,6 @@ def curve_svg(curve: EffectCurve, unit: str) -> str:
 
     Parameters
     ----------
-    curve : EffectCurve
     unit : str
         Of the torque.
     """
@@ -55,12 +54,7 @@ def curve_svg(curve: EffectCurve, unit: str) -> str:
 
 
 class EffectsView:
-    """Effects of the model: formula, values, and a button that removes each.
-
-    Parameters
-    ----------
-    workbench : Workbench
-    """
+    """Effects of the model: formula, values, and a button that removes each."""
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
@@ -121,16 +115,7 @@ class EffectsView:
 
 
 def _effect_card(row: EffectRow, curve: EffectCurve | None, unit: str, *, removable: bool) -> None:
-    """Show an effect with its values, and its torque once it is computed.
-
-    Parameters
-    ----------
-    row : EffectRow
-    curve : EffectCurve or None
-    unit : str
-        Of the torque.
-    removable : bool
-    """
+    """Show an effect with its values, and its torque once it is computed."""
     with named(ui.column(), f"effect-{place(row.label)}").classes("card"):
         with ui.row().classes("w-full items-center no-wrap gap-1"):
             ui.label(row.label).classes("strong grow")
@@ -164,12 +149,7 @@ def _remove_button(label: str) -> ui.button:
 
 
 class ProposalsView:
-    """Effects that the diagnosis proposes; a click adds one.
-
-    Parameters
-    ----------
-    workbench : Workbench
-    """
+    """Effects that the diagnosis proposes; a click adds one."""
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
@@ -230,16 +210,7 @@ class ProposalsView:
 
 
 def _proposal_card(proposed: ProposedEffect, *, present: bool, changed: bool) -> None:
-    """Show a proposal, its evidence, and its rivals.
-
-    Parameters
-    ----------
-    proposed : ProposedEffect
-    present : bool
-        Whether the model that is shown has it.
-    changed : bool
-        Whether it is a change since a fit.
-    """
+    """Show a proposal, its evidence, and its rivals."""
     card = named(ui.column(), f"candidate-{place(proposed.label)}").classes("card candidate")
     if not present:
         acting(card, proposed.label).props["role"] = "button"

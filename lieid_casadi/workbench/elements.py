@@ -42,7 +42,6 @@ def on_action(container: Element, handle: Callable[[str], Awaitable[None]]) -> N
     ----------
     container : Element
         Its parts are marked by `acting`.
-    handle : coroutine function
     """
     for kind in ("click", "keydown.enter"):
         container.on(kind, lambda event: handle(event.args), js_handler=_EMIT_ACTION)
@@ -126,7 +125,6 @@ class Chart:
 
         Parameters
         ----------
-        options : dict
         whole : bool
             Forget what the browser has changed, such as the zoom.
         """

@@ -20,12 +20,7 @@ BAND = "#9fb6c6"
 
 
 class ResidualPlot:
-    """One panel per signal; forward and backward motion have their own colours and means.
-
-    Parameters
-    ----------
-    workbench : Workbench
-    """
+    """One panel per signal; forward and backward motion have their own colours and means."""
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
@@ -134,12 +129,7 @@ MOST_MODELS = 6
 
 
 class WaterfallView:
-    """Bars: error on the test; diamonds: on the training; dashes: noise floor.
-
-    Parameters
-    ----------
-    workbench : Workbench
-    """
+    """Bars: error on the test; diamonds: on the training; dashes: noise floor."""
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench

@@ -50,13 +50,10 @@ class OpenedInputs:
         Name of the robot.
     joint_names, units : tuple of str
         Of each joint: its name, and N·m or N.
-    revolute : tuple of bool
     effects : tuple of str
         Labels of the placements of the first model.
     expected : tuple of float or None
         Held-out error of an opened fit, N·m.
-    recordings : tuple of OpenedRecording
-    solids : tuple of ArmSolid
     meshes : tuple of ArmMesh
         Of a URDF whose files are found; they replace the capsules.
     """
@@ -125,14 +122,11 @@ class Evaluation:
         False if shape parameters were held or only parts of the recordings were used.
     complete : bool
         Whether it is exact, with the standard deviations and the noise floor of this model.
-    errors : StepErrors
     train, test : Comparison or None
         With the recordings that were fitted, and with the others; ``test`` holds all recordings
         if the fit is kept. The series of a recording are named after it, see `recording_title`.
     sentence : str
         How large the error is, compared with the noise.
-    effects : tuple of EffectRow
-    warnings : tuple of str
     shapes : dict
         Label of each shape parameter → its value, from which later fits start.
     cutoff : float
@@ -191,7 +185,6 @@ def evaluate_fit(
 
     Parameters
     ----------
-    fit : Fit
     train, test : PreparedRecordings or None
         At least one of them; no training if an opened fit is kept.
     changes : sequence of ProposedEffect
@@ -379,8 +372,6 @@ def opened_inputs(
 
     Parameters
     ----------
-    model : Model
-    recordings : sequence of Recording
     kept : Fit or None
         The fit that is kept, if it is not fitted again.
     file : str

@@ -17,12 +17,7 @@ if TYPE_CHECKING:
 
 
 class JointsView:
-    """One row per joint: name, error in motion, noise floor, and their ratio.
-
-    Parameters
-    ----------
-    workbench : Workbench
-    """
+    """One row per joint: name, error in motion, noise floor, and their ratio."""
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
@@ -132,12 +127,7 @@ class _JointRow:
 
 
 class HistoryView:
-    """The steps with the error of the selected joint.
-
-    Parameters
-    ----------
-    workbench : Workbench
-    """
+    """The steps with the error of the selected joint."""
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench

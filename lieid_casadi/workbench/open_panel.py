@@ -64,12 +64,7 @@ class _Fields:
 
 
 class OpenPanel:
-    """A form for the inputs; errors are shown beside the field that they are about.
-
-    Parameters
-    ----------
-    workbench : Workbench
-    """
+    """A form for the inputs; errors are shown beside the field that they are about."""
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench

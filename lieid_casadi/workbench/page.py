@@ -26,12 +26,7 @@ LANGUAGES = {"Shell": shell_lines, "Python": python_lines}
 
 
 class CommandsDialog:
-    """The shell commands and the Python lines of the step that is shown.
-
-    Parameters
-    ----------
-    workbench : Workbench
-    """
+    """The shell commands and the Python lines of the step that is shown."""
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
@@ -77,7 +72,6 @@ class Toolbar:
 
     Parameters
     ----------
-    workbench : Workbench
     open_panel : callable
         Shows or hides the form of what is open.
     """

@@ -115,7 +115,6 @@ class PreparedRecordings:
 
     Attributes
     ----------
-    recordings : tuple of Recording
     segments : tuple of Processed
         With temperatures relative to the fit's mean.
     warnings : tuple of LieidWarning
@@ -132,8 +131,6 @@ class PreparedRecordings:
 
         Parameters
         ----------
-        fit : Fit
-        recordings : sequence of Recording
         average : bool
             Whether periods are averaged if the fit's options say so; not for a comparison.
         """
@@ -162,10 +159,8 @@ class PreparedRecordings:
 
         Parameters
         ----------
-        model : Model
         first : Fit
             Of the same recordings.
-        start : ShapeStart or None
         uncertainty : bool
             Whether standard deviations are computed, which takes longer than the fit.
         report : callable
@@ -197,7 +192,6 @@ class PreparedRecordings:
 
         Parameters
         ----------
-        fit : Fit
         changes : sequence of ProposedEffect
             Since the fit; their torque is added.
         noise : NoiseFloor or None

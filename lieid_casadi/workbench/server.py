@@ -26,7 +26,6 @@ class ServerOptions:
     ----------
     host : str
         Address to listen on.
-    port : int
     exposed : bool
         Whether the user has confirmed an address that other machines can reach.
     """
@@ -49,8 +48,6 @@ def serve(
     ----------
     inputs : WorkbenchInputs
         What a new page opens.
-    setup : WorkerSetup
-    options : ServerOptions
     ready : callable
         Called with the URL once the page can be opened.
 

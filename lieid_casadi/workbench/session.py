@@ -41,15 +41,12 @@ class WorkbenchInputs:
     mode : str
         ``missing``: the model is fitted to the training recordings. ``changed``: the fit is kept,
         and all recordings were measured after it.
-    recordings : tuple of RecordingInput
     effects : tuple of str
         Of the first model; of a fit in place of the robot if empty.
     torque_constants, units : str
         As on the command line.
     options : tuple of (str, str)
         Further options of the command line: name without dashes, and text (``stiffness``, ``12``).
-    tip : str
-    lock : tuple of str
     """
 
     robot: str = ""
@@ -152,8 +149,6 @@ class FoundEffects:
 
     Attributes
     ----------
-    verdict, sentence : str
-    proposed : tuple of ProposedEffect
     effects : tuple of str
         Of the model that was diagnosed.
     unexplained : tuple of str
@@ -191,10 +186,8 @@ class ModelStep:
 
     Attributes
     ----------
-    title : str
     effects : tuple of str
         Labels of all placements of the model: ``stribeck:4``.
-    excluded : tuple of ExcludedRange
     errors : StepErrors or None
         None until they are computed.
     changes : tuple of ProposedEffect
@@ -224,8 +217,6 @@ class Session:
 
     Attributes
     ----------
-    inputs : WorkbenchInputs
-    history : tuple of ModelStep
     position : int
         Of the step that is shown; those after it can be restored by `redone`.
     found : FoundEffects or None

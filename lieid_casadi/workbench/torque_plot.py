@@ -50,7 +50,6 @@ def torque_lines(
 
     Parameters
     ----------
-    series : list of Series
     joint : int
         From 0.
     window : (float, float)
@@ -115,7 +114,6 @@ def errors_over_signals(
 
     Parameters
     ----------
-    series : list of Series
     joint : int
         From 0.
     window : (float, float) or None
@@ -186,12 +184,7 @@ _START_BRUSH = """(function start() {
 
 
 class TorquePlot:
-    """Torque of the selected joint along a recording; the wheel zooms, dragging selects.
-
-    Parameters
-    ----------
-    workbench : Workbench
-    """
+    """Torque of the selected joint along a recording; the wheel zooms, dragging selects."""
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
@@ -313,17 +306,7 @@ def _empty_options() -> dict[str, Any]:
 def _options(
     span: tuple[float, float], lines: TorqueLines, other: TorqueLines, noise: float | None
 ) -> dict[str, Any]:
-    """Return the options of the plot.
-
-    Parameters
-    ----------
-    span : (float, float)
-        Range of time, s.
-    lines, other : TorqueLines
-        Of the model that is shown, and of the compared one.
-    noise : float or None
-        Noise floor, N·m.
-    """
+    """Return the options of the plot."""
     axis = {
         "type": "value",
         "min": span[0],

@@ -150,8 +150,6 @@ class StepDetails:
         ----------
         worker : Worker
             That has the exact fit.
-        step : ModelStep
-        recording : int
         """
         inputs = self._inputs
         if step.key in self._curves:
@@ -167,7 +165,6 @@ class StepDetails:
 
         Parameters
         ----------
-        worker : Worker
         shown : callable
             Returns the step; asked again after every result, so that none waits in between.
         """
@@ -195,14 +192,11 @@ class Workbench(ChangeNotifier):
     ----------
     name : str
         Under which the session is saved.
-    setup : WorkerSetup
     worker : Worker, optional
         A process that runs already.
 
     Attributes
     ----------
-    session : Session
-    opened : OpenedInputs or None
     error : str
         Of the last action, one line; empty if it succeeded.
     failure : Failure or None
@@ -211,9 +205,6 @@ class Workbench(ChangeNotifier):
         Whether something was opened, or the form was shown.
     computing : bool
         Whether a fit that the user waits for is computed.
-    search : EffectSearch
-    details : StepDetails
-    view : PlotView
     motion : ArmMotion or None
         Of the arm along the recording that is shown.
     """

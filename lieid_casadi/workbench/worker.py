@@ -37,10 +37,8 @@ class Request:
     ----------
     number : int
         Of the request; its replies have it too.
-    task : str
     inputs : WorkbenchInputs
         Opened first if the worker has others open.
-    step : ModelStep or None
     options : dict
         Further arguments of the task.
     """
@@ -200,12 +198,7 @@ class _Waiting:
 
 
 class Worker:
-    """A process that computes; it is started with the first request, or by `start`.
-
-    Parameters
-    ----------
-    setup : WorkerSetup
-    """
+    """A process that computes; it is started with the first request, or by `start`."""
 
     def __init__(self, setup: WorkerSetup) -> None:
         self._setup = setup
@@ -247,9 +240,6 @@ class Worker:
 
         Parameters
         ----------
-        task : str
-        inputs : WorkbenchInputs
-        step : ModelStep, optional
         progress, found : callable, optional
             Called in this thread with the stage and fraction, and with what was found.
         **options

@@ -11,8 +11,8 @@ from comparison import two_link_data as arm
 import lieid_casadi as lieid
 from lieid_casadi.errors import LieidWarning
 from lieid_casadi.report import Section, comparison_report, fit_report, render
-from lieid_casadi.report.reports import fit_sections
-from lieid_casadi.report.sections import anchors, value_text
+from lieid_casadi.report.page import table_section
+from lieid_casadi.report.reports import anchors, fit_sections, value_text
 
 EVIL = "<script>alert(1)</script>"
 FETCHING = {"src", "href", "srcset", "data", "action", "poster", "background", "xlink:href"}
@@ -121,9 +121,7 @@ def test_names_are_text(fit, comparison):
     text = "".join(page.text)
     assert EVIL in text
     assert str(warning) in text
-    turned = Page(
-        render("\u202eturned", [Section("", "verdict.html", {"sentence": "a\x1b\u2066b"})])
-    )
+    turned = Page(render("\u202eturned", [table_section("", sentences=["a\x1b\u2066b"])]))
     assert r"\u202eturned" in turned.text
     assert r"a\u001b\u2066b" in "".join(turned.text)
 
@@ -149,8 +147,8 @@ def test_a_fit_without_a_test_has_a_report_too(fit):
 
 def test_sections_join_in_their_order_and_fold():
     sections = [
-        Section("First", "verdict.html", {"sentence": "one & only"}),
-        Section("Second", "verdict.html", {"sentence": "two"}, folded=True),
+        table_section("First", sentences=["one & only"]),
+        table_section("Second", sentences=["two"], folded=True),
     ]
     html = render("a < b", sections)
     page = Page(html)
@@ -165,8 +163,8 @@ def test_sections_join_in_their_order_and_fold():
 def test_a_template_without_its_data_is_an_error():
     from jinja2 import UndefinedError
 
-    with pytest.raises(UndefinedError, match="sentence"):
-        render("x", [Section("", "verdict.html", {})])
+    with pytest.raises(UndefinedError, match="uri"):
+        render("x", [Section("", "picture.html", {"note": ""})])
 
 
 def test_the_same_result_gives_the_same_report(fit, comparison):
