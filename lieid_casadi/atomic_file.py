@@ -36,7 +36,7 @@ def require_regular(path: str | Path) -> None:
 
 
 @contextlib.contextmanager
-def atomic_binary(path: str | Path) -> Iterator[BinaryIO]:
+def atomic_binary(path: str | Path, *, private: bool = False) -> Iterator[BinaryIO]:
     """Binary file that takes its place only after it was written and closed without error.
 
     Symbolic links are followed and missing folders made. An existing regular file is replaced
@@ -47,6 +47,8 @@ def atomic_binary(path: str | Path) -> Iterator[BinaryIO]:
     ----------
     path : str or Path
         Where the file will be.
+    private : bool
+        Whether only its owner may read it, and the folders that are made for it.
 
     Raises
     ------
@@ -63,11 +65,14 @@ def atomic_binary(path: str | Path) -> Iterator[BinaryIO]:
             _write_through(path, status, content.getbuffer())
             return
         target = Path(os.path.realpath(path))
-        with created_folders(target.parent), _temporary_file(target.parent) as (temporary, file):
+        if private:
+            target.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        temporary_file = _temporary_file(target.parent, mode=0o600 if private else 0o666)
+        with created_folders(target.parent), temporary_file as (temporary, file):
             yield file
             file.flush()
             os.fsync(file.fileno())
-            if status is not None:
+            if status is not None and not private:
                 _copy_owner_and_mode(status, file.fileno())
             os.replace(temporary, target)
 
@@ -169,12 +174,12 @@ def is_temporary(name: str) -> bool:
 
 
 @contextlib.contextmanager
-def _temporary_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
+def _temporary_file(folder: Path, *, mode: int) -> Iterator[tuple[Path, BinaryIO]]:
     remove_abandoned(folder)
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
     while True:
         path = _temporary_name(folder)
-        if (handle := _locked(path, flags)) is not None:
+        if (handle := _locked(path, flags, mode)) is not None:
             break
     try:
         with os.fdopen(handle, "w+b") as file:
@@ -189,9 +194,9 @@ def _temporary_name(folder: Path) -> Path:
     return folder / f"{PREFIX}{secrets.token_hex(8)}{SUFFIX}"
 
 
-def _locked(path: Path, flags: int) -> int | None:
+def _locked(path: Path, flags: int, mode: int = 0o666) -> int | None:
     """Return a handle that holds the lock; None if another run has removed the path meanwhile."""
-    handle = os.open(path, flags | os.O_CLOEXEC, 0o666)
+    handle = os.open(path, flags | os.O_CLOEXEC, mode)
     with contextlib.suppress(OSError):  # some network file systems have no locks
         fcntl.flock(handle, fcntl.LOCK_EX)
     if path.exists():

@@ -195,7 +195,6 @@ def _announce(url: str, *, browser: bool) -> None:
     """Print the URL, and open it in the user's browser."""
     print(url, flush=True)
     if browser:
-        import threading
-        import webbrowser
+        from lieid_casadi.workbench.server import open_in_browser
 
-        threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+        open_in_browser(url)

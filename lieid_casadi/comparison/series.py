@@ -123,6 +123,9 @@ def effect_torques(fit: Fit, segment: Processed) -> tuple[EffectTorque, ...]:
 
 
 PER_JOINT = 3
+LAGS = 25  # of a correlation, in samples that are independent if the error is noise
+INDEPENDENT = 0.558  # periods of the cut-off: white noise through the filter is uncorrelated then
+BEYOND = 2.576  # standard deviations: 99 % of what noise gives lie within
 APART = 1.0  # s, smallest time between two errors of one joint
 
 
@@ -175,7 +178,83 @@ def _peaks(series: Series, joint: int) -> list[LargeError]:
         k = int(np.argmax(np.where(allowed, size, -1.0)))
         allowed &= np.abs(series.time - series.time[k]) >= APART
         signals = (series.error, series.measured, series.q, series.dq)
-        values = (float(signal[k, joint]) for signal in signals)
-        moving = bool(series.moving[k, joint])
-        peaks.append(LargeError(series.recording, float(series.time[k]), joint, *values, moving))
+        error, measured, q, dq = (float(signal[k, joint]) for signal in signals)
+        moving, time = bool(series.moving[k, joint]), float(series.time[k])
+        found = LargeError(series.recording, time, joint, error, measured, q, dq, moving)
+        peaks.append(found)
     return peaks
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """Correlation of an error with a signal that is ``lag`` s earlier, and its 99 % band."""
+
+    title: str
+    lag: Array
+    value: Array
+    band: float
+
+
+def residual_correlations(series: Sequence[Series], joint: int, cutoff: float) -> list[Correlation]:
+    """Return the auto-correlation of a joint's error, and its correlation with the motion.
+
+    The error is taken at the distance at which white noise through its filter, a Butterworth filter
+    of fourth order in both directions, is hardly correlated; what the filter leaves is subtracted.
+    Within the bands (Ljung, System Identification, 1999, section 16.6) the error may be noise that
+    does not depend on the motion. Segments are not joined.
+
+    Parameters
+    ----------
+    series : sequence of Series
+    joint : int
+        From 0.
+    cutoff : float
+        Hz.
+    """
+    parts = [s for s in series if len(s.time) > 1]
+    if not parts:
+        return []
+    interval = float(parts[0].time[1] - parts[0].time[0])
+    step = max(round(INDEPENDENT / (cutoff * interval)), 1)
+    errors, *signals = (
+        [getattr(s, name)[::step, joint] for s in parts] for name in ("error", "dq", "ddq")
+    )
+    own = _covariance(errors, errors)
+    count = sum(len(part) for part in errors)
+    time: Array = interval * step * np.arange(-LAGS, LAGS + 1, dtype=np.float64)
+    white = float(BEYOND / np.sqrt(count))
+    beyond = _scaled(own, own[LAGS])[LAGS:] - _of_the_filter(time[LAGS:] * cutoff)
+    found = [Correlation("with itself", time[LAGS:], beyond, white)]
+    for title, signal in zip(("with the speed", "with the acceleration"), signals, strict=True):
+        other = _covariance(signal, signal)
+        size = float(np.sqrt(own[LAGS] * other[LAGS]))
+        both = float(_scaled(own, own[LAGS]) @ _scaled(other, other[LAGS]))
+        spread = float(np.sqrt(max(both, 1.0)))
+        found.append(
+            Correlation(title, time, _scaled(_covariance(errors, signal), size), white * spread)
+        )
+    return found
+
+
+def _covariance(first: Sequence[Array], second: Sequence[Array]) -> Array:
+    """Return sums of first(t)·second(t − lag) (2 `LAGS` + 1,) over all segments."""
+    means = [np.mean(np.concatenate(parts)) for parts in (first, second)]
+    total = np.zeros(2 * LAGS + 1)
+    for a, b in zip(first, second, strict=True):
+        x, y = a - means[0], b - means[1]
+        for lag in range(-min(LAGS, len(x) - 1), min(LAGS, len(x) - 1) + 1):
+            total[lag + LAGS] += (
+                x[max(lag, 0) : len(x) + min(lag, 0)] @ y[max(-lag, 0) : len(y) - max(lag, 0)]
+            )
+    return total
+
+
+def _of_the_filter(lag: Array) -> Array:
+    """Return the correlation of filtered white noise at lags in periods of the cut-off."""
+    frequency = np.linspace(0.0, 3.0, 1000)
+    power = (1.0 + frequency**8) ** -2.0
+    return np.asarray(np.cos(2.0 * np.pi * np.outer(lag, frequency)) @ power / power.sum())
+
+
+def _scaled(values: Array, size: float) -> Array:
+    return values / size if size > 0.0 else np.zeros_like(values)

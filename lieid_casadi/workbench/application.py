@@ -30,6 +30,8 @@ from lieid_casadi.workbench.session import WorkbenchInputs, is_name, load_sessio
 from lieid_casadi.workbench.workbench import Workbench
 from lieid_casadi.workbench.worker import Worker
 
+LAST_SECONDS = 1.2  # from SIGTERM to the end at the latest
+KEPT_SECONDS = 120.0  # that the processes of a session run on after its tab was closed
 POLICY = (
     "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
     "style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; form-action 'self'"
@@ -41,12 +43,8 @@ class AccessControl:
 
     The token is in the URL that the command prints; the answer to it sets a cookie, with which
     the page loads its scripts and opens its socket. A request of another host name (DNS
-    rebinding) or of another site's page is refused.
-
-    Parameters
-    ----------
-    hosts : set of str
-        Values of the header ``Host`` that are served, with the port.
+    rebinding) or of another site's page is refused; ``hosts`` are the values of the header
+    ``Host`` that are served, with the port.
     """
 
     def __init__(self, app: ASGIApp, *, token: str, hosts: set[str], port: int) -> None:
@@ -110,18 +108,8 @@ class AccessControl:
         await PlainTextResponse(f"lieid workbench: {reason}\n", 403)(scope, receive, send)
 
 
-LAST_SECONDS = 1.2  # from SIGTERM to the end at the latest
-KEPT_SECONDS = 120.0  # that the processes of a session run on after its tab was closed
-
-
 class Sessions:
-    """The sessions that pages of this server show.
-
-    Parameters
-    ----------
-    inputs : WorkbenchInputs
-        Of new sessions.
-    """
+    """The sessions that pages of this server show; new ones have the ``inputs``."""
 
     def __init__(self, inputs: WorkbenchInputs, setup: WorkerSetup) -> None:
         self.inputs, self._setup = inputs, setup

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from nicegui import ui
@@ -12,26 +11,20 @@ from nicegui.elements.scene.scene_object3d import Object3D
 from nicegui.events import SceneClickEventArguments, ValueChangeEventArguments
 
 from lieid_casadi.workbench.arm import ArmSolid
-from lieid_casadi.workbench.elements import SCALE, named, ratio_colour
-
-if TYPE_CHECKING:
-    from lieid_casadi.workbench.workbench import Workbench
+from lieid_casadi.workbench.elements import SCALE, View, icon_button, named, ratio, ratio_colour
+from lieid_casadi.workbench.workbench import Workbench
 
 FRAME = 0.1  # s between poses of the replay
+CLASSES = ("noise", "≤ 2 ×", "≤ 5 ×", "more")
 BASE, SELECTED = "#d3d9de", "#10243a"
 
 
-class ArmView:
-    """The arm, with a slider for the instant that it shows.
-
-    Parameters
-    ----------
-    moved : callable
-        Called with the time, s, when the arm shows another instant.
-    """
+class ArmView(View):
+    """The arm, with a slider for the instant that it shows; ``moved`` is called with it, s."""
 
     def __init__(self, workbench: Workbench, moved: Callable[[float], None]) -> None:
-        self._workbench, self._moved = workbench, moved
+        super().__init__(workbench)
+        self._moved = moved
         self._opened: object = None
         self._links: list[Object3D] = []
         self._solids: list[tuple[ArmSolid, list[Object3D]]] = []
@@ -40,10 +33,11 @@ class ArmView:
         self._colours: list[str] = []
         self._drawn: tuple[int, list[str]] | None = None
         self._seen: object = None
+        self._instant: float | None = None
         with ui.column().classes("panel w-full h-full"):
             with ui.row().classes("w-full items-center gap-2 no-wrap"):
                 ui.label("Arm").classes("panel-title grow")
-                for text, colour in zip(_CLASSES, [c for _, c in SCALE], strict=True):
+                for text, colour in zip(CLASSES, [c for _, c in SCALE], strict=True):
                     ui.element("span").classes("swatch").style(f"background: {colour}")
                     ui.label(text).classes("small muted")
             self._scene = ui.scene(
@@ -56,9 +50,8 @@ class ArmView:
             )
             named(self._scene, "arm-view").classes("arm-view")
             with ui.row().classes("w-full items-center gap-2 no-wrap"):
-                self._play = ui.button(icon="play_arrow", on_click=self._toggle)
-                named(self._play.props("dense flat round size=sm"), "play")
-                self._play.props["aria-label"] = "play"
+                self._play = icon_button("play_arrow", "play", "replay the recording")
+                self._play.on_click(self._toggle)
                 self._slider = ui.slider(
                     min=0.0, max=1.0, value=0.0, step=0.01, on_change=self._scrubbed
                 )
@@ -68,7 +61,7 @@ class ArmView:
 
     def update(self) -> None:
         """Show the arm of the open robot, its errors, and the visible range of time."""
-        workbench = self._workbench
+        workbench = self.workbench
         if workbench.opened is not self._opened:
             self._opened = workbench.opened
             self._build()
@@ -77,6 +70,9 @@ class ArmView:
         self._colour()
         self._look()
         self._set_range()
+        if workbench.view.instant not in (None, self._instant):
+            self._slider.value = workbench.view.instant
+        self._instant = workbench.view.instant
         if self._frame < 0:
             self._show(float(self._slider.value or 0.0))
 
@@ -85,7 +81,7 @@ class ArmView:
         self._scene.delete_objects()
         self._links, self._solids, self._meshes, self._frame = [], [], [], -1
         self._drawn = None
-        opened = self._workbench.opened
+        opened = self.workbench.opened
         if opened is None:
             return
         self._colours = [BASE, *(ratio_colour(None) for _ in opened.joint_names)]
@@ -98,12 +94,12 @@ class ArmView:
                             self._solids.append((solid, _draw(self._scene, solid)))
                     for k, mesh in enumerate(opened.meshes):
                         if mesh.link == link:
-                            made = scene.stl(f"/mesh/{self._workbench.name}/{k}.stl")
+                            made = scene.stl(f"/mesh/{self.workbench.name}/{k}.stl")
                             self._meshes.append((link, made.with_name(_name(link))))
 
     def _look(self) -> None:
         """Let the camera see the whole motion."""
-        motion = self._workbench.motion
+        motion = self.workbench.motion
         if motion is None or motion is self._seen:
             return
         self._seen, self._frame = motion, -1
@@ -115,10 +111,11 @@ class ArmView:
 
     def _colour(self) -> None:
         """Colour the links; while a model is fitted those of the last one stay."""
-        session = self._workbench.session
+        session = self.workbench.session
         errors = None if session.step is None else session.step.errors
         if errors is not None:
-            self._colours = [BASE, *map(_colour_of, errors.shown, errors.noise_floor)]
+            multiples = map(ratio, errors.shown, errors.noise_floor)
+            self._colours = [BASE, *map(ratio_colour, multiples)]
         if (session.joint, self._colours) == self._drawn:
             return
         self._drawn = session.joint, self._colours
@@ -131,7 +128,7 @@ class ArmView:
 
     def _set_range(self) -> None:
         """Let the slider span the range of time that the torque plot shows."""
-        workbench = self._workbench
+        workbench = self.workbench
         assert workbench.opened is not None
         if not workbench.opened.recordings:
             return
@@ -159,7 +156,7 @@ class ArmView:
 
     def _show(self, time: float) -> None:
         """Show the pose at a time."""
-        motion = self._workbench.motion
+        motion = self.workbench.motion
         self._time.text = f"{time:.2f} s"
         if motion is None or not self._links:
             return
@@ -175,7 +172,7 @@ class ArmView:
     def _clicked(self, event: SceneClickEventArguments) -> None:
         names = [hit.object_name for hit in event.hits if hit.object_name.startswith("joint")]
         if names:
-            workbench = self._workbench
+            workbench = self.workbench
             workbench.show(
                 replace(workbench.session, joint=int(names[0].removeprefix("joint")) - 1)
             )
@@ -184,14 +181,6 @@ class ArmView:
 def _name(link: int) -> str:
     """Return the name of a link's solids, by which a click selects its joint."""
     return f"joint{link}" if link else "base"
-
-
-def _colour_of(error: float | None, floor: float | None) -> str:
-    """Return the colour of a joint's error in multiples of its noise floor."""
-    return ratio_colour(error / floor if error is not None and floor else None)
-
-
-_CLASSES = ("noise", "≤ 2 ×", "≤ 5 ×", "more")
 
 
 def _draw(scene: ui.scene, solid: ArmSolid) -> list[Object3D]:

@@ -1,105 +1,83 @@
-"""The model's effects on the selected joint, and the effects that a diagnosis proposes."""
+"""The model's effects on the selected joint, and what the diagnosis found."""
 
 from __future__ import annotations
 
 from html import escape
-from typing import TYPE_CHECKING
 
 from nicegui import ui
-from nicegui.events import ValueChangeEventArguments
 
 from lieid_casadi.comparison.plot_style import BACKWARD, FORWARD
 from lieid_casadi.effects.registry import REGISTER, make
-from lieid_casadi.workbench.elements import acting, figures, named, on_action, place
+from lieid_casadi.workbench.elements import (
+    View,
+    acting,
+    button,
+    figures,
+    icon_button,
+    named,
+    on_action,
+    place,
+    set_text,
+    text,
+)
 from lieid_casadi.workbench.evaluation import EffectCurve, EffectRow
-from lieid_casadi.workbench.session import ProposedEffect
+from lieid_casadi.workbench.session import FoundEffects, ProposedEffect
+from lieid_casadi.workbench.workbench import Workbench
 
-if TYPE_CHECKING:
-    from lieid_casadi.workbench.workbench import Workbench
-
-WIDTH, HEIGHT, MARGIN = 270.0, 62.0, 4.0
-
-
-def curve_svg(curve: EffectCurve, unit: str) -> str:
-    """Return the torque of an effect over its signal; the texts are the ranges of both axes.
-
-    Parameters
-    ----------
-    unit : str
-        Of the torque.
-    """
-    xs, ys = curve.signal, curve.torque
-    low, high = min(xs), max(xs)
-    most = max(max(abs(y) for y in ys), 1e-12)
-    names = {"dq": "speed", "ddq": "acceleration", "q": "angle"}
-    across, down = WIDTH - 2 * MARGIN, HEIGHT - 2 * MARGIN - 12.0
-    points = "".join(
-        f'<circle cx="{MARGIN + across * (x - low) / (high - low or 1.0):.1f}" '
-        f'cy="{MARGIN + down * (0.5 - 0.5 * y / most):.1f}" r="1.4" '
-        f'fill="{FORWARD if y >= 0.0 else BACKWARD}"/>'
-        for x, y in zip(xs, ys, strict=True)
-    )
-    middle = MARGIN + 0.5 * down
-    text = (
-        f"± {figures(most)} {unit} over {names.get(curve.name, curve.name)} "
-        f"{figures(low)} to {figures(high)} {curve.unit}"
-    )
-    return (
-        f'<svg viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" width="100%" role="img" '
-        f'aria-label="{escape(text)}">'
-        f'<line x1="0" x2="{WIDTH:.0f}" y1="{middle:.1f}" y2="{middle:.1f}" stroke="#c8ced4"/>'
-        f'{points}<text x="{MARGIN}" y="{HEIGHT - 3:.0f}" font-size="9.5" fill="#52606d">'
-        f"{escape(text)}</text></svg>"
-    )
+WIDTH, HEIGHT, MARGIN = 270.0, 62.0, 4.0  # of the picture of an effect
+STATUS = {"named": "named", "one_of": "one of", "shape": "shape"}
+STATUS_MEANING = {
+    "named": "the data separate this effect from every other kind of effect",
+    "one_of": "this effect, or one of the rivals beside it: the data do not separate them",
+    "shape": "no effect of the library describes it; a smooth function does",
+}
+#: Kinds of the library's effects, in the order of the menu; others are listed last.
+KINDS = {
+    "Friction": (
+        "coulomb", "viscous", "offset", "stribeck", "load_friction", "presliding",
+        "position_friction", "temperature_friction", "warm_up", "viscous_polynomial",
+        "viscous_asymmetric", "sigmoid_friction",
+    ),
+    "Transmission": (
+        "armature", "transmission_coupling", "joint_elasticity", "torque_ripple", "backlash",
+        "position_spring",
+    ),
+    "Torque signal": (
+        "torque_gain", "torque_delay", "time_shift", "torque_lowpass", "bias_drift",
+    ),
+    "Mounting and load": ("payload", "external_wrench", "base_tilt", "encoder_offset"),
+    "Position-controlled drive": (
+        "command_delay", "back_emf", "torque_saturation", "deadband",
+    ),
+    "Any shape": ("smooth",),
+}  # fmt: skip
 
 
-class EffectsView:
-    """Effects of the model: formula, values, and a button that removes each."""
+class EffectsView(View):
+    """Effects of the model: formula, values, torque, a button that removes each, and a menu."""
 
     def __init__(self, workbench: Workbench) -> None:
-        self._workbench = workbench
-        self._shown: object = None
-        with ui.column().classes("panel w-full grow-panel"):
-            self._title = named(ui.label("Effects of the model"), "effects-title")
-            self._title.classes("panel-title")
-            self._list = ui.column().classes("w-full gap-1 scroll")
-            self._library = ui.select(sorted(REGISTER), label="add an effect of the library")
-            named(self._library.props("dense options-dense").classes("w-full"), "add-effect")
-            self._library.on_value_change(self._add)
+        super().__init__(workbench)
+        with ui.column().classes("panel w-full"):
+            with ui.row().classes("w-full items-center no-wrap gap-1"):
+                self._title = named(ui.label("Effects of the model"), "effects-title")
+                self._title.classes("panel-title grow")
+                self._menu = _EffectMenu(workbench)
+            self._list = ui.column().classes("w-full gap-1 scroll tall")
         on_action(self._list, self._remove)
 
     async def _remove(self, label: str) -> None:
-        await self._workbench.apply(self._workbench.session.without_effect(label))
-
-    async def _add(self, event: ValueChangeEventArguments[str | None]) -> None:
-        """Add an effect of the library to the selected joint."""
-        name, session = event.value, self._workbench.session
-        if name is None or session.step is None:
-            return
-        self._library.value = None
-        number = session.joint + 1
-        if make(name).couples:  # from the next joint, or the previous one of the last joint
-            assert self._workbench.opened is not None
-            last = len(self._workbench.opened.joint_names)
-            label = f"{name}:{number}<{number + 1 if number < last else number - 1}"
-        else:
-            label = name if make(name).whole_arm else f"{name}:{number}"
-        await self._workbench.apply(session.with_effect(label))
+        await self.workbench.apply(self.workbench.session.without_effect(label))
 
     def update(self) -> None:
         """Show the effects of the current model on the selected joint."""
-        evaluation, joint = self._workbench.evaluation, self._workbench.session.joint
-        step = self._workbench.session.step
-        if evaluation is None or step is None:
+        workbench = self.workbench
+        evaluation, joint, curves = workbench.evaluation, workbench.session.joint, workbench.curves
+        if evaluation is None or not self.is_new(evaluation, joint, curves):
             return
-        curves = self._workbench.details.curves(step)
-        now = (evaluation, joint, curves)
-        if self._shown == now:
-            return
-        self._shown = now
-        self._title.text = f"Effects of the model on joint {joint + 1}"
-        removable = self._workbench.session.inputs.mode == "missing"
-        self._library.set_visibility(removable)
+        set_text(self._title, f"Effects on joint {joint + 1}")
+        removable = workbench.session.inputs.mode == "missing"
+        self._menu.button.set_visibility(removable)
         self._list.clear()
         with self._list:
             for row in sorted(evaluation.effects, key=lambda row: row.joint != joint):
@@ -110,8 +88,59 @@ class EffectsView:
 
     def _unit(self, row: EffectRow) -> str:
         """Return the unit of the torque of an effect."""
-        opened = self._workbench.opened
+        opened = self.workbench.opened
         return "" if opened is None or row.joint is None else opened.units[row.joint]
+
+
+class _EffectMenu:
+    """The effects of the library, by kind, with a field to search them."""
+
+    def __init__(self, workbench: Workbench) -> None:
+        self._workbench = workbench
+        self.button = button("Add an effect", "add-effect", self._fill, "outline size=sm icon=add")
+        with self.button, ui.menu().props("transition-duration=0 no-focus") as self._menu:
+            self._search = ui.input("search").props("dense autofocus").classes("effect-search")
+            named(self._search, "search-effect").on_value_change(self._fill)
+            self._list = ui.column().classes("effect-menu gap-0")
+        on_action(self._list, self._add)
+
+    def _fill(self) -> None:
+        """List the effects whose name, kind or description has the words that are searched."""
+        words = str(self._search.value or "").lower().split()
+        known = [name for names in KINDS.values() for name in names]
+        plain = [name for name in REGISTER if "/" not in name]
+        groups = {**KINDS, "Others": tuple(name for name in plain if name not in known)}
+        self._list.clear()
+        with self._list:
+            for kind, names in groups.items():
+                rows = [(name, _one_line(name)) for name in names if name in REGISTER]
+                rows = [r for r in rows if all(w in f"{kind} {' '.join(r)}".lower() for w in words)]
+                if rows:
+                    ui.label(kind).classes("menu-kind")
+                for name, line in rows:
+                    row = acting(named(ui.row(), f"library-{name}").classes("menu-row"), name)
+                    row.props["role"], row.props["tabindex"] = "button", "0"
+                    with row:
+                        ui.label(name).classes("strong")
+                        text(line, "muted small grow")
+
+    async def _add(self, name: str) -> None:
+        """Add an effect of the library to the selected joint."""
+        session, opened = self._workbench.session, self._workbench.opened
+        if session.step is None or opened is None:
+            return
+        self._menu.close()
+        number, last = session.joint + 1, len(opened.joint_names)
+        label = name if make(name).whole_arm else f"{name}:{number}"
+        if make(name).couples:  # from the next joint, or the previous one of the last joint
+            label = f"{name}:{number}<{number + 1 if number < last else number - 1}"
+        await self._workbench.apply(session.with_effect(label))
+
+
+def _one_line(name: str) -> str:
+    """Return the first line of the description of an effect, else its formula."""
+    effect = make(name)
+    return ((type(effect).__doc__ or "").strip().split("\n")[0] or effect.formula).rstrip(".")
 
 
 def _effect_card(row: EffectRow, curve: EffectCurve | None, unit: str, *, removable: bool) -> None:
@@ -120,12 +149,15 @@ def _effect_card(row: EffectRow, curve: EffectCurve | None, unit: str, *, remova
         with ui.row().classes("w-full items-center no-wrap gap-1"):
             ui.label(row.label).classes("strong grow")
             if removable:
-                _remove_button(row.label).props("size=sm").props["title"] = "remove and fit again"
+                _remove_button(row.label, "size=sm")
         ui.label(row.formula).classes("formula")
         for value in row.values:
             ui.label(value).classes("value")
+        rivals = ", ".join(make(row.effect).confused_with)
+        if rivals:
+            text(f"can be confused with {rivals}", "muted small ellipsis w-full")
         if curve is not None:
-            ui.html(curve_svg(curve, unit), sanitize=False).classes("w-full")
+            ui.html(_curve_svg(curve, unit), sanitize=False).classes("w-full")
 
 
 def _other_joints(rows: list[EffectRow], *, removable: bool) -> None:
@@ -139,50 +171,78 @@ def _other_joints(rows: list[EffectRow], *, removable: bool) -> None:
             named(chip, f"effect-{place(row.label)}").props["title"] = "; ".join(row.values)
             if removable:
                 with chip:
-                    _remove_button(row.label).props("size=xs")
+                    _remove_button(row.label, "size=xs")
 
 
-def _remove_button(label: str) -> ui.button:
-    button = acting(ui.button(icon="close").props("flat dense round"), label)
-    button.props["aria-label"] = f"remove {label}"
-    return named(button, f"remove-{place(label)}")
+def _remove_button(label: str, look: str) -> ui.button:
+    made = icon_button("close", f"remove-{place(label)}", f"remove {label} and fit again", look)
+    return acting(made, label)
 
 
-class ProposalsView:
-    """Effects that the diagnosis proposes; a click adds one."""
+def _curve_svg(curve: EffectCurve, unit: str) -> str:
+    """Return a picture of an effect's torque over its signal, with the ranges of both axes."""
+    xs, ys = curve.signal, curve.torque
+    low, high = min(xs), max(xs)
+    most = max(max(abs(y) for y in ys), 1e-12)
+    names = {"dq": "speed", "ddq": "acceleration", "q": "angle"}
+    across, down = WIDTH - 2 * MARGIN, HEIGHT - 2 * MARGIN - 12.0
+    points = "".join(
+        f'<circle cx="{MARGIN + across * (x - low) / (high - low or 1.0):.1f}" '
+        f'cy="{MARGIN + down * (0.5 - 0.5 * y / most):.1f}" r="1.4" '
+        f'fill="{FORWARD if y >= 0.0 else BACKWARD}"/>'
+        for x, y in zip(xs, ys, strict=True)
+    )
+    middle = MARGIN + 0.5 * down
+    ranges = (
+        f"± {figures(most)} {unit} over {names.get(curve.name, curve.name)} "
+        f"{figures(low)} to {figures(high)} {curve.unit}"
+    )
+    return (
+        f'<svg viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" width="100%" role="img" '
+        f'aria-label="{escape(ranges)}">'
+        f'<line x1="0" x2="{WIDTH:.0f}" y1="{middle:.1f}" y2="{middle:.1f}" stroke="#c8ced4"/>'
+        f'{points}<text x="{MARGIN}" y="{HEIGHT - 3:.0f}" font-size="9.5" fill="#52606d">'
+        f"{escape(ranges)}</text></svg>"
+    )
+
+
+class FindingsView(View):
+    """The verdict, and what the diagnosis found: one line and one button each."""
 
     def __init__(self, workbench: Workbench) -> None:
-        self._workbench = workbench
-        self._shown: object = None
-        with ui.column().classes("panel w-full grow-panel"):
-            ui.label("Proposed effects").classes("panel-title")
-            self._list = ui.column().classes("w-full gap-1 scroll")
+        super().__init__(workbench)
+        with ui.row().classes("verdict-panel w-full no-wrap"):
+            with ui.column().classes("grow gap-0"):
+                self._verdict = named(ui.label(""), "verdict").classes("verdict")
+                self._list = ui.column().classes("w-full gap-0 findings")
+            self._all = button("", "add-all", self._add_all, "unelevated color=primary")
         on_action(self._list, self._add)
 
-    async def _add(self, label: str) -> None:
-        """Add a proposed effect or a rival; with a kept fit, show the changed model."""
-        session = self._workbench.session
-        if session.inputs.mode == "changed":
-            proposed = () if session.found is None else session.found.proposed
-            for change in (p for p in proposed if p.label == label):
-                await self._workbench.apply(session.with_change(change))
-        else:
-            await self._workbench.apply(session.with_effect(label))
+    async def _add_all(self) -> None:
+        found = self.workbench.session.found
+        await self.workbench.add_found([p.label for p in found.proposed] if found else [])
+
+    async def _add(self, action: str) -> None:
+        """Add a proposal or a rival, or the proposals of a group."""
+        found = self.workbench.session.found
+        kind, _, name = action.partition(" ")
+        several = found.groups.get(int(name), []) if found and kind == "group" else []
+        labels = [each.label for each in several] if kind == "group" else [name]
+        await self.workbench.add_found(labels)
 
     def update(self) -> None:
         """Show what was found, or what the running search has found so far."""
-        workbench = self._workbench
-        found, step, arriving = (
-            workbench.session.found,
-            workbench.session.step,
-            workbench.search.arriving,
-        )
-        effects = () if step is None else step.effects_and_changes
-        searching = workbench.search.activity is not None
-        now = (id(found), effects, searching, len(arriving) if searching else 0)
-        if now == self._shown:
+        workbench = self.workbench
+        found, step = workbench.session.found, workbench.session.step
+        arriving = [] if workbench.searching is None else workbench.arriving
+        self._show_verdict()
+        present = () if step is None else step.effects_and_changes
+        missing = [] if found is None else [p for p in found.proposed if p.label not in present]
+        searching = workbench.searching is not None
+        self._all.text = f"Add all {len(missing)}" if len(missing) > 1 else "Add it"
+        self._all.set_visibility(bool(missing) and not searching)
+        if not self.is_new(id(found), present, searching, len(arriving), workbench.session.joint):
             return
-        self._shown = now
         self._list.clear()
         with self._list:
             if searching:
@@ -191,60 +251,106 @@ class ProposalsView:
                         f"found: {proposal.label}, held-out error of joint {proposal.joint + 1} "
                         f"{figures(proposal.before)} → {figures(proposal.after)} N·m"
                     ).classes("value")
-                if not arriving:
-                    ui.label("No effect found so far.").classes("muted")
-                return
-            if found is None:
-                ui.label("“Find what is missing” searches the library of effects.").classes("muted")
-                return
-            for proposed in found.proposed:
-                _proposal_card(
-                    proposed,
-                    present=proposed.label in effects,
-                    changed=workbench.session.inputs.mode == "changed",
-                )
-            if not found.proposed:
-                ui.label("The search found no effect.").classes("muted")
-            for sentence in found.unexplained:
-                ui.label(f"Unexplained: {sentence}.").classes("value")
+            elif found is not None:
+                self._show(found, present)
+
+    def _show_verdict(self) -> None:
+        workbench = self.workbench
+        session, evaluation = workbench.session, workbench.evaluation
+        found, step = session.found, session.step
+        if found is not None and step is not None and found.effects == step.effects:
+            self._verdict.text = _summary(found)
+        elif evaluation is not None:
+            exact = "" if evaluation.exact else " Preliminary; the exact fit is computed."
+            self._verdict.text = evaluation.sentence + exact
+        if evaluation is not None:  # for tests and the benchmark of the latency
+            props = self._verdict.props
+            props["data-complete"] = str(evaluation.complete).lower()
+            props["data-seconds"] = f"{evaluation.seconds:.4f} {evaluation.cpu_seconds:.4f}"
+
+    def _show(self, found: FoundEffects, present: tuple[str, ...]) -> None:
+        changed = self.workbench.session.inputs.mode == "changed"
+        for group in dict.fromkeys(p.group for p in found.proposed):
+            members = [p for p in found.proposed if p.group == group]
+            several = found.groups.get(group, [])
+            if several and any(p.label not in present for p in several) and not changed:
+                _group_row(group, several)
+            for proposed in members:
+                _finding(proposed, present=proposed.label in present, changed=changed)
+        for sentence in found.unexplained:
+            ui.label(f"Unexplained: {sentence}.").classes("value muted")
 
 
-def _proposal_card(proposed: ProposedEffect, *, present: bool, changed: bool) -> None:
-    """Show a proposal, its evidence, and its rivals."""
-    card = named(ui.column(), f"candidate-{place(proposed.label)}").classes("card candidate")
+def _summary(found: FoundEffects) -> str:
+    """Return the verdict in one sentence: what was found, and how far the error falls."""
+    falls = [
+        100.0 * (1.0 - after / before)
+        for before, after in zip(found.path[0], found.path[-1], strict=True)
+        if before and after is not None
+    ] if len(found.path) > 1 else []  # fmt: skip
+    if not found.proposed or not falls:
+        return found.sentence
+    count = len(found.proposed)
+    effects = "one effect" if count == 1 else f"{count} effects"
+    least, most = max(min(falls), 0.0), max(falls)
+    changed = "changed" if not found.model else "missing"
+    return (
+        f"{effects[0].upper()}{effects[1:]} {changed}: on unseen motion the error falls by "
+        f"{least:.0f} to {most:.0f} % of that of the first model, depending on the joint."
+    )
+
+
+def _group_row(group: int, members: list[ProposedEffect]) -> None:
+    """Show the effect that a group has on several joints, and add it on all of them."""
+    joints = ", ".join(str(j) for each in members for j in each.joints)
+    with ui.row().classes("finding group-row"):
+        text(f"{members[0].effect} on joints {joints}", "strong grow ellipsis")
+        made = named(ui.button(f"Add on {len(members)} joints"), f"add-group-{group}")
+        acting(made.props("dense no-caps flat size=sm"), f"group {group}")
+
+
+def _finding(proposed: ProposedEffect, *, present: bool, changed: bool) -> None:
+    """Show a proposal in one line, with its rivals; a click adds it."""
+    row = named(ui.row(), f"candidate-{place(proposed.label)}").classes("finding candidate")
     if not present:
-        acting(card, proposed.label).props["role"] = "button"
-        card.props["tabindex"] = "0"
-    with card:
-        with ui.row().classes("w-full items-center no-wrap gap-1"):
-            ui.label(proposed.label).classes("strong grow")
-            if not present:
-                ui.icon("add_circle").classes("add")
-            else:
-                ui.label("shown" if changed else "in the model").classes("muted small")
-        error = "error" if changed else "held-out error"
-        before, after = figures(proposed.before), figures(proposed.after)
-        ui.label(f"{error} {before} → {after} N·m").classes("value")
-        if proposed.value and changed:
-            ui.label(f"change: {proposed.value}").classes("value")
+        acting(row, f"effect {proposed.label}").props["role"] = "button"
+        row.props["tabindex"] = "0"
+    before, after = proposed.before, proposed.after
+    facts = proposed.sentence or proposed.value
+    with row:
+        ui.label(proposed.label).classes("strong")
+        status = named(ui.label(STATUS[proposed.status]), f"status-{place(proposed.label)}")
+        status.classes(f"status {proposed.status}")
+        status.props["title"] = STATUS_MEANING[proposed.status]
+        text(f"change: {proposed.value}" if changed else facts, "grow ellipsis muted")
+        if before and after is not None:
+            change = f"{100.0 * (after / before - 1.0):+.0f} %"
+            text(f"{figures(before)} → {figures(after)} N·m ({change})", "number").props[
+                "title"
+            ] = "unseen error of the joint without and with it"
         if proposed.selected is not None:
-            part = f"selected in {100.0 * proposed.selected:.0f} % of resampled data"
-            ui.label(part).classes("muted small")
-        if proposed.confirmed is not None:
-            falls = "falls" if proposed.confirmed else "does not fall"
-            ui.label(f"the error on the test {falls}").classes("muted small")
-        if proposed.rivals and not changed:
-            _rivals(proposed)
+            found = text(f"{100.0 * proposed.selected:.0f} %", "number muted small")
+            found.props["title"] = "fraction of resampled data in which it was chosen"
+        if proposed.confirmed is False:
+            text("not on the test", "small warning").props["title"] = (
+                "the error on the test does not fall"
+            )
+        if present:
+            ui.label("shown" if changed else "in the model").classes("muted small")
+        else:
+            ui.icon("add_circle").classes("add").props["title"] = "add it and fit again"
+    if proposed.rivals and not changed:
+        _rivals(proposed)
 
 
 def _rivals(proposed: ProposedEffect) -> None:
     """Show the rivals of a proposal; a click on one adds it in place of the proposal."""
-    with ui.row().classes("gap-1 items-center"):
-        ui.label("rivals").classes("muted small")
+    with ui.row().classes("gap-1 items-center rivals"):
+        ui.label("or").classes("muted small")
         for label, kind in proposed.rivals:
             chip = ui.chip(label).props("dense outline square clickable")
             exact = kind == "exact"
             chip.props["title"] = (
                 "equivalent with any data" if exact else "not separable by this data"
             )
-            named(acting(chip, label), f"candidate-{place(label)}")
+            named(acting(chip, f"effect {label}"), f"candidate-{place(label)}")

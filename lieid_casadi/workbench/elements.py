@@ -10,20 +10,85 @@ from nicegui import ui
 from nicegui.element import Element
 
 from lieid_casadi.comparison.comparison import AS_NOISE, BEYOND_NOISE
+from lieid_casadi.workbench.workbench import Workbench
 
 E = TypeVar("E", bound=Element)
 UNKNOWN = "–"
+UNKNOWN_COLOUR = "#b8bec4"
+BAND, COMPARED, FIRST = "#9fb6c6", "#009e73", "#9aa5b1"
+#: Largest error over noise floor of each class and its colour; readable without red and green.
+SCALE = (
+    (AS_NOISE, "#7fb8dc"),
+    (BEYOND_NOISE, "#e6d36a"),
+    (5.0, "#e69f00"),
+    (float("inf"), "#b03a00"),
+)
 _EMIT_ACTION = """(event) => {
   const part = event.target.closest('[data-action]');
   const twice = event.type === 'keydown' && part?.tagName === 'BUTTON';  // Enter clicks it, too
   if (part && !twice) emit(part.dataset.action);
 }"""
+# Waits for a chart that the browser has not made yet.
+_SET_OPTIONS = """(function set(options, whole) {
+  const chart = getElement(ID)?.chart;
+  if (chart) chart.setOption(options, whole); else setTimeout(() => set(options, whole), 20);
+})(OPTIONS, WHOLE);"""
+
+
+class View:
+    """A part of the page; it is drawn again when what it shows has changed."""
+
+    def __init__(self, workbench: Workbench) -> None:
+        self.workbench = workbench
+        self._shown: object = None
+
+    def is_new(self, *shown: object) -> bool:
+        """Return whether this differs from what was drawn last, and remember it."""
+        new = shown != self._shown
+        self._shown = shown
+        return new
+
+    def update(self) -> None:
+        """Draw what has changed."""
+        raise NotImplementedError
 
 
 def named(element: E, test_id: str) -> E:
     """Return an element with an identifier for tests (``data-testid``)."""
     element.props["data-testid"] = test_id
     return element
+
+
+def button(text: str, test_id: str, act: Callable[[], object], look: str = "flat") -> ui.button:
+    """Return a small button with a text."""
+    made = ui.button(text, on_click=act).props(f"dense no-caps {look}")
+    return named(made, test_id)
+
+
+def icon_button(icon: str, test_id: str, meaning: str, look: str = "size=sm") -> ui.button:
+    """Return a round button with an icon, and its meaning as a tooltip."""
+    made = ui.button(icon=icon).props(f"flat dense round {look}")
+    made.props["aria-label"] = made.props["title"] = meaning
+    return named(made, test_id)
+
+
+def text(content: str, classes: str, test_id: str = "") -> ui.label:
+    """Return a label whose whole text is its tooltip, where the page may cut it."""
+    made = ui.label(content).classes(classes)
+    made.props["title"] = content
+    return named(made, test_id) if test_id else made
+
+
+def set_text(label: ui.label, content: str) -> None:
+    """Change the text of a label, and its tooltip."""
+    if label.text != content:
+        label.text = content
+        label.props["title"] = content
+
+
+def toggle_class(element: Element, name: str, on: bool) -> None:
+    """Add or remove a class of the style sheet."""
+    element.classes(add=name if on else "", remove="" if on else name)
 
 
 def acting(element: E, action: str) -> E:
@@ -37,11 +102,6 @@ def on_action(container: Element, handle: Callable[[str], Awaitable[None]]) -> N
 
     The list listens, not its parts: parts may be drawn again between the click and its arrival,
     and events of deleted parts are dropped.
-
-    Parameters
-    ----------
-    container : Element
-        Its parts are marked by `acting`.
     """
     for kind in ("click", "keydown.enter"):
         container.on(kind, lambda event: handle(event.args), js_handler=_EMIT_ACTION)
@@ -75,44 +135,23 @@ def place(label: str) -> str:
     return f"{name.partition('/')[0]}-{joint.partition('<')[0] or 'arm'}"
 
 
-UNKNOWN_COLOUR = "#b8bec4"
-#: Largest error over noise floor of each class and its colour; readable without red and green.
-SCALE = (
-    (AS_NOISE, "#7fb8dc"),
-    (BEYOND_NOISE, "#e6d36a"),
-    (5.0, "#e69f00"),
-    (float("inf"), "#b03a00"),
-)
-#: Lines for successive models and effects.
-SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#6a51a3", "#555555")
+def ratio(error: float | None, floor: float | None) -> float | None:
+    """Return an error in multiples of its noise floor, None where one is unknown."""
+    return error / floor if error is not None and floor else None
 
 
-def ratio_colour(ratio: float | None) -> str:
+def ratio_colour(multiple: float | None) -> str:
     """Return the colour of an error in multiples of the noise floor."""
-    if ratio is None:
+    if multiple is None:
         return UNKNOWN_COLOUR
-    return next(colour for most, colour in SCALE if ratio <= most)
-
-
-# Waits for a chart that the browser has not made yet.
-_SET_OPTIONS = """(function set(options, whole) {
-  const chart = getElement(ID)?.chart;
-  if (chart) chart.setOption(options, whole); else setTimeout(() => set(options, whole), 20);
-})(OPTIONS, WHOLE);"""
+    return next(colour for most, colour in SCALE if multiple <= most)
 
 
 class Chart:
     """An ECharts chart whose options are not properties of the page's element.
 
     Properties are observed down to every sample, here and in the browser, and the whole page is
-    rendered again after a change; both take longer than to draw the chart.
-
-    Parameters
-    ----------
-    name : str
-        For tests (``data-testid``) and the style sheet.
-    options : dict
-        Its series, as those of later options, have an ``id``.
+    rendered again after a change; both take longer than to draw the chart. Series have an ``id``.
     """
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
@@ -121,13 +160,7 @@ class Chart:
         self.show(options, whole=True)
 
     def show(self, options: dict[str, Any], *, whole: bool = False) -> None:
-        """Show other options.
-
-        Parameters
-        ----------
-        whole : bool
-            Forget what the browser has changed, such as the zoom.
-        """
+        """Show other options; ``whole`` forgets what the browser has changed, such as the zoom."""
         shown, self._shown = self._shown, options
         whole = whole or _names(options) != _names(shown)
         if not whole:
@@ -136,15 +169,21 @@ class Chart:
                 both = zip(options["series"], shown["series"], strict=True)
                 options["series"] = [_difference(new, old) for new, old in both if new != old]
         if options:
-            text = _SET_OPTIONS.replace("ID", str(self.element.id), 1)
-            text = text.replace("WHOLE", str(whole).lower(), 1)
+            script = _SET_OPTIONS.replace("ID", str(self.element.id), 1)
+            script = script.replace("WHOLE", str(whole).lower(), 1)
             self.element.client.run_javascript(
-                text.replace("OPTIONS", msgspec.json.encode(options).decode(), 1)
+                script.replace("OPTIONS", msgspec.json.encode(options).decode(), 1)
             )
 
     def run(self, method: str, *arguments: Any) -> None:
         """Run a method of the chart in the browser."""
         self.element.run_chart_method(method, *arguments)
+
+
+def noise_band(floor: float | None) -> dict[str, Any]:
+    """Return the noise floor as a band around zero, for a series of a chart."""
+    ends = [] if floor is None else [[{"yAxis": -floor}, {"yAxis": floor}]]
+    return {"silent": True, "itemStyle": {"color": BAND, "opacity": 0.35}, "data": ends}
 
 
 def _names(options: dict[str, Any]) -> list[str]:

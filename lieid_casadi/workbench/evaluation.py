@@ -17,20 +17,34 @@ from lieid_casadi.effects.registry import make
 from lieid_casadi.identification import Fit
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processed, Recording, check, process
+from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.workbench.arm import ArmMesh, ArmSolid, arm_meshes, arm_solids
 from lieid_casadi.workbench.recordings import NoiseFloor, PreparedRecordings
 from lieid_casadi.workbench.session import (
     FoundEffects,
-    ModelStep,
+    Numbers,
     ProposedEffect,
     StepErrors,
+)
+
+SEARCH_EFFECTS = "“Find what is missing” searches the library of effects"
+SEARCH_CHANGES = "“Find what has changed” searches for changes since the fit"
+LONGEST = 40.0  # s of the recording that the curves of effects are made of
+POINTS = 160
+#: Signals in the order in which one is chosen for the axis: name, unit (turning, sliding joint).
+AXES = (
+    ("temperature", "°C", "°C"),
+    ("load", "N·m", "N"),
+    ("time", "s", "s"),
+    ("ddq", "rad/s²", "m/s²"),
+    ("dq", "rad/s", "m/s"),
+    ("q", "rad", "m"),
 )
 
 
 @dataclass(frozen=True)
 class OpenedRecording:
-    """Facts about one recording, for the list of what is open."""
+    """Facts about one recording: its rows, first and last time in s, rate in Hz, warnings."""
 
     name: str
     rows: int
@@ -44,18 +58,8 @@ class OpenedRecording:
 class OpenedInputs:
     """What was opened.
 
-    Attributes
-    ----------
-    robot : str
-        Name of the robot.
-    joint_names, units : tuple of str
-        Of each joint: its name, and N·m or N.
-    effects : tuple of str
-        Labels of the placements of the first model.
-    expected : tuple of float or None
-        Held-out error of an opened fit, N·m.
-    meshes : tuple of ArmMesh
-        Of a URDF whose files are found; they replace the capsules.
+    ``units`` are those of each joint's torque, N·m or N; ``effects`` the labels of the first
+    model's placements; ``meshes`` those of a URDF whose files are found, in place of capsules.
     """
 
     robot: str
@@ -63,44 +67,54 @@ class OpenedInputs:
     units: tuple[str, ...]
     revolute: tuple[bool, ...]
     effects: tuple[str, ...]
-    expected: tuple[float | None, ...]
     recordings: tuple[OpenedRecording, ...]
     solids: tuple[ArmSolid, ...]
     meshes: tuple[ArmMesh, ...]
 
 
-@dataclass(frozen=True)
-class EffectCurve:
-    """Fitted torque of an effect, N·m or N, at values of the signal ``name``."""
+def opened_inputs(model: Model, recordings: Sequence[Recording], *, file: str) -> OpenedInputs:
+    """Return facts about the first model and the recordings, which are checked.
 
-    name: str
-    unit: str
-    signal: tuple[float, ...]
-    torque: tuple[float, ...]
+    ``file`` is that of the robot or fit, near which its meshes are looked for.
+    """
+    robot = model.robot
+    return OpenedInputs(
+        robot=robot.name,
+        joint_names=tuple(joint.name for joint in robot.joints),
+        units=tuple("N·m" if joint.revolute else "N" for joint in robot.joints),
+        revolute=tuple(joint.revolute for joint in robot.joints),
+        effects=tuple(p.label for p in model.placements),
+        recordings=tuple(
+            OpenedRecording(
+                name=r.name,
+                rows=len(r),
+                start=float(r.t[0]),
+                end=float(r.t[-1]),
+                rate=float(r.rate),
+                warnings=tuple(str(w) for w in check(r, robot)),
+            )
+            for r in recordings
+        ),
+        solids=arm_solids(robot),
+        meshes=arm_meshes(robot, file),
+    )
 
 
 @dataclass(frozen=True)
 class SimulationError:
-    """How far a simulation leaves the measured motion within short windows.
+    """How far a simulation leaves the measured motion at the ends of windows of some seconds.
 
-    Attributes
-    ----------
-    window : float
-        s.
-    rms : tuple of float or None
-        At the ends of the windows, per joint, rad or m.
-    reason : str
-        Why there is no simulation; empty if there is one.
+    Per joint, rad or m; ``reason`` says why there is no simulation, and is empty if there is one.
     """
 
     window: float
-    rms: tuple[float | None, ...]
+    rms: Numbers
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class EffectRow:
-    """One effect of the model on one joint.
+    """One effect of the model on one joint (from 0; None: on the whole arm).
 
     ``values`` are its parameters as text, ``name = value ± std unit``.
     """
@@ -110,47 +124,6 @@ class EffectRow:
     joint: int | None
     formula: str
     values: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """A fitted model compared with all recordings.
-
-    Attributes
-    ----------
-    exact : bool
-        False if shape parameters were held or only parts of the recordings were used.
-    complete : bool
-        Whether it is exact, with the standard deviations and the noise floor of this model.
-    train, test : Comparison or None
-        With the recordings that were fitted, and with the others; ``test`` holds all recordings
-        if the fit is kept. The series of a recording are named after it, see `recording_title`.
-    sentence : str
-        How large the error is, compared with the noise.
-    shapes : dict
-        Label of each shape parameter → its value, from which later fits start.
-    cutoff : float
-        Hz.
-    seconds, cpu_seconds : float
-        Time that the computation took, and that of the processor.
-    """
-
-    exact: bool
-    complete: bool
-    errors: StepErrors
-    train: Comparison | None
-    test: Comparison | None
-    sentence: str
-    effects: tuple[EffectRow, ...]
-    warnings: tuple[str, ...]
-    shapes: dict[str, float]
-    cutoff: float
-    seconds: float = 0.0
-    cpu_seconds: float = 0.0
-
-
-SEARCH_EFFECTS = "“Find what is missing” searches the library of effects"
-SEARCH_CHANGES = "“Find what has changed” searches for changes since the fit"
 
 
 @dataclass(frozen=True)
@@ -172,6 +145,49 @@ class Effort:
     brief: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """A fitted model compared with all recordings.
+
+    Attributes
+    ----------
+    exact : bool
+        False if shape parameters were held or only parts of the recordings were used.
+    complete : bool
+        Whether it is exact, with the standard deviations and the noise floor of this model.
+    train, test : Comparison or None
+        With the recordings that were fitted, and with the others; ``test`` holds all recordings
+        if the fit is kept. The series of a recording are named after it, see `recording_titles`.
+    sentence : str
+        How large the error is, compared with the noise.
+    shapes : dict
+        Label of each shape parameter → its value, from which later fits start.
+    cutoff : float
+        Of the filter in ``processing``, Hz.
+    seconds, cpu_seconds : float
+        Time that the computation took, and that of the processor.
+    """
+
+    exact: bool
+    complete: bool
+    errors: StepErrors
+    train: Comparison | None
+    test: Comparison | None
+    sentence: str
+    effects: tuple[EffectRow, ...]
+    warnings: tuple[str, ...]
+    shapes: dict[str, float]
+    cutoff: float
+    processing: Processing | None = None
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+
+    @property
+    def shown(self) -> Comparison | None:
+        """The comparison whose errors are shown: with the test, if there is one."""
+        return self.test or self.train
+
+
 def evaluate_fit(
     fit: Fit,
     train: PreparedRecordings | None,
@@ -181,18 +197,9 @@ def evaluate_fit(
     effort: Effort,
     noise: NoiseFloor | None,
 ) -> Evaluation:
-    """Compare a fit with all recordings of a step.
+    """Compare a fit, with changes since it, with all recordings of a step.
 
-    Parameters
-    ----------
-    train, test : PreparedRecordings or None
-        At least one of them; no training if an opened fit is kept.
-    changes : sequence of ProposedEffect
-        Since the fit.
-    effort : Effort
-        Of the fit.
-    noise : NoiseFloor or None
-        Estimated if None.
+    There is no training if an opened fit is kept. The noise floor is estimated if None.
     """
     on_train = on_test = None
     if train is not None:
@@ -202,32 +209,40 @@ def evaluate_fit(
     shown = on_test or on_train
     assert shown is not None
     trained = on_train.rms_moving if on_train is not None else np.full(fit.model.n, np.nan)
-    errors = StepErrors(
-        tuple(numbers_or_none(trained)),
-        tuple(numbers_or_none(fit.rms_cv if on_test is None else on_test.rms_moving)),
-        tuple(numbers_or_none(shown.noise_floor)),
-    )
+    error = fit.rms_cv if on_test is None else on_test.rms_moving
+    columns = (trained, error, shown.noise_floor, _spread(shown))
     notes = [*fit.warnings, *(on_test.warnings if on_test is not None else ())]
     return Evaluation(
         exact=not (effort.held or effort.thinned),
         complete=effort == Effort(),
-        errors=errors,
+        errors=StepErrors(*(tuple(numbers_or_none(values)) for values in columns)),
         train=on_train,
         test=on_test,
         sentence=verdict(shown, remedy=SEARCH_EFFECTS if train else SEARCH_CHANGES),
-        effects=effect_rows(fit) + change_rows(changes),
+        effects=_effect_rows(fit) + _change_rows(changes),
         warnings=tuple(dict.fromkeys(str(w) for w in notes)),
         shapes={s.label: float(v) for s, v in zip(fit.model.shapes, fit.shapes, strict=True)},
         cutoff=fit.processing.cutoff or shown.cutoff,
+        processing=fit.processing,
     )
 
 
-def effect_rows(fit: Fit) -> tuple[EffectRow, ...]:
+def _spread(comparison: Comparison) -> Array:
+    """Return the standard deviation of the measured torque in motion (n,), NaN at rest, N·m."""
+    measured = np.concatenate([s.measured for s in comparison.series])
+    moving = np.concatenate([s.moving for s in comparison.series])
+    values = [torque[use] for torque, use in zip(measured.T, moving.T, strict=True)]
+    return np.array([part.std() if part.size else np.nan for part in values])
+
+
+def _effect_rows(fit: Fit) -> tuple[EffectRow, ...]:
     """Return one row per effect and joint, in the model's order."""
     values: dict[tuple[str, int], list[str]] = {}
     for row in fit.parameter_table():
         name, _, parameter = row["name"].rpartition(".")
-        values.setdefault((name, row["joint"] - 1), []).append(_text(parameter, row))
+        values.setdefault((name, row["joint"] - 1), []).append(
+            value_text(parameter, row["value"], row["std"], row["unit"])
+        )
     return tuple(
         EffectRow(
             label=placement.label,
@@ -241,7 +256,7 @@ def effect_rows(fit: Fit) -> tuple[EffectRow, ...]:
     )
 
 
-def change_rows(changes: Sequence[ProposedEffect]) -> tuple[EffectRow, ...]:
+def _change_rows(changes: Sequence[ProposedEffect]) -> tuple[EffectRow, ...]:
     """Return one row per change since a fit."""
     return tuple(
         EffectRow(
@@ -255,27 +270,30 @@ def change_rows(changes: Sequence[ProposedEffect]) -> tuple[EffectRow, ...]:
     )
 
 
-def _text(parameter: str, row: dict[str, object]) -> str:
-    unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
-    std = "" if row["std"] is None else f" ± {row['std']:.2g}"
-    return f"{parameter} = {row['value']:.4g}{std}{unit}"
+def value_text(name: str, value: float, std: float | None, unit: str) -> str:
+    """Return a parameter as the page shows it.
+
+    Examples
+    --------
+    >>> value_text("f_c", 17.552, 0.853, "N·m"), value_text("g", 0.02, None, "1")
+    ('f_c = 17.55 ± 0.85 N·m', 'g = 0.02')
+    """
+    deviation = "" if std is None else f" ± {std:.2g}"
+    return f"{name} = {value:.4g}{deviation}{'' if unit in ('', '1') else ' ' + unit}"
 
 
 def _not_identified(placement: Placement) -> str:
     return f"{placement.effect.label} is not identifiable apart from the other parameters"
 
 
-LONGEST = 40.0  # s of the recording that the curves are made of
-POINTS = 160
-#: Signals in the order in which one is chosen for the axis: name, unit (turning, sliding joint).
-AXES = (
-    ("temperature", "°C", "°C"),
-    ("load", "N·m", "N"),
-    ("time", "s", "s"),
-    ("ddq", "rad/s²", "m/s²"),
-    ("dq", "rad/s", "m/s"),
-    ("q", "rad", "m"),
-)
+@dataclass(frozen=True)
+class EffectCurve:
+    """Fitted torque of an effect, N·m or N, at values of the signal ``name``."""
+
+    name: str
+    unit: str
+    signal: tuple[float, ...]
+    torque: tuple[float, ...]
 
 
 def effect_curves(fit: Fit, recording: Recording) -> dict[str, EffectCurve]:
@@ -296,9 +314,8 @@ def effect_curves(fit: Fit, recording: Recording) -> dict[str, EffectCurve]:
             continue
         x = signal if signal.ndim == 1 else signal[:, source]
         rows = np.linspace(0, len(x) - 1, POINTS).astype(int)
-        unit = next(
-            u if fit.model.robot.joints[joint].revolute else s for n, u, s in AXES if n == name
-        )
+        units = next(units for n, *units in AXES if n == name)
+        unit = units[0] if fit.model.robot.joints[joint].revolute else units[1]
         curves[each.placement.label] = EffectCurve(
             name, unit, tuple(x[rows].tolist()), tuple(each.torque[rows, joint].tolist())
         )
@@ -321,81 +338,42 @@ def _signal(name: str, segment: Processed, load: Array) -> Array | None:
     return getattr(segment, name)  # type: ignore[no-any-return]
 
 
-def found_effects(diagnosis: Diagnosis, step: ModelStep) -> FoundEffects:
-    """Return what a diagnosis of a step's model proposes."""
+def found_effects(diagnosis: Diagnosis, effects: tuple[str, ...]) -> FoundEffects:
+    """Return what a diagnosis of a model with these effects found."""
+    model = diagnosis.fit.model
+    shapes = zip(model.shapes, diagnosis.fit.shapes, strict=True)
+    steps = zip(diagnosis.steps, diagnosis.groups, strict=True)
+    changed = diagnosis.mode == "changed"
     return FoundEffects(
         verdict=diagnosis.verdict,
         sentence=diagnosis.sentence,
-        proposed=tuple(_proposed(each) for each in diagnosis.steps),
-        effects=step.effects,
+        proposed=tuple(_proposed(step, group) for step, group in steps),
+        effects=effects,
         unexplained=tuple(
             f"joint {part.joint + 1}: {part.relation}" for part in diagnosis.unexplained
         ),
-        shapes=tuple(
-            (parameter.label, float(value))
-            for parameter, value in zip(
-                diagnosis.fit.model.shapes, diagnosis.fit.shapes, strict=True
-            )
-        ),
+        shapes=tuple((parameter.label, float(value)) for parameter, value in shapes),
+        model=() if changed else tuple(p.label for p in model.placements),
+        path=tuple(tuple(numbers_or_none(errors)) for errors in diagnosis.shown[1]),
     )
 
 
-def _proposed(step: DiagnosisStep) -> ProposedEffect:
-    content = step.to_dict()
+def _proposed(step: DiagnosisStep, group: int) -> ProposedEffect:
     return ProposedEffect(
         label=step.label,
         effect=step.effect,
         joints=tuple(j + 1 for j in step.joints),
-        joint=_joint(step),
+        joint=step.joints[0] if step.joints else 0,
         before=number_or_none(step.evidence.held_out_before),
         after=number_or_none(step.evidence.held_out_after),
-        selected=content.get("selected"),
+        selected=step.to_dict().get("selected"),
         confirmed=step.evidence.confirmed,
         rivals=tuple((c.placement.label, kind) for c, kind in step.indistinguishable),
         value=", ".join(
-            f"{name} = {value:.4g}{'' if step.units[name] == '1' else ' ' + step.units[name]}"
+            value_text(name, value, None, step.units[name])
             for name, value in step.parameters.items()
         ),
         parameters=tuple(step.parameters.items()),
-    )
-
-
-def _joint(step: DiagnosisStep) -> int:
-    """Return the joint, from 0, that an effect is listed under."""
-    return step.joints[0] if step.joints else 0
-
-
-def opened_inputs(
-    model: Model, recordings: Sequence[Recording], kept: Fit | None, *, file: str
-) -> OpenedInputs:
-    """Return facts about the first model and the recordings, which are checked.
-
-    Parameters
-    ----------
-    kept : Fit or None
-        The fit that is kept, if it is not fitted again.
-    file : str
-        Of the robot or fit, near which its meshes are looked for.
-    """
-    robot = model.robot
-    return OpenedInputs(
-        robot=robot.name,
-        joint_names=tuple(joint.name for joint in robot.joints),
-        units=tuple("N·m" if joint.revolute else "N" for joint in robot.joints),
-        revolute=tuple(joint.revolute for joint in robot.joints),
-        effects=tuple(p.label for p in model.placements),
-        expected=(None,) * robot.n if kept is None else tuple(numbers_or_none(kept.rms_cv)),
-        recordings=tuple(
-            OpenedRecording(
-                name=r.name,
-                rows=len(r),
-                start=float(r.t[0]),
-                end=float(r.t[-1]),
-                rate=float(r.rate),
-                warnings=tuple(str(w) for w in check(r, robot)),
-            )
-            for r in recordings
-        ),
-        solids=arm_solids(robot),
-        meshes=arm_meshes(robot, file),
+        status="one_of" if step.indistinguishable else "named",
+        group=group,
     )

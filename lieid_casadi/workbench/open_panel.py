@@ -5,24 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING
 
 from nicegui import ui
 from nicegui.events import UploadEventArguments
 
-from lieid_casadi.workbench.elements import named
+from lieid_casadi.workbench.elements import View, button, icon_button, named, text
 from lieid_casadi.workbench.session import (
     RecordingInput,
     Role,
+    Session,
     WorkbenchInputs,
     saved_sessions,
-    upload_folder,
+    upload_file,
 )
-
-if TYPE_CHECKING:
-    from lieid_casadi.workbench.evaluation import OpenedRecording
-    from lieid_casadi.workbench.session import Session
-    from lieid_casadi.workbench.workbench import Workbench
+from lieid_casadi.workbench.workbench import Workbench
 
 ROBOT_FILES = (".urdf", ".xml", ".yaml", ".yml", ".json")
 LARGEST_UPLOAD = 4 << 30  # bytes
@@ -63,13 +59,12 @@ class _Fields:
     options: dict[str, ui.input]
 
 
-class OpenPanel:
+class OpenPanel(View):
     """A form for the inputs; errors are shown beside the field that they are about."""
 
     def __init__(self, workbench: Workbench) -> None:
-        self._workbench = workbench
+        super().__init__(workbench)
         self._recordings: list[RecordingInput] = []
-        self._shown: object = None
         self._error_place: ui.column | None = None
         with ui.column().classes("panel open-panel") as self._panel:
             with ui.element("div").classes("open-columns"):
@@ -81,10 +76,8 @@ class OpenPanel:
                     ui.label("Recent sessions").classes("panel-title")
                     self._recent = ui.column().classes("gap-0 w-full")
             with ui.row().classes("items-center"):
-                button = ui.button("Open these", on_click=self._open)
-                named(button.props("dense no-caps unelevated"), "open")
-                close = ui.button("Close", on_click=self.toggle)
-                named(close.props("dense flat no-caps"), "close-form")
+                button("Open these", "open", self._open, "unelevated")
+                button("Close", "close-form", self.toggle)
             self._error = named(ui.label(""), "open-error").classes("error-line")
         self._panel.set_visibility(False)
         self._error.set_visibility(False)
@@ -97,14 +90,13 @@ class OpenPanel:
 
     def update(self) -> None:
         """Show the form where nothing is open, and why the last opening failed."""
-        workbench = self._workbench
+        workbench = self.workbench
         failure = workbench.failure
         nothing_open = workbench.opened is None and not workbench.computing
-        if (failure or nothing_open) and self._shown != (failure, nothing_open):
+        if self.is_new(failure, nothing_open) and (failure or nothing_open):
             if not self._panel.visible:
                 self._fill()
             self._panel.set_visibility(True)
-        self._shown = (failure, nothing_open)
         self._error.text = "" if failure is None else failure.text
         self._error.set_visibility(failure is not None)
         if failure is not None:
@@ -139,8 +131,7 @@ class OpenPanel:
         with ui.row().classes("w-full no-wrap items-center gap-2"):
             self._path = ui.input("path, or FILE@T0:T1").props("dense").classes("grow")
             named(self._path, "open-recording").on("keydown.enter", self._add_path)
-            button = ui.button("Add", on_click=self._add_path)
-            named(button.props("dense flat no-caps"), "add-recording")
+            button("Add", "add-recording", self._add_path)
         upload = ui.upload(
             multiple=True, auto_upload=True, max_file_size=LARGEST_UPLOAD,
             label="or drop files of the robot and of recordings here", on_upload=self._uploaded,
@@ -152,7 +143,7 @@ class OpenPanel:
 
     def _fill(self) -> None:
         """Show what is open, and the sessions that can be restored."""
-        inputs = self._workbench.session.inputs
+        inputs = self.workbench.session.inputs
         self._recordings = list(inputs.recordings)
         self._fields.robot.value = inputs.fit or inputs.robot
         self._fields.mode.value = inputs.mode
@@ -167,7 +158,7 @@ class OpenPanel:
         self._recent.clear()
         with self._recent:
             for saved in saved_sessions()[:RECENT]:
-                if saved.name == self._workbench.name:
+                if saved.name == self.workbench.name:
                     continue
                 given = saved.session.inputs
                 when = datetime.fromtimestamp(saved.saved).strftime("%d %b %H:%M")
@@ -181,41 +172,30 @@ class OpenPanel:
 
     async def _restore(self, session: Session) -> None:
         self._panel.set_visibility(False)
-        await self._workbench.open(session.inputs, session)
+        await self.workbench.open(session.inputs, session)
 
     def _list_recordings(self) -> None:
         self._list.clear()
-        opened = self._workbench.opened
-        known = {} if opened is None else self._warnings()
+        opened = self.workbench.opened
+        paths = [r.path for r in self.workbench.session.inputs.recordings]
+        read = [] if opened is None else opened.recordings
+        known = dict(zip(paths, read, strict=False))  # none is read before the first opening
         with self._list:
             for k, recording in enumerate(self._recordings):
                 with ui.row().classes("w-full no-wrap items-center gap-1"):
-                    ui.label(PurePath(recording.path).name).classes("grow ellipsis").tooltip(
-                        recording.path
-                    )
+                    name = text(PurePath(recording.path).name, "grow ellipsis")
+                    name.props["title"] = recording.path
                     role = ui.toggle(
                         {"train": "fit", "test": "test"},
                         value=recording.role,
                         on_change=lambda event, k=k: self._set_role(k, event.value),
                     )
                     named(role.props("dense no-caps size=sm"), f"role-{k + 1}")
-                    button = ui.button(icon="close", on_click=lambda k=k: self._remove(k))
-                    button.props("flat dense round size=sm").props["aria-label"] = "remove"
-                    named(button, f"remove-recording-{k + 1}")
-                for warning in known.get(recording.path, ()):
-                    ui.label(warning).classes("warning small")
-
-    def _warnings(self) -> dict[str, tuple[str, ...]]:
-        """Return the warnings of the recordings that are open, by path."""
-        workbench = self._workbench
-        assert workbench.opened is not None
-        inputs = workbench.session.inputs.recordings
-        if len(inputs) != len(workbench.opened.recordings):
-            return {}
-        return {
-            given.path: opened.warnings
-            for given, opened in zip(inputs, workbench.opened.recordings, strict=True)
-        }
+                    remove = icon_button("close", f"remove-recording-{k + 1}", "remove")
+                    remove.on_click(lambda k=k: self._remove(k))
+                if recording.path in known:
+                    for warning in known[recording.path].warnings:
+                        ui.label(warning).classes("warning small")
 
     def _add_path(self) -> None:
         path = (self._path.value or "").strip()
@@ -240,7 +220,7 @@ class OpenPanel:
         name = PurePath(event.file.name.replace("\\", "/")).name
         if name in ("", ".", ".."):
             return
-        target = upload_folder(self._workbench.name) / name
+        target = upload_file(self.workbench.name, name)
         await event.file.save(target)
         if not self._panel.visible:  # they were dropped elsewhere on the page
             self.toggle()
@@ -265,22 +245,18 @@ class OpenPanel:
             tip=(given.tip.value or "").strip(),
             lock=tuple((given.lock.value or "").split()),
         )
-        if await self._workbench.open(inputs):
-            if any(r.warnings for r in _opened_recordings(self._workbench)):
+        if await self.workbench.open(inputs) and self.workbench.opened is not None:
+            if any(r.warnings for r in self.workbench.opened.recordings):
                 self._list_recordings()
             else:
                 self._panel.set_visibility(False)
 
     def _options(self) -> tuple[tuple[str, str], ...]:
         """Return the options of the form, and those of the command line that it does not show."""
-        hidden = [o for o in self._workbench.session.inputs.options if o[0] not in OPTIONS]
+        hidden = [o for o in self.workbench.session.inputs.options if o[0] not in OPTIONS]
         given = [(name, (f.value or "").strip()) for name, f in self._fields.options.items()]
         return (*((name, text) for name, text in given if text), *hidden)
 
 
 def _field(label: str) -> ui.input:
     return ui.input(label).props("dense").classes("w-full")
-
-
-def _opened_recordings(workbench: Workbench) -> tuple[OpenedRecording, ...]:
-    return () if workbench.opened is None else workbench.opened.recordings

@@ -13,7 +13,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
-from lieid_casadi.comparison.compare import compare_segments
+from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.compiled import compile
 from lieid_casadi.diagnosis import change_torque
 from lieid_casadi.errors import LieidWarning, RecordingError
@@ -26,7 +26,12 @@ from lieid_casadi.identification.regression.fixed_point import Progress, ShapeSt
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording, process
 from lieid_casadi.robot import Robot
-from lieid_casadi.workbench.session import ProposedEffect, WorkbenchInputs
+from lieid_casadi.workbench.session import (
+    ExcludedRange,
+    ProposedEffect,
+    WorkbenchInputs,
+    kept_parts,
+)
 
 MOST_STRETCHES = 8  # of each recording in a quick fit
 LEAST_DURATION = 5.0  # s, of a stretch; the filter needs a second at each of its ends
@@ -50,14 +55,7 @@ class ReadRecordings(Protocol):
 class WorkerSetup:
     """What a worker process runs with: picklable functions of the command line.
 
-    Attributes
-    ----------
-    prepare : callable
-        Called once, before anything is opened: loads the user's file of effects.
-    robot : callable
-        Loads the robot.
-    read : callable
-        Reads recordings.
+    ``prepare`` is called once, before anything is opened: it loads the user's file of effects.
     """
 
     prepare: Callable[[], None]
@@ -78,23 +76,26 @@ def recording_titles(inputs: WorkbenchInputs) -> list[str]:
     return titles
 
 
-def without_excluded(
-    recording: Recording, parts: Sequence[tuple[float | None, float | None]]
+def used_parts(
+    recording: Recording, number: int, excluded: Sequence[ExcludedRange], *, share: float = 1.0
 ) -> list[Recording]:
-    """Return the parts of a recording that have rows."""
-    kept = []
-    for start, end in parts:
+    """Return the parts of recording ``number`` that are not excluded; of each, a share below 1.
+
+    A share is made of stretches that are evenly spread.
+    """
+    parts = []
+    for start, end in kept_parts(excluded, number):
         if start is None and end is None:
-            return [recording]
+            parts.append(recording)
+            continue
         try:
-            kept.append(recording.cut(start, end))
+            parts.append(recording.cut(start, end))
         except RecordingError:  # no rows between two excluded stretches
             continue
-    return kept
+    return parts if share >= 1.0 else [s for part in parts for s in _evenly_spread(part, share)]
 
 
-def evenly_spread(recording: Recording, share: float) -> list[Recording]:
-    """Return stretches that together have this share of a recording, evenly spread over it."""
+def _evenly_spread(recording: Recording, share: float) -> list[Recording]:
     count = int(np.clip(share * recording.duration / LEAST_DURATION, 1, MOST_STRETCHES))
     edges = np.linspace(0, len(recording), count + 1)
     length = share * len(recording) / count
@@ -111,14 +112,9 @@ class NoiseFloor:
 
 @dataclass(frozen=True, eq=False)
 class PreparedRecordings:
-    """Recordings with their segments through the filter of a fit.
+    """Recordings with their segments through the filter of a fit, and warnings of the checks.
 
-    Attributes
-    ----------
-    segments : tuple of Processed
-        With temperatures relative to the fit's mean.
-    warnings : tuple of LieidWarning
-        Of the checks.
+    Temperatures of the segments are relative to the fit's mean.
     """
 
     recordings: tuple[Recording, ...]
@@ -127,16 +123,13 @@ class PreparedRecordings:
 
     @classmethod
     def of(cls, fit: Fit, recordings: Sequence[Recording], *, average: bool) -> PreparedRecordings:
-        """Check and process recordings as a fit does.
-
-        Parameters
-        ----------
-        average : bool
-            Whether periods are averaged if the fit's options say so; not for a comparison.
-        """
+        """Check and process recordings as a fit does (``average`` periods) or a comparison."""
         check_recordings(fit.model, recordings)
-        options = fit.processing if average else replace(fit.processing, average_periods=False)
-        segments, _ = center_temperature(process(recordings, options), fit.temperature_mean)
+        if average:
+            averaged = process(recordings, fit.processing)
+            segments, _ = center_temperature(averaged, fit.temperature_mean)
+        else:
+            segments = compared_segments(fit, recordings)
         found = [w for r in recordings for w in check_with_model(fit.compiled, r)]
         found += [w for segment in segments for w in segment.warnings]
         return cls(tuple(recordings), segments, tuple(found))
@@ -157,14 +150,7 @@ class PreparedRecordings:
     ) -> Fit:
         """Return the fit of another model with the method and filter of the first one.
 
-        Parameters
-        ----------
-        first : Fit
-            Of the same recordings.
-        uncertainty : bool
-            Whether standard deviations are computed, which takes longer than the fit.
-        report : callable
-            Called with the name of a stage and the fraction done.
+        Without ``uncertainty``, standard deviations are left out; they take longer than the fit.
         """
         check_recordings(model, self.recordings)
         return identify_segments(
@@ -188,16 +174,10 @@ class PreparedRecordings:
         noise: NoiseFloor | None,
         with_noise: bool = True,
     ) -> Comparison:
-        """Return the comparison of a fit with these recordings, as `compare_segments`.
+        """Return the comparison of a fit, with changes since it, with these recordings.
 
-        Parameters
-        ----------
-        changes : sequence of ProposedEffect
-            Since the fit; their torque is added.
-        noise : NoiseFloor or None
-            That of another model of these recordings, in place of an estimate.
-        with_noise : bool
-            Whether the result has a noise floor.
+        ``noise`` is that of another model of these recordings, in place of an estimate; without
+        ``with_noise``, the result has none.
         """
         check_recordings(fit.model, self.recordings)
         made = compare_segments(

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import logging
+import os
 import secrets
 import socket
+import tempfile
+import threading
+import webbrowser
 from collections.abc import Callable
 from dataclasses import dataclass
+from html import escape
+from pathlib import Path
 
 from lieid_casadi.errors import MissingDependency, UsageError
 from lieid_casadi.workbench.recordings import WorkerSetup
@@ -79,6 +86,21 @@ def serve(
             hosts=_host_names(options.host, port),
             ready=lambda: ready(f"http://{_bracketed(options.host)}:{port}/?token={token}"),
         )
+
+
+def open_in_browser(url: str) -> None:
+    """Open a URL in the user's browser without naming it on a command line, which others can read.
+
+    The browser opens a file that refers to the URL; the file is its owner's, and is deleted when
+    the program ends.
+    """
+    page = f"""<!DOCTYPE html><meta charset="utf-8"><meta name="referrer" content="no-referrer">
+<meta http-equiv="refresh" content="0; url={escape(url)}"><a href="{escape(url)}">workbench</a>"""
+    handle, name = tempfile.mkstemp(prefix="lieid-workbench-", suffix=".html")  # mode 0600
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(page)
+    atexit.register(Path(name).unlink, missing_ok=True)
+    threading.Thread(target=webbrowser.open, args=(Path(name).as_uri(),), daemon=True).start()
 
 
 def listening_socket(options: ServerOptions) -> socket.socket:

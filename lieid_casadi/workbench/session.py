@@ -1,4 +1,8 @@
-"""State of one page: what is open, the steps taken so far, and how they are saved."""
+"""State of one page: what is open, the steps taken so far, and how they are saved.
+
+Every change is a new object. Sessions are JSON files, written after every change; they can be read
+by their owner alone, and nothing in them is executed.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +22,12 @@ from lieid_casadi.errors import LieidError
 
 Role = Literal["train", "test"]
 Mode = Literal["missing", "changed"]
+Numbers = tuple[float | None, ...]  # one per joint, None where unknown
+
+START = "first model"
+SCHEMA = 1
+KEPT_DAYS = 30.0
+_NAME = re.compile(r"[0-9a-f]{16}")
 
 
 @dataclass(frozen=True)
@@ -104,30 +114,32 @@ def kept_parts(
 
 @dataclass(frozen=True)
 class ProposedEffect:
-    """An effect that a diagnosis proposes.
+    """An effect that a diagnosis found.
 
     Attributes
     ----------
     label : str
         ``load_friction:2``.
-    effect : str
-        Its name.
     joints : tuple of int
         From 1; none for effects on the whole arm.
     joint : int
-        Where the error falls most, from 0.
-    before, after : float
-        Held-out error on that joint, N·m.
+        That the effect is listed under, from 0.
+    before, after : float or None
+        Unseen error of that joint without the effect and with it, N·m.
     selected : float or None
-        Fraction of block-bootstrap repetitions in which it was chosen; None if not computed.
+        Fraction of block-bootstrap repetitions in which it was chosen.
     confirmed : bool or None
         Whether the error on the test falls; None without a test.
     rivals : tuple of (str, str)
         Labels of rivals, and their kind, ``exact`` or ``data``.
     value : str
-        Parameters as text, for changes since a fit.
+        Parameters as text, with deviation and unit.
     parameters : tuple of (str, float)
         Names and values of coefficients and shape parameters.
+    status : str
+        ``named``, ``one_of`` or ``shape``.
+    group : int
+        Of the same effect on several joints, from 1; 0 without.
     """
 
     label: str
@@ -141,6 +153,9 @@ class ProposedEffect:
     rivals: tuple[tuple[str, str], ...] = ()
     value: str = ""
     parameters: tuple[tuple[str, float], ...] = ()
+    status: str = "named"
+    sentence: str = ""
+    group: int = 0
 
 
 @dataclass(frozen=True)
@@ -155,6 +170,10 @@ class FoundEffects:
         Sentences on the unexplained residual.
     shapes : tuple of (str, float)
         Labels and values of the shape parameters with all proposed effects.
+    model : tuple of str
+        Effects of the final model; empty if a fit is kept.
+    path : tuple of tuple of float or None
+        Unseen error of every joint after each step, N·m, from the first model to the last.
     """
 
     verdict: str
@@ -163,35 +182,44 @@ class FoundEffects:
     effects: tuple[str, ...]
     unexplained: tuple[str, ...] = ()
     shapes: tuple[tuple[str, float], ...] = ()
+    model: tuple[str, ...] = ()
+    path: tuple[Numbers, ...] = ()
 
-
-START = "first model"
+    @property
+    def groups(self) -> dict[int, list[ProposedEffect]]:
+        """The proposals of each group with several of them."""
+        found: dict[int, list[ProposedEffect]] = {}
+        for each in self.proposed:
+            found.setdefault(each.group, []).append(each)
+        return {k: several for k, several in found.items() if k and len(several) > 1}
 
 
 @dataclass(frozen=True)
 class StepErrors:
     """Errors of one step per joint, N·m, in motion; None where unknown.
 
-    ``shown`` is of the test recordings, or held out by cross-validation without a test.
+    ``shown`` is of the test recordings, or held out by cross-validation without a test;
+    ``spread`` is the standard deviation of the measured torque in motion.
     """
 
-    train: tuple[float | None, ...]
-    shown: tuple[float | None, ...]
-    noise_floor: tuple[float | None, ...]
+    train: Numbers
+    shown: Numbers
+    noise_floor: Numbers
+    spread: Numbers = ()
+
+    def fit_percent(self, joint: int) -> float | None:
+        """Return 100 (1 − error / spread): 100 for a perfect model, 0 for a constant torque."""
+        spread = self.spread[joint] if self.spread else None
+        error = self.shown[joint]
+        return None if error is None or not spread else 100.0 * (1.0 - error / spread)
 
 
 @dataclass(frozen=True)
 class ModelStep:
     """One entry of the history: a model, and what is left out of the recordings.
 
-    Attributes
-    ----------
-    effects : tuple of str
-        Labels of all placements of the model: ``stribeck:4``.
-    errors : StepErrors or None
-        None until they are computed.
-    changes : tuple of ProposedEffect
-        Since a fit that is kept, which are added to its torque.
+    ``effects`` are labels of all placements (``stribeck:4``), ``changes`` are those since a fit
+    that is kept, which are added to its torque. ``errors`` are None until they are computed.
     """
 
     title: str
@@ -221,10 +249,8 @@ class Session:
         Of the step that is shown; those after it can be restored by `redone`.
     found : FoundEffects or None
         Of the last diagnosis.
-    joint : int
-        The selected one, from 0.
-    recording : int
-        The recording that is replayed and plotted.
+    joint, recording : int
+        The selected joint, and the recording that is replayed and plotted, from 0.
     degrees : bool
         Whether angles are shown in degrees.
     """
@@ -257,6 +283,13 @@ class Session:
         """Whether there is a step that was undone."""
         return self.position + 1 < len(self.history)
 
+    @property
+    def error_name(self) -> str:
+        """Of what the error is that the page shows: ``test``, ``held out``, or ``new``."""
+        if self.inputs.mode == "changed":
+            return "new"
+        return "test" if self.inputs.paths("test") else "held out"
+
     def opened(self, inputs: WorkbenchInputs, effects: Sequence[str]) -> Session:
         """Return the session of new inputs, with the first model's effects as its only step."""
         tested = [k for k, r in enumerate(inputs.recordings) if r.role == "test"]
@@ -268,32 +301,36 @@ class Session:
         )
 
     def with_effects(self, title: str, effects: Sequence[str]) -> Session:
-        """Return the session with a further step of other effects."""
+        """Return the session with a further step of other effects; unchanged if it has these."""
         assert self.step is not None
+        if self.step.effects == tuple(effects):
+            return self
         return self._then(replace(self.step, title=title, effects=tuple(effects), errors=None))
 
     def with_effect(self, label: str) -> Session:
         """Return the session with an effect added; unchanged if the model has it."""
-        assert self.step is not None
-        if label in self.step.effects:
-            return self
-        return self.with_effects(f"+ {label}", (*self.step.effects, label))
+        return self.with_added([label])
 
-    def with_change(self, proposed: ProposedEffect) -> Session:
-        """Return the session with a further step, in which a change since the fit is added."""
+    def with_added(self, labels: Sequence[str]) -> Session:
+        """Return the session with those effects added that the model does not have."""
+        assert self.step is not None
+        new = [label for label in labels if label not in self.step.effects]
+        title = f"+ {new[0]}" if len(new) == 1 else f"+ {len(new)} effects: {', '.join(new)}"
+        return self.with_effects(title, (*self.step.effects, *new))
+
+    def with_changes(self, proposed: Sequence[ProposedEffect]) -> Session:
+        """Return the session with a further step, in which changes since the fit are added."""
         step = self.step
         assert step is not None
-        if proposed in step.changes:
+        new = [change for change in proposed if change not in step.changes]
+        if not new:
             return self
-        title = f"with the change {proposed.label}"
-        changes = (*step.changes, proposed)
-        return self._then(replace(step, title=title, changes=changes, errors=None))
+        title = f"with the change {', '.join(change.label for change in new)}"
+        return self._then(replace(step, title=title, changes=(*step.changes, *new), errors=None))
 
     def without_effect(self, label: str) -> Session:
         """Return the session with an effect removed; unchanged if the model lacks it."""
         assert self.step is not None
-        if label not in self.step.effects:
-            return self
         return self.with_effects(f"− {label}", [e for e in self.step.effects if e != label])
 
     def excluding(self, start: float, end: float) -> Session:
@@ -323,49 +360,21 @@ class Session:
         ]
         return replace(self, joint=ratios.index(max(ratios)))
 
-    def show_recording(self, recording: int) -> Session:
-        """Return the session with another recording in the plots."""
-        return replace(self, recording=recording)
+    def at(self, position: int) -> Session:
+        """Return the session at the nearest step of its history."""
+        return replace(self, position=min(max(position, 0), max(len(self.history) - 1, 0)))
 
     def undone(self) -> Session:
         """Return the session one step back."""
-        return replace(self, position=max(self.position - 1, 0))
+        return self.at(self.position - 1)
 
     def redone(self) -> Session:
         """Return the session one step forward."""
-        return replace(self, position=min(self.position + 1, max(len(self.history) - 1, 0)))
-
-    def at(self, position: int) -> Session:
-        """Return the session at a step of its history."""
-        return replace(self, position=min(max(position, 0), max(len(self.history) - 1, 0)))
+        return self.at(self.position + 1)
 
     def _then(self, step: ModelStep) -> Session:
         history = (*self.history[: self.position + 1], step)
         return replace(self, history=history, position=len(history) - 1)
-
-
-@dataclass(frozen=True)
-class PlotView:
-    """What the plots show; not saved.
-
-    Attributes
-    ----------
-    window : (float, float) or None
-        First and last time that is visible, s; None for the whole recording.
-    selection : (float, float) or None
-        Range of time that the user has selected, s.
-    compared : int or None
-        Position of the step in the history that the current one is compared with.
-    """
-
-    window: tuple[float, float] | None = None
-    selection: tuple[float, float] | None = None
-    compared: int | None = None
-
-
-SCHEMA = 1
-KEPT_DAYS = 30.0
-_NAME = re.compile(r"[0-9a-f]{16}")
 
 
 class SessionFileError(LieidError):
@@ -402,9 +411,13 @@ def session_folder() -> Path:
     return base / "lieid-casadi" / "workbench"
 
 
-def upload_folder(name: str) -> Path:
-    """Return the folder of files that were dropped on the page of a session."""
-    return session_folder() / name
+def upload_file(session: str, name: str) -> Path:
+    """Return the file of an upload, which exists and can be read by its owner alone."""
+    file = session_folder() / session / name
+    file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    file.unlink(missing_ok=True)
+    os.close(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+    return file
 
 
 def is_name(text: str) -> bool:
@@ -413,15 +426,9 @@ def is_name(text: str) -> bool:
 
 
 def save_session(name: str, session: Session) -> None:
-    """Write a session.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be written.
-    """
+    """Write a session; raises OutputError if the folder cannot be written."""
     content = msgspec.to_builtins(SessionContent(SCHEMA, session))
-    with atomic_binary(_file(name)) as file:
+    with atomic_binary(_file(name), private=True) as file:
         file.write(msgspec.json.encode(content))
 
 
@@ -452,12 +459,12 @@ def saved_sessions() -> list[SavedSession]:
     """Return the readable sessions, the last saved first; files older than a month are deleted."""
     found = []
     for file in session_folder().glob("*.json"):
-        if not is_name(file.stem):
+        if not (is_name(file.stem) and file.is_file()):  # is_file: not a link to nothing
             continue
         saved = file.stat().st_mtime
         if time.time() - saved > KEPT_DAYS * 86400.0:
             file.unlink(missing_ok=True)
-            shutil.rmtree(upload_folder(file.stem), ignore_errors=True)
+            shutil.rmtree(file.with_suffix(""), ignore_errors=True)
             continue
         try:
             session = load_session(file.stem)

@@ -4,34 +4,145 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Coroutine
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Coroutine, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
+from lieid_casadi.diagnosis import Proposal
 from lieid_casadi.errors import LieidError
 from lieid_casadi.workbench.arm import ArmMotion
-from lieid_casadi.workbench.evaluation import EffectCurve, Evaluation, OpenedInputs, SimulationError
+from lieid_casadi.workbench.evaluation import (
+    EffectCurve,
+    Evaluation,
+    OpenedInputs,
+    SimulationError,
+)
 from lieid_casadi.workbench.recordings import WorkerSetup
 from lieid_casadi.workbench.session import (
     FoundEffects,
     ModelStep,
-    PlotView,
+    Numbers,
     Session,
     WorkbenchInputs,
     save_session,
 )
 from lieid_casadi.workbench.worker import Failure, Worker, WorkerError, WorkerStopped
 
-if TYPE_CHECKING:
-    from lieid_casadi.diagnosis import Proposal
+KEPT_RESULTS = 72  # evaluations, curves and simulations
+PLAY_SECONDS = 0.35  # for which the errors of each model are shown on the way to the last
 
 
-class ChangeNotifier:
-    """An object whose changes are shown by views."""
+@dataclass(frozen=True)
+class PlotView:
+    """What the plots show; not saved.
 
-    def __init__(self) -> None:
+    Attributes
+    ----------
+    window : (float, float) or None
+        First and last time that is visible, s; None for the whole recording.
+    selection : (float, float) or None
+        Range of time that the user has selected, s.
+    compared : int or None
+        Position of the step in the history that the current one is compared with.
+    instant : float or None
+        That the arm shows, s.
+    """
+
+    window: tuple[float, float] | None = None
+    selection: tuple[float, float] | None = None
+    compared: int | None = None
+    instant: float | None = None
+
+
+class Workbench:
+    """A session with its two worker processes.
+
+    Fits that the user waits for run in one; the search for missing effects, exact fits after quick
+    ones and simulations run in the other, which can be stopped.
+
+    Attributes
+    ----------
+    error : str
+        Of the last action, one line; empty if it succeeded.
+    failure : Failure or None
+        Why the last opening failed.
+    started : bool
+        Whether something was opened, or the form was shown.
+    computing : bool
+        Whether a fit that the user waits for is computed.
+    searching, saving : (str, float) or None
+        Stage and fraction of the search, and of the export, that runs.
+    arriving : list of Proposal
+        What the search has found so far.
+    playing : tuple of float or None, or None
+        Errors that are shown on the way to those of a model with several new effects.
+    motion : ArmMotion or None
+        Of the arm along the recording that is shown.
+    """
+
+    def __init__(self, name: str, setup: WorkerSetup, *, worker: Worker | None = None) -> None:
+        self.name = name
+        self.session = Session()
+        self.opened: OpenedInputs | None = None
+        self.error = ""
+        self.failure: Failure | None = None
+        self.started = False
+        self.computing = True  # until `open` has ended
+        self.searching: tuple[str, float] | None = None
+        self.saving: tuple[str, float] | None = None
+        self.arriving: list[Proposal] = []
+        self.playing: Numbers | None = None
+        self.view = PlotView()
+        self.motion: ArmMotion | None = None
+        self._results: dict[tuple[str, object], Any] = {}
+        self._front = worker or Worker(setup)
+        self._back = Worker(setup)
+        self._closed = False
         self._listeners: list[Callable[[], None]] = []
         self._tasks: set[asyncio.Task[Any]] = set()
+
+    # -- what is shown
+
+    @property
+    def evaluation(self) -> Evaluation | None:
+        """Of the step that is shown; None while it is computed."""
+        found: Evaluation | None = self._result("evaluation", self.session.step)
+        return found
+
+    @property
+    def compared(self) -> Evaluation | None:
+        """Of the step that the current one is compared with; None without, or while computed."""
+        position, history = self.view.compared, self.session.history
+        if position is None or position >= len(history) or position == self.session.position:
+            return None
+        found: Evaluation | None = self._result("evaluation", history[position])
+        return found
+
+    @property
+    def curves(self) -> dict[str, EffectCurve]:
+        """Torque of each effect of the step that is shown, by its label; empty until computed."""
+        return self._result("curves", self.session.step) or {}
+
+    @property
+    def simulation(self) -> SimulationError | None:
+        """Simulation error of the step that is shown; None until computed."""
+        found: SimulationError | None = self._result("simulate", self.session.step)
+        return found
+
+    def _result(self, kind: str, step: ModelStep | None) -> Any:
+        return None if step is None else self._results.get((kind, step.key))
+
+    def _keep(self, kind: str, step: ModelStep, result: Any) -> None:
+        """Keep a result of a step, and show it; the oldest results are dropped."""
+        self._results[kind, step.key] = result
+        while len(self._results) > KEPT_RESULTS:
+            del self._results[next(iter(self._results))]
+        if isinstance(result, Evaluation):
+            self.session = self.session.with_errors(step, result.errors)
+            self._save()
+        self.changed()
+
+    # -- views
 
     def listen(self, listener: Callable[[], None]) -> None:
         """Call ``listener`` after every change."""
@@ -58,217 +169,6 @@ class ChangeNotifier:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-
-class EffectSearch:
-    """A diagnosis in a worker process.
-
-    Parameters
-    ----------
-    worker : Worker
-        Stopping it ends the search.
-    changed : callable
-        Called after every progress.
-
-    Attributes
-    ----------
-    activity : (str, float) or None
-        Stage and fraction of the search that runs, None if none runs.
-    arriving : list of Proposal
-        What it has found so far.
-    """
-
-    def __init__(self, worker: Worker, changed: Callable[[], None]) -> None:
-        self._worker, self._changed = worker, changed
-        self.activity: tuple[str, float] | None = None
-        self.arriving: list[Proposal] = []
-
-    async def run(self, inputs: WorkbenchInputs, step: ModelStep) -> FoundEffects:
-        """Return what a diagnosis of a step's model proposes.
-
-        Raises
-        ------
-        WorkerError
-            It failed.
-        WorkerStopped
-            The worker was stopped.
-        """
-        self.activity, self.arriving = ("start", 0.0), []
-        self._changed()
-        try:
-            found: FoundEffects = await self._worker.request(
-                "find", inputs, step, progress=self._progress, found=self._arrived
-            )
-        finally:
-            self.activity = None
-        return found
-
-    def _progress(self, stage: str, fraction: float) -> None:
-        self.activity = (stage, fraction)
-        self._changed()
-
-    def _arrived(self, proposal: Proposal) -> None:
-        self.arriving.append(proposal)
-        self._changed()
-
-
-_NO_CURVES: dict[str, EffectCurve] = {}
-
-
-class StepDetails:
-    """Torque curves of the effects, and the simulation error, of the steps of a session.
-
-    The page is complete without them; what fails is left out.
-
-    Parameters
-    ----------
-    changed : callable
-        Called after every result.
-    """
-
-    def __init__(self, changed: Callable[[], None]) -> None:
-        self._changed = changed
-        self._inputs = WorkbenchInputs()
-        self._curves: dict[object, dict[str, EffectCurve]] = {}
-        self._simulations: dict[object, SimulationError] = {}
-
-    def reset(self, inputs: WorkbenchInputs) -> None:
-        """Forget everything; further results are those of these inputs."""
-        self._inputs, self._curves, self._simulations = inputs, {}, {}
-
-    def curves(self, step: ModelStep) -> dict[str, EffectCurve]:
-        """Return the torque of each effect by its label; empty until computed."""
-        return self._curves.get(step.key, _NO_CURVES)
-
-    def simulation(self, step: ModelStep) -> SimulationError | None:
-        """Return the simulation error; None until computed."""
-        return self._simulations.get(step.key)
-
-    async def load_curves(self, worker: Worker, step: ModelStep, recording: int) -> None:
-        """Compute the torque of each effect along a recording.
-
-        Parameters
-        ----------
-        worker : Worker
-            That has the exact fit.
-        """
-        inputs = self._inputs
-        if step.key in self._curves:
-            return
-        with contextlib.suppress(LieidError):
-            curves = await worker.request("curves", inputs, step, recording=recording)
-            if self._inputs is inputs:
-                self._curves[step.key] = curves
-                self._changed()
-
-    async def simulate(self, worker: Worker, shown: Callable[[], ModelStep | None]) -> None:
-        """Compute the simulation error of the step that is shown, unless the worker is busy.
-
-        Parameters
-        ----------
-        shown : callable
-            Returns the step; asked again after every result, so that none waits in between.
-        """
-        inputs = self._inputs
-        with contextlib.suppress(LieidError):
-            while (step := shown()) is not None and self._inputs is inputs and not worker.busy:
-                if step.key in self._simulations:
-                    return
-                found = await worker.request("simulate", inputs, step)
-                if self._inputs is inputs:
-                    self._simulations[step.key] = found
-                    self._changed()
-
-
-KEPT_EVALUATIONS = 24
-
-
-class Workbench(ChangeNotifier):
-    """A session with its two worker processes.
-
-    Fits that the user waits for run in one; the search for missing effects and exact fits after
-    quick ones run in the other, which can be stopped.
-
-    Parameters
-    ----------
-    name : str
-        Under which the session is saved.
-    worker : Worker, optional
-        A process that runs already.
-
-    Attributes
-    ----------
-    error : str
-        Of the last action, one line; empty if it succeeded.
-    failure : Failure or None
-        Why the last opening failed.
-    started : bool
-        Whether something was opened, or the form was shown.
-    computing : bool
-        Whether a fit that the user waits for is computed.
-    motion : ArmMotion or None
-        Of the arm along the recording that is shown.
-    """
-
-    def __init__(self, name: str, setup: WorkerSetup, *, worker: Worker | None = None) -> None:
-        super().__init__()
-        self.name = name
-        self.session = Session()
-        self.opened: OpenedInputs | None = None
-        self.error = ""
-        self.failure: Failure | None = None
-        self.started = False
-        self.computing = True  # until `open` has ended
-        self.view = PlotView()
-        self.motion: ArmMotion | None = None
-        self._evaluations: dict[object, Evaluation] = {}
-        self._front = worker or Worker(setup)
-        self._back = Worker(setup)
-        self._closed = False
-        self.search = EffectSearch(self._back, self.changed)
-        self.details = StepDetails(self.changed)
-
-    @property
-    def evaluation(self) -> Evaluation | None:
-        """Of the step that is shown; None while it is computed."""
-        step = self.session.step
-        return None if step is None else self._evaluations.get(step.key)
-
-    @property
-    def compared(self) -> Evaluation | None:
-        """Of the step that the current one is compared with; None without, or while computed."""
-        position, history = self.view.compared, self.session.history
-        if position is None or position >= len(history) or position == self.session.position:
-            return None
-        return self._evaluations.get(history[position].key)
-
-    async def open(self, inputs: WorkbenchInputs, saved: Session | None = None) -> bool:
-        """Open a robot or fit and recordings; return whether it succeeded.
-
-        With a saved session of these inputs, its history is restored.
-        """
-        self.stop()
-        opened = await self._opened(inputs)
-        if opened is None:
-            return False
-        self.opened, self.motion = opened, None
-        self._evaluations = {}
-        self.details.reset(inputs)
-        self.view = PlotView()
-        self.session = saved or self.session.opened(inputs, opened.effects)
-        await self._evaluate()
-        if saved is None:
-            self.show(self.session.at_worst_joint())
-        self._back.start()  # before it is needed
-        await self._load_motion()
-        return True
-
-    async def apply(self, session: Session) -> None:
-        """Show a session with another step, and fit it."""
-        if session is self.session:
-            return
-        self.session, self.error = session, ""
-        await self._evaluate()
-
     def show(self, session: Session) -> None:
         """Show a session whose model is the same: another joint, recording or unit."""
         moved = session.recording != self.session.recording
@@ -285,6 +185,65 @@ class Workbench(ChangeNotifier):
         self.view = view
         self.changed()
 
+    # -- actions of the user
+
+    async def open(self, inputs: WorkbenchInputs, saved: Session | None = None) -> bool:
+        """Open a robot or fit and recordings; return whether it succeeded.
+
+        With a saved session of these inputs, its history is restored.
+        """
+        self.stop()
+        opened = await self._opened(inputs)
+        if opened is None:
+            return False
+        self.opened, self.motion = opened, None
+        self._results = {}
+        self.view = PlotView()
+        self.session = saved or self.session.opened(inputs, opened.effects)
+        await self._evaluate()
+        if saved is None:
+            self.show(self.session.at_worst_joint())
+        self._back.start()  # before it is needed
+        await self._load_motion()
+        return True
+
+    async def apply(self, session: Session) -> None:
+        """Show a session with another step, and fit it."""
+        if session is self.session:
+            return
+        self.session, self.error = session, ""
+        await self._evaluate()
+
+    async def add_found(self, labels: Sequence[str]) -> None:
+        """Add effects that the search found, with one fit; show the errors on the way to it."""
+        session, found = self.session, self.session.found
+        if found is None or session.step is None:
+            return
+        chosen = [p for p in found.proposed if p.label in labels]
+        if session.inputs.mode == "changed":
+            await self.apply(session.with_changes(chosen))
+            return
+        whole = len(chosen) == len(found.proposed) and session.step.effects == found.effects
+        if whole and found.model:  # the diagnosis' own fit
+            count = len(chosen)
+            title = f"+ {chosen[0].label}" if count == 1 else f"+ all {count} effects found"
+            self.playing = found.path[0] if found.path else None
+            await self.apply(session.with_effects(title, found.model))
+            await self._play(found)
+        else:
+            known = {p.label for p in chosen}
+            rivals = [label for label in labels if label not in known]
+            await self.apply(session.with_added([*(p.label for p in chosen), *rivals]))
+
+    async def _play(self, found: FoundEffects) -> None:
+        """Show the errors of the models between the first and the last one."""
+        for errors in found.path[1:-1]:
+            self.playing = errors
+            self.changed()
+            await asyncio.sleep(PLAY_SECONDS)
+        self.playing = None
+        self.changed()
+
     async def compare_with(self, position: int | None) -> None:
         """Show a step of the history beside the current one; None ends the comparison."""
         self.look(replace(self.view, compared=position))
@@ -293,25 +252,36 @@ class Workbench(ChangeNotifier):
         step = self.session.history[position]
         made = await self._evaluated(self._front, step, quick=True)
         if made is not None:
-            self._evaluations[step.key] = made
-            self.changed()
+            self._keep("evaluation", step, made)
 
     async def find_missing(self) -> None:
         """Search for missing effects, or for changes since the fit."""
-        step = self.session.step
-        if step is None or self.search.activity is not None:
+        step, inputs = self.session.step, self.session.inputs
+        if step is None or self.searching is not None:
             return
-        self.error = ""
+        self.error, self.searching, self.arriving = "", ("start", 0.0), []
+        self.changed()
         try:
-            found = await self.search.run(self.session.inputs, step)
-            self.session = replace(self.session, found=found)
-            self._save()
+            found, content = await self._back.request(
+                "find",
+                inputs,
+                step=step,
+                processing=self.evaluation and self.evaluation.processing,
+                progress=self._search_reports,
+                found=self._arrived,
+            )
+            if self.session.inputs is inputs:
+                self.session = replace(self.session, found=found)
+                self._save()
+                if found.proposed and content:
+                    self.background(self._adopt(replace(step, effects=found.model), content))
         except WorkerStopped:
             pass
         except LieidError as error:
             self.error = str(error)
+        self.searching = None
         self.changed()
-        await self.details.simulate(self._back, self._exact_step)
+        await self._simulate()
 
     def stop(self) -> None:
         """Stop the search for missing effects and fits in the background."""
@@ -319,18 +289,20 @@ class Workbench(ChangeNotifier):
             self._back.stop()
 
     async def save(self, kind: str) -> tuple[str, bytes] | None:
-        """Return the name and content of a file: ``fit``, ``report``, ``c``, ``urdf``."""
+        """Return the name and content of a file: ``fit``, ``report``, ``c``, ``urdf``, ``mjcf``."""
         step = self.session.step
-        if step is None:
+        if step is None or self.saving is not None:
             return None
-        self.error, self.computing = "", True
+        self.error, self.saving = "", ("start", 0.0)
         self.changed()
         made: tuple[str, bytes] | None = None
         try:
-            made = await self._front.request("save", self.session.inputs, step, kind=kind)
+            made = await self._front.request(
+                "save", self.session.inputs, step=step, kind=kind, progress=self._save_reports
+            )
         except LieidError as error:
             self.error = str(error)
-        self.computing = False
+        self.saving = None
         self.changed()
         return made
 
@@ -340,6 +312,20 @@ class Workbench(ChangeNotifier):
         self._front.stop()
         self._back.stop()
 
+    # -- computations
+
+    def _search_reports(self, stage: str, fraction: float) -> None:
+        self.searching = stage, fraction
+        self.changed()
+
+    def _save_reports(self, stage: str, fraction: float) -> None:
+        self.saving = stage, fraction
+        self.changed()
+
+    def _arrived(self, proposal: Proposal) -> None:
+        self.arriving.append(proposal)
+        self.changed()
+
     async def _opened(self, inputs: WorkbenchInputs) -> OpenedInputs | None:
         """Return what was opened; None, with ``failure``, if it cannot be."""
         self.computing, self.error, self.failure = True, "", None
@@ -348,7 +334,7 @@ class Workbench(ChangeNotifier):
         try:
             if inputs.lacking is not None:
                 raise WorkerError(Failure(*inputs.lacking))
-            opened = await self._front.request("open", inputs)
+            opened = await self._front.request("opened", inputs)
         except WorkerError as error:
             self.failure = error.failure
         except WorkerStopped:
@@ -362,28 +348,35 @@ class Workbench(ChangeNotifier):
         step, inputs = self.session.step, self.session.inputs
         assert step is not None
         self._save()
-        made: Evaluation | None = None
-        if step.key not in self._evaluations:
+        made: Evaluation | None = self._result("evaluation", step)
+        if made is None:
             self.computing = True
             self.changed()
             made = await self._evaluated(self._front, step, quick=True)
             if made is None or self.session.inputs is not inputs:
                 return
-            self._keep(step, made)
-        self.computing = False
-        self.changed()
-        shown = self._evaluations[step.key]
-        if made is not None or not shown.complete:
-            self.background(self._complete(step, shown))
+            self.computing = False
+            self._keep("evaluation", step, made)
+        else:
+            self.computing = False
+            self.session = self.session.with_errors(step, made.errors)
+            self.changed()
+        self.background(self._complete(step, made))
 
     async def _evaluated(
         self, worker: Worker, step: ModelStep, *, quick: bool
     ) -> Evaluation | None:
         """Return the evaluation of a step; None, with ``error``, if it failed."""
         shapes = {} if self.session.found is None else dict(self.session.found.shapes)
+        shown = self._result("evaluation", step)
         try:
             made: Evaluation = await worker.request(
-                "evaluate", self.session.inputs, step, quick=quick, shapes=shapes
+                "evaluate",
+                self.session.inputs,
+                step=step,
+                quick=quick,
+                shapes=shapes,
+                processing=shown and shown.processing,
             )
         except LieidError as error:
             if not isinstance(error, WorkerStopped):
@@ -392,16 +385,24 @@ class Workbench(ChangeNotifier):
             return None
         return made
 
-    async def _complete(self, step: ModelStep, quick: Evaluation) -> None:
+    async def _adopt(self, step: ModelStep, content: bytes) -> None:
+        """Keep the fit of a diagnosis, and its evaluation, until its effects are added."""
+        inputs = self.session.inputs
+        with contextlib.suppress(LieidError):  # otherwise they are fitted when they are added
+            made = await self._front.request("adopt", inputs, step=step, content=content)
+            if self.session.inputs is inputs:
+                self._keep("evaluation", step, made)
+
+    async def _complete(self, step: ModelStep, shown: Evaluation) -> None:
         """Compute what a quick evaluation of a step left out, then what follows an exact fit.
 
         An exact fit of which only the uncertainty is left out needs no other process.
         """
-        worker = self._front if quick.exact else self._back
-        if not quick.complete and not await self._completed(worker, step, quick):
+        worker = self._front if shown.exact else self._back
+        if not shown.complete and not await self._completed(worker, step, shown):
             return
-        await self.details.load_curves(worker, step, self.session.recording)
-        await self.details.simulate(self._back, self._exact_step)
+        await self._follow(worker, "curves", step, recording=self.session.recording)
+        await self._simulate()
 
     async def _completed(self, worker: Worker, step: ModelStep, quick: Evaluation) -> bool:
         """Replace a quick evaluation; again if the process was stopped meanwhile."""
@@ -416,21 +417,29 @@ class Workbench(ChangeNotifier):
             return False
         if quick.exact:  # the same fit: views that show its torque need not draw it again
             made = replace(made, train=quick.train, test=quick.test)
-        self._keep(step, made)
-        self.changed()
+        self._keep("evaluation", step, made)
         return True
 
-    def _exact_step(self) -> ModelStep | None:
-        """Return the step that is shown, None before its exact fit."""
-        evaluation = self.evaluation
-        return None if evaluation is None or not evaluation.exact else self.session.step
+    async def _simulate(self) -> None:
+        """Simulate the step that is shown after its exact fit, unless the process is busy."""
+        while not self._back.busy and not self._closed:
+            step, evaluation = self.session.step, self.evaluation
+            if step is None or evaluation is None or not evaluation.exact or self.simulation:
+                return
+            if not await self._follow(self._back, "simulate", step):
+                return
 
-    def _keep(self, step: ModelStep, evaluation: Evaluation) -> None:
-        self._evaluations[step.key] = evaluation
-        self.session = self.session.with_errors(step, evaluation.errors)
-        while len(self._evaluations) > KEPT_EVALUATIONS:
-            del self._evaluations[next(iter(self._evaluations))]
-        self._save()
+    async def _follow(self, worker: Worker, kind: Any, step: ModelStep, **options: Any) -> bool:
+        """Compute what the page is complete without, and show it; what fails is left out."""
+        inputs = self.session.inputs
+        if self._result(kind, step) is not None:
+            return True
+        with contextlib.suppress(LieidError):
+            made = await worker.request(kind, inputs, step=step, **options)
+            if self.session.inputs is inputs:
+                self._keep(kind, step, made)
+                return True
+        return False
 
     async def _load_motion(self) -> None:
         inputs = self.session.inputs

@@ -1,4 +1,4 @@
-"""A worker process: requests, progress, stopping."""
+"""A worker process: one request at a time; progress, results and errors through a pipe."""
 
 from __future__ import annotations
 
@@ -16,38 +16,24 @@ from dataclasses import dataclass
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-from lieid_casadi.errors import LieidError
+from lieid_casadi.errors import LieidError, RecordingError
 from lieid_casadi.workbench.recordings import WorkerSetup
-from lieid_casadi.workbench.session import ModelStep, WorkbenchInputs
+from lieid_casadi.workbench.session import WorkbenchInputs
 
-if TYPE_CHECKING:
-    from lieid_casadi.workbench.computation import Computation
-    from lieid_casadi.workbench.recordings import WorkerSetup
-
-Task = Literal["open", "evaluate", "find", "motion", "curves", "simulate", "save"]
+Task = Literal["opened", "evaluate", "find", "adopt", "motion", "curves", "simulate", "save"]
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class Request:
-    """A task for a worker.
-
-    Attributes
-    ----------
-    number : int
-        Of the request; its replies have it too.
-    inputs : WorkbenchInputs
-        Opened first if the worker has others open.
-    options : dict
-        Further arguments of the task.
-    """
+class _Request:
+    """A task: a method of `Computation` with its arguments; other inputs are opened first."""
 
     number: int
     task: Task
     inputs: WorkbenchInputs
-    step: ModelStep | None
-    options: dict[str, Any]
+    arguments: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -59,125 +45,16 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Reply:
-    """Progress, a result, or an error.
-
-    ``content`` of ``progress`` is a stage and a fraction, of ``found`` an effect, of ``error`` a
-    `Failure`.
-    """
+class _Reply:
+    """Progress (a stage and a fraction), what was found, a result, or a `Failure`."""
 
     number: int
     kind: Literal["progress", "found", "result", "error"]
     content: Any
 
 
-def run_worker(pipe: Connection, setup: WorkerSetup) -> None:
-    """Answer requests until the pipe is closed or the parent process ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    warnings.simplefilter("ignore")  # those of results are on the page
-    logging.getLogger("lieid_casadi").addHandler(logging.NullHandler())
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # stdout has the URL and nothing else
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    setup_error = _prepared(setup)
-    state: Computation | None = None
-    while True:
-        try:
-            request = pipe.recv()
-        except (EOFError, OSError):
-            return
-        if setup_error:
-            pipe.send(Reply(request.number, "error", Failure(setup_error, "model")))
-            continue
-        try:
-            if state is None or state.inputs != request.inputs:
-                state = None  # its memory is free before the next inputs are read
-                state = _opened(setup, request.inputs)
-            pipe.send(Reply(request.number, "result", _answer(state, request, pipe)))
-        except Exception as error:  # noqa: BLE001 - the outermost frame of this process
-            pipe.send(Reply(request.number, "error", _failure(error)))
-
-
-def _failure(error: BaseException) -> Failure:
-    from lieid_casadi.errors import RecordingError
-
-    about = "recordings" if isinstance(error, RecordingError) else "model"
-    return Failure(error_line(error), about)
-
-
-def error_line(error: BaseException) -> str:
-    """Return an error as one line."""
-    from lieid_casadi.errors import LieidError
-
-    text = " ".join(str(error).split())
-    if isinstance(error, LieidError):
-        return text
-    if isinstance(error, OSError):
-        place = "" if error.filename is None else f"{error.filename}: "
-        return f"{place}{error.strerror or text}"
-    return f"internal error: {type(error).__name__}: {text}"
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(0)
-
-
-def _prepared(setup: WorkerSetup) -> str:
-    """Run the preparation, and import what the first request needs; return an error."""
-    try:
-        import lieid_casadi.workbench.computation  # noqa: F401 - takes a second
-
-        setup.prepare()
-    except Exception as error:  # noqa: BLE001 - reported with the first request
-        return error_line(error)
-    return ""
-
-
-def _opened(setup: WorkerSetup, inputs: WorkbenchInputs) -> Computation:
-    from lieid_casadi.workbench.computation import Computation
-
-    return Computation(setup, inputs)
-
-
-def _answer(state: Computation, request: Request, pipe: Connection) -> Any:
-    """Return the result of one request."""
-
-    def progress(stage: str, fraction: float) -> None:
-        pipe.send(Reply(request.number, "progress", (stage, fraction)))
-
-    if request.task == "open":
-        return state.opened()
-    if request.task == "motion":
-        return state.motion(**request.options)
-    assert request.step is not None
-    if request.task == "evaluate":
-        return state.evaluate(request.step, report=progress, **request.options)
-    if request.task == "curves":
-        return state.curves(request.step, report=progress, **request.options)
-    if request.task == "simulate":
-        return state.simulate(request.step, report=progress)
-    if request.task == "save":
-        from lieid_casadi.workbench.computation import saved_file
-
-        return saved_file(state, request.step, report=progress, **request.options)
-
-    def found(proposal: Any) -> None:
-        pipe.send(Reply(request.number, "found", proposal))
-
-    return state.find(request.step, report=progress, found=found)
-
-
 class WorkerError(LieidError):
-    """A request that failed.
-
-    Parameters
-    ----------
-    failure : Failure
-        Its text is one line for the page.
-    """
+    """A request that failed; the text of its failure is one line for the page."""
 
     def __init__(self, failure: Failure) -> None:
         super().__init__(failure.text)
@@ -193,7 +70,7 @@ class _Waiting:
     """A request without a result so far."""
 
     result: asyncio.Future[Any]
-    progress: Callable[[str, float], None] | None
+    progress: Progress | None
     found: Callable[[Any], None] | None
 
 
@@ -221,7 +98,7 @@ class Worker:
         self._listening = False
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
-            target=run_worker, args=(theirs, self._setup), daemon=True, name="lieid workbench"
+            target=_run, args=(theirs, self._setup), daemon=True, name="lieid workbench"
         )
         self._process.start()
         theirs.close()
@@ -230,20 +107,15 @@ class Worker:
         self,
         task: Task,
         inputs: WorkbenchInputs,
-        step: ModelStep | None = None,
         *,
-        progress: Callable[[str, float], None] | None = None,
+        progress: Progress | None = None,
         found: Callable[[Any], None] | None = None,
-        **options: Any,
+        **arguments: Any,
     ) -> Any:
         """Return the result of a task.
 
-        Parameters
-        ----------
-        progress, found : callable, optional
-            Called in this thread with the stage and fraction, and with what was found.
-        **options
-            Further arguments of the task.
+        ``progress`` is called with the stage and fraction, ``found`` with what was found, both in
+        this thread.
 
         Raises
         ------
@@ -262,7 +134,7 @@ class Worker:
             self._listening = True
             listener = (loop, self._pipe, self._process)
             threading.Thread(target=self._listen, args=listener, daemon=True).start()
-        self._pipe.send(Request(number, task, inputs, step, options))
+        self._pipe.send(_Request(number, task, inputs, arguments))
         return await waiting.result
 
     def stop(self) -> None:
@@ -285,13 +157,13 @@ class Worker:
         with contextlib.suppress(RuntimeError):  # the event loop is closed
             while True:
                 try:
-                    reply: Reply = pipe.recv()
+                    reply: _Reply = pipe.recv()
                 except (EOFError, OSError):
                     loop.call_soon_threadsafe(self._lost, process)
                     return
                 loop.call_soon_threadsafe(self._received, reply)
 
-    def _received(self, reply: Reply) -> None:
+    def _received(self, reply: _Reply) -> None:
         waiting = self._waiting.get(reply.number)
         if waiting is None:
             return
@@ -313,3 +185,76 @@ class Worker:
             self._process = None
             text = "the computing process ended unexpectedly (memory?); try again"
             self._fail(WorkerError(Failure(text, "model")))
+
+
+def _run(pipe: Connection, setup: WorkerSetup) -> None:
+    """Answer requests until the pipe is closed or the parent process ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    warnings.simplefilter("ignore")  # those of results are on the page
+    logging.getLogger("lieid_casadi").addHandler(logging.NullHandler())
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # stdout has the URL and nothing else
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    failure, state = _prepared(setup), None
+    with contextlib.suppress(EOFError, OSError):  # the page has gone
+        while True:
+            request: _Request = pipe.recv()
+            reply = failure and _Reply(request.number, "error", failure)
+            try:
+                if reply is None and (state is None or state.inputs != request.inputs):
+                    state = None  # its memory is free before the next inputs are read
+                    state = _opened(setup, request.inputs)
+                reply = reply or _Reply(request.number, "result", _answer(state, request, pipe))
+            except Exception as error:  # noqa: BLE001 - the outermost frame of this process
+                reply = _Reply(request.number, "error", _failure(error))
+            pipe.send(reply)
+
+
+def _prepared(setup: WorkerSetup) -> Failure | None:
+    """Run the preparation, and import what the first request needs; return an error."""
+    try:
+        import lieid_casadi.workbench.computation  # noqa: F401 - takes a second
+
+        setup.prepare()
+    except Exception as error:  # noqa: BLE001 - reported with every request
+        return _failure(error)
+    return None
+
+
+def _opened(setup: WorkerSetup, inputs: WorkbenchInputs) -> Any:
+    from lieid_casadi.workbench.computation import Computation
+
+    return Computation(setup, inputs)
+
+
+def _answer(state: Any, request: _Request, pipe: Connection) -> Any:
+    """Return the result of one request; what reports progress can do so."""
+
+    def send(kind: Literal["progress", "found"], content: object) -> None:
+        pipe.send(_Reply(request.number, kind, content))
+
+    arguments = dict(request.arguments)
+    if request.task in ("evaluate", "find", "curves", "simulate", "save"):
+        arguments["report"] = lambda stage, fraction: send("progress", (stage, fraction))
+    if request.task == "find":
+        arguments["found"] = lambda proposal: send("found", proposal)
+    return getattr(state, request.task)(**arguments)
+
+
+def _failure(error: BaseException) -> Failure:
+    """Return an error as one line."""
+    about = "recordings" if isinstance(error, RecordingError) else "model"
+    text = " ".join(str(error).split())
+    if isinstance(error, OSError):
+        place = "" if error.filename is None else f"{error.filename}: "
+        text = f"{place}{error.strerror or text}"
+    elif not isinstance(error, LieidError):
+        text = f"internal error: {type(error).__name__}: {text}"
+    return Failure(text, about)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(0)

@@ -8,6 +8,7 @@ from comparison import two_link_data as arm
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 import lieid_casadi as lieid
+from lieid_casadi.comparison.series import residual_correlations
 from lieid_casadi.errors import (
     FrictionAtRestWarning,
     ModelError,
@@ -282,3 +283,31 @@ def test_a_test_is_never_averaged_over_periods():
     fit = lieid.identify(model, train, processing=averaged)
     comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.2))  # nothing repeats
     assert comparison.duration == pytest.approx(9.0, abs=0.1)
+
+
+def test_the_error_of_a_complete_model_is_uncorrelated_noise(fit):
+    """About one in a hundred values of white noise lies outside the bands."""
+    outside = []
+    for seed in range(5, 11):
+        comparison = lieid.compare(fit, arm.recording(60.0, seed=seed, noise=0.3))
+        found = residual_correlations(comparison.series, 0, comparison.cutoff)
+        outside += [np.abs(each.value[each.lag != 0.0]) > each.band for each in found]
+    assert np.concatenate(outside[::3]).mean() < 0.04
+    # neighbouring lags of a smooth signal lie outside together
+    assert np.concatenate(outside[1::3] + outside[2::3]).mean() < 0.15
+
+
+def test_a_missing_damping_correlates_with_the_speed_and_a_late_torque_with_its_past(fit):
+    dq = arm.motion(30.0, seed=5)[2]
+    missing = arm.recording(30.0, seed=5, noise=0.1, extra=1.5 * dq)
+    comparison = lieid.compare(fit, missing)
+    own, speed, acceleration = residual_correlations(comparison.series, 0, comparison.cutoff)
+    assert own.value[1] > 5.0 * own.band
+    assert speed.lag[np.argmax(speed.value)] == pytest.approx(0.0, abs=0.02)
+    assert speed.value.max() > 0.9
+    assert abs(acceleration.value[acceleration.lag == 0.0][0]) < 0.2
+    lag = round(0.3 * arm.RATE)
+    late = np.vstack([np.zeros((lag, 2)), dq[:-lag]])
+    comparison = lieid.compare(fit, arm.recording(30.0, seed=5, noise=0.1, extra=1.5 * late))
+    speed = residual_correlations(comparison.series, 0, comparison.cutoff)[1]
+    assert speed.lag[np.argmax(speed.value)] == pytest.approx(0.3, abs=0.09)

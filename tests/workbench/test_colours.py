@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from lieid_casadi.comparison.plot_style import BACKWARD, ERROR, FORWARD, MEASURED, PREDICTED
-from lieid_casadi.workbench.elements import SCALE, SERIES, ratio_colour
-from lieid_casadi.workbench.torque_plot import COMPARED
+from lieid_casadi.workbench.elements import COMPARED, FIRST, SCALE, ratio_colour
 
 # Machado, Oliveira and Fernandes, IEEE TVCG 15(6), 2009: severity 1, on linear RGB
 BLINDNESS = {
@@ -47,7 +46,7 @@ def lab(colour, kind):
         [colour for _, colour in SCALE],
         [MEASURED, PREDICTED, ERROR, COMPARED],
         [FORWARD, BACKWARD],
-        ["#9aa5b1", *SERIES[:3]],
+        [FIRST, PREDICTED, COMPARED],
     ],
     ids=["scale", "lines", "directions", "models"],
 )

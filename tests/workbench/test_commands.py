@@ -2,6 +2,7 @@
 
 import functools
 import shlex
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def shown(words):
     computation = Computation(setup, inputs)
     session = Session().opened(inputs, computation.opened().effects)
     computation.evaluate(session.step, quick=True, shapes={}, report=ignored)
-    session = session.with_effect("load_friction:1").show_recording(0).excluding(3.123, 4.5)
+    session = replace(session.with_effect("load_friction:1"), recording=0).excluding(3.123, 4.5)
     evaluation = computation.evaluate(session.step, quick=False, shapes={}, report=ignored)
     return session, evaluation, computation.fit(session.step, ignored)
 

@@ -3,6 +3,7 @@
 import functools
 import io
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,12 +12,12 @@ from workbench.two_link_files import write_recordings
 import lieid_casadi as lieid
 from lieid_casadi.errors import UsageError
 from lieid_casadi.simulation import window_drift
-from lieid_casadi.workbench import recordings
 from lieid_casadi.workbench.arm import TRIANGLE, arm_meshes, arm_motion, stl_bytes
-from lieid_casadi.workbench.computation import Computation, saved_file
-from lieid_casadi.workbench.recordings import WorkerSetup
+from lieid_casadi.workbench.computation import Computation
+from lieid_casadi.workbench.error_plots import errors_over_signals
+from lieid_casadi.workbench.recordings import WorkerSetup, recording_titles, used_parts
 from lieid_casadi.workbench.session import ProposedEffect, RecordingInput, Session, WorkbenchInputs
-from lieid_casadi.workbench.torque_plot import errors_over_signals, series_of, torque_lines
+from lieid_casadi.workbench.torque_plot import series_of, torque_lines
 
 
 def robot(inputs):
@@ -114,7 +115,7 @@ def test_long_recordings_are_fitted_in_part_first(inputs, first, monkeypatch):
 
 def test_stretches_are_spread_over_the_recording(two_link_files):
     recording = lieid.Recording.load(two_link_files[0])
-    parts = recordings.evenly_spread(recording, 0.6)
+    parts = used_parts(recording, 0, [], share=0.6)
     assert len(parts) == 2
     assert sum(map(len, parts)) == pytest.approx(0.6 * len(recording), rel=0.02)
     assert parts[0].t[0] == recording.t[0]
@@ -122,7 +123,7 @@ def test_stretches_are_spread_over_the_recording(two_link_files):
 
 
 def test_an_excluded_stretch_is_not_fitted(computation, first, two_link_files):
-    session = first.show_recording(0).excluding(4.0, 7.0)
+    session = replace(first, recording=0).excluding(4.0, 7.0)
     shown = evaluate(computation, session)
     file = two_link_files[0]
     parts = [lieid.Recording.load(f"{file}@:4"), lieid.Recording.load(f"{file}@7:")]
@@ -132,16 +133,26 @@ def test_an_excluded_stretch_is_not_fitted(computation, first, two_link_files):
     comparison = lieid.compare(fit, lieid.Recording.load(two_link_files[1]))
     np.testing.assert_allclose(shown.errors.shown, comparison.rms_moving)
     with pytest.raises(UsageError, match="no training recording"):
-        evaluate(computation, first.show_recording(0).excluding(-1.0, 99.0))
+        evaluate(computation, replace(first, recording=0).excluding(-1.0, 99.0))
 
 
-def test_the_search_proposes_what_diagnose_finds(computation, first):
+def test_the_search_proposes_what_diagnose_finds(computation, first, two_link_files, tmp_path):
     arrived = []
-    found = computation.find(first.step, report=ignored, found=arrived.append)
+    found, content = computation.find(first.step, report=ignored, found=arrived.append)
     assert [p.label for p in found.proposed] == ["load_friction:1"]
     assert [p.label for p in arrived] == ["load_friction:1"]
     assert found.proposed[0].after < 0.6 * found.proposed[0].before
     assert found.effects == first.step.effects
+    assert found.path[-1][0] < 0.6 * found.path[0][0]
+    # what is shown after “add all” is the fit that the diagnosis has made
+    step = replace(first.step, effects=found.model)
+    shown = computation.adopt(step, content=content)
+    assert shown.complete
+    path = tmp_path / "fit.json"
+    path.write_bytes(content)
+    test = lieid.Recording.load(two_link_files[1])
+    assert shown.errors.shown == tuple(lieid.compare(lieid.Fit.load(path), test).rms_moving)
+    assert computation.save(step, kind="fit", report=ignored) == ("fit.json", content)
 
 
 def test_a_change_since_a_fit_is_in_the_torque(two_link_files, tmp_path):
@@ -157,7 +168,7 @@ def test_a_change_since_a_fit_is_in_the_torque(two_link_files, tmp_path):
     change = ProposedEffect(
         "load_friction:1", "load_friction", (1,), 0, None, None, parameters=(("f_tau", 0.1),)
     )  # 0.1 was simulated
-    changed = evaluate(computation, session.with_change(change))
+    changed = evaluate(computation, session.with_changes([change]))
     assert kept.errors.shown[0] > 5.0 * changed.errors.shown[0]
     assert changed.errors.shown[1] == kept.errors.shown[1]
     before, after = (series_of(e, new.path.rpartition("/")[2])[0] for e in (kept, changed))
@@ -174,13 +185,13 @@ def test_the_simulation_error_is_that_of_the_test(computation, first, two_link_f
     np.testing.assert_allclose(found.rms, drift.drift.rms)
     assert (found.window, found.reason) == (1.0, "")
     change = ProposedEffect("viscous:1", "viscous", (1,), 0, None, None)
-    kept = computation.simulate(first.with_change(change).step, report=ignored)
+    kept = computation.simulate(first.with_changes([change]).step, report=ignored)
     assert kept.rms == (None, None)
     assert "changes" in kept.reason
 
 
 def test_lines_keep_the_extremes_of_every_pixel(computation, first, inputs):
-    title = recordings.recording_titles(inputs)[1]
+    title = recording_titles(inputs)[1]
     series = series_of(evaluate(computation, first), title)
     lines = torque_lines(series, 0, (0.0, 18.0), 40)
     assert len(lines.measured) <= 2 * 41
@@ -205,7 +216,7 @@ def test_poses_are_the_forward_kinematics(two_link_files):
 
 
 def test_the_saved_fit_is_loaded_again(computation, first, tmp_path):
-    name, content = saved_file(computation, first.step, kind="fit", report=ignored)
+    name, content = computation.save(first.step, kind="fit", report=ignored)
     (tmp_path / name).write_bytes(content)
     assert lieid.Fit.load(tmp_path / name).model.effects == ["coulomb", "viscous", "offset"]
 
@@ -220,7 +231,7 @@ def test_the_saved_fit_is_loaded_again(computation, first, tmp_path):
     ],
 )
 def test_exports_are_zip_files(computation, first, kind, names):
-    name, content = saved_file(computation, first.step, kind=kind, report=ignored)
+    name, content = computation.save(first.step, kind=kind, report=ignored)
     assert name == f"two_link_{kind}.zip"
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         assert set(names) <= set(archive.namelist())
@@ -228,7 +239,7 @@ def test_exports_are_zip_files(computation, first, kind, names):
 
 @pytest.mark.slow
 def test_the_report_is_a_page(computation, first):
-    name, content = saved_file(computation, first.step, kind="report", report=ignored)
+    name, content = computation.save(first.step, kind="report", report=ignored)
     assert name == "report.html"
     assert content.startswith(b"<!DOCTYPE html>")
 

@@ -1,11 +1,19 @@
 """Errors and torque are shown first; what takes longer than the fit follows as it lands."""
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 
-from lieid_casadi.workbench.evaluation import Evaluation
-from lieid_casadi.workbench.session import RecordingInput, Session, StepErrors, WorkbenchInputs
+from lieid_casadi.workbench.evaluation import Evaluation, SimulationError
+from lieid_casadi.workbench.session import (
+    FoundEffects,
+    ProposedEffect,
+    RecordingInput,
+    Session,
+    StepErrors,
+    WorkbenchInputs,
+)
 from lieid_casadi.workbench.workbench import Workbench
 
 INPUTS = WorkbenchInputs(robot="two_link", recordings=(RecordingInput("a.csv", "train"),))
@@ -32,16 +40,25 @@ class Process:
 
     def __init__(self):
         self.busy, self.asked, self.go = False, [], asyncio.Event()
+        self.simulated, self.meanwhile = None, lambda: None
 
-    async def request(self, task, inputs, step, **options):
+    async def request(self, task, inputs, *, step, **options):
         if task != "evaluate":
-            await asyncio.Event().wait()  # curves and simulation: never, here
+            return await self.follow(task, step)
         self.asked.append(("quick" if options["quick"] else "whole", step.effects[-1]))
         if options["quick"]:
             held = step.effects[-1].startswith("stribeck")
             return evaluation(exact=not held, complete=False, series="quick series")
         await self.go.wait()
         return evaluation(exact=True, complete=True, series="whole series")
+
+    async def follow(self, task, step):
+        """Return simulation errors where a test asks for them; curves are never computed here."""
+        if task != "simulate" or self.simulated is None:
+            await asyncio.Event().wait()
+        self.simulated.append(step)
+        self.meanwhile()
+        return SimulationError(1.0, (0.1,), "")
 
 
 @pytest.fixture
@@ -112,11 +129,88 @@ def test_a_result_that_lands_after_undo_belongs_to_its_step(page):
         workbench._front.go.set()
         await settle()
         _, added = workbench.session.history
-        assert before is not workbench._evaluations[added.key]
-        assert workbench._evaluations[added.key].complete
+        assert before is not workbench._results["evaluation", added.key]
+        assert workbench._results["evaluation", added.key].complete
         assert added.errors.noise_floor == (0.1,)
         await workbench.apply(workbench.session.redone())
         assert shown[-1] == (True, True, "quick series")
         assert workbench._front.asked.count(("quick", "viscous:1")) == 1
+
+    asyncio.run(run())
+
+
+def simulating(workbench, *steps):
+    """Let the other process simulate; the steps have their exact fits."""
+    workbench._back.simulated = []
+    for step in steps:
+        workbench._keep("evaluation", step, evaluation(exact=True, complete=True, series=""))
+
+
+def test_a_busy_process_is_not_asked_to_simulate(page):
+    async def run():
+        workbench, _ = page()
+        simulating(workbench, workbench.session.step)
+        workbench._back.busy = True
+        await workbench._simulate()
+        assert workbench._back.simulated == []
+        assert workbench.simulation is None
+
+    asyncio.run(run())
+
+
+def test_the_step_that_is_shown_meanwhile_is_simulated_next_and_each_once(page):
+    async def run():
+        workbench, _ = page()
+        one, two = workbench.session, workbench.session.with_effect("viscous:1")
+        simulating(workbench, one.step, two.step)
+        workbench._back.meanwhile = lambda: setattr(workbench, "session", two)
+        for _ in range(2):
+            await workbench._simulate()
+        assert [s.effects for s in workbench._back.simulated] == [
+            one.step.effects,
+            two.step.effects,
+        ]
+        assert workbench.simulation.rms == (0.1,)
+
+    asyncio.run(run())
+
+
+def test_results_of_other_inputs_are_dropped(page):
+    async def run():
+        workbench, _ = page()
+        simulating(workbench, workbench.session.step)
+        other = replace(workbench.session, inputs=WorkbenchInputs(robot="panda"))
+        workbench._back.meanwhile = lambda: setattr(workbench, "session", other)
+        await workbench._simulate()
+        assert workbench.simulation is None
+
+    asyncio.run(run())
+
+
+def test_all_effects_are_added_with_the_fit_of_the_diagnosis(page):
+    """The bars pass the errors of each model, and rest on those of the diagnosis' own fit."""
+
+    async def run():
+        workbench, _ = page()
+        first = workbench.session.step
+        proposed = tuple(
+            ProposedEffect(label, label[:-2], (1,), 0, 1.0, 0.5)
+            for label in ("stribeck:1", "viscous:1")
+        )
+        model = (*first.effects, "stribeck:1", "viscous:1")
+        path = ((1.0,), (0.5,), (0.3,))
+        found = FoundEffects("effect_found", "", proposed, first.effects, model=model, path=path)
+        workbench.session = replace(workbench.session, found=found)
+        final = replace(first, effects=model)
+        workbench._keep("evaluation", final, evaluation(exact=True, complete=True, series="fit"))
+        played = []
+        workbench.listen(lambda: played.append(workbench.playing))
+        await workbench.add_found([p.label for p in proposed])
+        assert workbench._front.asked == []  # no further fit
+        assert workbench.session.step.effects == model
+        assert list(dict.fromkeys(played)) == [(1.0,), (0.5,), None]
+        await workbench.apply(workbench.session.undone())
+        await workbench.add_found(["stribeck:1"])
+        assert workbench.session.step.effects == (*first.effects, "stribeck:1")
 
     asyncio.run(run())

@@ -22,6 +22,7 @@ from lieid_casadi.workbench.session import (
     load_session,
     save_session,
     saved_sessions,
+    upload_file,
 )
 
 INPUTS = WorkbenchInputs(
@@ -57,13 +58,13 @@ def test_errors_belong_to_every_step_with_the_same_fit():
 
 def test_a_change_since_a_fit_is_a_step():
     change = ProposedEffect("payload", "payload", (), 0, 1.0, 0.1, parameters=(("m", 0.4),))
-    session = FIRST.with_change(change)
+    session = FIRST.with_changes([change])
     assert session.step.effects_and_changes == (*FIRST.step.effects, "payload")
     assert session.step.key != FIRST.step.key
     assert session.undone().step == FIRST.step
-    assert session.with_change(change) is session
+    assert session.with_changes([change]) is session
     own = replace(change, label="coulomb:1")  # the model has this effect; its coefficient changed
-    assert FIRST.with_change(own).step.changes == (own,)
+    assert FIRST.with_changes([own]).step.changes == (own,)
 
 
 def test_the_test_recording_is_shown_first():
@@ -127,6 +128,33 @@ def test_a_damaged_session_is_one_error(folder, content):
     with pytest.raises(SessionFileError, match="not a saved session"):
         load_session(NAME)
     assert saved_sessions() == []
+
+
+def test_files_of_a_session_are_readable_by_their_owner_alone(folder):
+    old = folder / f"{NAME}.json"
+    old.write_text("")
+    old.chmod(0o644)
+    for name in (NAME, "f" * 16):
+        save_session(name, FIRST)
+        assert (folder / f"{name}.json").stat().st_mode & 0o777 == 0o600
+    file = upload_file(NAME, "run.csv")
+    assert file.stat().st_mode & 0o777 == 0o600
+    assert file.parent.stat().st_mode & 0o777 == 0o700
+
+
+def test_a_link_to_nothing_is_no_session(folder):
+    (folder / f"{NAME}.json").symlink_to(folder / "gone.json")
+    save_session("f" * 16, FIRST)
+    assert [saved.name for saved in saved_sessions()] == ["f" * 16]
+    assert load_session(NAME) is None
+
+
+def test_effects_that_were_found_are_added_in_one_step():
+    added = FIRST.with_added(["coulomb:1", "stribeck:1", "stribeck:2"])
+    assert added.step.effects == (*FIRST.step.effects, "stribeck:1", "stribeck:2")
+    assert len(added.history) == 2
+    assert added.step.title == "+ 2 effects: stribeck:1, stribeck:2"
+    assert added.with_added(["stribeck:1"]) is added
 
 
 def test_names_that_leave_the_folder_are_not_read(folder):
