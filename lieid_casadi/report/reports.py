@@ -18,7 +18,7 @@ from lieid_casadi.effects.description import describe
 from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.provenance import Source
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.payload.view import not_identified
 from lieid_casadi.report.page import Section, data_uri, picture_section, render, table_section
 from lieid_casadi.simulation.view import window_table
