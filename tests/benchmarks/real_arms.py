@@ -5,8 +5,9 @@
 It needs the recordings that ``LIEID_RECORDINGS`` names (see tests/real_arms.py; tests of the suite
 read all of them) and prints a Markdown table: RMS errors of samples in motion, N·m, of the plain
 fit, of the diagnosed model, and of the best version of this program so far on each joint
-(``real_arms_best.json``; ``--record`` adds this run to such a file). ``--forward`` adds a reference
-that looks at nothing but the cross-validated error: every effect on every joint is tried in turn.
+(``real_arms_best.json``; ``--record`` adds this run to such a file). Two references are
+made without a diagnosis: friction effects on every joint at once and, with ``--forward``, a
+selection by the cross-validated error alone, which tries every effect on every joint in turn.
 The processor time of a diagnosis is given in multiples of an identification of the same model.
 """
 
@@ -31,6 +32,7 @@ from lieid_casadi.identification.default_effects import default_effects  # noqa:
 BEST = HERE / "real_arms_best.json"
 GOAL = 1.02  # error relative to the best so far
 BLOCK, MOVING = 0.6, 7.8  # s: the TX40's blocks, two of three for training; then it rests
+FRICTION = ("viscous_polynomial", "load_friction", "presliding")  # on every joint, as a reference
 FORWARD = ("stribeck", "viscous_polynomial", "viscous_asymmetric", "load_friction", "presliding",
            "position_friction", "torque_ripple", "torque_lowpass", "armature")  # fmt: skip
 
@@ -142,6 +144,10 @@ def measured(key, *, forward=False):
         lambda: lieid.diagnose(task.model, task.train, processing=task.processing)
     )
     before, after = task.errors(plain), task.errors(found.fit)
+    by_hand = task.model
+    for name in FRICTION:
+        by_hand = by_hand.with_effect(name)
+    friction = task.errors(task.fitted(by_hand))
     reference, selected = {}, None
     if forward:
         selected, fit = forward_selection(task)
@@ -159,6 +165,7 @@ def measured(key, *, forward=False):
             "verdict": str(found.verdict),
             "before": before[test],
             "after": after[test],
+            "friction": friction[test],
             "forward": reference.get(test),
             "forward_effects": selected,
             "noise_floor": lieid.compare(found.fit, task.tests[test]).noise_floor.tolist(),
@@ -198,7 +205,8 @@ def printed(row, runs):
         f"| {ARMS[row['arm']].name}, {row['test']} | {', '.join(row['effects']) or 'none'} "
         f"({row['verdict']}) | {numbers(row['before'])} | {numbers(row['after'])} "
         f"| {whole(row['after'], row['before']):.2f} | {numbers(best)} | {ratio} "
-        f"| {numbers(row['noise_floor'])} | {row['seconds']:.0f} s, {row['times_identify']:.0f} × |"
+        f"| {numbers(row['friction'])} | {numbers(row['noise_floor'])} "
+        f"| {row['seconds']:.0f} s, {row['times_identify']:.0f} × |"
     )
 
 
@@ -220,8 +228,9 @@ def main():
     warnings.simplefilter("ignore")
     show(
         "| arm and its training, test | effects found | plain | diagnosed | ratio | best so far "
-        f"| to the best (goal ≤ {GOAL:g}) | noise floor | processor, to `identify` |\n"
-        + "| --- " * 9 + "|"
+        f"| to the best (goal ≤ {GOAL:g}) | friction on every joint | noise floor "
+        "| processor, to `identify` |\n"
+        + "| --- " * 10 + "|"
     )  # fmt: skip
     rows, runs = [], load_best()
     for key in args.arms:

@@ -7,14 +7,12 @@ from typing import Any
 
 import numpy as np
 from hidden_effects.arms import ARMS, load_arm
-from hidden_effects.effect_library import CHANGED, MISSING
-from hidden_effects.foreign import FOREIGN
-from hidden_effects.forms import FORMS
+from hidden_effects.effect_library import CHANGED, MISSING, ReferenceMotion, ScalableEffect
+from hidden_effects.foreign import FOREIGN, FORMS
 from hidden_effects.motions import draw_motion
-from hidden_effects.scalable_effect import ReferenceMotion, ScalableEffect
 from hidden_effects.worlds import WORLDS, World
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.plant import (
     Arm,
     JointFriction,
@@ -27,7 +25,6 @@ from lieid_casadi.plant import (
 )
 from lieid_casadi.plant.trajectories import Envelope
 
-Array = NDArray[np.float64]
 LEAST_NOISE, MOST_NOISE = 1e-4, 1.5e-2  # relative to the torque that the drives can deliver
 LATER = 100  # draws from here on have noise correlated over up to 1 s, and recordings of 15 s
 TRAININGS = {"tilted_run": 2}  # recordings for training that a world needs

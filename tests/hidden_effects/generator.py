@@ -24,19 +24,17 @@ from hidden_effects.case_setup import (
     draw_setup,
     with_hidden,
 )
-from hidden_effects.effect_sizes import EffectSizes, find_strengths, planned
+from hidden_effects.effect_library import ScalableEffect
 from hidden_effects.motions import Smoothed
-from hidden_effects.scalable_effect import ScalableEffect
-from hidden_effects.similar_effects import most_similar
+from hidden_effects.sizes import EffectSizes, find_strengths, most_similar, planned
 from hidden_effects.worlds import Measured, World
-from numpy.typing import NDArray
 
 from lieid_casadi import LieidError
+from lieid_casadi.arrays import Array
 from lieid_casadi.plant import Arm, Sensors, TrueMotion, measure, move, move_along
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.yaml_file import write_yaml
 
-Array = NDArray[np.float64]
 ATTEMPTS = 80
 SIZE_TOLERANCE = 0.05  # relative, on the simulated motion at all instants
 LARGEST_DEVIATION = 0.12  # of a size; above it the case is drawn again

@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.plant import FourierTrajectory, ReferenceTrajectory, point_to_point
 from lieid_casadi.plant.trajectories import Envelope, Waypoints
 from lieid_casadi.robot import Robot
 
-Array = NDArray[np.float64]
 SAMPLE, WIDTH, MARGIN = 1e-3, 0.01, 0.06  # s: of smoothed motions, and what is added at the ends
 PAUSE = 0.3  # s of rest at each end of a move between two motions
 

@@ -9,8 +9,7 @@ from itertools import product
 
 from hidden_effects.case_setup import LATER, SIZES, Case
 from hidden_effects.effect_library import CHANGED, MISSING
-from hidden_effects.foreign import FOREIGN
-from hidden_effects.forms import FORMS
+from hidden_effects.foreign import FOREIGN, FORMS
 from hidden_effects.worlds import WORLDS
 
 DRAWS = {"missing": 4, "changed": 2}  # of each effect at each size

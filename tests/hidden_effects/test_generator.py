@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from hidden_effects import effect_library, schedule
 from hidden_effects.arms import ARMS, load_arm
-from hidden_effects.base_span import BaseSpan, columns, noiseless_record, whitened
 from hidden_effects.case_setup import Case, CaseSetup, draw_setup
-from hidden_effects.effect_sizes import EffectSizes
-from hidden_effects.foreign import FOREIGN
-from hidden_effects.forms import FORMS
+from hidden_effects.foreign import FOREIGN, FORMS
 from hidden_effects.generator import draw, write
 from hidden_effects.motions import draw_motion
+from hidden_effects.sizes import BaseSpan, EffectSizes, columns, noiseless_record, whitened
 from hidden_effects.worlds import WORLDS
 from plant.arms import MujocoArm, with_links
 from scipy.signal import lfilter
@@ -29,19 +27,8 @@ from lieid_casadi.plant.trajectories import Envelope
 
 HERE = Path(__file__).parent
 GENERATOR_MODULES = (
-    "foreign",
-    "forms",
-    "worlds",
-    "generator",
-    "effect_library",
-    "scalable_effect",
-    "arms",
-    "motions",
-    "similar_effects",
-    "base_span",
-    "case_setup",
-    "effect_sizes",
-)
+    "arms", "case_setup", "effect_library", "foreign", "generator", "motions", "sizes", "worlds",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", GENERATOR_MODULES)
@@ -365,7 +352,7 @@ def test_a_form_acts_on_its_joint(name):
 def test_absorbed_effects_have_no_size():
     """A payload is part of the last link; an offset of the first, vertical joint has no effect."""
     drawn = draw(Case.parse("missing-none-1"))
-    from hidden_effects.scalable_effect import ScalableEffect, with_effect
+    from hidden_effects.effect_library import ScalableEffect, with_effect
 
     from lieid_casadi.plant import EncoderOffset, Payload, Thermal
 

@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import yaml
-from hidden_effects.scalable_effect import ReferenceMotion
+from hidden_effects.effect_library import ReferenceMotion
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from lieid_casadi import Recording, plant
+from lieid_casadi.arrays import Array
 from lieid_casadi.plant import Arm, TrueMotion, build_pinocchio
 from lieid_casadi.plant.sensors import coloured_noise
 
-Array = NDArray[np.float64]
 Named = tuple[str, tuple[int, ...]]  # effect and joints from 1; no joints: on any
 
 
