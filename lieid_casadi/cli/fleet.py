@@ -3,33 +3,68 @@
 from __future__ import annotations
 
 import argparse
+import json
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import options, output
-from lieid_casadi.cli.option_types import InputPath, OutputFile, OutputFolder, night
+from lieid_casadi.cli.option_types import InputPath, OutputFile, OutputFolder, night, number
 from lieid_casadi.cli.options import Command, Group, option
-from lieid_casadi.errors import FleetError, UsageError
+from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.fleet.run import FleetProgress, FleetRun
 
-NEW_ALARM = 5  # exit status with --exit-code
-MOST_FAULTS = 10  # printed; the history has all
+NEW_ALARM, SILENT, BOTH = 5, 6, 7  # exit status with --exit-code
+MOST_SHOWN = 10  # faults and silent arms that are printed; the history has all
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the arm-nights that the history does not have; return the exit status."""
-    from lieid_casadi.fleet.alarms import read_alarms
+    from lieid_casadi.fleet.alarms import alarms_to_report, evidence, read_alarms
     from lieid_casadi.fleet.cluster import RunOptions
     from lieid_casadi.fleet.config import read_fleet
     from lieid_casadi.fleet.history import History
     from lieid_casadi.fleet.run import run_fleet
 
+    _check(args)
+    fleet = read_fleet(args.fleet)
+    settings = RunOptions(
+        scheduler=args.scheduler, workers=args.workers, memory=args.memory, timeout=args.timeout
+    )
+    removed: int | None = None
+    with History(args.output, wait=args.wait) as history:
+        with _progress() as report:
+            result = run_fleet(
+                fleet, history, options=settings, since=args.since, newest=args.night,
+                rerun=args.rerun, connected=_connected, progress=report,
+            )  # fmt: skip
+        if args.keep is not None:
+            removed = history.remove_before(datetime.now(UTC).date() - timedelta(days=args.keep))
+        changed = alarms_to_report(history, horizon=args.horizon)
+        lines = [evidence(history, alarm) for alarm in changed]
+        alarms = read_alarms(history, open_only=True)
+    new = {(alarm.serial, alarm.series, alarm.raised) for alarm in result.new_alarms}
+    _print_run(args, result)
+    if removed is not None:
+        output.say(f"{removed} runs of nights more than {args.keep} days ago were removed.")
+    for alarm in changed:
+        kind = "New" if (alarm.serial, alarm.series, alarm.raised) in new else "Worse"
+        output.say(f"{kind} alarm: {alarm.serial}: {alarm.sentence}")
+    output.say(f"Open alarms: {len(alarms)}. lieid fleet report {args.output} lists them.")
+    if args.on_alarm is not None:
+        _notify(args.on_alarm, lines)
+    silent = len(result.silent) > args.most_failed
+    status = {(True, False): NEW_ALARM, (False, True): SILENT, (True, True): BOTH}
+    return status.get((bool(new), silent), 0) if args.exit_code else 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse options that are out of range."""
     if args.output is None:
         raise UsageError("no history; expected lieid fleet FLEET.yaml -o HISTORY.duckdb")
     if args.workers is not None and args.workers < 1:
@@ -38,41 +73,41 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--keep {args.keep}: expected 1 day or more")
     if not args.timeout > 0.0:
         raise UsageError(f"--timeout {args.timeout:g}: expected seconds above 0")
-    fleet = read_fleet(args.fleet)
-    options = RunOptions(
-        scheduler=args.scheduler, workers=args.workers, memory=args.memory, timeout=args.timeout
+
+
+def _print_run(args: argparse.Namespace, result: FleetRun) -> None:
+    """Print counts, faults, and arms that have not recorded."""
+    counts = ", ".join(f"{number} {status}" for status, number in sorted(result.counts.items()))
+    output.say(
+        f"Arm-nights of this call: {counts or 'none'}; {result.finished_before} were in the "
+        f"history. {result.seconds:.1f} s."
     )
-    with History(args.output) as history, _progress() as report:
-        result = run_fleet(
-            fleet, history, options=options, since=args.since, connected=_connected, progress=report
-        )
-        if args.keep is not None:
-            removed = history.remove_before(datetime.now(UTC).date() - timedelta(days=args.keep))
-        alarms = read_alarms(history, open_only=True)
-    output.say(_sentence(result))
-    for fault in result.faults[:MOST_FAULTS]:
-        output.say(f"  {fault}")
-    if len(result.faults) > MOST_FAULTS:
-        output.say(f"  and {len(result.faults) - MOST_FAULTS} more: column reason of table runs")
-    if args.keep is not None:
-        output.say(f"{removed} runs of nights more than {args.keep} days ago were removed.")
-    for alarm in result.new_alarms:
-        output.say(f"New alarm: {alarm.serial}: {alarm.sentence}")
-    output.say(f"Open alarms: {len(alarms)}. lieid fleet report {args.output} lists them.")
-    return NEW_ALARM if args.exit_code and result.new_alarms else 0
+    silent = [f"{serial}: {status} on {day}" for serial, day, status in result.silent]
+    for title, lines, rest in (
+        ("", result.faults, "column reason of table runs"),
+        (f"Arms whose newest night is not diagnosed: {len(silent)}.", silent, "table nights"),
+    ):
+        if title and lines:
+            output.say(title)
+        for line in lines[:MOST_SHOWN]:
+            output.say(f"  {line}")
+        if len(lines) > MOST_SHOWN:
+            output.say(f"  and {len(lines) - MOST_SHOWN} more: {rest}")
+
+
+def _notify(command: str, lines: list[dict[str, Any]]) -> None:
+    """Run the user's command with one line of JSON on its standard input for each alarm."""
+    if not lines:
+        return
+    text = "".join(json.dumps(line, ensure_ascii=False) + "\n" for line in lines)
+    done = subprocess.run(command, shell=True, input=text.encode(), check=False)
+    if done.returncode:
+        output.say(f"  ! --on-alarm: the command ended with status {done.returncode}")
 
 
 def _connected(dashboard: str) -> None:
     output.say(f"Dask dashboard: {dashboard}")
     sys.stdout.flush()
-
-
-def _sentence(result: FleetRun) -> str:
-    counts = ", ".join(f"{number} {status}" for status, number in sorted(result.counts.items()))
-    return (
-        f"Arm-nights of this call: {counts or 'none'}; {result.finished_before} were in the "
-        f"history. {result.seconds:.1f} s."
-    )
 
 
 @contextmanager
@@ -101,12 +136,13 @@ def _state(state: FleetProgress) -> str:
 
 def report(args: argparse.Namespace) -> output.Outcome:
     """Print the open alarms and write the report."""
-    from lieid_casadi.fleet.alarms import read_alarms, suggested_action
+    from lieid_casadi.fleet.alarms import evidence, read_alarms, suggested_action
     from lieid_casadi.fleet.fleet_report import alarm_table, fleet_report
     from lieid_casadi.fleet.history import History
 
     with History(args.history, read_only=True) as history:
         alarms = read_alarms(history)
+        content = {"alarms": [evidence(history, alarm) for alarm in alarms]}
         page = fleet_report(history, since=args.since) if args.html is not None else ""
     active = [alarm for alarm in alarms if alarm.closed is None]
 
@@ -118,9 +154,7 @@ def report(args: argparse.Namespace) -> output.Outcome:
         if not active:
             output.say("No open alarm.")
 
-    return output.Outcome(
-        show, json={"alarms": [alarm.to_dict() for alarm in alarms]}, html=lambda: page
-    )
+    return output.Outcome(show, json=content, html=lambda: page)
 
 
 def export(args: argparse.Namespace) -> output.Outcome:
@@ -144,21 +178,51 @@ def acknowledge(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.fleet.alarms import acknowledge
     from lieid_casadi.fleet.history import History
 
-    if not Path(args.history).exists():
-        raise FleetError(f"{args.history}: no such file; expected a history of lieid fleet")
-    with History(args.history) as history:
-        count = acknowledge(history, args.serial, joint=args.joint, note=args.note, last=args.date)
+    with History(args.history, new=False, wait=args.wait) as history:
+        closed = acknowledge(history, args.serial, joint=args.joint, note=args.note, last=args.date)
     where = f" of joint {args.joint}" if args.joint else ""
-    plural = "" if count == 1 else "s"
+    plural = "" if len(closed) == 1 else "s"
+    text = (
+        f"{args.serial}: {len(closed)} alarm{plural}{where} closed; a new baseline begins with the "
+        "next night."
+    )
+    if any(alarm.closed == alarm.last for alarm in closed):
+        text += (
+            " The arm differed from its fit until the last night. If the change lasts, identify "
+            "the arm again and enter the fit with from: DATE into the fleet file; with the old fit "
+            "another motion can look like a change."
+        )
+    return output.Outcome(lambda: output.say(text))
+
+
+def backup(args: argparse.Namespace) -> output.Outcome:
+    """Copy the history."""
+    from lieid_casadi.fleet.history import backup
+
+    is_of_now = backup(args.history, args.copy)
+    when = "" if is_of_now else ", as it was at the latest batch of the run in progress"
+    return output.Outcome(lambda: output.say(f"{args.copy}: a complete copy{when}."))
+
+
+def retire(args: argparse.Namespace) -> output.Outcome:
+    """Take an arm out of service."""
+    from lieid_casadi.fleet.alarms import retire
+    from lieid_casadi.fleet.history import History
+
+    with History(args.history, new=False, wait=args.wait) as history:
+        count = retire(history, args.serial, args.date or datetime.now(UTC).date())
     return output.Outcome(
         lambda: output.say(
-            f"{args.serial}: {count} alarm{plural}{where} closed; a new baseline begins with the "
-            "next night."
+            f"{args.serial}: retired, {count} alarm{'' if count == 1 else 's'} closed; its runs "
+            "are kept. Remove it from the fleet file, too: an arm of the file is in service."
         )
     )
 
 
 HISTORY = option("history HISTORY", "history (DuckDB)", InputPath)
+CHANGED = option("history HISTORY", "history (DuckDB) to change")
+SERIAL = option("serial SERIAL", "serial number of the arm")
+WAIT = option("--wait S", "seconds to wait for a run that has the history open", number, 0.0)
 COMMANDS = (
     Command(
         "fleet",
@@ -187,7 +251,28 @@ COMMANDS = (
                         "are kept",
                         int,
                     ),
-                    option("--exit-code", "exit with status 5 if a new alarm was raised"),
+                    option(
+                        "--night DATE",
+                        "newest night on which every arm is expected to have recorded; default: "
+                        "yesterday, UTC",
+                        night,
+                    ),
+                    option("--rerun", "compute results of an earlier method of diagnosis again"),
+                    WAIT,
+                    option(
+                        "--exit-code",
+                        "exit with status 5 if a new alarm was raised, 6 if the newest night of an "
+                        "arm is missing, refused or failed, 7 if both",
+                    ),
+                    option("--most-failed N", "arms that may be so without status 6", int, 0),
+                    option(
+                        "--on-alarm COMMAND",
+                        "shell command that gets a line of JSON on its standard input for each "
+                        "alarm that is new, or worse: twice as large, or near its limit",
+                    ),
+                    option(
+                        "--horizon DAYS", "time before a limit is reached that is near", int, 30
+                    ),
                 ),
             ),
         ),
@@ -226,8 +311,8 @@ COMMANDS = (
         "Close the open alarms of an arm and start a new baseline: nights after the repair are "
         "judged against each other, not against those before it.",
         (
-            option("history HISTORY", "history (DuckDB) to change"),
-            option("serial SERIAL", "serial number of the arm"),
+            CHANGED,
+            SERIAL,
             option("--joint J", "only alarms and baselines of this joint, from 1", int),
             option("--note TEXT", "what was found or done", required=True),
             option(
@@ -235,7 +320,22 @@ COMMANDS = (
                 "last night before the repair; default: the arm's last night in the history",
                 night,
             ),
+            WAIT,
         ),
         acknowledge,
+    ),
+    Command(
+        "fleet backup",
+        "one complete copy of a history",
+        "Write one file with everything that a history contains, also while a run is in progress.",
+        (HISTORY, option("copy COPY", "file to write", OutputFile)),
+        backup,
+    ),
+    Command(
+        "fleet retire",
+        "take an arm out of service",
+        "Take an arm out of reports, metrics and expected nights, and close its alarms.",
+        (CHANGED, SERIAL, option("--date DATE", "day; default: today, UTC", night), WAIT),
+        retire,
     ),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
@@ -40,7 +41,7 @@ ACTIONS = {
     "bias_drift": "check the zero of the torque sensor over time",
     "encoder_offset": "check the zero position of the joint and its coupling to the encoder",
     "base_tilt": "check the bolts of the base and the level of the floor",
-    "payload": "check what is mounted on the tool, and the payload in the fleet file",
+    "payload": "check what is mounted on the tool; a known payload is entered with from: its night",
     "external_wrench": "check for contact, hoses or cables at the tool",
     "error": "look at the diagnosis of the last night's recording",
     "unexplained": "look at the diagnosis of the last night's recording",
@@ -60,54 +61,28 @@ def suggested_action(quantity: str) -> str:
 
 @dataclass(frozen=True)
 class Alarm:
-    """An alarm as in the history.
-
-    Attributes
-    ----------
-    serial : str
-    joint : int or None
-        From 1; None for the whole arm.
-    quantity : str
-        Name of an effect, ``error`` or ``unexplained``.
-    since, last : date
-        First and last night of the change.
-    change, std : float or None
-    unit, sentence : str
-    raised : date
-        Night on which it became significant.
-    closed : date or None
-    note : str
-        Of the acknowledgement.
-    severity : float
-        Part of a joint's torque that the fit no longer predicts.
-    slope : float or None
-        Of a drift, per day.
-    limit_date : date or None
-        When a drift reaches the limit of the fleet file.
-    series : str
-        Labels of the quantities that the alarm is about, separated by commas.
-    slope_low, slope_high : float or None
-        Bounds of the slope of 95 % confidence.
-    """
+    """An alarm as in the history."""
 
     serial: str
-    joint: int | None
-    quantity: str
-    since: date
+    joint: int | None  # from 1; None for the whole arm
+    quantity: str  # name of an effect, ``error`` or ``unexplained``
+    since: date  # first night of the change
     last: date
     change: float | None
     std: float | None
     unit: str
     sentence: str
-    raised: date
+    raised: date  # night on which it became significant
     closed: date | None = None
-    note: str = ""
-    severity: float = 0.0
-    slope: float | None = None
-    limit_date: date | None = None
-    series: str = ""
+    note: str = ""  # of the acknowledgement
+    severity: float = 0.0  # part of a joint's torque that the fit no longer predicts
+    slope: float | None = None  # of a drift, per day, with bounds of 95 % confidence
+    limit_date: date | None = None  # when a drift reaches the limit of the fleet file
+    series: str = ""  # labels of the quantities that the alarm is about, separated by commas
     slope_low: float | None = None
     slope_high: float | None = None
+    reported: float | None = None  # size when it was last reported
+    warned: bool = False  # whether it was reported that the limit is near
 
     def to_dict(self) -> dict[str, Any]:
         """Return the alarm for JSON; dates as ISO 8601."""
@@ -136,12 +111,6 @@ def updated_alarms(open_alarms: Sequence[Alarm], judged: JudgedArm) -> list[Alar
 
     Quantities that belong to an open alarm raise no other. All further significant quantities
     together raise one alarm, with the beginning of the most significant.
-
-    Parameters
-    ----------
-    open_alarms : sequence of Alarm
-        Of the arm, not closed.
-    judged : JudgedArm
     """
     alarms = [_continued(alarm, judged) for alarm in open_alarms]
     owned = frozenset[str]().union(*(alarm.labels for alarm in alarms))
@@ -176,7 +145,13 @@ def _continued(alarm: Alarm, judged: JudgedArm) -> Alarm:
     since = own[0].since if own else alarm.since
     fresh = _described(judged.arm, own, since, alarm)
     return replace(
-        fresh, raised=alarm.raised, note=alarm.note, series=alarm.series, last=judged.arm.dates[-1]
+        fresh,
+        raised=alarm.raised,
+        note=alarm.note,
+        series=alarm.series,
+        last=judged.arm.dates[-1],
+        reported=alarm.reported,
+        warned=alarm.warned,
     )
 
 
@@ -349,6 +324,7 @@ def _label(name: str, joint: int | None) -> str:
 
 
 COLUMNS = ", ".join(Alarm.__dataclass_fields__)
+WORSE = 2.0  # growth of an alarm's size from which on it is reported again
 
 
 def read_alarms(history: History, *, open_only: bool = False) -> list[Alarm]:
@@ -364,8 +340,14 @@ def judge_new_nights(history: History) -> list[Alarm]:
     """Judge the nights that have runs which were not judged yet; return the new alarms.
 
     Nights are judged one after another, as if each had been judged on its own morning. Runs that
-    arrive late for an earlier night are taken into account from the next night that is judged.
+    arrive late for an earlier night are taken into account from the next night that is judged. A
+    new fit starts a new baseline, and closes the alarms that were raised before it.
     """
+    history.connection.execute(
+        "UPDATE alarms SET closed = a.fit_from, note = 'new fit' FROM arms a WHERE "
+        "alarms.serial = a.serial AND closed IS NULL AND alarms.raised < a.fit_from "
+        "AND a.fit_from <= (SELECT max(date) FROM runs)"
+    )
     waiting = history.rows(
         "SELECT DISTINCT date FROM runs WHERE status = 'done' AND started > "
         "coalesce((SELECT max(written) FROM judged), TIMESTAMP '1970-01-01') ORDER BY date"
@@ -375,32 +357,27 @@ def judge_new_nights(history: History) -> list[Alarm]:
     written = datetime.now(UTC).replace(tzinfo=None)
     ((latest,),) = history.rows("SELECT max(date) FROM judged")
     nights = [night for (night,) in waiting if latest is None or night >= latest] or [latest]
-    arms = read_arms(history)
+    arms = list(read_arms(history, waiting=len(nights)))
     alarms = read_alarms(history)
     new: list[Alarm] = []
     for night in nights:
         alarms, raised = alarms_after(alarms, arms, night)
         new += raised
+    _write_alarms(history, alarms)
+    history.insert("judged", [(night, written) for night in nights])
+    return new
+
+
+def _write_alarms(history: History, alarms: Sequence[Alarm]) -> None:
     with history.transaction():
         history.connection.execute("DELETE FROM alarms")
-        for alarm in alarms:
-            history.insert("alarms", [tuple(vars(alarm).values())])
-        history.insert("judged", [(night, written) for night in nights])
-    return new
+        history.insert("alarms", [tuple(vars(alarm).values()) for alarm in alarms])
 
 
 def alarms_after(
     alarms: Sequence[Alarm], arms: Sequence[ArmHistory], night: date
 ) -> tuple[list[Alarm], list[Alarm]]:
-    """Return all alarms after a night, and those that are new.
-
-    Parameters
-    ----------
-    alarms : sequence of Alarm
-        Before the night.
-    arms : sequence of ArmHistory
-    night : date
-    """
+    """Return all alarms after a night, and those that are new."""
     alarmed = {alarm.serial for alarm in alarms if alarm.closed is None}
     judged = {each.arm.serial: each for each in judge_night(arms, night, alarmed=alarmed)}
     kept = [a for a in alarms if a.closed is not None or a.serial not in judged]
@@ -413,10 +390,45 @@ def alarms_after(
     return kept, new
 
 
+def alarms_to_report(history: History, *, horizon: int = 0) -> list[Alarm]:
+    """Return open alarms that were not reported yet, or are worse; they are noted as reported.
+
+    An alarm is worse if its change is `WORSE` times that of the last report, or if a drift reaches
+    its limit within ``horizon`` days for the first time.
+    """
+    alarms = read_alarms(history)
+    chosen: list[Alarm] = []
+    for k, alarm in enumerate(alarms):
+        size = abs(alarm.change or 0.0)
+        near = alarm.limit_date is not None and (alarm.limit_date - alarm.last).days <= horizon
+        grown = alarm.reported is None or size >= WORSE * alarm.reported > 0.0
+        if alarm.closed is None and (grown or (near and not alarm.warned)):
+            reported = size if grown else alarm.reported
+            alarms[k] = replace(alarm, reported=reported, warned=alarm.warned or near)
+            chosen.append(alarms[k])
+    if chosen:
+        _write_alarms(history, alarms)
+    return chosen
+
+
+def evidence(history: History, alarm: Alarm) -> dict[str, Any]:
+    """Return an alarm for JSON, with what to do, the latest recording and a command to see it."""
+    rows = history.rows(
+        "SELECT r.recording, a.fit FROM runs r JOIN arms a USING (serial, fit_sha256) "
+        "WHERE serial = ? AND status = 'done' ORDER BY date DESC, started DESC LIMIT 1",
+        [alarm.serial],
+    )
+    recording, fit = rows[0] if rows else (None, None)
+    command = shlex.join(["lieid", "workbench", fit, recording]) if recording and fit else None
+    return alarm.to_dict() | {
+        "action": suggested_action(alarm.quantity), "recording": recording, "command": command,
+    }  # fmt: skip
+
+
 def acknowledge(
     history: History, serial: str, *, joint: int | None = None, note: str, last: date | None = None
-) -> int:
-    """Close alarms of an arm and start new baselines; return the number of alarms closed.
+) -> list[Alarm]:
+    """Close alarms of an arm and start new baselines; return the alarms.
 
     Parameters
     ----------
@@ -435,30 +447,55 @@ def acknowledge(
     FleetError
         The history has no such arm, or the arm no such joint.
     """
-    known = history.rows("SELECT joints FROM arms WHERE serial = ?", [serial])
-    if not known:
-        serials = ", ".join(s for (s,) in history.rows("SELECT serial FROM arms ORDER BY serial"))
-        raise FleetError(f"{history.path}: no arm {serial!r}; expected one of {serials}")
-    if joint is not None and not 1 <= joint <= known[0][0]:
-        raise FleetError(f"arm {serial} has no joint {joint}; expected 1 to {known[0][0]}")
+    joints = _known_arm(history, serial)
+    if joint is not None and not 1 <= joint <= joints:
+        raise FleetError(f"arm {serial} has no joint {joint}; expected 1 to {joints}")
     if last is None:
         ((last,),) = history.rows("SELECT max(date) FROM runs WHERE serial = ?", [serial])
     if last is None:
         raise FleetError(f"{history.path}: arm {serial} has no runs, so nothing to acknowledge")
-    chosen = "serial = ? AND closed IS NULL AND (? IS NULL OR joint = ?)"
-    values: list[object] = [serial, joint, joint]
+    closed = [
+        replace(alarm, closed=last, note=note)
+        for alarm in read_alarms(history, open_only=True)
+        if alarm.serial == serial and joint in (None, alarm.joint)
+    ]
     with history.transaction():
-        closed = history.rows(f"SELECT series FROM alarms WHERE {chosen}", values)
         history.connection.execute(
-            f"UPDATE alarms SET closed = ?, note = ? WHERE {chosen}", [last, note, *values]
+            "UPDATE alarms SET closed = ?, note = ? WHERE serial = ? AND closed IS NULL "
+            "AND (? IS NULL OR joint = ?)",
+            [last, note, serial, joint, joint],
         )
-        joints = {joint} if joint is None else {joint, *_joints_of(closed)}
+        concerned = {joint} if joint is None else {joint, *_joints_of(closed)}
         now = datetime.now(UTC).replace(tzinfo=None)
-        history.insert("acknowledgements", [(serial, j, last, note, now) for j in joints])
-    return len(closed)
+        history.insert("acknowledgements", [(serial, j, last, note, now) for j in concerned])
+    return closed
 
 
-def _joints_of(alarms: Sequence[tuple[str]]) -> set[int]:
+def retire(history: History, serial: str, day: date) -> int:
+    """Take an arm out of reports, metrics and expected nights; return how many alarms it closes."""
+    _known_arm(history, serial)
+    with history.transaction():
+        history.connection.execute("UPDATE arms SET retired = ? WHERE serial = ?", [day, serial])
+        history.connection.execute("DELETE FROM nights WHERE serial = ?", [serial])
+        return len(
+            history.rows(
+                "UPDATE alarms SET closed = ?, note = 'retired' WHERE serial = ? "
+                "AND closed IS NULL RETURNING serial",
+                [day, serial],
+            )
+        )
+
+
+def _known_arm(history: History, serial: str) -> int:
+    """Return the number of joints of an arm that the history has."""
+    known = history.rows("SELECT joints FROM arms WHERE serial = ?", [serial])
+    if not known:
+        serials = ", ".join(s for (s,) in history.rows("SELECT serial FROM arms ORDER BY serial"))
+        raise FleetError(f"{history.path}: no arm {serial!r}; expected one of {serials}")
+    return int(known[0][0])
+
+
+def _joints_of(alarms: Sequence[Alarm]) -> set[int]:
     """Return the joints of the quantities that alarms are about."""
-    labels = [label for (series,) in alarms for label in series.split(",")]
+    labels = [label for alarm in alarms for label in alarm.labels]
     return {int(label.rpartition(":")[2]) for label in labels if ":" in label}

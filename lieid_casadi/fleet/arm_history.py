@@ -2,19 +2,50 @@
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import date
+from datetime import date, timedelta
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.fleet.history import History
-from lieid_casadi.fleet.scatter import NightSeries
+from lieid_casadi.fleet.scatter import EARLIER_NIGHTS, LATEST_NIGHTS, NightSeries, used_nights
 
 ERROR = "error"  # name of the series of a joint's error
+#: Motions are the same if positions differ by less than this part of the range, and this, rad.
+SAME_MOTION, SAME_POSITION = 0.05, 0.01
+LEAST_ERROR_SCATTER = 0.02  # of the logarithm of an error: its unit of scale
+ARMS_AT_ONCE = 200  # that are read by one query
+#: Runs of the present fit of some arms, numbered night by night (k); of a recording that was run
+#: twice, the later one. Of nights before the latest ones only some are kept.
+KEPT = f"""
+CREATE OR REPLACE TEMP TABLE kept AS
+WITH used AS (
+    SELECT r.run_id, r.serial, r.date, r.started, r.payload FROM runs r
+    JOIN arms a ON r.serial = a.serial AND r.fit_sha256 = a.fit_sha256
+    WHERE r.status = 'done' AND list_contains($serials, r.serial) AND NOT EXISTS (
+        SELECT 1 FROM maintenance m
+        WHERE m.serial = r.serial AND r.date BETWEEN m.first AND m.last)
+    QUALIFY row_number() OVER (PARTITION BY r.serial, r.recording ORDER BY r.started DESC) = 1
+), aged AS (
+    SELECT *, row_number() OVER (PARTITION BY serial ORDER BY date DESC, started DESC) AS age,
+        count(*) OVER (PARTITION BY serial) AS total
+    FROM used
+)
+SELECT run_id, serial, date, payload,
+    row_number() OVER (PARTITION BY serial ORDER BY age DESC) - 1 AS k
+FROM aged WHERE age <= $latest
+    OR (total - age) % ceil((total - $latest) / {EARLIER_NIGHTS})::BIGINT = 0
+"""
+_JOINT_COLUMNS = (
+    "rms_moving", "expected", "torque_rms", "temperature", "q_low", "q_high", "q_mean", "q_std",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -48,18 +79,14 @@ class FoundEffect:
 
 @dataclass(frozen=True, eq=False)
 class ArmHistory:
-    """All nights of one arm since its baseline was started.
+    """Nights of one arm with its present fit.
 
     Attributes
     ----------
-    serial, robot : str
-    joints : int
     dates : tuple of date
         One per night, increasing.
     series : mapping
         Quantity → values of all nights; errors are logarithms relative to the expected error.
-    units : mapping
-        Quantity → unit.
     found : tuple of mapping
         For each night: (effect, joint) → what the diagnosis found.
     shares : (N,)
@@ -77,19 +104,21 @@ class ArmHistory:
     series: Mapping[Quantity, NightSeries]
     units: Mapping[Quantity, str]
     found: tuple[Mapping[tuple[str, int | None], FoundEffect], ...]
-    shares: NDArray[np.float64]
+    shares: Array
     starts: Mapping[int | None, date]
     limits: Mapping[str, list[float]]
 
     def until(self, last: date) -> ArmHistory:
-        """Return the nights up to a date."""
-        count = sum(night <= last for night in self.dates)
+        """Return the nights up to a date that a judgement uses."""
+        nights = used_nights(sum(night <= last for night in self.dates))
+        if len(nights) == len(self.dates):
+            return self
         return replace(
             self,
-            dates=self.dates[:count],
-            series={quantity: s.part(0, count) for quantity, s in self.series.items()},
-            found=self.found[:count],
-            shares=self.shares[:count],
+            dates=tuple(self.dates[k] for k in nights),
+            series={quantity: s.at(nights) for quantity, s in self.series.items()},
+            found=tuple(self.found[k] for k in nights),
+            shares=self.shares[nights],
         )
 
     def baseline_of(self, joint: int | None) -> int:
@@ -98,108 +127,54 @@ class ArmHistory:
         return sum(night < max(starts) for night in self.dates) if starts else 0
 
 
-#: Motions are the same if positions differ by less than this part of the range, and this, rad.
-SAME_MOTION, SAME_POSITION = 0.05, 0.01
-LEAST_ERROR_SCATTER = 0.02  # of the logarithm of an error: its unit of scale
-#: Runs of the present fit of each arm; of a recording that was run twice, the later one.
-RUNS = (
-    "WITH used AS (SELECT r.run_id, r.serial, r.date, r.started, r.payload FROM runs r "
-    "JOIN arms a ON r.serial = a.serial AND r.fit_sha256 = a.fit_sha256 WHERE r.status = 'done' "
-    "QUALIFY row_number() OVER (PARTITION BY r.serial, r.recording ORDER BY r.started DESC) = 1) "
-)
+def read_arms(history: History, *, waiting: int | None = None) -> Iterator[ArmHistory]:
+    """Yield the histories of all arms that have nights, in the order of their serial numbers.
 
-
-def read_arms(history: History) -> list[ArmHistory]:
-    """Return the histories of all arms that have nights, in the order of their serial numbers."""
-    import json
-
-    runs: dict[str, list[tuple[str, date, str]]] = defaultdict(list)
-    for run_id, serial, night, payload in history.rows(
-        RUNS + "SELECT run_id, serial, date, payload FROM used ORDER BY serial, date, started"
-    ):
-        runs[serial].append((run_id, night, payload or ""))
-    rows = _RowsByRun.read(history)
-    starts = _starts(history)
-    arms = []
-    for serial, robot, joints, limits in history.rows(
-        "SELECT serial, robot, joints, limits FROM arms ORDER BY serial"
-    ):
-        if not runs[serial]:
-            continue
-        ids = [run_id for run_id, *_ in runs[serial]]
-        nights = tuple(night for _, night, _ in runs[serial])
-        motions = motions_of([(load, rows.ranges[run_id]) for run_id, _, load in runs[serial]])
-        series, units = _series(ids, nights, motions, rows.parameters, rows.errors, joints)
-        arms.append(
-            ArmHistory(
-                serial, robot, joints, nights, series, units,
-                tuple({(f[0], f[1]): FoundEffect(*f[2:]) for f in rows.findings[i]} for i in ids),
-                np.array([_share(rows.errors[i]) for i in ids]),
-                starts[serial], json.loads(limits),
-            )
-        )  # fmt: skip
-    return arms
-
-
-@dataclass(frozen=True, eq=False)
-class _RowsByRun:
-    """Rows of the tables of the history by run_id, of the runs that `RUNS` selects.
-
-    Attributes
+    Parameters
     ----------
-    parameters
-        (name, joint, value, std, unit)
-    errors
-        (joint, rms_moving, expected, torque_rms, temperature), ordered by joint
-    ranges
-        (q_low, q_high, q_mean, q_std), ordered by joint
-    findings
-        (effect, joint, change, std, unit, severity, sentence)
+    history : History
+    waiting : int, optional
+        Number of nights that are to be judged: what their judgement needs is read. None: all
+        nights.
     """
-
-    parameters: Mapping[str, list[tuple[Any, ...]]]
-    errors: Mapping[str, list[tuple[Any, ...]]]
-    ranges: Mapping[str, list[tuple[Any, ...]]]
-    findings: Mapping[str, list[tuple[Any, ...]]]
-
-    @classmethod
-    def read(cls, history: History) -> _RowsByRun:
-        return cls(
-            parameters=_by_run(
-                history,
-                "SELECT run_id, name, joint, value, std, unit FROM used "
-                "JOIN parameters USING (run_id)",
-            ),
-            errors=_by_run(
-                history,
-                "SELECT run_id, e.joint, rms_moving, expected, torque_rms, temperature "
-                "FROM used JOIN errors e USING (run_id) ORDER BY run_id, joint",
-            ),
-            ranges=_by_run(
-                history,
-                "SELECT run_id, q_low, q_high, q_mean, q_std FROM used "
-                "JOIN errors e USING (run_id) WHERE q_low IS NOT NULL ORDER BY run_id, joint",
-            ),
-            findings=_by_run(
-                history,
-                "SELECT run_id, effect, joint, change, std, unit, severity, sentence "
-                "FROM used JOIN findings USING (run_id)",
-            ),
-        )
+    latest = 10**9 if waiting is None else LATEST_NIGHTS + waiting
+    starts = _starts(history)
+    arms = history.rows(
+        "SELECT serial, robot, joints, limits FROM arms WHERE retired IS NULL ORDER BY serial"
+    )
+    for first, end in pairwise([*range(0, len(arms), ARMS_AT_ONCE), len(arms)]):
+        part = arms[first:end]
+        history.connection.execute(KEPT, {"serials": [arm[0] for arm in part], "latest": latest})
+        rows = _rows_by_arm(history)
+        for serial, robot, joints, limits in part:
+            if rows["nights"][serial]:
+                own = {name: each[serial] for name, each in rows.items()}
+                yield _arm((serial, robot, joints), own, starts[serial], json.loads(limits))
 
 
-def _by_run(history: History, query: str) -> defaultdict[str, list[tuple[Any, ...]]]:
-    """Return the rows of a query on `RUNS`, whose first column is run_id, by run."""
-    found: defaultdict[str, list[tuple[Any, ...]]] = defaultdict(list)
-    for run_id, *rest in history.rows(RUNS + query):
-        found[run_id].append(tuple(rest))
+def _rows_by_arm(history: History) -> dict[str, defaultdict[str, list[tuple[Any, ...]]]]:
+    """Return rows of the kept runs by table and arm: nights, quantities, joints and findings."""
+    lists = ", ".join(f"list({name} ORDER BY k)" for name in _JOINT_COLUMNS)
+    queries = {
+        "nights": "SELECT serial, date, payload FROM kept ORDER BY serial, k",
+        "quantities": "SELECT serial, name, joint, any_value(unit), list(value ORDER BY k), "
+        "list(std ORDER BY k) FROM kept JOIN parameters p USING (run_id, serial) "
+        "GROUP BY serial, name, joint ORDER BY serial, min(p.rowid)",
+        "joints": f"SELECT serial, joint, {lists} FROM kept JOIN errors USING (run_id, serial) "
+        "GROUP BY serial, joint ORDER BY serial, joint",
+        "findings": "SELECT serial, k, effect, joint, change, std, unit, severity, sentence "
+        "FROM kept JOIN findings f USING (run_id, serial) ORDER BY serial, k, f.rowid",
+    }
+    found: dict[str, defaultdict[str, list[tuple[Any, ...]]]] = {}
+    for name, query in queries.items():
+        found[name] = defaultdict(list)
+        for serial, *rest in history.rows(query):
+            found[name][serial].append(tuple(rest))
     return found
 
 
 def _starts(history: History) -> defaultdict[str, dict[int | None, date]]:
     """Return, for each arm and joint, the first night of the baseline."""
-    from datetime import timedelta
-
     starts: defaultdict[str, dict[int | None, date]] = defaultdict(dict)
     for serial, joint, last in history.rows(
         "SELECT serial, joint, max(date) FROM acknowledgements GROUP BY serial, joint"
@@ -208,90 +183,70 @@ def _starts(history: History) -> defaultdict[str, dict[int | None, date]]:
     return starts
 
 
-def _series(
-    ids: list[str],
-    nights: tuple[date, ...],
-    motions: NDArray[np.intp],
-    parameters: Mapping[str, list[tuple[Any, ...]]],
-    errors: Mapping[str, list[tuple[Any, ...]]],
-    joints: int,
-) -> tuple[dict[Quantity, NightSeries], dict[Quantity, str]]:
-    """Return the series of one arm and their units; quantities that a night lacks are left out.
-
-    Parameters
-    ----------
-    ids : list of str
-        Of the runs, in the order of the nights.
-    nights : tuple of date
-    motions : (N,) int
-    parameters, errors : mapping
-        Rows by run.
-    joints : int
-    """
-    days = np.array([night.toordinal() for night in nights], dtype=float)
-    warm = np.full((len(ids), joints), np.nan)
-    log_error = np.full((len(ids), joints), np.nan)
-    values: defaultdict[Quantity, list[tuple[float, float]]] = defaultdict(list)
-    units: dict[Quantity, str] = {}
-    for k, run_id in enumerate(ids):
-        for joint, rms, expected, _, temperature in errors[run_id]:
-            if rms and expected:
-                log_error[k, joint - 1] = np.log(rms / expected)
-            warm[k, joint - 1] = np.nan if temperature is None else temperature
-        for name, joint, value, std, unit in parameters[run_id]:
-            values[Quantity(name, joint)].append((value, std))
-            units[Quantity(name, joint)] = unit
-    series = {}
-    for quantity, pairs in values.items():
-        if len(pairs) == len(ids):
-            x, scale = np.array(pairs).T
-            scale = np.maximum(scale, 1e-12)
-            series[quantity] = NightSeries(days, x, scale, warm[:, quantity.joint - 1], motions)
-    unknown = np.full(len(ids), np.nan)
+def _arm(
+    identity: tuple[str, str, int],
+    rows: Mapping[str, list[tuple[Any, ...]]],
+    starts: Mapping[int | None, date],
+    limits: Mapping[str, list[float]],
+) -> ArmHistory:
+    """Return one arm from its rows; quantities that a night lacks are left out."""
+    dates = tuple(night for night, _ in rows["nights"])
+    count, joints = len(dates), identity[2]
+    columns = np.full((len(_JOINT_COLUMNS), joints, count), np.nan)
+    for joint, *lists in rows["joints"]:
+        if len(lists[0]) == count:
+            columns[:, joint - 1] = np.array(lists, dtype=float)
+    rms, expected, torque, warm = columns[:4]
+    motions = motions_of([load or "" for _, load in rows["nights"]], np.moveaxis(columns[4:], 2, 0))
+    days = np.array([night.toordinal() for night in dates], dtype=float)
+    series, units = {}, {}
+    for name, joint, unit, values, stds in rows["quantities"]:
+        if len(values) == count:
+            scales = np.maximum(np.array(stds, dtype=float), 1e-12)
+            quantity, x = Quantity(name, joint), np.array(values, dtype=float)
+            series[quantity] = NightSeries(days, x, scales, warm[joint - 1], motions)
+            units[quantity] = unit
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_error = np.log(rms / expected)
+        lost = np.sqrt(np.maximum(rms**2 - expected**2, 0.0)) / torque
+    unknown, scales = np.full(count, np.nan), np.full(count, LEAST_ERROR_SCATTER)
     for j in range(joints):
-        if np.isfinite(log_error[:, j]).all():
-            scale = np.full(len(ids), LEAST_ERROR_SCATTER)
-            series[Quantity(ERROR, j + 1)] = NightSeries(
-                days, log_error[:, j], scale, unknown, motions
-            )
-    return series, units
+        if np.isfinite(log_error[j]).all():
+            own = NightSeries(days, log_error[j], scales, unknown, motions)
+            series[Quantity(ERROR, j + 1)] = own
+    found: list[dict[tuple[str, int | None], FoundEffect]] = [{} for _ in dates]
+    for k, effect, finding_joint, *rest in rows["findings"]:
+        found[k][effect, finding_joint] = FoundEffect(*rest)
+    shares = np.where(np.isfinite(lost), lost, 0.0).max(axis=0, initial=0.0)
+    return ArmHistory(*identity, dates, series, units, tuple(found), shares, starts, limits)
 
 
-def motions_of(nights: Sequence[tuple[str, Sequence[tuple[float, ...]]]]) -> NDArray[np.intp]:
+def motions_of(labels: Sequence[str], positions: Array) -> NDArray[np.intp]:
     """Return the number of each night's motion (N,), from 0.
 
     Parameters
     ----------
-    nights : sequence of (str, sequence of (4,))
-        Label of the payload; of each joint lowest, highest and mean position and its standard
-        deviation. Nights without positions have one motion.
+    labels : sequence of str
+        Of the payload.
+    positions : (N, 4, n)
+        Lowest, highest and mean position and its standard deviation of each joint; nights without
+        positions (NaN) have one motion.
     """
-    known: list[tuple[str, NDArray[np.float64]]] = []
+    known: list[int] = []  # first night of each motion
     numbers = []
-    for label, positions in nights:
-        own = np.array(positions, dtype=float)
-        for number, (other, its) in enumerate(known):
-            if other == label and _is_same_motion(own, its):
+    for night, (label, own) in enumerate(zip(labels, positions, strict=True)):
+        for number, first in enumerate(known):
+            if labels[first] == label and _is_same_motion(own, positions[first]):
                 numbers.append(number)
                 break
         else:
             numbers.append(len(known))
-            known.append((label, own))
+            known.append(night)
     return np.array(numbers, dtype=np.intp)
 
 
-def _is_same_motion(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    if a.shape != b.shape or not a.size:
-        return a.shape == b.shape
-    span = np.maximum(a[:, 1] - a[:, 0], b[:, 1] - b[:, 0])
-    return bool((np.abs(a - b) <= SAME_MOTION * span[:, None] + SAME_POSITION).all())
-
-
-def _share(errors: list[tuple[Any, ...]]) -> float:
-    """Return the largest part of a joint's torque that the fit no longer predicts."""
-    shares = [
-        np.sqrt(max(rms**2 - expected**2, 0.0)) / torque
-        for _, rms, expected, torque, _ in errors
-        if rms and expected and torque
-    ]
-    return float(max(shares, default=0.0))
+def _is_same_motion(a: Array, b: Array) -> bool:
+    if np.isnan(a).any() or np.isnan(b).any():
+        return bool(np.isnan(a).any() and np.isnan(b).any())
+    span = np.maximum(a[1] - a[0], b[1] - b[0])
+    return bool((np.abs(a - b) <= SAME_MOTION * span + SAME_POSITION).all())

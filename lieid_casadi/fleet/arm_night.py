@@ -41,27 +41,14 @@ UNDETERMINED = 1e-9  # of scaled columns: directions that the night does not exc
 
 @dataclass(frozen=True, eq=False)
 class NightEstimate:
-    """Effect coefficients of one night.
+    """Effect coefficients of one night."""
 
-    Attributes
-    ----------
-    parameters : tuple of Parameter
-        Coefficients of effects that are base parameters.
-    values, std : (k,)
-        Estimates and nominal standard deviations, from the noise of the fit alone.
-    torque_rms : (n,)
-        RMS of the measured torque in motion, N·m.
-    unexplained : (n,)
-        Part of the torque (0 to 1, in terms of RMS) that the robot's regressor cannot explain
-        even if all its parameters are fitted to this night.
-    unexplained_over_noise : (n,)
-        The same error in multiples of the noise.
-    """
-
-    parameters: tuple[Parameter, ...]
-    values: Array
-    std: Array
-    torque_rms: Array
+    parameters: tuple[Parameter, ...]  # coefficients of effects that are base parameters
+    values: Array  # (k,)
+    std: Array  # (k,) nominal standard deviations, from the noise of the fit alone
+    torque_rms: Array  # (n,) of the measured torque in motion, N·m
+    #: (n,) Part of the torque (0 to 1, in terms of RMS) that the robot's regressor cannot explain
+    #: even if all its parameters are fitted to this night; and the same in multiples of the noise.
     unexplained: Array
     unexplained_over_noise: Array
 
@@ -71,15 +58,8 @@ def night_estimate(fit: Fit, recording: Recording, noise: Array) -> NightEstimat
 
     Inertial parameters have the fit's estimate and covariance as prior, coefficients of effects
     are free. A change of friction is therefore not reduced by the prior, and errors of the
-    inertial parameters enter the standard deviations.
-
-    Parameters
-    ----------
-    fit : Fit
-    recording : Recording
-        Checked against the model.
-    noise : (n,)
-        Held-out error of the fit, N·m.
+    inertial parameters enter the standard deviations. ``noise`` (n,) is the held-out error of the
+    fit, N·m.
     """
     segments, _ = center_temperature(process([recording], fit.processing), fit.temperature_mean)
     rows = Design(fit.compiled, segments).rows(fit.shapes, fit.parameters)
@@ -159,19 +139,13 @@ OTHER_ARM_PART, OTHER_ARM_NOISE = 0.2, 5.0
 def run_arm_night(night: ArmNight, fit_content: bytes) -> NightResult:
     """Return the result of an arm-night; errors of the recording are part of it.
 
-    Parameters
-    ----------
-    night : ArmNight
-    fit_content : bytes
-        Of the arm's fit file. The loaded fit with its compiled model is kept for further nights.
+    The loaded fit with its compiled model is kept for further nights.
     """
-    from lieid_casadi import __version__
-
     start, sha = time.perf_counter(), ""
     try:
         with local_copy(night.recording) as path:
             sha = hash_of_file(path)
-            if night.run_id(sha, __version__) in night.done:
+            if night.run_id(sha) in night.done:
                 return NightResult("done", recording_sha256=sha, repeated=True)
             result = _diagnosed(night, fit_content, path)
     except (FleetError, MissingDependency) as error:

@@ -22,50 +22,28 @@ from lieid_casadi.fleet.scatter import NightSeries, ScatterPrior, TemperaturePri
 
 FEWEST_NIGHTS = 4  # of an arm that is judged
 BASELINE_NIGHTS = 2  # at least, before a step
-WINDOW = 120  # latest nights at which a change can begin
 JUDGED_WITHOUT_NIGHT = 0.05  # p-value of a change from which on it is not tried without a night
 CONFIDENCE = 0.95  # of the interval of a slope
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """The strongest change of a series.
+    """The strongest change of a series."""
 
-    Attributes
-    ----------
-    kind : str
-        ``step`` or ``drift``.
-    first : int
-        Position of the first changed night.
-    size, std : float
-        Change at the last night.
-    slope, slope_low, slope_high : float
-        Of a drift, per day, with bounds of 95 % confidence; otherwise 0.
-    level : float
-        Value before the change, at the mean temperature.
-    scatter : float
-        Night-to-night scatter (standard deviation of one night).
-    p_value : float
-        Two-sided, corrected for all possible beginnings.
-    p_without_night : float
-        Largest p-value of this change, not corrected, if one of the nights since its beginning
-        is left out; 1 if there is only one, or if ``p_value`` is 0.05 or more.
-    freedom : float
-        Degrees of freedom of its t statistic.
-    """
-
-    kind: str
-    first: int
-    size: float
+    kind: str  # ``step`` or ``drift``
+    first: int  # position of the first changed night
+    size: float  # at the last night
     std: float
-    slope: float
+    slope: float  # of a drift, per day, with bounds of 95 % confidence; otherwise 0
     slope_low: float
     slope_high: float
-    level: float
-    scatter: float
-    p_value: float
+    level: float  # value before the change, at the mean temperature
+    scatter: float  # standard deviation of one night
+    p_value: float  # two-sided, corrected for all possible beginnings
+    #: Largest p-value of this change, not corrected, if one of the nights since its beginning is
+    #: left out; 1 if there is only one, or if ``p_value`` is 0.05 or more.
     p_without_night: float
-    freedom: float
+    freedom: float  # degrees of freedom of its t statistic
 
     def day_of_limit(self, last_day: float, limit: float) -> float | None:
         """Return the day when a drift reaches a limit of the value's size; None if never."""
@@ -85,14 +63,7 @@ def strongest_change(
 ) -> Change | None:
     """Return the most significant step or drift; None for fewer than four nights.
 
-    Parameters
-    ----------
-    series : NightSeries
-    prior : ScatterPrior
-    temperature : TemperaturePrior, optional
-        Without it the temperature is not a covariate.
-    rises_only : bool
-        Whether only increases are tested.
+    Without a prior of its slope the temperature is not a covariate.
     """
     count = len(series)
     if count < FEWEST_NIGHTS:
@@ -146,17 +117,9 @@ def _p_without_night(
 ) -> float:
     """Return the largest p-value of a change if one of the nights since its beginning is left out.
 
-    A night is left out by a free term of its own.
-
-    Parameters
-    ----------
-    white : (N, k)
-        A night alone, for each of the k nights since the beginning.
-    prior : ScatterPrior
-    basis : (R, c)
-        Orthonormal basis of the known columns.
-    rest, shape : (R,)
-        Values and shape of the change without the known columns.
+    A night is left out by a free term of its own. ``white`` (N, k) has a column for each of the k
+    nights since the beginning; ``rest`` and ``shape`` (R,) are values and change without the known
+    columns, whose orthonormal basis is (R, c).
     """
     nights = np.zeros((len(rest), white.shape[1]))
     nights[: len(white)] = white
@@ -177,14 +140,9 @@ def _p_without_night(
 def _slopes(projected: Array, norm: Array, misfit: Array, most: float) -> tuple[float, float]:
     """Return the range of slopes with a misfit up to ``most`` for at least one beginning.
 
-    It is the projection of the common confidence region of slope and beginning.
-
-    Parameters
-    ----------
-    projected, norm, misfit : (k,)
-        Of a drift from each beginning: projection of the values, norm of the shape, both without
-        the known columns, and the sum of squares of the residual.
-    most : float
+    It is the projection of the common confidence region of slope and beginning. The arguments (k,)
+    are, for a drift from each beginning, the projection of the values, the norm of the shape, and
+    the sum of squares of the residual.
     """
     possible = misfit <= most
     middle = projected[possible] / norm[possible]
@@ -197,15 +155,8 @@ def _known_columns(
 ) -> tuple[Array, Array]:
     """Return the columns (R, c) of level and temperature, and the values (R,), in scales.
 
-    The prior of the slope over temperature is one more row.
-
-    Parameters
-    ----------
-    series : NightSeries
-    white : (N, N)
-        Matrix that makes nights independent, with unit nominal variance.
-    prior : ScatterPrior
-    temperature : TemperaturePrior or None
+    The prior of the slope over temperature is one more row. ``white`` (N, N) makes nights
+    independent, with unit nominal variance.
     """
     level, target = white.sum(axis=1), white @ series.values
     if temperature is None or not series.has_temperature:
@@ -223,9 +174,7 @@ def _known_columns(
 def _shapes(days: Array) -> tuple[Array, NDArray[np.intp], Array]:
     """Return kind, first changed night and shape (N, k) of all changes that are tested."""
     count = len(days)
-    earliest = max(0, count - WINDOW)
-    steps = np.arange(max(BASELINE_NIGHTS, earliest), count)
-    starts = np.arange(earliest, count - 2)
+    steps, starts = np.arange(BASELINE_NIGHTS, count), np.arange(count - 2)
     step_shapes = (np.arange(count)[:, None] >= steps).astype(float)
     drift_shapes = np.maximum(days[:, None] - days[starts], 0.0)
     kinds = np.array(["step"] * len(steps) + ["drift"] * len(starts))
@@ -241,7 +190,8 @@ def repeated_finding(found: NDArray[np.bool_], rate: float) -> tuple[float, int]
 
     The rate of an arm has a beta distribution around that of the other arms, which the nights
     before update; the number of findings since then has a beta-binomial distribution. The larger
-    p-value of a narrow and of a wide beta distribution is taken.
+    p-value of a narrow and of a wide beta distribution is taken. It is corrected for the number of
+    beginnings.
 
     Parameters
     ----------
@@ -249,24 +199,15 @@ def repeated_finding(found: NDArray[np.bool_], rate: float) -> tuple[float, int]
         Whether a diagnosis found the effect, night by night.
     rate : float
         Part of the nights of the other arms on which it was found, above 0.
-
-    Returns
-    -------
-    float
-        Of the strongest beginning, corrected for the number of beginnings.
-    int
-        Position of the first night.
     """
     best, first = 1.0, len(found) - 1
-    starts = [k for k in np.flatnonzero(found) if k >= BASELINE_NIGHTS]
-    for k in starts:
-        own, after = found[:k].sum(), found[k:]
+    for k in np.flatnonzero(found):
+        if k < BASELINE_NIGHTS:
+            continue
+        own, after = int(found[:k].sum()), found[k:]
+        counts = np.arange(after.sum(), len(after) + 1)
         p = len(found) * max(
-            float(
-                betabinom.sf(
-                    after.sum() - 1, len(after), own + w * rate, k - own + w * (1.0 - rate)
-                )
-            )
+            float(betabinom.pmf(counts, len(after), own + w * rate, k - own + w * (1 - rate)).sum())
             for w in RATE_WEIGHTS
         )
         if p < best:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lieid_casadi import __version__
 from lieid_casadi.errors import ClusterLost, FleetError, MissingDependency
 from lieid_casadi.fleet.arm_night import run_arm_night
 from lieid_casadi.fleet.night_result import ArmNight, NightResult
@@ -26,31 +27,21 @@ LOCAL_SETTINGS = {
     "distributed.admin.tick.interval": "500ms",
     "distributed.admin.system-monitor.interval": "5s",
 }
+TOPIC = "lieid-fleet"  # of the events with which workers report that a task has begun
+WAITING_PER_THREAD = 3  # tasks that are submitted before earlier ones are finished
+CHECK_EVERY = 1.0  # s: of timeouts and of the connection
+WORKERS_WAIT = 120.0  # s: for which a cluster may be without workers
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How arm-nights are run.
+    """How arm-nights are run."""
 
-    Attributes
-    ----------
-    scheduler : str or None
-        Address of a Dask scheduler; None starts a cluster on this machine.
-    workers : int or None
-        Processes of that cluster; None: one per core.
-    memory : str
-        Limit of each of these processes, such as ``2GB``.
-    timeout : float
-        Seconds after which an arm-night is given up.
-    losses : int
-        Lost workers after which an arm-night is given up.
-    """
-
-    scheduler: str | None = None
-    workers: int | None = None
-    memory: str = "2GB"
-    timeout: float = 600.0
-    losses: int = 2
+    scheduler: str | None = None  # address of a Dask scheduler; None: a cluster on this machine
+    workers: int | None = None  # processes of that cluster; None: one per core
+    memory: str = "2GB"  # limit of each of these processes
+    timeout: float = 600.0  # s, after which an arm-night is given up
+    losses: int = 2  # lost workers after which an arm-night is given up
 
 
 @contextlib.contextmanager
@@ -60,7 +51,7 @@ def dask_client(options: RunOptions) -> Iterator[Any]:
     Raises
     ------
     FleetError
-        No scheduler answers at the address.
+        No scheduler answers at the address, or workers have another version of this package.
     MissingDependency
         Dask is not installed.
     """
@@ -91,7 +82,29 @@ def dask_client(options: RunOptions) -> Iterator[Any]:
             raise FleetError(
                 f"{options.scheduler}: no Dask scheduler: {reason_of(error)}"
             ) from None
+        if options.scheduler is not None:
+            require_same_version(client.run(worker_version))
         yield client
+
+
+def worker_version() -> str:
+    """Return the version of this package in the process of a worker."""
+    return __version__
+
+
+def require_same_version(versions: Mapping[str, str]) -> None:
+    """Refuse workers (address → version) whose results may differ from those of this version."""
+    others = [f"{worker} has {v}" for worker, v in versions.items() if not _is_same_version(v)]
+    if others:
+        raise FleetError(
+            f"workers of another version of lieid-casadi: {', '.join(others[:3])}"
+            f"{' …' if len(others) > 3 else ''}; expected {__version__} as here"
+        )
+
+
+def _is_same_version(version: str) -> bool:
+    """Whether a version differs from this one by fixes at most."""
+    return version.split(".")[:2] == __version__.split(".")[:2]
 
 
 def dashboard_of(client: Any) -> str | None:
@@ -104,12 +117,6 @@ def dashboard_of(client: Any) -> str | None:
             return link
     except (OSError, KeyError, ValueError):
         return None
-
-
-TOPIC = "lieid-fleet"  # of the events with which workers report that a task has begun
-WAITING_PER_THREAD = 3  # tasks that are submitted before earlier ones are finished
-CHECK_EVERY = 1.0  # s: of timeouts and of the connection
-WORKERS_WAIT = 120.0  # s: for which a cluster may be without workers
 
 
 def run_on_cluster(
@@ -140,19 +147,11 @@ def run_on_cluster(
     ClusterLost
         The connection to the scheduler is lost.
     """
-    _Submission(client, fits, options, finished).run(list(nights))
+    _Submission(client, fits, options, finished).run(nights)
 
 
 def reporting_arm_night(night: ArmNight, fit_content: bytes, key: str) -> NightResult:
-    """Run an arm-night on a worker, which first reports that it has begun.
-
-    Parameters
-    ----------
-    night : ArmNight
-    fit_content : bytes
-    key : str
-        Of the task.
-    """
+    """Run an arm-night on a worker, which first reports that the task has begun."""
     from distributed import get_worker
 
     worker = get_worker()
@@ -182,21 +181,19 @@ class _Submission:
         self.count, self.again = 0, Counter[ArmNight]()
         self.last_worker = time.monotonic()
 
-    def run(self, nights: list[ArmNight]) -> None:
-        from distributed import CancelledError, as_completed
+    def run(self, nights: Sequence[ArmNight]) -> None:
+        from distributed import CancelledError
         from distributed.comm import CommClosedError
 
         self.client.subscribe_topic(TOPIC, self._has_begun)
         waiting = iter(nights)
-        completed = as_completed()
         try:
             while True:
-                self._fill(waiting, completed)
+                self._fill(waiting)
                 if not self.tasks:
                     return
-                for future in _ready(completed):
-                    if future.key in self.tasks:
-                        self._take(future, completed)
+                for future in self._ready():
+                    self._take(future)
                 self._give_up()
                 if self.client.status != "running":
                     raise CommClosedError
@@ -211,7 +208,7 @@ class _Submission:
                 self.client.unsubscribe_topic(TOPIC)
                 self.client.cancel([future for future, _ in self.tasks.values()], force=True)
 
-    def _fill(self, waiting: Iterator[ArmNight], completed: Any) -> None:
+    def _fill(self, waiting: Iterator[ArmNight]) -> None:
         threads = sum(self.client.nthreads().values())
         if threads:
             self.last_worker = time.monotonic()
@@ -225,9 +222,9 @@ class _Submission:
             night = next(waiting, None)
             if night is None:
                 return
-            completed.add(self._submitted(night))
+            self._submit(night)
 
-    def _submitted(self, night: ArmNight) -> Any:
+    def _submit(self, night: ArmNight) -> None:
         self.count += 1
         key = f"arm-night-{id(self):x}-{self.count}-{night.serial}-{night.date}"
         if night.fit_sha256 not in self.fits:
@@ -238,9 +235,17 @@ class _Submission:
             reporting_arm_night, night, self.fits[night.fit_sha256], key, key=key, pure=False
         )
         self.tasks[key] = (future, night)
-        return future
 
-    def _take(self, future: Any, completed: Any) -> None:
+    def _ready(self) -> list[Any]:
+        """Return the futures that are finished, after at least one is or a short time."""
+        from distributed import wait
+
+        futures = [future for future, _ in self.tasks.values()]
+        with contextlib.suppress(TimeoutError):
+            wait(futures, timeout=CHECK_EVERY, return_when="FIRST_COMPLETED")
+        return [future for future in futures if future.done()]
+
+    def _take(self, future: Any) -> None:
         """Pass the result of a task on; an exception becomes a failed arm-night.
 
         Dask also gives up tasks that wait on workers that are lost: they are submitted again.
@@ -253,13 +258,17 @@ class _Submission:
         has_begun = self.begun.pop(future.key, None) is not None
         error = future.exception()
         if error is None:
-            self.finished(night, future.result())
+            result = future.result()
+            if not _is_same_version(result.version):
+                reason = f"worker with version {result.version}; expected {__version__} as here"
+                result = NightResult("failed", reason, version=result.version)
+            self.finished(night, result)
             return
         if isinstance(error, KilledWorker) and not has_begun:
             self.again[night] += 1
             if self.again[night] <= self.options.losses:
                 self.fits.pop(night.fit_sha256, None)  # it may have been given up as well
-                completed.add(self._submitted(night))
+                self._submit(night)
                 return
         self.finished(night, NightResult("failed", _failure(error)))
 
@@ -285,18 +294,6 @@ class _Submission:
                 )
                 with contextlib.suppress(Exception):
                     self.client.restart_workers([worker], raise_for_error=False)
-
-
-def _ready(completed: Any) -> list[Any]:
-    """Return the futures that are finished, after at least one is or a short time."""
-    from queue import Empty
-
-    queue = completed.queue
-    with queue.not_empty:  # next_batch cannot wait for a limited time
-        queue.not_empty.wait_for(lambda: queue.queue, CHECK_EVERY)
-    with contextlib.suppress(Empty):
-        return list(completed.next_batch(block=False))
-    return []
 
 
 def _failure(error: BaseException) -> str:

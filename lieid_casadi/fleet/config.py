@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import yaml
@@ -63,74 +64,65 @@ def _lines(node: Any, path: str) -> Iterator[tuple[str, int]]:
             yield from _lines(value, f"{path}[{k}]")
 
 
+T = TypeVar("T")
 ARM_KEYS = (
     "fit", "robot", "train", "effects", "torque_constants", "tool", "payload", "limits",
+    "maintenance",
 )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Dated(Generic[T]):
+    """A value of the fleet file and the first night for which it is valid; None: from the first."""
+
+    value: T
+    first: date | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class KnownPayload:
-    """A body at the tool that is stated in the fleet file.
+    """A body at the tool that is stated in the fleet file."""
 
-    Attributes
-    ----------
-    label : str
-        Of the recordings with this payload (column ``load``); empty for those without a label.
-    parameters : (10,)
-        Mass, first moments and inertia about the origin of the tool frame, kg, kg·m, kg·m².
-    """
-
-    label: str
-    parameters: Array
+    label: str  # of the recordings with it (column ``load``); empty for those without a label
+    parameters: Array  # (10,) mass, first moments, inertia about the origin of the tool frame
 
 
 @dataclass(frozen=True, eq=False)
 class FleetArm:
-    """One arm of the fleet.
-
-    Attributes
-    ----------
-    serial : str
-    fit : str or None
-        Path of a fit; otherwise ``robot``, ``train`` and ``effects`` state how to make one.
-    robot : str or None
-    train : tuple of str
-        Recordings to fit, paths or URLs.
-    effects : str or None
-        Of the model that is fitted; None: the default effects for the recordings' torque.
-    recordings : tuple of str
-        Path patterns or URLs.
-    torque_constants : tuple of float or None
-        N·m/A.
-    tool : (4, 4) or None
-        Pose of the tool frame in the last link's frame; None takes that of the fit's robot.
-    payloads : tuple of KnownPayload
-    limits : mapping
-        Effect or parameter → largest permitted value of each joint, or of all of them.
-    """
+    """One arm of the fleet; what changes with time is a list of values with their first nights."""
 
     serial: str
-    fit: str | None
+    fits: tuple[Dated[str], ...]  # paths; empty: robot, train and effects state how to make one
     robot: str | None
-    train: tuple[str, ...]
-    effects: str | None
-    recordings: tuple[str, ...]
-    torque_constants: tuple[float, ...] | None
-    tool: Array | None
-    payloads: tuple[KnownPayload, ...]
-    limits: Mapping[str, tuple[float, ...]]
+    train: tuple[str, ...]  # recordings to fit, paths or URLs
+    effects: str | None  # None: the default effects for the recordings' torque
+    recordings: tuple[str, ...]  # path patterns or URLs
+    torque_constants: tuple[Dated[tuple[float, ...]], ...]  # N·m/A
+    tools: tuple[Dated[Array], ...]  # (4, 4) in the last link's frame; none: that of the robot
+    payloads: tuple[Dated[KnownPayload], ...]
+    limits: Mapping[str, tuple[float, ...]]  # effect or parameter → largest permitted values
+    maintenance: tuple[tuple[date, date], ...]  # first and last night of each
+
+    def payloads_at(self, night: date) -> list[KnownPayload]:
+        """Return the payload of each label that is known on a night."""
+        labels = {entry.value.label: None for entry in self.payloads}
+        own = [[e for e in self.payloads if e.value.label == label] for label in labels]
+        return [payload for entries in own if (payload := valid_at(entries, night)) is not None]
+
+    def is_maintained(self, night: date) -> bool:
+        """Whether a night is one of maintenance, which is left out."""
+        return any(first <= night <= last for first, last in self.maintenance)
+
+
+def valid_at(entries: Sequence[Dated[T]], night: date) -> T | None:
+    """Return the value that is valid on a night: the one with the latest first night."""
+    begun = [entry for entry in entries if entry.first is None or entry.first <= night]
+    return max(begun, key=lambda entry: entry.first or date.min).value if begun else None
 
 
 @dataclass(frozen=True, eq=False)
 class Fleet:
-    """Content of a fleet file.
-
-    Attributes
-    ----------
-    arms : tuple of FleetArm
-    night : str or None
-        Regular expression with a group ``date``; ``{serial}`` stands for the arm's serial number.
-    """
+    """Content of a fleet file; ``night`` is an expression that finds the date in a path."""
 
     arms: tuple[FleetArm, ...]
     night: str | None
@@ -193,6 +185,7 @@ def _night(field: LocatedField) -> str:
 def _arm(entry: LocatedField, folder: Path) -> FleetArm:
     fields = entry.mapping(["serial", "recordings"], ARM_KEYS)
     has_fit, has_robot = "fit" in fields, "robot" in fields
+    has_breaks = "maintenance" in fields
     if has_fit == has_robot:
         found = "both of them" if has_fit else "neither of them"
         raise entry.error("either fit, or robot and train", found=found)
@@ -200,19 +193,61 @@ def _arm(entry: LocatedField, folder: Path) -> FleetArm:
         raise entry.error("robot together with train: recordings to fit", found="no key 'train'")
     if has_fit and ("train" in fields or "effects" in fields):
         raise entry.error("train and effects only together with robot", found="a fit with them")
-    constants = fields.get("torque_constants")
     return FleetArm(
         serial=_serial(fields["serial"]),
-        fit=_location(fields["fit"], folder) if has_fit else None,
+        fits=_dated(fields.get("fit"), lambda field: _fit(field, folder)),
         robot=_robot(fields["robot"], folder) if has_robot else None,
         train=_locations(fields["train"], folder) if "train" in fields else (),
         effects=fields["effects"].text() if "effects" in fields else None,
         recordings=_locations(fields["recordings"], folder),
-        torque_constants=None if constants is None else _constants(constants),
-        tool=_tool(fields["tool"]) if "tool" in fields else None,
-        payloads=_payloads(fields["payload"]) if "payload" in fields else (),
+        torque_constants=_dated(fields.get("torque_constants"), _constants),
+        tools=_dated(fields.get("tool"), _tool),
+        payloads=_payloads(fields.get("payload")),
         limits=_limits(fields["limits"]) if "limits" in fields else {},
+        maintenance=tuple(
+            _span(entry) for entry in (fields["maintenance"].items() if has_breaks else ())
+        ),
     )
+
+
+def _dated(field: LocatedField | None, read: Callable[[LocatedField], T]) -> tuple[Dated[T], ...]:
+    """Return one value, or the values of a list of mappings that may have the key ``from``."""
+    if field is None:
+        return ()
+    several = isinstance(field.value, list) and all(isinstance(x, dict) for x in field.value)
+    fields = field.items() if several else [field]
+    entries = tuple(Dated(read(each), _first(each)) for each in fields)
+    if not entries or len({entry.first for entry in entries}) < len(entries):
+        raise field.error("entries with different dates 'from'")
+    return entries
+
+
+def _first(entry: LocatedField) -> date | None:
+    """Return the date under the key ``from`` of a mapping."""
+    if not isinstance(entry.value, dict) or "from" not in entry.value:
+        return None
+    return _day(entry.mapping([], list(entry.value))["from"])
+
+
+def _day(field: LocatedField) -> date:
+    try:
+        return date.fromisoformat(str(field.value))
+    except ValueError:
+        raise field.error("a date such as 2026-11-20") from None
+
+
+def _span(entry: LocatedField) -> tuple[date, date]:
+    fields = entry.mapping(["from", "to"], [])
+    first, last = _day(fields["from"]), _day(fields["to"])
+    if last < first:
+        raise entry.error("a last night that is not before the first")
+    return first, last
+
+
+def _fit(field: LocatedField, folder: Path) -> str:
+    if isinstance(field.value, dict):
+        field = field.mapping(["path"], ["from"])["path"]
+    return _location(field, folder)
 
 
 def _serial(field: LocatedField) -> str:
@@ -246,6 +281,8 @@ def _robot(field: LocatedField, folder: Path) -> str:
 
 
 def _constants(field: LocatedField) -> tuple[float, ...]:
+    if isinstance(field.value, dict):
+        field = field.mapping(["values"], ["from"])["values"]
     values = tuple(entry.number() for entry in field.items())
     if not values or 0.0 in values:
         raise field.error("numbers other than 0, N·m/A, one per joint")
@@ -253,21 +290,26 @@ def _constants(field: LocatedField) -> tuple[float, ...]:
 
 
 def _tool(field: LocatedField) -> Array:
-    fields = field.mapping(["xyz"], ["rpy"])
+    fields = field.mapping(["xyz"], ["rpy", "from"])
     turned = fields["rpy"].numbers(3) if "rpy" in fields else np.zeros(3)
     return pose(fields["xyz"].numbers(3), turned)
 
 
-def _payloads(field: LocatedField) -> tuple[KnownPayload, ...]:
+def _payloads(field: LocatedField | None) -> tuple[Dated[KnownPayload], ...]:
+    if field is None:
+        return ()
     entries = field.items() if isinstance(field.value, list) else [field]
-    payloads = tuple(_payload(entry) for entry in entries)
-    if len({p.label for p in payloads}) < len(payloads):
-        raise field.error("payloads with different labels")
+    payloads = tuple(Dated(_payload(entry), _first(entry)) for entry in entries)
+    if len({(p.value.label, p.first) for p in payloads}) < len(payloads):
+        raise field.error("payloads with different labels, or dates 'from'")
     return payloads
 
 
 def _payload(entry: LocatedField) -> KnownPayload:
-    fields = entry.mapping(["mass", "com"], ["inertia", "label"])
+    fields = entry.mapping(["mass", "com"], ["inertia", "label", "from"])
+    mass = fields["mass"].number()
+    if not mass >= 0.0:
+        raise fields["mass"].error("a number ≥ 0 (0: the payload is taken off)")
     inertia = np.zeros((3, 3))
     if "inertia" in fields:
         parts = fields["inertia"].mapping(["ixx", "iyy", "izz"], ["ixy", "ixz", "iyz"])
@@ -275,9 +317,7 @@ def _payload(entry: LocatedField) -> KnownPayload:
             i, j = "xyz".index(name[1]), "xyz".index(name[2])
             inertia[i, j] = inertia[j, i] = part.number()
     label = fields["label"].text() if "label" in fields else ""
-    return KnownPayload(
-        label, link_parameters(fields["mass"].positive(), fields["com"].numbers(3), inertia)
-    )
+    return KnownPayload(label, link_parameters(mass, fields["com"].numbers(3), inertia))
 
 
 def _limits(field: LocatedField) -> dict[str, tuple[float, ...]]:

@@ -142,7 +142,7 @@ def fleet_report(history: History, *, since: date | None = None) -> str:
     since : date, optional
         First night of trends, and of recordings that are listed.
     """
-    arms, alarms = read_arms(history), read_alarms(history)
+    arms, alarms = list(read_arms(history)), read_alarms(history)
     links = {arm.serial: f"section-{k}" for k, arm in enumerate(arms, start=ARM_SECTIONS_FROM)}
     active = [alarm for alarm in alarms if alarm.closed is None]
     nights = history.rows("SELECT min(date), max(date) FROM runs WHERE status = 'done'")[0]

@@ -1,18 +1,26 @@
-"""The history of a fleet: one DuckDB file with all runs, written by one process at a time."""
+"""The history of a fleet: one DuckDB file with all runs, and a snapshot of it for readers.
+
+DuckDB permits one process that writes, or several that read. The file is therefore opened only by
+the commands that change it; they leave a copy beside it (``history.read.duckdb``), which is
+replaced atomically and which everybody may read at any time.
+"""
 
 from __future__ import annotations
 
 import json
 import re
 import secrets
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+import shutil
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
 from datetime import UTC, date, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.atomic_file import check_file, reported
+from lieid_casadi.atomic_file import atomic_binary, check_file, reported
 from lieid_casadi.errors import FleetError, MissingDependency
 from lieid_casadi.fleet.night_result import ArmNight, NightResult
 from lieid_casadi.messages import reason_of
@@ -20,13 +28,12 @@ from lieid_casadi.messages import reason_of
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-
-SCHEMA = 3
+SCHEMA = 4
 TABLES = {
     "runs": "run_id VARCHAR PRIMARY KEY, serial VARCHAR, recording VARCHAR, "
     "recording_sha256 VARCHAR, fit_sha256 VARCHAR, version VARCHAR, started TIMESTAMP, "
     "seconds DOUBLE, status VARCHAR, reason VARCHAR, date DATE, stamp VARCHAR, condition VARCHAR, "
-    "payload VARCHAR",
+    "payload VARCHAR, method INTEGER",
     "findings": "run_id VARCHAR, serial VARCHAR, date DATE, effect VARCHAR, joint INTEGER, "
     "change DOUBLE, std DOUBLE, unit VARCHAR, severity DOUBLE, sentence VARCHAR",
     "parameters": "run_id VARCHAR, serial VARCHAR, date DATE, name VARCHAR, joint INTEGER, "
@@ -37,14 +44,25 @@ TABLES = {
     "checks": "run_id VARCHAR, serial VARCHAR, date DATE, name VARCHAR, message VARCHAR",
     "repeats": "serial VARCHAR, recording VARCHAR, stamp VARCHAR, run_id VARCHAR",
     "arms": "serial VARCHAR PRIMARY KEY, robot VARCHAR, joints INTEGER, fit_sha256 VARCHAR, "
-    "limits VARCHAR",
+    "limits VARCHAR, since DATE, fit_from DATE, retired DATE, fit VARCHAR",
+    "maintenance": "serial VARCHAR, first DATE, last DATE",
+    "nights": "serial VARCHAR, date DATE, status VARCHAR",
     "alarms": "serial VARCHAR, joint INTEGER, quantity VARCHAR, since DATE, last DATE, "
     "change DOUBLE, std DOUBLE, unit VARCHAR, sentence VARCHAR, raised DATE, closed DATE, "
     "note VARCHAR, severity DOUBLE, slope DOUBLE, limit_date DATE, series VARCHAR, "
-    "slope_low DOUBLE, slope_high DOUBLE",
+    "slope_low DOUBLE, slope_high DOUBLE, reported DOUBLE, warned BOOLEAN",
     "acknowledgements": "serial VARCHAR, joint INTEGER, date DATE, note VARCHAR, written TIMESTAMP",
     "judged": "date DATE, written TIMESTAMP",
+    "calls": "finished TIMESTAMP, seconds DOUBLE, version VARCHAR, counts VARCHAR, alarms INTEGER",
     "history": "schema INTEGER, kept_from DATE",
+}
+COMMENTS = {
+    "runs": "one row per arm-night; times are UTC; version is that of the worker",
+    "nights": "every expected night of every arm: done, refused, failed or missing",
+    "errors": "N·m per joint; expected is the held-out error of the fit",
+    "alarms": "closed is null while an alarm is open; reported is the size that was last reported",
+    "judged": "nights that have been judged, and when (UTC)",
+    "calls": "calls of lieid fleet; counts is JSON of status and number of arm-nights",
 }
 #: Statements that lead from a schema to the next one.
 MIGRATIONS: dict[int, tuple[str, ...]] = {
@@ -55,73 +73,70 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
     ),
     2: (  # what identifies the motion of a night
         "ALTER TABLE runs ADD COLUMN payload VARCHAR",
-        "ALTER TABLE errors ADD COLUMN q_low DOUBLE",
-        "ALTER TABLE errors ADD COLUMN q_high DOUBLE",
-        "ALTER TABLE errors ADD COLUMN q_mean DOUBLE",
-        "ALTER TABLE errors ADD COLUMN q_std DOUBLE",
+        *(f"ALTER TABLE errors ADD COLUMN q_{x} DOUBLE" for x in ("low", "high", "mean", "std")),
+    ),
+    3: (  # expected nights, validity in time, versions of workers and of the method
+        "ALTER TABLE runs ADD COLUMN method INTEGER DEFAULT 1",
+        *(f"ALTER TABLE arms ADD COLUMN {name} DATE" for name in ("since", "fit_from", "retired")),
+        "ALTER TABLE arms ADD COLUMN fit VARCHAR",
+        "ALTER TABLE alarms ADD COLUMN reported DOUBLE",
+        "UPDATE alarms SET reported = abs(change)",
+        "ALTER TABLE alarms ADD COLUMN warned BOOLEAN DEFAULT false",
+        *(f"CREATE TABLE {name} ({TABLES[name]})" for name in ("maintenance", "nights", "calls")),
     ),
 }
-
-
-def prepare(connection: DuckDBPyConnection, path: str) -> None:
-    """Make the tables of a new file, or migrate those of an older one.
-
-    Raises
-    ------
-    FleetError
-        The file has tables of another program, or of a newer schema.
-    """
-    tables = {row[0] for row in connection.execute("SHOW TABLES").fetchall()}
-    connection.execute("BEGIN")
-    if not tables:
-        for name, columns in TABLES.items():
-            connection.execute(f"CREATE TABLE {name} ({columns})")
-        connection.execute("INSERT INTO history VALUES (?, NULL)", [SCHEMA])
-    else:
-        schema = schema_of(connection, path)
-        for step in range(schema, SCHEMA):
-            for statement in MIGRATIONS[step]:
-                connection.execute(statement)
-        connection.execute("UPDATE history SET schema = ?", [SCHEMA])
-    connection.execute("COMMIT")
-
-
-def schema_of(connection: DuckDBPyConnection, path: str) -> int:
-    """Return the schema of a history.
-
-    Raises
-    ------
-    FleetError
-        It is not a history, or of a newer schema.
-    """
-    tables = {row[0] for row in connection.execute("SHOW TABLES").fetchall()}
-    row = None
-    if "history" in tables:
-        row = connection.execute("SELECT schema FROM history").fetchone()
-    if row is None:
-        raise FleetError(
-            f"{path}: not a history of lieid fleet; expected one, or the name of a new file"
-        )
-    if row[0] > SCHEMA:
-        raise FleetError(
-            f"{path}: schema {row[0]} is newer than {SCHEMA}, the newest supported by this "
-            "version; update lieid-casadi"
-        )
-    return int(row[0])
-
-
+#: Expected nights of arms, with the best status of their recordings.
+NIGHTS = """
+INSERT INTO nights
+WITH known AS (
+    SELECT serial, date, CASE WHEN bool_or(status = 'done') THEN 'done'
+        WHEN bool_or(status = 'failed') THEN 'failed' ELSE 'refused' END AS status
+    FROM runs WHERE list_contains($serials, serial) GROUP BY serial, date
+), spans AS (
+    SELECT serial, greatest(
+        least(any_value(a.since), min(k.date)), (SELECT max(kept_from) FROM history)
+    ) AS first
+    FROM arms a LEFT JOIN known k USING (serial)
+    WHERE list_contains($serials, serial) GROUP BY serial
+), expected AS (
+    SELECT serial, unnest(generate_series(first, $newest, INTERVAL 1 DAY))::DATE AS date FROM spans
+    UNION SELECT serial, date FROM known
+)
+SELECT serial, date, coalesce(status, 'missing') FROM expected LEFT JOIN known USING (serial, date)
+WHERE NOT EXISTS (
+    SELECT 1 FROM maintenance m
+    WHERE m.serial = expected.serial AND date BETWEEN m.first AND m.last)
+"""
 #: Tables with rows of a run.
 RUN_TABLES = ("findings", "parameters", "errors", "checks")
 
 
+@dataclass(frozen=True)
+class ArmEntry:
+    """An arm of the fleet file, as the history keeps it."""
+
+    serial: str
+    robot: str
+    joints: int
+    fit_sha256: str  # empty if the fit cannot be read
+    limits: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    fit: str = ""  # path
+    fit_from: date | None = None  # first night that is judged by this fit
+    maintenance: tuple[tuple[date, date], ...] = ()
+
+
 class History(AbstractContextManager["History"]):
-    """A history file, open for writing or for reading only.
+    """A history, open for writing, or its snapshot for reading.
 
     Parameters
     ----------
     path : str or Path
     read_only : bool
-        The file must exist. DuckDB permits any number of readers, or one writer.
+        The history must exist; it may be in use.
+    wait : float
+        Seconds to wait for another process that has the file open.
+    new : bool
+        Whether a file that does not exist is made.
 
     Raises
     ------
@@ -129,20 +144,25 @@ class History(AbstractContextManager["History"]):
         Another process has the file open, or it is not a history.
     """
 
-    def __init__(self, path: str | Path, *, read_only: bool = False) -> None:
+    def __init__(
+        self, path: str | Path, *, read_only: bool = False, wait: float = 0.0, new: bool = True
+    ) -> None:
         self.path = str(path)
         self._is_new = not Path(path).exists()
-        if read_only and not Path(path).exists():
+        self._read_only, self._open = read_only, True
+        if (read_only or not new) and self._is_new:
             raise FleetError(f"{path}: no such file; expected a history that lieid fleet wrote")
         if not read_only:
             check_file(path)
             with reported(path):
                 Path(path).absolute().parent.mkdir(parents=True, exist_ok=True)
-        self.connection = _connect(self.path, read_only=read_only)
+        snapshot = snapshot_of(path)
+        opened = str(snapshot) if read_only and snapshot.exists() else self.path
+        self.connection = _connect(opened, read_only=read_only, wait=wait)
         try:
             if not read_only:
-                prepare(self.connection, self.path)
-            elif schema_of(self.connection, self.path) < SCHEMA:
+                _prepare(self.connection, self.path)
+            elif _schema_of(self.connection, opened) < SCHEMA:
                 raise FleetError(f"{path}: an older schema; run lieid fleet once to migrate it")
         except BaseException:
             self.connection.close()
@@ -154,29 +174,32 @@ class History(AbstractContextManager["History"]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the file; what was committed is in it, and a new file without runs is removed."""
+        """Close the file; a new file without runs is removed after an error."""
         unused = kind is not None and self._is_new and not self.rows("SELECT 1 FROM runs LIMIT 1")
-        self.connection.close()
+        self.close(snapshot=not unused)
         if unused:
             Path(self.path).unlink(missing_ok=True)
+
+    def close(self, *, snapshot: bool = True) -> None:
+        """Close the file, with a snapshot for readers if it was open for writing."""
+        if self._open:
+            self._open = False
+            if snapshot and not self._read_only:
+                self.write_snapshot()
+            self.connection.close()
+
+    def write_snapshot(self) -> None:
+        """Write everything that is committed into the file, and replace the readers' copy of it."""
+        self.connection.execute("CHECKPOINT")
+        copy_file(self.path, snapshot_of(self.path))
 
     def rows(self, query: str, values: Sequence[object] = ()) -> list[tuple[Any, ...]]:
         """Return the rows of an SQL query."""
         return self.connection.execute(query, list(values)).fetchall()
 
     def record(self, night: ArmNight, result: NightResult, started: datetime) -> None:
-        """Add a run with all its rows, in one transaction; a run that is there is not repeated.
-
-        Parameters
-        ----------
-        night : ArmNight
-        result : NightResult
-        started : datetime
-            UTC.
-        """
-        from lieid_casadi import __version__
-
-        run_id = night.run_id(result.recording_sha256, __version__)
+        """Add a run with all its rows, in one transaction; a run that is there is not repeated."""
+        run_id = night.run_id(result.recording_sha256)
         if result.repeated:
             self.insert("repeats", [(night.serial, night.recording, night.stamp, run_id)])
             return
@@ -186,61 +209,97 @@ class History(AbstractContextManager["History"]):
         with self.transaction():
             if self.rows("SELECT 1 FROM runs WHERE run_id = ?", [run_id]):
                 return
-            self.insert(
-                "runs",
-                [
-                    (
-                        run_id, night.serial, night.recording, result.recording_sha256,
-                        night.fit_sha256, __version__, started.astimezone(UTC).replace(tzinfo=None),
-                        result.seconds, result.status, result.reason, night.date, night.stamp,
-                        night.condition, result.payload,
-                    )
-                ],
+            run = (
+                run_id, night.serial, night.recording, result.recording_sha256, night.fit_sha256,
+                result.version, _utc(started), result.seconds, result.status, result.reason,
+                night.date, night.stamp, night.condition, result.payload, night.method,
             )  # fmt: skip
+            self.insert("runs", [run])
             for table in RUN_TABLES:
                 self.insert(table, [key + _values(row) for row in getattr(result, table)])
 
     def insert(self, table: str, rows: Sequence[Sequence[object]]) -> None:
         """Add rows to a table, in the order of its columns."""
         if rows:
+            names = ", ".join(column.split()[0] for column in TABLES[table].split(", "))
             one = "(" + ", ".join("?" * len(rows[0])) + ")"
             every = ", ".join([one] * len(rows))
             self.connection.execute(
-                f"INSERT INTO {table} VALUES {every}", [value for row in rows for value in row]
+                f"INSERT INTO {table} ({names}) VALUES {every}", [x for row in rows for x in row]
             )
 
-    def transaction(self) -> AbstractContextManager[None]:
-        """Return a context whose changes are committed together, or not at all."""
-        return _Transaction(self.connection)
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Commit all changes of a context together, or none of them."""
+        self.connection.execute("BEGIN")
+        try:
+            yield
+        except BaseException:
+            self.connection.execute("ROLLBACK")
+            raise
+        self.connection.execute("COMMIT")
 
-    def finished(self, version: str) -> tuple[set[tuple[str, ...]], dict[str, set[str]]]:
-        """Return the files that are in the history, and the identities of the runs of each arm.
+    def finished(
+        self, serials: Sequence[str], method: int | None = None
+    ) -> tuple[set[tuple[str, ...]], dict[str, frozenset[str]]]:
+        """Return the files of arms that are in the history, and the identities of their runs.
 
         Files are (serial, recording, stamp, fit_sha256, condition); failed runs are left out,
-        since they are tried again.
+        since they are tried again, and so are runs of another method if one is given.
         """
-        files = self.rows(
-            "SELECT serial, recording, stamp, fit_sha256, condition FROM runs "
-            "WHERE status <> 'failed' AND version = ? UNION ALL "
-            "SELECT p.serial, p.recording, p.stamp, r.fit_sha256, r.condition "
-            "FROM repeats p JOIN runs r USING (run_id) WHERE r.version = ?",
-            [version, version],
+        kept = (
+            "WITH kept AS (SELECT * FROM runs WHERE status <> 'failed' AND list_contains(?, serial)"
+            " AND coalesce(method = ?, true)) "
         )
-        runs: dict[str, set[str]] = {}
-        for serial, run_id in self.rows(
-            "SELECT serial, run_id FROM runs WHERE status <> 'failed' AND version = ?", [version]
-        ):
-            runs.setdefault(serial, set()).add(run_id)
-        return set(files), runs
+        values: list[object] = [list(serials), method]
+        files = self.rows(
+            kept + "SELECT serial, recording, stamp, fit_sha256, condition FROM kept UNION ALL "
+            "SELECT p.serial, p.recording, p.stamp, r.fit_sha256, r.condition "
+            "FROM repeats p JOIN kept r USING (run_id)",
+            values,
+        )
+        runs = self.rows(kept + "SELECT serial, list(run_id) FROM kept GROUP BY serial", values)
+        return set(files), {serial: frozenset(own) for serial, own in runs}
 
-    def set_arms(self, arms: Iterable[tuple[str, str, int, str, Mapping[str, Any]]]) -> None:
-        """Store serial, robot, number of joints, fit and limits of each arm."""
+    def set_arms(self, arms: Iterable[ArmEntry], *, first: date | None = None) -> None:
+        """Store the arms of the fleet file; ``first`` is the first night of those that are new."""
+        known = {row[0]: row for row in self.rows("SELECT serial, since, fit_sha256 FROM arms")}
         with self.transaction():
-            for serial, robot, joints, fit_sha256, limits in arms:
+            for arm in arms:
+                since = known[arm.serial][1] if arm.serial in known else first
+                if not arm.fit_sha256 and arm.serial in known:
+                    continue  # its fit cannot be read; the history keeps that of earlier nights
                 self.connection.execute(
-                    "INSERT OR REPLACE INTO arms VALUES (?, ?, ?, ?, ?)",
-                    [serial, robot, joints, fit_sha256, json.dumps(dict(limits))],
-                )
+                    "INSERT OR REPLACE INTO arms VALUES (?, ?, ?, ?, ?, ?, ?, NULL, ?)",
+                    [
+                        arm.serial, arm.robot, arm.joints, arm.fit_sha256,
+                        json.dumps(dict(arm.limits)), since, arm.fit_from, arm.fit,
+                    ],
+                )  # fmt: skip
+                self.connection.execute("DELETE FROM maintenance WHERE serial = ?", [arm.serial])
+                self.insert("maintenance", [(arm.serial, *span) for span in arm.maintenance])
+
+    def set_nights(self, serials: Sequence[str], newest: date) -> list[tuple[str, date, str]]:
+        """Write the expected nights of arms; return arms whose newest is not done, with its status.
+
+        A night is expected every day from the first of an arm to the newest of all, and where there
+        is a recording; not during maintenance.
+        """
+        values = {"serials": list(serials), "newest": newest}
+        with self.transaction():
+            self.connection.execute(
+                "DELETE FROM nights WHERE list_contains(?, serial)", [list(serials)]
+            )
+            self.connection.execute(NIGHTS, values)
+        return [
+            (serial, night, status)
+            for serial, night, status in self.rows(
+                "SELECT serial, max(date), arg_max(status, date) FROM nights "
+                "WHERE list_contains(?, serial) GROUP BY serial ORDER BY serial",
+                [list(serials)],
+            )
+            if status != "done"
+        ]
 
     @property
     def kept_from(self) -> date | None:
@@ -257,61 +316,117 @@ class History(AbstractContextManager["History"]):
                     f"DELETE FROM {table} WHERE run_id IN (SELECT run_id FROM runs WHERE date < ?)",
                     [first],
                 )
+            self.connection.execute("DELETE FROM nights WHERE date < ?", [first])
             self.connection.execute("UPDATE history SET kept_from = ?", [first])
         return len(old)
 
-    def export_parquet(self, folder: Path) -> tuple[Path, ...]:
+    def export_parquet(self, folder: Path) -> None:
         """Write every table as a Parquet file into a folder that exists."""
-        written = []
         for table in TABLES:
-            path = folder / f"{table}.parquet"
-            self.connection.execute(f"COPY {table} TO '{_quoted(path)}' (FORMAT parquet)")
-            written.append(path)
-        return tuple(written)
+            path = str(folder / f"{table}.parquet").replace("'", "''")
+            self.connection.execute(f"COPY {table} TO '{path}' (FORMAT parquet)")
 
 
-class _Transaction(AbstractContextManager[None]):
-    def __init__(self, connection: DuckDBPyConnection) -> None:
-        self._connection = connection
-
-    def __enter__(self) -> None:
-        self._connection.execute("BEGIN")
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._connection.execute("COMMIT" if kind is None else "ROLLBACK")
+def snapshot_of(path: str | Path) -> Path:
+    """Return the path of the copy that readers of a history open."""
+    file = Path(path)
+    return file.with_name(f"{file.stem}.read{file.suffix}")
 
 
-def _connect(path: str, *, read_only: bool) -> DuckDBPyConnection:
+def copy_file(source: str | Path, target: str | Path) -> None:
+    """Copy a file that nobody writes meanwhile; the target is replaced as a whole."""
+    with open(source, "rb") as content, atomic_binary(target) as file:
+        shutil.copyfileobj(content, file, 2**20)
+
+
+def backup(path: str | Path, target: str | Path) -> bool:
+    """Write a history as one complete file; return whether it is of now.
+
+    While a run is in progress it is the snapshot of the run's latest batch.
+    """
+    try:
+        with History(path, new=False):
+            pass  # what a run that was killed has left is written into the file
+        is_of_now = True
+    except HistoryInUse:
+        is_of_now = False
+    copy_file(snapshot_of(path), target)
+    return is_of_now
+
+
+class HistoryInUse(FleetError):
+    """Another process has the history open."""
+
+
+def _connect(path: str, *, read_only: bool, wait: float) -> DuckDBPyConnection:
     try:
         import duckdb
     except ImportError:
         raise MissingDependency(
             "fleets need duckdb; install it with: pip install 'lieid-casadi[fleet]'"
         ) from None
-    try:
-        return duckdb.connect(path, read_only=read_only)
-    except duckdb.Error as error:
-        text = str(error)
-        process = re.search(r"PID (\d+)", text)
-        if "lock" in text:
-            holder = f"process {process[1]}" if process else "another process"
-            raise FleetError(
-                f"{path}: in use by {holder}; run this command again when that has finished"
-            ) from None
+    end = time.monotonic() + wait
+    while True:
+        try:
+            return duckdb.connect(path, read_only=read_only)
+        except duckdb.Error as error:
+            text = str(error)
+            if "lock" not in text:
+                raise FleetError(
+                    f"{path}: not a DuckDB file; expected a history that lieid fleet wrote "
+                    f"({reason_of(error)})"
+                ) from None
+            if time.monotonic() >= end:
+                process = re.search(r"PID (\d+)", text)
+                holder = f"process {process[1]}" if process else "another process"
+                raise HistoryInUse(
+                    f"{path}: in use by {holder}; run this command again when that has finished, "
+                    "or with --wait S"
+                ) from None
+            time.sleep(0.5)
+
+
+def _prepare(connection: DuckDBPyConnection, path: str) -> None:
+    """Make the tables of a new file, or migrate those of an older one."""
+    tables = {row[0] for row in connection.execute("SHOW TABLES").fetchall()}
+    connection.execute("BEGIN")
+    if not tables:
+        for name, columns in TABLES.items():
+            connection.execute(f"CREATE TABLE {name} ({columns})")
+        connection.execute("INSERT INTO history VALUES (?, NULL)", [SCHEMA])
+    else:
+        schema = _schema_of(connection, path)
+        for step in range(schema, SCHEMA):
+            for statement in MIGRATIONS[step]:
+                connection.execute(statement)
+        connection.execute("UPDATE history SET schema = ?", [SCHEMA])
+    for name, text in COMMENTS.items():
+        connection.execute(f"COMMENT ON TABLE {name} IS '{text}'")
+    connection.execute("COMMIT")
+
+
+def _schema_of(connection: DuckDBPyConnection, path: str) -> int:
+    """Return the schema of a history, which must be known."""
+    tables = {row[0] for row in connection.execute("SHOW TABLES").fetchall()}
+    row = None
+    if "history" in tables:
+        row = connection.execute("SELECT schema FROM history").fetchone()
+    if row is None:
         raise FleetError(
-            f"{path}: not a DuckDB file; expected a history that lieid fleet wrote "
-            f"({reason_of(error)})"
-        ) from None
+            f"{path}: not a history of lieid fleet; expected one, or the name of a new file"
+        )
+    if row[0] > SCHEMA:
+        raise FleetError(
+            f"{path}: schema {row[0]} is newer than {SCHEMA}, the newest supported by this "
+            "version; update lieid-casadi"
+        )
+    return int(row[0])
 
 
 def _values(row: object) -> tuple[object, ...]:
     return row if isinstance(row, tuple) else tuple(vars(row).values())
 
 
-def _quoted(path: Path) -> str:
-    return str(path).replace("'", "''")
+def _utc(time_of: datetime) -> datetime:
+    """Return a time without its zone, UTC."""
+    return time_of.astimezone(UTC).replace(tzinfo=None)

@@ -71,14 +71,8 @@ def judge_night(
     have changed if it is at most `FALSE_ALARMS`, and if they are discoveries among the arms
     without an open alarm at the rate `DISCOVERY_RATE`. The quantities of other arms, and changes
     that are known already, therefore do not raise the limit of an arm.
-
-    Parameters
-    ----------
-    arms : sequence of ArmHistory
-    last : date
-        Later nights are not used.
-    alarmed : collection of str
-        Serials of arms with an open alarm, which are no discoveries of this night.
+    Later nights are not used. Arms with an open alarm (``alarmed``, their serial numbers) are no
+    discoveries of this night.
     """
     known = [arm for arm in (each.until(last) for each in arms) if arm.dates]
     tonight = [arm for arm in known if arm.dates[-1] == last]

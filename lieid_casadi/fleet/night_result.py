@@ -7,53 +7,40 @@ import json
 from dataclasses import dataclass
 from typing import Literal
 
+from lieid_casadi import __version__
+
 Status = Literal["done", "refused", "failed"]
+#: Number of the method by which a night is diagnosed: raised when it gives other results.
+METHOD = 2
 
 
 @dataclass(frozen=True)
 class ArmNight:
-    """One recording of one arm, to be diagnosed.
-
-    Attributes
-    ----------
-    serial : str
-    date : str
-        ISO 8601, UTC.
-    recording : str
-        Path or URL.
-    stamp : str
-        Of the file; see `RecordingFile`.
-    fit_sha256 : str
-        Of the content of the fit's file.
-    torque_constants : tuple of float or None
-        N·m/A.
-    tool : tuple of float or None
-        Pose (16,) of the payload's frame in the last link's frame, row by row; None: the robot's
-        own tool frame.
-    payloads : tuple of (str, tuple of float)
-        Label and parameters (10,) of the known payloads.
-    done : frozenset of str
-        ``run_id`` of recordings of this arm that are in the history.
-    """
+    """One recording of one arm, to be diagnosed."""
 
     serial: str
-    date: str
-    recording: str
-    stamp: str
-    fit_sha256: str
-    torque_constants: tuple[float, ...] | None = None
+    date: str  # ISO 8601, UTC
+    recording: str  # path or URL
+    stamp: str  # of the file; see `RecordingFile`
+    fit_sha256: str  # of the content of the fit's file
+    torque_constants: tuple[float, ...] | None = None  # N·m/A
+    #: Pose (16,) of the payload's frame in the last link's frame, row by row; None: the robot's
+    #: own tool frame.
     tool: tuple[float, ...] | None = None
-    payloads: tuple[tuple[str, tuple[float, ...]], ...] = ()
-    done: frozenset[str] = frozenset()
+    payloads: tuple[tuple[str, tuple[float, ...]], ...] = ()  # label and parameters (10,)
+    done: frozenset[str] = frozenset()  # ``run_id`` of recordings that are in the history
+    method: int = METHOD
 
     @property
     def condition(self) -> str:
         """Hash of what is known of the arm beside its fit: constants, tool, payloads."""
         return _hash(self.torque_constants, self.tool, self.payloads)
 
-    def run_id(self, recording_sha256: str, version: str) -> str:
-        """Return the identity of a run: arm, recording, fit, condition and version."""
-        return _hash(self.serial, recording_sha256, self.fit_sha256, self.condition, version)
+    def run_id(self, recording_sha256: str) -> str:
+        """Return the identity of a run: arm, recording, fit, condition and method."""
+        return _hash(
+            self.serial, recording_sha256, self.fit_sha256, self.condition, f"method {self.method}"
+        )
 
 
 @dataclass(frozen=True)
@@ -98,33 +85,19 @@ class JointError:
 
 @dataclass(frozen=True)
 class NightResult:
-    """Result of one arm-night, as rows.
+    """Result of one arm-night, as rows."""
 
-    Attributes
-    ----------
-    status : str
-        ``done``; ``refused``: the recording cannot be used; ``failed``: it may be tried again.
-    reason : str
-        Of a status other than ``done``.
-    recording_sha256 : str
-        Empty if the recording could not be read.
-    seconds : float
-    repeated : bool
-        Whether the history has this run already; the rows are then empty.
-    payload : str
-        Label of the recording's payload.
-    """
-
-    status: Status
-    reason: str = ""
-    recording_sha256: str = ""
+    status: Status  # ``refused``: it cannot be used; ``failed``: it may be tried again
+    reason: str = ""  # of a status other than ``done``
+    recording_sha256: str = ""  # empty if the recording could not be read
     seconds: float = 0.0
-    repeated: bool = False
-    payload: str = ""
+    repeated: bool = False  # the history has this run already; the rows are then empty
+    payload: str = ""  # label of the recording's payload
     findings: tuple[Finding, ...] = ()
     parameters: tuple[ParameterEstimate, ...] = ()
     errors: tuple[JointError, ...] = ()
     checks: tuple[tuple[str, str], ...] = ()
+    version: str = __version__  # of the worker
 
 
 def _hash(*parts: object) -> str:

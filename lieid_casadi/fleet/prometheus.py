@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, date, datetime, time
 
@@ -15,53 +16,71 @@ Samples = Iterable[tuple[Mapping[str, str], float]]  # labels and value of each
 
 
 def prometheus_text(history: History) -> str:
-    """Return alarms, last nights, errors, coefficients and numbers of runs as metrics.
-
-    Parameters
-    ----------
-    history : History
-
-    Returns
-    -------
-    str
-        Gauges in the text exposition format of Prometheus, each with its help line.
-    """
-    arms = read_arms(history)
+    """Return the state of a fleet in the text exposition format of Prometheus, as gauges."""
+    arms = list(read_arms(history, waiting=1))
     alarms = read_alarms(history, open_only=True)
+    nights = history.rows(
+        "SELECT serial, max(date) FILTER (status = 'done'), count(*) FILTER (status = 'missing'), "
+        "arg_max(status, date) FROM nights GROUP BY serial ORDER BY serial"
+    )
     runs = history.rows("SELECT status, count(*) FROM runs GROUP BY status ORDER BY status")
-    parts = [
-        _gauge(
-            "lieid_fleet_alarm",
+    call = history.rows("SELECT epoch(finished), seconds, counts FROM calls ORDER BY finished")
+    finished, seconds, counts = call[-1] if call else (0.0, 0.0, "{}")
+    gauges: list[tuple[str, str, Samples]] = [
+        (
+            "alarm",
             "Open alarm: part of the joint's torque that the fit no longer predicts.",
             _severities(alarms),
         ),
-        _gauge(
-            "lieid_fleet_alarms",
+        (
+            "alarms",
             "Number of open alarms of the arm.",
             [({"serial": arm.serial}, _count(alarms, arm)) for arm in arms],
         ),
-        _gauge(
-            "lieid_fleet_last_night_timestamp_seconds",
+        (
+            "last_night_timestamp_seconds",
             "Date (UTC) of the arm's last usable recording.",
             [({"serial": arm.serial}, _start_of_day(arm.dates[-1])) for arm in arms],
         ),
-        _gauge(
-            "lieid_fleet_error_ratio",
+        (
+            "last_success_timestamp",
+            "Date (UTC) of the newest night that was diagnosed, of every arm of the file; or 0.",
+            [({"serial": x}, _start_of_day(last) if last else 0.0) for x, last, *_ in nights],
+        ),
+        (
+            "nights_missing",
+            "Expected nights of the arm without a recording.",
+            [({"serial": serial}, float(count)) for serial, _, count, _ in nights],
+        ),
+        (
+            "newest_night_done",
+            "1 if the arm's newest expected night was diagnosed; 0: missing, refused or failed.",
+            [({"serial": serial}, float(status == "done")) for serial, *_, status in nights],
+        ),
+        (
+            "error_ratio",
             "Error in motion of the last night over the held-out error of the fit.",
             _error_ratios(arms),
         ),
-        _gauge(
-            "lieid_fleet_parameter",
+        (
+            "parameter",
             "Coefficient of an effect on the last night, SI units.",
             _coefficients(arms),
         ),
-        _gauge(
-            "lieid_fleet_runs",
+        (
+            "runs",
             "Arm-nights in the history by status.",
             [({"status": status}, float(count)) for status, count in runs],
         ),
+        (
+            "last_run",
+            "Arm-nights of the last call of lieid fleet by status.",
+            [({"status": x}, float(count)) for x, count in sorted(json.loads(counts).items())],
+        ),
+        ("last_run_timestamp", "When the last call ended.", [({}, float(finished))]),
+        ("last_run_seconds", "Duration of the last call.", [({}, float(seconds))]),
     ]
-    return "".join(parts)
+    return "".join(_gauge(f"lieid_fleet_{name}", text, samples) for name, text, samples in gauges)
 
 
 def _severities(alarms: Sequence[Alarm]) -> Samples:
@@ -99,7 +118,7 @@ def _gauge(name: str, text: str, samples: Samples) -> str:
     lines = [f"# HELP {name} {text}", f"# TYPE {name} gauge"]
     for labels, value in samples:
         shown = ",".join(f'{key}="{_escaped(label)}"' for key, label in labels.items())
-        lines.append(f"{name}{{{shown}}} {value!r}")
+        lines.append(f"{name}{{{shown}}} {value!r}" if shown else f"{name} {value!r}")
     return "\n".join(lines) + "\n"
 
 

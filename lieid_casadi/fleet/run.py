@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 
+from lieid_casadi import __version__
 from lieid_casadi.errors import FleetError, LieidError
 from lieid_casadi.fleet.alarms import Alarm, judge_new_nights
 from lieid_casadi.fleet.cluster import RunOptions, dashboard_of, dask_client, run_on_cluster
-from lieid_casadi.fleet.config import Fleet, FleetArm
-from lieid_casadi.fleet.history import History
-from lieid_casadi.fleet.night_result import ArmNight, NightResult
+from lieid_casadi.fleet.config import Dated, Fleet, FleetArm, valid_at
+from lieid_casadi.fleet.history import ArmEntry, History
+from lieid_casadi.fleet.night_result import METHOD, ArmNight, NightResult
 from lieid_casadi.fleet.recordings import list_recordings, local_copy, night_of
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.default_effects import default_effects
@@ -23,154 +25,11 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot
 
+ARMS_AT_ONCE = 200  # whose finished runs are read by one query
+SNAPSHOT_SECONDS = 300.0  # after which readers get what a call has recorded so far
 
-@dataclass(frozen=True, eq=False)
-class NightsToRun:
-    """What a call has to do.
-
-    Attributes
-    ----------
-    nights : tuple of ArmNight
-    fits : dict
-        ``fit_sha256`` → content of the fit's file.
-    unusable : tuple of (ArmNight, NightResult)
-        Recordings without a date, patterns that cannot be listed, and fits that cannot be used.
-    finished : int
-        Number of recordings that are in the history.
-    """
-
-    nights: tuple[ArmNight, ...]
-    fits: dict[str, bytes]
-    unusable: tuple[tuple[ArmNight, NightResult], ...]
-    finished: int
-
-
-def nights_to_run(fleet: Fleet, history: History, *, since: date | None = None) -> NightsToRun:
-    """Return the arm-nights that the history does not have; arms are entered into it.
-
-    Parameters
-    ----------
-    fleet : Fleet
-    history : History
-        Open for writing.
-    since : date, optional
-        First night to run.
-
-    Raises
-    ------
-    FitFileError, RobotError, EffectError, FleetError
-        An entry of the fleet file does not match the arm's fit, or no arm has a usable fit.
-    """
-    from lieid_casadi import __version__
-
-    files, runs = history.finished(__version__)
-    first = max((d for d in (since, history.kept_from) if d is not None), default=None)
-    nights: list[ArmNight] = []
-    unusable: list[tuple[ArmNight, NightResult]] = []
-    fits: dict[str, bytes] = {}
-    arms, broken, finished = [], list[tuple[ArmNight, NightResult]](), 0
-    for arm in fleet.arms:
-        try:
-            fit, content = _fit_of(arm)
-        except LieidError as error:
-            if len(broken) + 1 == len(fleet.arms):
-                raise
-            broken.append(_without_fit(arm, str(error)))
-            continue
-        _check_arm(arm, fit)
-        sha = hashlib.sha256(content).hexdigest()
-        fits[sha] = content
-        limits = {name: list(values) for name, values in arm.limits.items()}
-        arms.append((arm.serial, fit.model.robot.name, fit.model.n, sha, limits))
-        found, refused = _recordings_of(arm, fleet, sha)
-        unusable += refused
-        for night in found:
-            key = (night.serial, night.recording, night.stamp, sha, night.condition)
-            if key in files:
-                finished += 1
-            elif first is None or date.fromisoformat(night.date) >= first:
-                nights.append(replace(night, done=frozenset(runs.get(arm.serial, ()))))
-    history.set_arms(arms)
-    nights.sort(key=lambda night: night.date)
-    return NightsToRun(tuple(nights), fits, (*broken, *unusable), finished)
-
-
-def _without_fit(arm: FleetArm, reason: str) -> tuple[ArmNight, NightResult]:
-    """Return the failed row of an arm whose fit cannot be used."""
-    source = arm.fit or arm.robot or ""
-    night = ArmNight(arm.serial, date.today().isoformat(), source, "", "")
-    return night, NightResult("failed", reason)
-
-
-def _fit_of(arm: FleetArm) -> tuple[Fit, bytes]:
-    """Return the fit of an arm and the content of its file; without a file it is made."""
-    if arm.fit is not None:
-        with local_copy(arm.fit) as path:
-            return Fit.load(path), path.read_bytes()
-    assert arm.robot is not None
-    robot = Robot.load(arm.robot)
-    train = [_training(arm, robot, location) for location in arm.train]
-    fit = identify(Model(robot, arm.effects or default_effects(robot, train).names), train)
-    return fit, content_of(fit)
-
-
-def _training(arm: FleetArm, robot: Robot, location: str) -> Recording:
-    with local_copy(location) as path:
-        return Recording.load(
-            path,
-            torque_constants=arm.torque_constants,
-            n=robot.n,
-            joint_names=[joint.name for joint in robot.joints],
-        )
-
-
-def _check_arm(arm: FleetArm, fit: Fit) -> None:
-    """Refuse entries of the fleet file that do not match the arm's fit."""
-    n = fit.model.n
-    if arm.torque_constants is not None and len(arm.torque_constants) != n:
-        raise FleetError(
-            f"arm {arm.serial}: {len(arm.torque_constants)} torque constants; expected {n}"
-        )
-    names = {p.effect.label for p in fit.model.placements} | {c.name for c in fit.model.columns}
-    for name, values in arm.limits.items():
-        if name not in names:
-            expected = ", ".join(sorted(names)) or "no limits: the fit has no effects"
-            raise FleetError(f"arm {arm.serial}: limit of {name!r}; expected {expected}")
-        if len(values) not in (1, n):
-            raise FleetError(f"arm {arm.serial}: {len(values)} limits of {name}; expected 1 or {n}")
-
-
-def _recordings_of(
-    arm: FleetArm, fleet: Fleet, fit_sha256: str
-) -> tuple[list[ArmNight], list[tuple[ArmNight, NightResult]]]:
-    """Return the recordings of an arm, and those whose date or place is not usable."""
-    found: list[ArmNight] = []
-    unusable: list[tuple[ArmNight, NightResult]] = []
-    empty = ArmNight(
-        arm.serial,
-        date.today().isoformat(),
-        "",
-        "",
-        fit_sha256,
-        arm.torque_constants,
-        None if arm.tool is None else tuple(arm.tool.ravel().tolist()),
-        tuple((p.label, tuple(p.parameters.tolist())) for p in arm.payloads),
-    )
-    for pattern in arm.recordings:
-        try:
-            files = list_recordings(pattern)
-        except LieidError as error:
-            unusable.append((replace(empty, recording=pattern), NightResult("failed", str(error))))
-            continue
-        for file in files:
-            night = replace(empty, recording=file.location, stamp=file.stamp)
-            try:
-                dated = night_of(file, fleet.night_pattern(arm.serial))
-            except FleetError as error:
-                unusable.append((night, NightResult("failed", str(error))))
-                continue
-            found.append(replace(night, date=dated.isoformat()))
-    return found, unusable
+#: Recordings without a date, patterns that cannot be listed, and fits that cannot be used.
+Unusable = list[tuple[ArmNight, NightResult]]
 
 
 @dataclass(frozen=True)
@@ -194,25 +53,14 @@ class FleetProgress:
 
 @dataclass(frozen=True)
 class FleetRun:
-    """Result of a call.
+    """Result of a call."""
 
-    Attributes
-    ----------
-    counts : dict
-        Status → number of arm-nights of this call.
-    finished_before : int
-        Recordings that were in the history.
-    seconds : float
-    new_alarms : tuple of Alarm
-    faults : tuple of str
-        Serial number and reason of each arm-night that was refused or failed.
-    """
-
-    counts: dict[str, int]
-    finished_before: int
+    counts: dict[str, int]  # status → number of arm-nights of this call
+    finished_before: int  # recordings that were in the history
     seconds: float
     new_alarms: tuple[Alarm, ...]
-    faults: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()  # serial number and reason of each that was refused or failed
+    silent: tuple[tuple[str, date, str], ...] = ()  # arms whose newest night is not done: status
 
 
 def run_fleet(
@@ -221,6 +69,8 @@ def run_fleet(
     *,
     options: RunOptions | None = None,
     since: date | None = None,
+    newest: date | None = None,
+    rerun: bool = False,
     connected: Callable[[str], None] | None = None,
     progress: Callable[[FleetProgress], None] | None = None,
 ) -> FleetRun:
@@ -237,6 +87,10 @@ def run_fleet(
     options : RunOptions, optional
     since : date, optional
         First night to run.
+    newest : date, optional
+        Newest night on which every arm is expected to have recorded; default: yesterday, UTC.
+    rerun : bool
+        Whether results of an earlier method of diagnosis are computed again.
     connected : callable, optional
         Called with the address of the cluster's dashboard, if that answers.
     progress : callable, optional
@@ -245,20 +99,27 @@ def run_fleet(
     Raises
     ------
     FleetError
-        The fleet file does not match the fits, or no scheduler answers.
+        The fleet file does not match the fits, no scheduler answers, or workers have another
+        version.
     ClusterLost
         The connection to the scheduler was lost.
     """
     settings, start = options or RunOptions(), time.monotonic()
-    todo = nights_to_run(fleet, history, since=since)
+    expected = newest or datetime.now(UTC).date() - timedelta(days=1)
+    todo = nights_to_run(fleet, history, newest=expected, since=since, rerun=rerun)
     counts: Counter[str] = Counter()
     faults: list[str] = []
+    written = time.monotonic()
 
     def record(night: ArmNight, result: NightResult) -> None:
+        nonlocal written
         history.record(night, result, datetime.now(UTC) - timedelta(seconds=result.seconds))
         counts["repeated" if result.repeated else result.status] += 1
         if result.status != "done":
             faults.append(f"{night.serial}: {result.reason}")
+        if time.monotonic() - written > SNAPSHOT_SECONDS:
+            history.write_snapshot()
+            written = time.monotonic()
         if progress is not None:
             total = len(todo.nights) + len(todo.unusable)
             progress(FleetProgress(counts.total(), total, time.monotonic() - start))
@@ -272,5 +133,178 @@ def run_fleet(
                 connected(dashboard)
             run_on_cluster(client, todo.nights, todo.fits, settings, finished=record)
     new = judge_new_nights(history)
+    silent = history.set_nights([arm.serial for arm in fleet.arms], expected)
     seconds = time.monotonic() - start
-    return FleetRun(dict(counts), todo.finished, seconds, tuple(new), tuple(faults))
+    finished = datetime.now(UTC).replace(tzinfo=None)
+    history.insert("calls", [(finished, seconds, __version__, json.dumps(counts), len(new))])
+    return FleetRun(dict(counts), todo.finished, seconds, tuple(new), tuple(faults), tuple(silent))
+
+
+@dataclass(frozen=True, eq=False)
+class NightsToRun:
+    """What a call has to do."""
+
+    nights: tuple[ArmNight, ...]
+    fits: dict[str, bytes]  # ``fit_sha256`` → content of the fit's file
+    unusable: Unusable
+    finished: int  # recordings that are in the history
+
+
+def nights_to_run(
+    fleet: Fleet, history: History, *, newest: date, since: date | None = None, rerun: bool = False
+) -> NightsToRun:
+    """Return the arm-nights that the history does not have; arms are entered into it.
+
+    Raises
+    ------
+    FitFileError, RobotError, EffectError, FleetError
+        An entry of the fleet file does not match the arm's fit, or no arm has a usable fit.
+    """
+    first = max((d for d in (since, history.kept_from) if d is not None), default=date.min)
+    nights: list[ArmNight] = []
+    unusable: Unusable = []
+    broken: Unusable = []
+    fits: dict[str, bytes] = {}
+    entries, finished = [], 0
+    for begin in range(0, len(fleet.arms), ARMS_AT_ONCE):
+        arms = fleet.arms[begin : begin + ARMS_AT_ONCE]
+        files, runs = history.finished([a.serial for a in arms], METHOD if rerun else None)
+        for arm in arms:
+            try:
+                own = _fits_of(arm)
+            except LieidError as error:
+                if len(broken) + 1 == len(fleet.arms):
+                    raise
+                broken.append(_without_fit(arm, newest, str(error)))
+                entries.append(ArmEntry(arm.serial, "", 0, ""))
+                continue
+            entries.append(_entry(arm, own, newest))
+            fits |= {each.value.sha256: each.value.content for each in own}
+            for night, result in _recordings_of(arm, fleet, own, newest):
+                key = (
+                    night.serial, night.recording, night.stamp, night.fit_sha256, night.condition,
+                )  # fmt: skip
+                if result is not None:
+                    unusable.append((night, result))
+                elif key in files:
+                    finished += 1
+                elif date.fromisoformat(night.date) >= first:
+                    nights.append(replace(night, done=runs.get(arm.serial, frozenset())))
+    history.set_arms(entries, first=newest)
+    nights.sort(key=lambda night: night.date)
+    return NightsToRun(tuple(nights), fits, [*broken, *unusable], finished)
+
+
+@dataclass(frozen=True, eq=False)
+class _LoadedFit:
+    """A fit of an arm with the content of its file."""
+
+    fit: Fit
+    content: bytes
+    sha256: str
+
+    @classmethod
+    def of(cls, fit: Fit, content: bytes) -> _LoadedFit:
+        return cls(fit, content, hashlib.sha256(content).hexdigest())
+
+
+def _fits_of(arm: FleetArm) -> list[Dated[_LoadedFit]]:
+    """Return the fits of an arm; without a file one is made."""
+    if not arm.fits:
+        assert arm.robot is not None
+        robot = Robot.load(arm.robot)
+        train = [_training(arm, robot, location) for location in arm.train]
+        made = identify(Model(robot, arm.effects or default_effects(robot, train).names), train)
+        found = [Dated(_LoadedFit.of(made, content_of(made)))]
+    else:
+        found = []
+        for entry in arm.fits:
+            with local_copy(entry.value) as path:
+                found.append(Dated(_LoadedFit.of(Fit.load(path), path.read_bytes()), entry.first))
+    for each in found:
+        _check_arm(arm, each.value.fit)
+    return found
+
+
+def _training(arm: FleetArm, robot: Robot, location: str) -> Recording:
+    constants = arm.torque_constants[0].value if arm.torque_constants else None
+    names = [joint.name for joint in robot.joints]
+    with local_copy(location) as path:
+        return Recording.load(path, torque_constants=constants, n=robot.n, joint_names=names)
+
+
+def _check_arm(arm: FleetArm, fit: Fit) -> None:
+    """Refuse entries of the fleet file that do not match the arm's fit."""
+    n = fit.model.n
+    for entry in arm.torque_constants:
+        if len(entry.value) != n:
+            raise FleetError(f"arm {arm.serial}: {len(entry.value)} torque constants; expected {n}")
+    names = {p.effect.label for p in fit.model.placements} | {c.name for c in fit.model.columns}
+    for name, values in arm.limits.items():
+        if name not in names:
+            expected = ", ".join(sorted(names)) or "no limits: the fit has no effects"
+            raise FleetError(f"arm {arm.serial}: limit of {name!r}; expected {expected}")
+        if len(values) not in (1, n):
+            raise FleetError(f"arm {arm.serial}: {len(values)} limits of {name}; expected 1 or {n}")
+
+
+def _entry(arm: FleetArm, fits: Sequence[Dated[_LoadedFit]], newest: date) -> ArmEntry:
+    """Return the row of an arm, with the fit that is valid on the newest night."""
+    present = valid_at(fits, newest) or fits[0].value
+    first = next(each.first for each in fits if each.value is present)
+    paths = [entry.value for entry in arm.fits if entry.first == first]
+    return ArmEntry(
+        arm.serial,
+        present.fit.model.robot.name,
+        present.fit.model.n,
+        present.sha256,
+        {name: list(values) for name, values in arm.limits.items()},
+        paths[0] if paths else "",
+        first,
+        arm.maintenance,
+    )
+
+
+def _without_fit(arm: FleetArm, newest: date, reason: str) -> tuple[ArmNight, NightResult]:
+    """Return the failed row of an arm whose fit cannot be used."""
+    source = arm.fits[0].value if arm.fits else arm.robot or ""
+    return ArmNight(arm.serial, newest.isoformat(), source, "", ""), NightResult("failed", reason)
+
+
+def _recordings_of(
+    arm: FleetArm, fleet: Fleet, fits: Sequence[Dated[_LoadedFit]], newest: date
+) -> list[tuple[ArmNight, NightResult | None]]:
+    """Return the recordings of an arm, with a result where date or place is not usable."""
+    found: list[tuple[ArmNight, NightResult | None]] = []
+    empty = ArmNight(arm.serial, newest.isoformat(), "", "", "")
+    pattern = fleet.night_pattern(arm.serial)
+    for where in arm.recordings:
+        try:
+            files = list_recordings(where)
+        except LieidError as error:
+            found.append((replace(empty, recording=where), NightResult("failed", str(error))))
+            continue
+        for file in files:
+            night = replace(empty, recording=file.location, stamp=file.stamp)
+            try:
+                day = night_of(file, pattern)
+            except FleetError as error:
+                found.append((night, NightResult("failed", str(error))))
+                continue
+            fit = valid_at(fits, day)
+            if fit is not None and not arm.is_maintained(day):
+                found.append((_as_known(night, arm, fit, day), None))
+    return found
+
+
+def _as_known(night: ArmNight, arm: FleetArm, fit: _LoadedFit, day: date) -> ArmNight:
+    """Return a night with what the fleet file states for its date."""
+    tool = valid_at(arm.tools, day)
+    return replace(
+        night,
+        date=day.isoformat(),
+        fit_sha256=fit.sha256,
+        torque_constants=valid_at(arm.torque_constants, day),
+        tool=None if tool is None else tuple(tool.ravel().tolist()),
+        payloads=tuple((p.label, tuple(p.parameters.tolist())) for p in arm.payloads_at(day)),
+    )

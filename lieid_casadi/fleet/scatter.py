@@ -30,42 +30,42 @@ EXPECTED_BETWEEN, KNOWN_PAIRS, MOST_BETWEEN = 1.0, 5, 20.0
 EXPECTED_SLOW, MOST_SLOW, SLOW_DAYS, FAR_NIGHTS = 0.5, 20.0, 5.0, 6
 
 
+#: Nights that a judgement uses: the latest ones, and at most so many of those before them, evenly
+#: spaced. Its cost therefore does not grow with the age of an arm.
+LATEST_NIGHTS, EARLIER_NIGHTS = 60, 40
+
+
 @dataclass(frozen=True, eq=False)
 class NightSeries:
-    """A quantity of one arm over its nights.
+    """A quantity of one arm over its nights."""
 
-    Attributes
-    ----------
-    days : (N,)
-        Number of each night, increasing.
-    values : (N,)
-    scales : (N,)
-        Nominal standard deviations.
-    temperature : (N,)
-        °C; NaN where it is not recorded.
-    motions : (N,) int
-        Number of the motion: nights with the same motion and payload have the same number.
-    """
-
-    days: Array
-    values: Array
-    scales: Array
-    temperature: Array
-    motions: NDArray[np.intp]
+    days: Array  # (N,) number of each night, increasing
+    values: Array  # (N,)
+    scales: Array  # (N,) nominal standard deviations
+    temperature: Array  # (N,) °C; NaN where it is not recorded
+    motions: NDArray[np.intp]  # (N,) equal for nights with the same motion and payload
 
     def __len__(self) -> int:
         return len(self.days)
 
     def part(self, first: int, last: int | None = None) -> NightSeries:
         """Return nights first … last − 1."""
-        at = slice(first, last)
+        return self.at(slice(first, last))
+
+    def at(self, nights: slice | NDArray[np.intp]) -> NightSeries:
+        """Return some of the nights."""
         return NightSeries(
-            self.days[at],
-            self.values[at],
-            self.scales[at],
-            self.temperature[at],
-            self.motions[at],
+            self.days[nights],
+            self.values[nights],
+            self.scales[nights],
+            self.temperature[nights],
+            self.motions[nights],
         )
+
+    @property
+    def latest(self) -> NightSeries:
+        """The nights between which none is left out."""
+        return self.part(-LATEST_NIGHTS)
 
     def at_mean_temperature(self, slope: float) -> NightSeries:
         """Return the series without the dependence on temperature, slope in scales per °C."""
@@ -79,25 +79,21 @@ class NightSeries:
         return bool(np.isfinite(t).all() and len(t) and np.ptp(t) >= LEAST_TEMPERATURE_RANGE)
 
 
+def used_nights(count: int) -> NDArray[np.intp]:
+    """Return the positions, of so many nights, of those that a judgement uses."""
+    earlier = max(count - LATEST_NIGHTS, 0)
+    step = max(-(-earlier // EARLIER_NIGHTS), 1)
+    return np.concatenate([np.arange(0, earlier, step), np.arange(earlier, count)])
+
+
 @dataclass(frozen=True)
 class ScatterPrior:
-    """Distribution of the scatter's variance over arms.
+    """Distribution of the scatter's variance over arms."""
 
-    Attributes
-    ----------
-    variance, freedom : float
-        s0², of nights with one motion, in units of the nominal variance, and its degrees of
-        freedom.
-    between : float
-        Variance between motions relative to that between nights with one motion.
-    slow : float
-        Relative variance of what varies slowly, such as a temperature that is not recorded.
-    """
-
-    variance: float
-    freedom: float
-    between: float = 0.0
-    slow: float = 0.0
+    variance: float  # s0², of nights with one motion, in units of the nominal variance
+    freedom: float  # its degrees of freedom
+    between: float = 0.0  # relative variance between motions
+    slow: float = 0.0  # of what varies slowly, such as a temperature that is not recorded
 
 
 @dataclass(frozen=True)
@@ -119,12 +115,7 @@ def scatter_prior(
     """Return the distribution of the scatter's variance over series of comparable quantities.
 
     Medians are used, so that arms that have changed do not enlarge the scatter of the others.
-
-    Parameters
-    ----------
-    series : sequence of NightSeries
-    expected_slow : float
-        Relative variance of slow variations before it is estimated from the series.
+    ``expected_slow`` is the relative variance of slow variations before it is estimated.
     """
     slow = _slow_part(series, min(expected_slow, MOST_SLOW))
     nights = ScatterPrior(1.0, FEWEST_FREEDOM, _between_motions(series), slow)
@@ -147,13 +138,7 @@ def scatter_prior(
 
 
 def whitening(series: NightSeries, prior: ScatterPrior) -> Array:
-    """Return the matrix (N, N) that makes nights, in nominal standard deviations, independent.
-
-    Parameters
-    ----------
-    series : NightSeries
-    prior : ScatterPrior
-    """
+    """Return the matrix (N, N) that makes nights, in nominal standard deviations, independent."""
     covariance = np.eye(len(series)) + prior.between * (series.motions[:, None] == series.motions)
     covariance += prior.slow * np.exp(-np.abs(series.days[:, None] - series.days) / SLOW_DAYS)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
@@ -166,7 +151,7 @@ def _between_motions(series: Sequence[NightSeries]) -> float:
     """
     within: list[float] = []
     across: list[float] = []
-    for each in series:
+    for each in (whole.latest for whole in series):
         differences = np.diff(each.values) / np.median(each.scales)
         same = np.diff(each.motions) == 0
         within += (differences[same] ** 2).tolist()
@@ -181,16 +166,11 @@ def _between_motions(series: Sequence[NightSeries]) -> float:
 def temperature_prior(series: Sequence[NightSeries]) -> TemperaturePrior | None:
     """Return the slope over temperature of comparable series; None without temperatures.
 
-    Slopes are estimated from differences of successive nights, on which a change has little
-    influence.
-
-    Parameters
-    ----------
-    series : sequence of NightSeries
-        Of one joint of arms of one kind.
+    The series are of one joint of arms of one kind. Slopes are estimated from differences of
+    successive nights, on which a change has little influence.
     """
     slopes, errors = [], []
-    for each in series:
+    for each in (whole.latest for whole in series):
         if len(each) < 3 or not each.has_temperature:
             continue
         x = np.diff(each.values) / np.median(each.scales)
@@ -214,7 +194,7 @@ def _slow_part(series: Sequence[NightSeries], expected: float) -> float:
     """
     near: list[float] = []
     far: list[float] = []
-    for each in series:
+    for each in (whole.latest for whole in series):
         x = each.values / np.median(each.scales)
         near += (np.diff(x) ** 2).tolist()
         far += ((x[FAR_NIGHTS:] - x[:-FAR_NIGHTS]) ** 2).tolist()

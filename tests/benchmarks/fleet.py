@@ -60,7 +60,7 @@ def changes(args: argparse.Namespace) -> None:
             ),
         )
         say(f"{result.counts}, {result.seconds:.0f} s")
-        alarms, _ = judged_again(read_arms(history))
+        alarms, _ = judged_again(list(read_arms(history)))
     print_changes(arms, alarms, args.arms * args.nights)
 
 

@@ -4,7 +4,7 @@ from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
 
-from lieid_casadi.fleet.history import History
+from lieid_casadi.fleet.history import ArmEntry, History
 from lieid_casadi.fleet.night_result import (
     ArmNight,
     Finding,
@@ -54,7 +54,7 @@ def write_history(path, nights, arms, change=lambda serial, k: {}, *, limits=Non
     """Write a history of ``arms`` serials; ``change`` returns arguments of `drawn_result`."""
     random = np.random.default_rng(seed)
     with History(path) as history:
-        history.set_arms([(serial, "robot", 2, "f", limits or {}) for serial in arms])
+        history.set_arms([ArmEntry(serial, "robot", 2, "f", limits or {}) for serial in arms])
         for k in range(nights):
             for serial in arms:
                 result = drawn_result(random, serial, k, **change(serial, k))

@@ -81,7 +81,7 @@ def test_an_acknowledged_alarm_starts_a_new_baseline(tmp_path):
     path = write_history(tmp_path / "h.duckdb", 12, ARMS, changed)
     with History(path) as history:
         judge_new_nights(history)
-        assert acknowledge(history, "A2", note="gripper taken off") == 1
+        assert len(acknowledge(history, "A2", note="gripper taken off")) == 1
         with pytest.raises(FleetError, match="no arm 'B9'"):
             acknowledge(history, "B9", note="x")
         with pytest.raises(FleetError, match="no joint 3; expected 1 to 2"):
@@ -95,8 +95,8 @@ def test_an_acknowledged_alarm_starts_a_new_baseline(tmp_path):
         assert judge_new_nights(history) == []
         open_alarms = {a.serial for a in read_alarms(history, open_only=True)}
         assert open_alarms == {"A1", "A3"}
-        assert acknowledge(history, "A1", joint=1, note="another joint") == 0
-        assert acknowledge(history, "A1", joint=2, note="greased") == 1
+        assert acknowledge(history, "A1", joint=1, note="another joint") == []
+        assert len(acknowledge(history, "A1", joint=2, note="greased")) == 1
 
 
 def test_the_first_alarm_is_possible_on_the_fourth_night(tmp_path):
@@ -114,7 +114,7 @@ def test_the_first_alarm_is_possible_on_the_fourth_night(tmp_path):
 
 def test_report_export_and_acknowledge_by_command(judged, tmp_path, capsys):
     history, _ = judged
-    history.connection.close()
+    history.close()
     path, page, metrics = (str(tmp_path / name) for name in ("h.duckdb", "r.html", "fleet.prom"))
     assert main(["fleet", "report", path, "--html", page, "--json", str(tmp_path / "a.json")]) == 0
     shown = capsys.readouterr().out
@@ -164,10 +164,17 @@ def test_a_history_of_schema_1_is_migrated(judged, tmp_path):
     history.connection.execute("ALTER TABLE alarms DROP COLUMN slope_high")
     history.connection.execute("ALTER TABLE alarms ADD COLUMN slope_std DOUBLE")
     history.connection.execute("ALTER TABLE runs DROP COLUMN payload")
+    history.connection.execute("ALTER TABLE runs DROP COLUMN method")
+    for name in ("reported", "warned"):
+        history.connection.execute(f"ALTER TABLE alarms DROP COLUMN {name}")
+    for name in ("since", "fit_from", "retired", "fit"):
+        history.connection.execute(f"ALTER TABLE arms DROP COLUMN {name}")
+    for name in ("maintenance", "nights", "calls"):
+        history.connection.execute(f"DROP TABLE {name}")
     for name in ("q_low", "q_high", "q_mean", "q_std"):
         history.connection.execute(f"ALTER TABLE errors DROP COLUMN {name}")
     history.connection.execute("UPDATE history SET schema = 1")
-    history.connection.close()
+    history.close()
     with pytest.raises(FleetError, match="older schema"):
         History(history.path, read_only=True)
     with History(history.path) as migrated:

@@ -37,12 +37,12 @@ night: "{serial}/(?P<date>\\\\d{4}-\\\\d{2}-\\\\d{2})"
     )
     fleet = fleet_of(tmp_path, text)
     first, second = fleet.arms
-    assert first.fit == str(tmp_path / "fits/a17.json")
-    assert first.torque_constants == (14.9, 13.3)
-    np.testing.assert_allclose(first.tool[:3, 3], [0.0, 0.0, 0.1])
-    assert [p.label for p in first.payloads] == ["crate", ""]
+    assert [f.value for f in first.fits] == [str(tmp_path / "fits/a17.json")]
+    assert [k.value for k in first.torque_constants] == [(14.9, 13.3)]
+    np.testing.assert_allclose(first.tools[0].value[:3, 3], [0.0, 0.0, 0.1])
+    assert [p.value.label for p in first.payloads] == ["crate", ""]
     np.testing.assert_allclose(
-        first.payloads[0].parameters, [2, 0, 0, 0.1, 0.015, 0, 0.015, 0, 0, 0.02]
+        first.payloads[0].value.parameters, [2, 0, 0, 0.1, 0.015, 0, 0.015, 0, 0, 0.02]
     )
     assert first.limits == {"coulomb": (5.0, 3.0), "viscous": (2.0,)}
     assert second.robot == "panda"

@@ -78,7 +78,7 @@ def test_an_arm_night_beyond_the_memory_of_a_worker_fails_alone(monkeypatch):
 
 def run(folder, scheduler, *options):
     words = ["fleet", str(folder / "fleet.yaml"), "-o", str(folder / "history.duckdb")]
-    return main([*words, "--scheduler", scheduler, *options])
+    return main([*words, "--scheduler", scheduler, "--night", "2026-01-04", *options])
 
 
 def reasons(folder):

@@ -15,7 +15,7 @@ from lieid_casadi.fleet.history import History
 
 def run(folder, scheduler, *options):
     words = ["fleet", str(folder / "fleet.yaml"), "-o", str(folder / "history.duckdb")]
-    return main([*words, "--scheduler", scheduler, *options])
+    return main([*words, "--scheduler", scheduler, "--night", "2026-01-04", *options])
 
 
 def rows(folder, query):

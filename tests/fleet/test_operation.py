@@ -1,0 +1,251 @@
+"""A fleet through a year: silence, repairs, readers, versions, the alarm's command."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from datetime import date, timedelta
+
+import numpy as np
+import pytest
+from fleet.synthetic_history import FIRST, drawn_result, write_history
+
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import FleetError
+from lieid_casadi.fleet import cluster
+from lieid_casadi.fleet.alarms import Alarm, alarms_to_report, judge_new_nights, read_alarms
+from lieid_casadi.fleet.arm_history import read_arms
+from lieid_casadi.fleet.history import History, snapshot_of
+from lieid_casadi.fleet.night_result import NightResult
+from lieid_casadi.fleet.recordings import RecordingFile, night_of
+
+LAST = "2026-01-04"
+
+
+@pytest.fixture
+def call(fleet_folder, scheduler, monkeypatch):
+    """Run the fleet of a folder; results are drawn, and nights are noted."""
+    ran = []
+
+    def drawn(night, content):
+        ran.append(night)
+        k = int(night.date[-2:])
+        loaded = night.serial == "A1" and k >= 3 and not night.payloads
+        changes = {"errors": {1: 5.0}, "findings": [("payload", None, 1.0)]} if loaded else {}
+        random = np.random.default_rng([k, ord(night.serial[-1])])
+        return drawn_result(random, night.serial, k, **changes)
+
+    def run(*options):
+        ran.clear()
+        words = ["fleet", str(fleet_folder / "fleet.yaml"), "-o", str(fleet_folder / "h.duckdb")]
+        return main([*words, "--scheduler", scheduler, "--night", LAST, "--exit-code", *options])
+
+    monkeypatch.setattr(cluster, "run_arm_night", drawn)
+    run.folder, run.ran = fleet_folder, ran
+    return run
+
+
+def rows(folder, query):
+    with History(folder / "h.duckdb", read_only=True) as history:
+        return history.rows(query)
+
+
+def edit(folder, old, new):
+    path = folder / "fleet.yaml"
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), "utf-8")
+
+
+def test_an_arm_that_does_not_record_is_a_signal(call, capsys):
+    nights = call.folder / "nights"
+    shutil.rmtree(nights / "A1")
+    (nights / "A1").mkdir()  # it never delivers
+    (nights / "A2" / "2026-01-02.csv").unlink()
+    (nights / "A2" / f"{LAST}.csv").write_bytes(b"")
+    assert call() == 6
+    assert f"A1: failed on {LAST}" in capsys.readouterr().out
+    assert call("--most-failed", "1") == 0
+    (nights / "A2" / f"{LAST}.csv").unlink()
+    assert call("--night", "2026-01-05", "--most-failed", "1") == 6
+    found = rows(call.folder, "SELECT serial, date, status FROM nights ORDER BY 1, 2")
+    assert [(serial, str(day)[-2:], status) for serial, day, status in found] == [
+        ("A1", "04", "failed"), ("A1", "05", "failed"),
+        ("A2", "01", "done"), ("A2", "02", "missing"), ("A2", "03", "done"), ("A2", "04", "done"),
+        ("A2", "05", "missing"),
+    ]  # fmt: skip
+    out = call.folder / "f.prom"
+    assert main(["fleet", "export", str(call.folder / "h.duckdb"), "--prometheus", str(out)]) == 0
+    text = out.read_text("utf-8")
+    assert 'lieid_fleet_last_success_timestamp{serial="A1"} 0.0' in text
+    assert 'lieid_fleet_nights_missing{serial="A2"} 2.0' in text
+    assert 'lieid_fleet_newest_night_done{serial="A2"} 0.0' in text
+    assert 'lieid_fleet_last_run{status="failed"}' in text
+
+
+def test_alarm_and_silence_together_are_status_7(call):
+    assert call("--night", "2026-01-05") == 7
+
+
+def test_a_payload_from_a_night_on_reruns_no_earlier_night(call, capsys):
+    assert call() == 5
+    path, entry = "recordings: nights/A1/*.csv", "payload: {mass: 1, com: [0, 0, 0], from: DAY}"
+    edit(call.folder, path, f"{path}\n    {entry.replace('DAY', '2026-01-03')}")
+    assert call() == 0
+    assert {(n.serial, n.date) for n in call.ran} == {("A1", "2026-01-03"), ("A1", LAST)}
+    assert all(n.payloads[0][1][0] == 1.0 for n in call.ran)
+    assert "New alarm" not in capsys.readouterr().out.partition("2 done")[2]
+
+
+def test_a_new_fit_starts_a_baseline_and_closes_the_alarms_before_it(call):
+    assert call() == 5
+    shutil.copy(call.folder / "fits/A2.json", call.folder / "fits/new.json")
+    (call.folder / "nights" / "A1" / "2026-01-05.csv").write_bytes(b"x")
+    both = "fit: [{path: fits/A1.json}, {path: fits/new.json, from: 2026-01-05}]"
+    edit(call.folder, "fit: fits/A1.json", both)
+    assert call("--night", "2026-01-05", "--most-failed", "1") == 0
+    assert [n.date for n in call.ran] == ["2026-01-05"]
+    with History(call.folder / "h.duckdb", read_only=True) as history:
+        (alarm,) = read_alarms(history)
+        arms = {arm.serial: arm for arm in read_arms(history)}
+    assert (alarm.closed, alarm.note) == (date(2026, 1, 5), "new fit")
+    assert [str(day) for day in arms["A1"].dates] == ["2026-01-05"]
+    assert len(arms["A2"].dates) == 4
+
+
+def test_nights_of_maintenance_are_left_out(call):
+    path = "recordings: nights/A1/*.csv"
+    edit(call.folder, path, f"{path}\n    maintenance: [{{from: 2026-01-03, to: {LAST}}}]")
+    assert call() == 0
+    assert {n.date for n in call.ran if n.serial == "A1"} == {"2026-01-01", "2026-01-02"}
+    assert rows(call.folder, "SELECT count(*) FROM nights WHERE serial = 'A1'") == [(2,)]
+
+
+def test_the_alarm_command_gets_each_alarm_once(call):
+    out = call.folder / "alarms.jsonl"
+    command = f"cat >> {out}"
+    assert call("--on-alarm", command) == 5
+    assert call("--on-alarm", command) == 0
+    (line,) = out.read_text("utf-8").splitlines()
+    alarm = json.loads(line)
+    assert (alarm["serial"], alarm["quantity"], alarm["closed"]) == ("A1", "payload", None)
+    assert alarm["recording"].endswith(f"A1/{LAST}.csv")
+    assert alarm["command"].split()[:2] == ["lieid", "workbench"]
+    assert alarm["command"].endswith(alarm["recording"])
+
+
+def test_an_alarm_that_has_doubled_or_is_near_its_limit_is_reported_again(tmp_path):
+    alarm = Alarm("A1", 2, "coulomb", FIRST, FIRST, 1.0, 0.1, "N·m", "text", FIRST)
+    far, near = FIRST + timedelta(days=40), FIRST + timedelta(days=20)
+    with History(tmp_path / "h.duckdb") as history:
+        history.insert("alarms", [tuple(vars(alarm).values())])
+        for size, limit, expected in (
+            (1.0, None, 1), (1.9, far, 0), (2.0, far, 1), (3.9, near, 1), (3.9, near, 0),
+            (4.0, near, 1),
+        ):  # fmt: skip
+            history.connection.execute(
+                "UPDATE alarms SET change = ?, limit_date = ?", [size, limit]
+            )
+            assert len(alarms_to_report(history, horizon=30)) == expected
+        history.connection.execute("UPDATE alarms SET change = 99, closed = ?", [FIRST])
+        assert alarms_to_report(history, horizon=30) == []
+
+
+def test_a_history_may_be_read_and_copied_while_a_run_has_it_open(tmp_path, capsys):
+    path = write_history(tmp_path / "h.duckdb", 5, ["A0", "A1"])
+    code = (
+        "import sys\nfrom lieid_casadi.fleet.history import History\n"
+        "with History(sys.argv[1]) as h:\n"
+        "    h.insert('calls', [(None, 1.0, '', '{}', 0)])\n    print('open', flush=True)\n"
+        "    input()\n"
+    )
+    command = [sys.executable, "-c", code, str(path)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes) as other:
+        other.stdout.readline()
+        assert main(["fleet", "report", str(path), "--html", str(tmp_path / "r.html")]) == 0
+        assert main(["fleet", "backup", str(path), str(tmp_path / "copy.duckdb")]) == 0
+        assert "latest batch of the run in progress" in capsys.readouterr().out
+        assert main(["fleet", "retire", str(path), "A1"]) == 2
+        assert f"in use by process {other.pid}" in capsys.readouterr().err
+        os.kill(other.pid, 9)  # what it has written is in the log beside the file
+    assert main(["fleet", "backup", str(path), str(tmp_path / "copy.duckdb")]) == 0
+    with History(tmp_path / "copy.duckdb", read_only=True) as copy:
+        assert copy.rows("SELECT count(*) FROM runs") == [(10,)]
+        assert copy.rows("SELECT count(*) FROM calls") == [(1,)]
+    assert main(["fleet", "backup", str(tmp_path / "none"), str(tmp_path / "x")]) == 2
+
+
+def test_a_retired_arm_is_in_no_report(call):
+    assert call() == 5
+    path = str(call.folder / "h.duckdb")
+    assert main(["fleet", "retire", path, "A1", "--date", "2026-01-05"]) == 0
+    with History(path, read_only=True) as history:
+        assert [arm.serial for arm in read_arms(history)] == ["A2"]
+        assert [a.note for a in read_alarms(history)] == ["retired"]
+        assert history.rows("SELECT DISTINCT serial FROM nights") == [("A2",)]
+        assert history.rows("SELECT count(*) FROM runs WHERE serial = 'A1'") == [(4,)]
+
+
+def test_results_are_computed_again_for_another_method_and_only_if_asked(call, monkeypatch):
+    call()
+    with History(call.folder / "h.duckdb") as history:
+        history.connection.execute("UPDATE runs SET method = 1, run_id = 'old' || run_id")
+    call()
+    assert call.ran == []
+    call("--rerun")
+    assert len(call.ran) == 8
+    call("--rerun")
+    assert call.ran == []
+
+
+def test_workers_of_another_minor_version_are_refused_by_name(call, monkeypatch, capsys):
+    with pytest.raises(FleetError, match=r"tcp://b:1 has 9\.9\.0"):
+        cluster.require_same_version({"tcp://a:1": cluster.__version__, "tcp://b:1": "9.9.0"})
+    fix = ".".join([*cluster.__version__.split(".")[:2], "99"])
+    cluster.require_same_version({"tcp://a:1": fix})
+    old = NightResult("done", version="9.9.0")  # of a worker that joined during the run
+    monkeypatch.setattr(cluster, "run_arm_night", lambda night, content: old)
+    assert call() == 6
+    ((status, reason, version),) = rows(
+        call.folder, "SELECT DISTINCT status, reason, version FROM runs"
+    )
+    assert (status, version) == ("failed", "9.9.0")
+    assert "worker with version 9.9.0" in reason
+
+
+def test_a_judgement_uses_at_most_a_hundred_nights(tmp_path):
+    def drifting(serial, k):
+        return {"grown": {("coulomb.f_c", 2): 0.0008 * k}} if serial == "A1" else {}
+
+    path = write_history(tmp_path / "h.duckdb", 160, ["A0", "A1"], drifting)
+    with History(path, read_only=True) as history:
+        short, whole = list(read_arms(history, waiting=1)), list(read_arms(history))
+    last = FIRST + timedelta(days=159)
+    for a, b in zip(short, whole, strict=True):
+        assert len(b.dates) == 160
+        assert len(a.dates) <= 101
+        for arm in (a.until(last), b.until(last)):
+            assert len(arm.dates) <= 100
+            assert arm.dates[-60:] == b.dates[-60:]  # the latest are complete
+            assert arm.dates[0] == b.dates[0]
+        np.testing.assert_array_equal(a.shares[-60:], b.shares[-60:])
+    with History(path) as history:
+        history.insert("judged", [(last - timedelta(days=1), None)])
+        (alarm,) = judge_new_nights(history)
+    assert (alarm.serial, alarm.quantity, alarm.joint) == ("A1", "coulomb", 2)
+    assert alarm.slope_low < 0.0008 < alarm.slope_high  # slow wear from the first night
+
+
+def test_an_expression_that_backtracks_for_ever_is_stopped(monkeypatch):
+    import re
+
+    monkeypatch.setattr("lieid_casadi.fleet.recordings.SEARCH_SECONDS", 0.05)
+    path = RecordingFile("nights/" + "a" * 60 + ".csv", "", None)
+    with pytest.raises(FleetError, match="nested repetitions"):
+        night_of(path, re.compile(r"(?P<date>(a+)+)!"))
+
+
+def test_snapshots_have_a_name_of_their_own(tmp_path):
+    assert snapshot_of("x/history.duckdb").as_posix() == "x/history.read.duckdb"
