@@ -74,13 +74,6 @@ def test_perturbed_bodies_are_physical_and_near_the_nominal_ones(seed):
     np.testing.assert_array_equal(links.ravel(), perturbed_inertias(robot, spread=0.2, seed=seed))
 
 
-def test_without_spread_the_bodies_are_the_nominal_ones():
-    robot = random_arm(np.random.default_rng(4), 5)
-    np.testing.assert_allclose(
-        perturbed_inertias(robot, spread=0.0, seed=0), robot.link_parameters, atol=1e-12
-    )
-
-
 @pytest.fixture
 def path():
     """An arm without friction, a path, and its torques and MuJoCo twin."""

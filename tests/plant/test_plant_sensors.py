@@ -42,19 +42,13 @@ def test_ideal_sensors_measure_the_true_signals():
     assert recording.temperature is None
 
 
-def test_rate_that_divides_the_control_rate():
-    recording = _measure(Sensors(rate=125.0))
-    np.testing.assert_allclose(np.diff(recording.t), 0.008, atol=1e-12)
-    assert recording.t[-1] == pytest.approx(20.0)
-    np.testing.assert_array_equal(recording.q, TRUTH.q[::8])
-
-
-def test_other_rates_use_the_nearest_instants_and_their_stamps():
-    recording = _measure(Sensors(rate=300.0))
-    steps = np.diff(recording.t)
-    assert set(np.round(steps * 1000).astype(int)) == {3, 4}
-    assert len(recording) == 6001
+@pytest.mark.parametrize(("rate", "count", "steps"), [(125.0, 2501, {8}), (300.0, 6001, {3, 4})])
+def test_the_nearest_instants_are_sampled_with_their_stamps(rate, count, steps):
+    recording = _measure(Sensors(rate=rate))
+    assert len(recording) == count
+    assert set(np.round(np.diff(recording.t) * 1000).astype(int)) == steps
     rows = np.round(recording.t * 1000).astype(int)
+    np.testing.assert_array_equal(recording.q, TRUTH.q[rows])
     np.testing.assert_array_equal(recording.tau, TRUTH.tau[rows])
 
 
@@ -113,10 +107,20 @@ def test_torque_steps():
     np.testing.assert_array_equal(recording.tau[:, 1], TRUTH.tau[:, 1])
 
 
-def test_gain():
-    recording = _measure(Sensors(rate=None), TorqueGain(1, gain=0.07))
-    np.testing.assert_allclose(recording.tau[:, 1], 1.07 * TRUTH.tau[:, 1])
-    np.testing.assert_array_equal(recording.tau[:, 0], TRUTH.tau[:, 0])
+@pytest.mark.parametrize(
+    ("effect", "expected"),
+    [
+        (TorqueGain(1, gain=0.07), lambda q, tau: (q[1], 1.07 * tau[1])),
+        (BiasDrift(1, rate=0.02), lambda q, tau: (q[1], tau[1] + 0.02 * (T - 10.0))),
+        (EncoderOffset(1, offset=0.05), lambda q, tau: (q[1] - 0.05, tau[1])),
+    ],
+    ids=lambda x: getattr(x, "name", ""),
+)
+def test_effects_on_what_is_measured_change_their_joint_alone(effect, expected):
+    recording = _measure(Sensors(rate=None), effect)
+    q, tau = expected(TRUTH.q.T, TRUTH.tau.T)
+    np.testing.assert_allclose(recording.q, np.column_stack([TRUTH.q[:, 0], q]), atol=1e-12)
+    np.testing.assert_allclose(recording.tau, np.column_stack([TRUTH.tau[:, 0], tau]), atol=1e-9)
 
 
 @pytest.mark.parametrize("delay", [0.012, 0.0125])
@@ -130,17 +134,6 @@ def test_delay(delay):
     np.testing.assert_allclose(recording.tau[far, 0][smooth], late[far][smooth], atol=1e-3)
     assert np.abs(recording.tau[:, 0] - TRUTH.tau[:, 0]).max() > 0.05
     np.testing.assert_array_equal(recording.tau[:, 1], TRUTH.tau[:, 1])
-
-
-def test_drift_has_zero_mean():
-    added = _measure(Sensors(rate=None), BiasDrift(0, rate=0.02)).tau - TRUTH.tau
-    np.testing.assert_allclose(added[:, 0], 0.02 * (T - 10.0), atol=1e-9)
-
-
-def test_encoder_offset():
-    recording = _measure(Sensors(rate=None), EncoderOffset(1, offset=0.05))
-    np.testing.assert_allclose(recording.q[:, 1] + 0.05, TRUTH.q[:, 1])
-    np.testing.assert_array_equal(recording.tau, TRUTH.tau)
 
 
 def test_temperature_approaches_its_end():

@@ -20,12 +20,8 @@ def _moves(robot):
     return point_to_point(robot, poses=5, dwell=0.4, seed=4)
 
 
-def _sweep(robot):
-    return sweep(robot, 1)
-
-
 @pytest.mark.parametrize("robot", [make() for make in ARMS], ids=lambda r: r.name)
-@pytest.mark.parametrize("make", [_fourier, _moves, _sweep])
+@pytest.mark.parametrize("make", [_fourier, _moves, lambda robot: sweep(robot, 1)])
 def test_motion_is_feasible_smooth_and_rests_at_both_ends(robot, make):
     path = make(robot)
     t = np.linspace(-0.5, path.duration + 0.5, 40001)
@@ -42,11 +38,6 @@ def test_motion_is_feasible_smooth_and_rests_at_both_ends(robot, make):
     step = t[1] - t[0]
     np.testing.assert_allclose(np.gradient(q, step, axis=0), dq, atol=5 * step)
     np.testing.assert_allclose(np.gradient(dq, step, axis=0), ddq, atol=400 * step)
-
-
-def test_every_joint_of_a_fourier_trajectory_moves():
-    _, dq, _ = _fourier(robots.panda()).at(np.linspace(0, 5, 500))
-    assert np.all(dq.std(axis=0) > 0.2)
 
 
 def test_fourier_trajectories_are_periodic_and_reproducible():
