@@ -81,7 +81,8 @@ def identify(
     feasible : FeasibleOptions, optional
         Bounds on masses and centres of mass, and further options of the method ``feasible``.
     start : ShapeStart, optional
-        Shape parameters near the solution; searched over their whole range if left out.
+        Shape parameters that are held at their values; searched over their whole ranges if left
+        out.
     progress : callable, optional
         Called with a stage's name and the fraction done.
 
@@ -141,9 +142,9 @@ def identify_segments(
     compiled: Compiled,
     segments: tuple[Processed, ...],
     *,
-    method: Method,
-    temperature_mean: Array | None,
-    provenance: Provenance,
+    method: Method = "wls",
+    temperature_mean: Array | None = None,
+    provenance: Provenance | None = None,
     feasible: FeasibleOptions | None = None,
     start: ShapeStart | None = None,
     uncertainty: bool = True,
@@ -153,6 +154,12 @@ def identify_segments(
 ) -> Fit:
     """Fit a compiled model to segments that were checked and processed before.
 
+    The one procedure behind `identify`, `extend`, the page and `diagnose`. The result follows from
+    the segments, the method and the set of effects alone: not from the order of the effects, nor
+    from values known before. Shape parameters are scanned over their whole ranges, each effect
+    beside all others, and refined together; the fit is done when neither a small change of all
+    shapes nor any other value of one effect's shapes lowers the weighted error (`shape_scan`).
+
     Parameters
     ----------
     compiled : Compiled
@@ -161,16 +168,16 @@ def identify_segments(
     method : {"ols", "wls", "robust", "feasible"}
     temperature_mean : (n,) or None
         °C.
-    provenance : Provenance
+    provenance : Provenance, optional
         Of the recordings.
     feasible : FeasibleOptions, optional
     start : ShapeStart, optional
-        Shape parameters near the solution.
+        Shape parameters that are held at their values.
     uncertainty : bool
         False leaves the covariance NaN and the residual's noise white: for models of which only
         values are compared, since the two take longer than the fit.
     known : sequence of FilteredColumns, optional
-        Of each segment; see `Design`.
+        Of each segment, shared by fits of models of one robot; see `Design`.
     warnings : sequence of LieidWarning
         Found so far.
     report : callable
@@ -214,7 +221,7 @@ def identify_segments(
         processing=segments[0].options,
         conditioning=conditioning(unweighted, model.base),
         warnings=unique_warnings(found),
-        provenance=provenance,
+        provenance=provenance or Provenance(_version(), ()),
         temperature_mean=temperature_mean,
         certificate=certificate,
     )
@@ -272,12 +279,16 @@ def _folds(segments: Sequence[Processed], state: FitState) -> tuple[Fold, ...]:
 
 
 def _provenance(recordings: Sequence[Recording]) -> Provenance:
-    from lieid_casadi import __version__
-
     first = recordings[0]
     return Provenance(
-        __version__,
+        _version(),
         tuple(Source.of(r) for r in recordings),
         first.torque_constants if len({r.torque_constants for r in recordings}) == 1 else None,
         first.units if len({r.units for r in recordings}) == 1 else (),
     )
+
+
+def _version() -> str:
+    from lieid_casadi import __version__
+
+    return __version__

@@ -254,10 +254,12 @@ class Design:
     def varying_rows(self, shapes: Array, link_parameters: Array | None) -> list[Array]:
         """Return the varying columns per joint (R, v), with the rows of `rows`."""
         blocks = self._varying_blocks(shapes, link_parameters)
-        return [
-            np.concatenate([b[m[:, j], j] for b, m in zip(blocks, self._use, strict=True)])
-            for j in range(self.model.n)
-        ]
+        return [self.on_joint(j, [b[:, j] for b in blocks]) for j in range(self.model.n)]
+
+    def on_joint(self, joint: int, values: Sequence[Array]) -> Array:
+        """Return filtered values (M, …) of each segment on the rows (R, …) of a joint."""
+        used = (own[mask[:, joint]] for own, mask in zip(values, self._use, strict=True))
+        return np.concatenate(list(used))
 
     def columns_of_shape(self, k: int) -> NDArray[np.intp]:
         """Return the positions, among the varying columns, of those of the effect with shape k."""

@@ -16,12 +16,14 @@ from lieid_casadi.identification.regression.least_squares import (
     Weighting,
     solve,
 )
-from lieid_casadi.identification.regression.shape_fit import fit_shapes
+from lieid_casadi.identification.regression.shape_fit import refine_shapes, resolved_range
+from lieid_casadi.identification.regression.shape_scan import ShapeScan
 from lieid_casadi.identification.regression.variable_projection import shapes_of_data
 from lieid_casadi.model import Model
 
 Progress = Callable[[str, float], None]
 ROUNDS = 30  # largest number of iterations
+MOST_SCANS = 6  # of all shapes over their ranges
 SETTLED = 1e-6  # relative change of the predicted torque at convergence
 
 
@@ -49,14 +51,14 @@ class FitState:
 
 @dataclass(frozen=True, eq=False)
 class ShapeStart:
-    """Values to start from, near the solution.
+    """Shape parameters to hold, and the load to begin with.
 
     Attributes
     ----------
     values : (s,)
         Shape parameters; NaN for those that are to be taken from the training recordings.
     held : bool
-        Whether they stay fixed.
+        Whether they stay fixed. Otherwise they are ignored: a fit follows from its data alone.
     parameters : (10 n + m,), optional
         Link parameters and effect coefficients that give the first load; by default it is zero.
     """
@@ -71,6 +73,9 @@ def fixed_point(
 ) -> tuple[FitState, bool]:
     """Alternate linear fit, shapes and load until the predicted torque converges.
 
+    Shapes are first scanned over their whole ranges, then refined together in every round. At
+    convergence they are scanned again; the fit is done when the scan finds nothing better.
+
     Parameters
     ----------
     design : Design
@@ -78,7 +83,7 @@ def fixed_point(
     report : callable
         Called with a stage's name and the fraction done.
     start : ShapeStart, optional
-        Without it, shapes are searched over their whole range.
+        Shapes that are held.
 
     Returns
     -------
@@ -88,40 +93,80 @@ def fixed_point(
         Whether it converged.
     """
     model = design.model
-    estimator = ESTIMATORS[method]
-    start, searched = start or ShapeStart(model.initial_shapes), start is not None
-    shapes, links = _with_data_ranges(design, start), start.parameters
+    held = start if start is not None and start.held else ShapeStart(model.initial_shapes)
+    shapes, links = _with_data_ranges(design, held), held.parameters
+    search = _Search(design) if not held.held and any(s.fitted for s in model.shapes) else None
     iterate = bool(varying_columns(model).any())
     loaded = any("load" in p.effect.signals for p in model.placements)
     if any(isinstance(p.effect, ArmEffect) and p.effect.shapes for p in model.placements):
         # a fit without the effect is biased by it; the nominal bodies are nearer to the arm
         loaded, links = True, nominal_parameters(model) if model.robot.has_inertia else None
     before: Array | None = None
+    state = _state(design, ESTIMATORS[method], shapes, links)
     for round_ in range(ROUNDS):
-        rows = design.rows(shapes, links)
-        weighting = estimator(rows)
         # shapes of load-dependent effects need a load first
-        if (
-            any(s.fitted for s in model.shapes)
-            and not start.held
-            and not (loaded and links is None)
-        ):
-            shapes = fit_shapes(design, shapes, links, weighting.noise, search=not searched)
-            searched = True
-            rows = design.rows(shapes, links)
-            weighting = estimator(rows)
-        solution = solve(weighting.factor)
-        parameters = model.base.lift(solution.values, nominal_parameters(model))
-        state = FitState(shapes, rows, weighting, solution, parameters)
+        if search is not None and not (loaded and links is None):
+            state = search.improved(state, links, ESTIMATORS[method])
         if not iterate:
-            return state, weighting.converged
-        links = parameters
-        predicted = rows.predicted(solution.values)
-        if before is not None and has_settled(predicted, before):
-            return state, weighting.converged
-        before = predicted
+            return state, state.weighting.converged
+        predicted = state.rows.predicted(state.solution.values)
+        settled = before is not None and has_settled(predicted, before)
+        if settled and (search is None or search.confirms(state, links)):
+            return state, state.weighting.converged
+        before, links = predicted, state.parameters
+        state = _state(design, ESTIMATORS[method], state.shapes, links)
         report("regress", 0.3 + 0.6 * (round_ + 1) / ROUNDS)
     return state, False
+
+
+class _Search:
+    """Shapes of one design: scanned over their ranges where nothing is known, else refined."""
+
+    def __init__(self, design: Design) -> None:
+        self._design = design
+        self._scan = ShapeScan(design, resolved_range(design))
+        self._start: Array | None = None
+        self._scans = 0
+
+    def improved(
+        self, state: FitState, links: Array | None, estimator: Callable[[Rows], Weighting]
+    ) -> FitState:
+        """Return the state at better shapes."""
+        noise, shapes = state.weighting.noise, self._start
+        if not self._scans:
+            shapes = self._scan.found(state.rows, state.shapes, links, noise, afresh=True)
+            self._scans = 1
+        self._start = None
+        shapes = refine_shapes(
+            self._design, state.shapes if shapes is None else shapes, links, noise
+        )
+        return _state(self._design, estimator, shapes, links)
+
+    def confirms(self, state: FitState, links: Array | None) -> bool:
+        """Whether no value of any one effect lowers the cost; keeps a better one otherwise."""
+        if self._scans > MOST_SCANS:
+            return True
+        noise = state.weighting.noise
+        shapes = self._scan.found(state.rows, state.shapes, links, noise, afresh=False)
+        self._scans += 1
+        if np.array_equal(shapes, state.shapes):
+            return True
+        self._start = shapes
+        return False
+
+
+def _state(
+    design: Design,
+    estimator: Callable[[Rows], Weighting],
+    shapes: Array,
+    links: Array | None,
+) -> FitState:
+    """Return the linear fit at given shapes and load."""
+    rows = design.rows(shapes, links)
+    weighting = estimator(rows)
+    solution = solve(weighting.factor)
+    parameters = design.model.base.lift(solution.values, nominal_parameters(design.model))
+    return FitState(shapes, rows, weighting, solution, parameters)
 
 
 def _with_data_ranges(design: Design, start: ShapeStart) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,33 +18,18 @@ from lieid_casadi.identification.regression.variable_projection import (
 )
 from lieid_casadi.recording import Processed
 
-GRID = 17  # values tried over each shape's range
 COMMAND_ERRORS = (80.0, 99.5)  # percentiles of |error| between which saturation is searched
-STARTS = 3  # best values of the grid from which a local search starts
 
 
-def fit_shapes(
-    design: Design, start: Array, links: Array | None, noise: Array, *, search: bool
-) -> Array:
-    """Return the shapes (s,) that minimize the weighted residual.
+def refine_shapes(design: Design, start: Array, links: Array | None, noise: Array) -> Array:
+    """Return the shapes (s,) at a local minimum of the weighted residual.
 
-    Parameters
-    ----------
-    design : Design
-    start : (s,)
-        Shapes to start from if the range is not searched.
-    links : (10 n,) or None
-        Link parameters that give the load; None means no load.
-    noise : (n,)
-        Standard deviation of the residual per joint, N·m; rows are weighted by its inverse.
-    search : bool
-        Whether to try values over the whole range first; the cost can have several minima.
+    ``links`` (10 n,) give the load, None means no load; rows are weighted by the inverse of the
+    ``noise`` (n,). Shapes that are not fitted stay as they are.
     """
-    problem = _WeightedDesign.of(design, start, links, noise)
-    starts = problem.starts() if search else [start]
-    free = problem.free
-    found = [minimize_shapes(problem.separable, each[free]) for each in starts]
-    return problem.all_shapes(min(found, key=problem.separable.cost))
+    free = _fitted(design)
+    problem = _weighted_problem(design, start, links, noise, free)
+    return _replaced(start, free, minimize_shapes(problem, start[free]))
 
 
 def shape_columns(design: Design, values: Array, shapes: Array, links: Array | None) -> list[Array]:
@@ -78,85 +62,35 @@ def shape_columns(design: Design, values: Array, shapes: Array, links: Array | N
     return derivatives
 
 
-@dataclass(frozen=True, eq=False)
-class _WeightedDesign:
-    """The weighted regression of a design as a separable problem.
+def _weighted_problem(
+    design: Design, start: Array, links: Array | None, noise: Array, free: NDArray[np.intp]
+) -> SeparableProblem:
+    """Return the weighted regression as a separable problem in the shapes that are fitted."""
+    rows = design.rows(start, links)
 
-    Its unknowns are the shapes that are fitted. ``ends`` are the row numbers at which one joint's
-    rows end and the next one's begin.
-    """
+    def weighted(per_joint: Sequence[Array]) -> Array:
+        return np.concatenate([x / s for x, s in zip(per_joint, noise, strict=True)])
 
-    design: Design
-    separable: SeparableProblem
-    ends: NDArray[np.intp]
-    start: Array
+    def columns(shapes: Array) -> Array:
+        return weighted(design.varying_rows(_replaced(start, free, shapes), links))
 
-    @property
-    def free(self) -> NDArray[np.intp]:
-        """Numbers of the shapes that are fitted."""
-        return _fitted(self.design)
+    def slopes(shapes: Array, coefficients: Array) -> Array:
+        values = np.zeros(design.model.base.count)
+        values[design.varying] = coefficients
+        every = _replaced(start, free, shapes)
+        return weighted(shape_columns(design, values, every, links))[:, free]
 
-    def all_shapes(self, fitted: Array) -> Array:
-        """Return all shapes (s,), from those that are fitted."""
-        return _replaced(self.start, self.free, fitted)
-
-    @classmethod
-    def of(cls, design: Design, start: Array, links: Array | None, noise: Array) -> _WeightedDesign:
-        """Return the problem of `fit_shapes`, with the same parameters."""
-        rows, free = design.rows(start, links), _fitted(design)
-
-        def weighted(per_joint: Sequence[Array]) -> Array:
-            return np.concatenate([x / s for x, s in zip(per_joint, noise, strict=True)])
-
-        def columns(shapes: Array) -> Array:
-            return weighted(design.varying_rows(_replaced(start, free, shapes), links))
-
-        def slopes(shapes: Array, coefficients: Array) -> Array:
-            values = np.zeros(design.model.base.count)
-            values[design.varying] = coefficients
-            every = _replaced(start, free, shapes)
-            return weighted(shape_columns(design, values, every, links))[:, free]
-
-        fixed = weighted(_fixed_columns(design, rows))
-        scale = np.linalg.norm(fixed, axis=0)
-        basis, _ = np.linalg.qr(fixed / np.where(scale > 0.0, scale, 1.0))
-        whole = resolved_range(design)
-        separable = SeparableProblem(
-            columns=columns,
-            target=weighted([joint.torque for joint in rows.joints]),
-            ranges=ShapeRange(whole.lower[free], whole.upper[free]),
-            fixed=basis,
-            slopes=slopes,
-        )
-        return cls(design, separable, np.cumsum(rows.lengths, dtype=np.intp)[:-1], start)
-
-    def starts(self) -> list[Array]:
-        """Return starts from a grid over the ranges: the best values of each joint, then the next.
-
-        Shapes of one kind on several joints act on different rows and are tried together.
-        """
-        ranges, free = resolved_range(self.design), self.free
-        first = _replaced(self.start, free, self.design.model.initial_shapes[free])
-        starts = np.tile(first, (STARTS, 1))
-        places = (np.arange(GRID) + 0.5) / GRID
-        for members in _same_shape_groups(self.design):
-            if members[0] not in free:
-                continue
-            grid = []
-            for place in places:
-                trial = starts[0].copy()
-                trial[members] = ranges.shapes(np.full(len(trial), place))[members]
-                grid.append(self._joint_costs(trial))
-            for k in members:
-                costs = np.array(grid)[:, self.design.model.shapes[k].joint]
-                for rank, index in enumerate(_local_minima(costs)[:STARTS]):
-                    starts[rank:, k] = ranges.shapes(np.full(starts.shape[1], places[index]))[k]
-        return list(np.unique(starts, axis=0))
-
-    def _joint_costs(self, shapes: Array) -> Array:
-        """Return the sum of squared weighted residuals of each joint (n,)."""
-        parts = np.split(self.separable.solve(shapes[self.free]).residual, self.ends)
-        return np.array([np.sum(part**2) for part in parts])
+    fixed = weighted(_fixed_columns(design, rows))
+    scale = np.linalg.norm(fixed, axis=0)
+    basis, _ = np.linalg.qr(fixed / np.where(scale > 0.0, scale, 1.0))
+    whole = resolved_range(design)
+    return SeparableProblem(
+        columns=columns,
+        target=weighted([joint.torque for joint in rows.joints]),
+        ranges=ShapeRange(whole.lower[free], whole.upper[free]),
+        fixed=basis,
+        slopes=slopes,
+    )
 
 
 def command_error_range(segments: Sequence[Processed], joint: int) -> tuple[float, float]:
@@ -210,13 +144,6 @@ def _fixed_columns(design: Design, rows: Rows) -> list[Array]:
         matrix[:, joint.columns] = joint.matrix
         found.append(matrix[:, fixed])
     return found
-
-
-def _local_minima(costs: Array) -> list[int]:
-    """Return the indices of local minima, lowest first."""
-    padded = np.concatenate([[np.inf], costs, [np.inf]])
-    lower = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:])
-    return sorted(np.flatnonzero(lower).tolist(), key=lambda k: float(costs[k]))
 
 
 def _same_shape_groups(design: Design) -> list[list[int]]:

@@ -1,0 +1,397 @@
+"""Shape parameters searched over their whole range, one effect at a time beside all others.
+
+For given shapes the model is linear, so the fall of the cost that an effect brings beside the
+others follows from inner products of its columns: the columns of all effects are projected off
+those that depend on no shape once, and each value that is tried costs one small linear system. The
+search depends on the data and the set of effects alone:
+
+1. from the model without these effects, add the one that lowers the cost most, at its best value,
+   until all are in (orthogonal matching pursuit);
+2. move the effect whose best value elsewhere in its range lowers the cost most, until none does.
+
+`fixed_point` refines the result by variable projection and scans again, so that in the end neither
+a small change of all shapes nor any change of one effect lowers the cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.compiled import Compiled, compile
+from lieid_casadi.effects import ArmEffect, Placement
+from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.least_squares import (
+    RANK_TOLERANCE,
+    combine,
+    joint_factors,
+)
+from lieid_casadi.identification.regression.rows import Rows
+from lieid_casadi.identification.regression.segment_columns import (
+    effect_signals,
+    model_along,
+)
+from lieid_casadi.identification.regression.variable_projection import ShapeRange
+from lieid_casadi.model import Model
+from lieid_casadi.recording import Processed
+
+#: Values tried per shape parameter of an effect with one, two, three of them.
+GRID = (33, 11, 6)
+ARM_GRID = 17  # of effects that are computed along the whole segment
+PHASE = 2.0  # rad between values of a wave number, over the range of the angle
+FINE = 9  # values tried within the step of a wave number
+PEAKS = 4  # of a scan over wave numbers, tried on the finer grid
+NEAR_BEST = 0.85  # part of the best fall that such a peak has at least
+BETTER = 1e-6  # part of the cost by which another value must be lower
+MOVES = 20  # per effect
+VANISHING = 1e-9  # part of a column's square beside others that counts as zero
+
+#: Columns of one effect at some values of its shapes: joint → (G, c, R).
+Columns = dict[int, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class _Member:
+    """An effect with fitted shapes, and the values (G, s) that are tried.
+
+    ``shapes`` and ``columns`` are its numbers among the model's shapes and base columns; ``kept``
+    are those of its coefficients that are base columns.
+    """
+
+    placement: Placement
+    shapes: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    kept: NDArray[np.intp]
+    grid: Array
+    waves: bool
+
+    @property
+    def uses_load(self) -> bool:
+        effect = self.placement.effect
+        return "load" in effect.signals or isinstance(effect, ArmEffect)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Columns of an effect at G values, and their weighted inner products.
+
+    ``along`` (G, c, f) are those with the basis of the fixed columns, ``square`` (G, c, c) and
+    ``target`` (G, c) those with themselves and the torque, both off the fixed columns.
+    """
+
+    columns: Columns
+    along: Array
+    square: Array
+    target: Array
+
+    def at(self, k: int) -> _Trial:
+        """Return the trial of value k alone."""
+        part = slice(k, k + 1)
+        columns = {j: values[part] for j, values in self.columns.items()}
+        return _Trial(columns, self.along[part], self.square[part], self.target[part])
+
+
+class ShapeScan:
+    """The scan over the shapes of one design; columns that do not depend on the load are kept."""
+
+    def __init__(self, design: Design, ranges: ShapeRange) -> None:
+        self.design = design
+        self._ranges = ranges
+        self.members = _members(design, ranges)
+        self._compiled: dict[str, Compiled] = {}
+        self._kept: dict[int, tuple[bytes | None, Columns]] = {}
+
+    def found(
+        self, rows: Rows, shapes: Array, links: Array | None, noise: Array, *, afresh: bool
+    ) -> Array:
+        """Return the shapes (s,) at which no value of any one effect lowers the cost.
+
+        ``afresh`` starts without the effects, otherwise at the given shapes. Rows are those of
+        the design at these shapes and links; ``noise`` (n,) weights them.
+        """
+        fixed = _Fixed(rows, np.concatenate([m.columns for m in self.members]), noise)
+        here = _Here(self, fixed, shapes, links)
+        shapes, current = shapes.copy(), dict[int, _Trial]()
+        if not afresh:
+            current = {k: here.present(m, rows) for k, m in enumerate(self.members)}
+        while len(current) < len(self.members):
+            moves = [here.best(k, current) for k in range(len(self.members)) if k not in current]
+            self._move(max(moves, key=lambda move: move.fall), shapes, current)
+        for _ in range(MOVES * len(self.members)):
+            moves = [here.best(k, current) for k in range(len(self.members))]
+            gains = [m.fall - here.fall(m.member, current) for m in moves]
+            k = int(np.argmax(gains))
+            if gains[k] <= BETTER * fixed.cost:
+                break
+            self._move(moves[k], shapes, current)
+        return shapes
+
+    def _move(self, move: _Move, shapes: Array, current: dict[int, _Trial]) -> None:
+        shapes[self.members[move.member].shapes] = move.values
+        current[move.member] = move.trial
+
+    def columns(self, k: int, values: Array, shapes: Array, links: Array | None) -> Columns:
+        """Return the columns of member k at values (G, s) of its shapes, not weighted."""
+        member = self.members[k]
+        if isinstance(member.placement.effect, ArmEffect):
+            return self._arm_columns(member, values, shapes, links)
+        (found,) = self._joint_columns([member], values, links)
+        return found
+
+    def grid_columns(self, k: int, shapes: Array, links: Array | None) -> Columns:
+        """Return the columns of member k on its whole grid."""
+        member = self.members[k]
+        if isinstance(member.placement.effect, ArmEffect):
+            return self.columns(k, member.grid, shapes, links)
+        key = None if not member.uses_load or links is None else links.tobytes()
+        if self._kept.get(k, (b"", {}))[0] != key:  # with those on other joints, at once
+            alike = [
+                i for i, m in enumerate(self.members)
+                if m.placement.effect.label == member.placement.effect.label
+                and np.array_equal(m.grid, member.grid)
+            ]  # fmt: skip
+            found = self._joint_columns([self.members[i] for i in alike], member.grid, links)
+            self._kept |= {i: (key, columns) for i, columns in zip(alike, found, strict=True)}
+        return self._kept[k][1]
+
+    def _joint_columns(
+        self, members: Sequence[_Member], values: Array, links: Array | None
+    ) -> list[Columns]:
+        """Return the columns of one effect on several joints, all at the same values."""
+        design, label = self.design, members[0].placement.effect.label
+        same = [m for m in self.members if m.placement.effect.label == label]
+        if label not in self._compiled:
+            model = Model.of_placements(design.model.robot, [m.placement for m in same])
+            self._compiled[label] = compile(model, threads=design.compiled.threads)
+        width = len(same[0].placement.effect.coefficients)
+        taken = [width * same.index(m) + i for m in members for i in m.kept]
+        joints = [m.placement.joint for m in members for _ in m.kept]
+        parts = []
+        for segment in design.segments:
+            motion, load = (segment.q, segment.dq, segment.ddq), None
+            if members[0].uses_load and links is not None:
+                load = design.compiled.inverse_dynamics(*motion, links[: 10 * design.model.n])
+            raw = np.empty((len(segment), len(values), len(taken)))
+            for g, value in enumerate(values):
+                signals: dict[str, Any] = effect_signals(segment, np.tile(value, len(same)), load)
+                columns = self._compiled[label].effect_columns(*motion, **signals)
+                raw[:, g] = columns[:, joints, taken]
+            parts.append(_filtered(segment, raw))
+        found, first = [], 0
+        for member in members:
+            own = slice(first, first + len(member.kept))
+            first, joint = own.stop, member.placement.joint
+            rows = design.on_joint(joint, [part[:, :, own] for part in parts])
+            found.append({joint: np.ascontiguousarray(np.moveaxis(rows, 0, -1))})
+        return found
+
+    def _arm_columns(
+        self, member: _Member, values: Array, shapes: Array, links: Array | None
+    ) -> Columns:
+        effect = member.placement.effect
+        assert isinstance(effect, ArmEffect)
+        assert links is not None  # `fixed_point` waits for them
+        model = self.design.model
+        every = np.zeros(10 * model.n + len(model.columns))
+        every[: len(links)] = links
+        number = model.placements.index(member.placement)
+        first = sum(len(p.effect.coefficients) for p in model.placements[:number])
+        first += 10 * model.n
+        own = every[first : first + len(effect.coefficients)]
+        parts = []
+        for segment in self.design.segments:
+            arm = model_along(self.design.compiled, segment, shapes, every)
+            raw = [
+                effect.segment_columns(arm, member.placement.joint, np.concatenate([own, value]))
+                for value in values
+            ]
+            parts.append(_filtered(segment, np.stack(raw, axis=1)[..., member.kept]))
+        return {
+            j: np.ascontiguousarray(
+                np.moveaxis(self.design.on_joint(j, [p[:, :, j] for p in parts]), 0, -1)
+            )
+            for j in range(model.n)
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Move:
+    """The best values (s,) of a member's shapes, and the fall of the cost."""
+
+    member: int
+    values: Array
+    trial: _Trial
+    fall: float
+
+
+class _Fixed:
+    """The weighted regression on the columns that depend on no fitted shape."""
+
+    def __init__(self, rows: Rows, varying: NDArray[np.intp], noise: Array) -> None:
+        self.weights = 1.0 / noise
+        fixed = np.setdiff1d(np.arange(rows.count), varying)
+        factor = combine(joint_factors(rows), self.weights)
+        r = factor.r[:, fixed]
+        scale = np.linalg.norm(r, axis=0)
+        scale[scale == 0.0] = 1.0
+        u, sizes, vt = np.linalg.svd(r / scale, full_matrices=False)
+        used = sizes > RANK_TOLERANCE * sizes.max(initial=0.0)
+        basis = np.zeros((rows.count, int(used.sum())))
+        basis[fixed] = (vt[used].T / sizes[used]) / scale[:, None]
+        values = basis @ (u[:, used].T @ factor.r[:, -1])
+        self.residuals, self.bases = [], []
+        for joint, weight in zip(rows.joints, self.weights, strict=True):
+            self.residuals.append(weight * (joint.torque - joint.matrix @ values[joint.columns]))
+            self.bases.append(weight * (joint.matrix @ basis[joint.columns]))
+        self.cost = float(sum(np.sum(e**2) for e in self.residuals))
+
+    def trial(self, columns: Columns) -> _Trial:
+        """Return a trial of columns."""
+        count, width, _ = next(iter(columns.values())).shape
+        along = np.zeros((count, width, self.bases[0].shape[1]))
+        square, target = np.zeros((count, width, width)), np.zeros((count, width))
+        for j, values in columns.items():
+            flat = values.reshape(count * width, -1)
+            along += self.weights[j] * (flat @ self.bases[j]).reshape(along.shape)
+            target += self.weights[j] * (flat @ self.residuals[j]).reshape(target.shape)
+            square += self.weights[j] ** 2 * (values @ values.swapaxes(1, 2))
+        return _Trial(columns, along, square - along @ along.swapaxes(1, 2), target)
+
+    def cross(self, trial: _Trial, other: _Trial) -> Array:
+        """Return the inner products (G, c, d) of columns with those of another effect."""
+        count, width, size = trial.along.shape
+        result = -trial.along.reshape(-1, size) @ other.along[0].T
+        for j, values in trial.columns.items():
+            if j in other.columns:
+                flat = values.reshape(count * width, -1)
+                result += self.weights[j] ** 2 * (flat @ other.columns[j][0].T)
+        return np.asarray(result.reshape(count, width, -1))
+
+    def falls(self, trial: _Trial, others: Sequence[_Trial]) -> Array:
+        """Return the fall (G,) of the cost by columns beside the fixed ones and others."""
+        square, target = trial.square, trial.target
+        if others:
+            crossed = np.concatenate([self.cross(trial, other) for other in others], axis=2)
+            between = np.block(
+                [[a.square[0] if a is b else self.cross(a, b)[0] for b in others] for a in others]
+            )
+            aim = np.concatenate([other.target[0] for other in others])
+            scale = np.sqrt(np.maximum(np.diag(between), 1e-300))
+            scale = np.outer(scale, scale)
+            inverse = np.linalg.pinv(between / scale, rcond=VANISHING, hermitian=True) / scale
+            square = square - crossed @ inverse @ crossed.swapaxes(1, 2)
+            target = target - crossed @ (inverse @ aim)
+        norms = np.einsum("gcc->gc", trial.square) + np.sum(trial.along**2, axis=2)
+        scale = np.sqrt(np.maximum(norms, 1e-300))
+        sizes, directions = np.linalg.eigh(square / (scale[:, :, None] * scale[:, None, :]))
+        part = np.einsum("gcd,gc->gd", directions, target / scale) ** 2
+        used = sizes > VANISHING
+        return np.asarray(np.sum(np.where(used, part / np.where(used, sizes, 1.0), 0.0), axis=1))
+
+
+class _Here:
+    """The trials of all members at one load and one weighting."""
+
+    def __init__(self, scan: ShapeScan, fixed: _Fixed, shapes: Array, links: Array | None) -> None:
+        self._scan, self._fixed, self._shapes, self._links = scan, fixed, shapes, links
+        self._grids: dict[int, _Trial] = {}
+        self._peaks: dict[tuple[int, int], tuple[Array, _Trial]] = {}
+
+    def present(self, member: _Member, rows: Rows) -> _Trial:
+        """Return the trial of a member at the shapes of the rows."""
+        columns = {}
+        for j, joint in enumerate(rows.joints):
+            if np.isin(member.columns, joint.columns).all():
+                at = np.searchsorted(joint.columns, member.columns)
+                columns[j] = np.ascontiguousarray(joint.matrix[:, at].T)[None]
+        return self._fixed.trial(columns)
+
+    def best(self, k: int, current: dict[int, _Trial]) -> _Move:
+        """Return the best values of member k beside the other members that are in the model."""
+        member, others = self._scan.members[k], [c for i, c in current.items() if i != k]
+        if k not in self._grids:
+            columns = self._scan.grid_columns(k, self._shapes, self._links)
+            self._grids[k] = self._fixed.trial(columns)
+        trial = self._grids[k]
+        falls = self._fixed.falls(trial, others)
+        at = int(np.argmax(falls))
+        best = _Move(k, member.grid[at], trial.at(at), float(falls[at]))
+        for peak in _peaks(falls) if member.waves else ():
+            values, fine = self._around(k, peak)
+            falls = self._fixed.falls(fine, others)
+            at = int(np.argmax(falls))
+            if falls[at] > best.fall:
+                best = _Move(k, values[at], fine.at(at), float(falls[at]))
+        return best
+
+    def fall(self, k: int, current: dict[int, _Trial]) -> float:
+        """Return the fall of the cost that member k brings at its present values."""
+        others = [c for i, c in current.items() if i != k]
+        return float(self._fixed.falls(current[k], others)[0])
+
+    def _around(self, k: int, peak: int) -> tuple[Array, _Trial]:
+        """Return finer values (G, 1) around one of the grid, and their trial."""
+        if (k, peak) not in self._peaks:
+            grid = self._scan.members[k].grid
+            half = 0.5 * float(grid[1, 0] - grid[0, 0])
+            fine = np.clip(grid[peak] + np.linspace(-half, half, FINE)[:, None], grid[0], grid[-1])
+            columns = self._scan.columns(k, fine, self._shapes, self._links)
+            self._peaks[k, peak] = fine, self._fixed.trial(columns)
+        return self._peaks[k, peak]
+
+
+def _peaks(falls: Array) -> list[int]:
+    """Return the highest local maxima, those that a finer grid may make the highest of all."""
+    padded = np.concatenate([[-np.inf], falls, [-np.inf]])
+    peaks = np.flatnonzero((falls >= padded[:-2]) & (falls >= padded[2:]))
+    peaks = peaks[falls[peaks] >= NEAR_BEST * falls.max()]
+    return [int(k) for k in peaks[np.argsort(-falls[peaks], kind="stable")[:PEAKS]]]
+
+
+def _filtered(segment: Processed, values: Array) -> Array:
+    """Return filtered values (M, …) of (K, …)."""
+    return segment.filter(values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+
+
+def _members(design: Design, ranges: ShapeRange) -> list[_Member]:
+    """Return the effects with fitted shapes, ordered by their labels."""
+    model = design.model
+    position = {int(k): i for i, k in enumerate(model.base.kept)}
+    found, shape, column = [], 0, 10 * model.n
+    for p in model.placements:
+        numbers = np.arange(shape, shape + len(p.effect.shapes))
+        own = np.arange(column, column + len(p.effect.coefficients))
+        shape, column = shape + len(numbers), column + len(own)
+        kept = np.array([i for i, k in enumerate(own) if int(k) in position], dtype=np.intp)
+        if not any(s.data is None for s in p.effect.shapes) or not len(kept):
+            continue
+        columns = np.array([position[int(own[i])] for i in kept], dtype=np.intp)
+        waves = len(numbers) == 1 and p.effect.shapes[0].scan is not None
+        own_range = ShapeRange(ranges.lower[numbers], ranges.upper[numbers])
+        grid = _waves(design, p, own_range) if waves else _grid(p, own_range)
+        found.append(_Member(p, numbers, columns, kept, grid, waves))
+    return sorted(found, key=lambda member: member.placement.label)
+
+
+def _grid(placement: Placement, ranges: ShapeRange) -> Array:
+    """Return the values (G, s) over the ranges, by equal steps of their places."""
+    count = len(ranges.lower)
+    points = GRID[min(count, len(GRID)) - 1]
+    if isinstance(placement.effect, ArmEffect):
+        points = ARM_GRID
+    places = np.linspace(0.0, 1.0, points)
+    return np.array([ranges.shapes(np.array(at)) for at in product(places, repeat=count)])
+
+
+def _waves(design: Design, placement: Placement, ranges: ShapeRange) -> Array:
+    """Return wave numbers (G, 1) that differ by `PHASE` over the range of the joint's angle."""
+    angle = np.concatenate([segment.q[:, placement.joint] for segment in design.segments])
+    step = PHASE / max(float(np.ptp(angle)), 0.5)
+    lower, upper = float(ranges.lower[0]), float(ranges.upper[0])
+    return np.linspace(lower, upper, max(int(np.ceil((upper - lower) / step)) + 1, 2))[:, None]
