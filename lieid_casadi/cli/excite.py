@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
 
-CRITERIA = ("combined", "condition", "hadamard", "logdet", "a_optimal", "e_optimal")
 BASES = ("fourier", "modified_fourier", "bspline")
 INTERRUPTED = 130  # with a trajectory kept
 
@@ -36,10 +35,9 @@ def run(args: argparse.Namespace) -> output.Outcome:
             arm,
             criterion=args.criterion, inertial_only=args.inertial_only,
             limits=limits, start_pose=args.start_pose,
-            free_start=args.free_start, acceleration=args.acceleration, margin=args.margin,
-            basis=args.basis,
+            acceleration=args.acceleration, margin=args.margin, basis=args.basis,
             duration=args.duration, harmonics=args.harmonics, periods=args.periods,
-            samples=args.samples, rate=args.rate, scaling=args.scaling, start=args.warm_start,
+            samples=args.samples, rate=args.rate, start=args.warm_start,
             starts=args.starts, seed=args.seed, max_iterations=args.max_iterations,
             progress=report,
         )  # fmt: skip
@@ -63,21 +61,13 @@ COMMANDS = (
             options.effects(),
             options.EFFECTS_FILE,
             option(
-                "--criterion",
-                "what is minimized: condition number, with a bound on −log det (combined) or "
-                "without, 1/product of the column norms (hadamard), −log det of the information "
-                "matrix, sum (a_optimal) or largest axis (e_optimal) of the covariance",
+                "--criterion NAME",
+                "what is minimized: condition number with a bound on −log det of the information "
+                "matrix (combined) or without (condition), 1/product of the column norms "
+                "(hadamard), −log det (logdet)",
                 default="combined",
-                choices=CRITERIA,
             ),
             option("--inertial-only", "leave effects out of the regressor"),
-            option(
-                "--scaling",
-                "scaling of the columns in the criterion: none (si), by mass and length of the "
-                "arm (units), by the stated parameters (prior), or to norm 1 (unit_norm)",
-                default="si",
-                choices=("si", "units", "prior", "unit_norm"),
-            ),
             Group(
                 "motion",
                 (
@@ -94,11 +84,6 @@ COMMANDS = (
                     option("--samples N", "samples of one period in the criterion", int, 100),
                     option("--rate HZ", "sampling rate of the files, Hz", number, 1000.0),
                     motion_limits.START_POSE,
-                    option(
-                        "--free-start",
-                        "optimize the first pose, too; an approach motion from the start pose is "
-                        "added",
-                    ),
                 ),
             ),
             motion_limits.LIMITS,

@@ -28,7 +28,7 @@ from lieid_casadi.discrimination.rival_effects import (
     separable_pairs,
 )
 from lieid_casadi.errors import ExcitationError, ModelError
-from lieid_casadi.excitation.checks import MARGIN, checked_limits, default_limits, unchecked_limits
+from lieid_casadi.excitation.checks import MARGIN, default_limits, verify
 from lieid_casadi.excitation.limits import Limit, motion_range
 from lieid_casadi.excitation.sample_functions import FittedArm
 from lieid_casadi.identification import Fit
@@ -166,15 +166,17 @@ def discriminate(
     pairs = rival_pairs(rivals, stacked, separable, level=level, samples=feasible.samples)
     worst = max(p.needed / p.noncentrality for p in pairs if p.separable)
     median = float(np.median(values))
+    trajectory = feasible.parametrization.trajectory(best)
+    times = np.append(np.arange(0.0, duration, 1.0 / rate), duration)
+    verified = verify(robot, trajectory.at(times), feasible.range, feasible.limits, arm)
     return Discrimination(
-        model=rivals.common, trajectory=feasible.parametrization.trajectory(best),
+        model=rivals.common, trajectory=trajectory,
         periods=int(np.ceil(worst)), level=level,
         sizes={r.label: [*r.coefficients.tolist(), *r.shapes.tolist()] for r in rivals.effects},
         pairs=pairs, random_seconds=duration / median if median > 0.0 else float("inf"),
         max_violation=violation, evaluations=len(values) + sum(r.evaluations for r in refined),
         solve_seconds=time.monotonic() - began, rate=rate, interrupted=refined[-1].interrupted,
-        checked=checked_limits(feasible.range, limits, arm),
-        unchecked=unchecked_limits(robot, limits, feasible.left_out, arm),
+        checked=verified.checked, unchecked=verified.unchecked,
     )  # fmt: skip
 
 

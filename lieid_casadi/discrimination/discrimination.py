@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.excitation.excite import csv_text, limit_comments
-from lieid_casadi.excitation.trajectory import MotionSamples, Trajectory, period_grid
+from lieid_casadi.excitation.trajectory import MotionSamples, Trajectory, csv_text, period_grid
 from lieid_casadi.model import Model
 from lieid_casadi.output_folder import write_folder
 from lieid_casadi.tables import html
@@ -201,9 +200,8 @@ class Discrimination:
         content = json.dumps(
             {"schema": 1} | self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False
         )
-        comments = limit_comments(self.checked, self.unchecked)
         files = {
-            "trajectory.csv": csv_text(self.motion(), comments=comments).encode(),
+            "trajectory.csv": csv_text(self.motion(), self.checked, self.unchecked).encode(),
             "discriminate.json": content.encode(),
             "discriminate.png": image.getvalue(),
         }

@@ -11,13 +11,15 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.design import FINE, check_at_rest, find_start_pose
+from lieid_casadi.excitation.design import check_at_rest, excesses_along, find_start_pose
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
     Limit,
+    LimitOnArm,
     MotionRange,
     check_duration,
     check_start_pose,
+    on_arm,
     sets_of,
 )
 from lieid_casadi.excitation.sample_functions import FittedArm
@@ -48,17 +50,15 @@ class FeasibleMotions:
         Joint limits.
     sets : tuple of ConstraintSet
         Further limits.
-    samples : int
-        Of the criterion over a period.
-    left_out : tuple of str
-        Quantities that the further limits leave out.
+    limits : tuple of LimitOnArm
+        From which the sets are.
     """
 
     parametrization: Parametrization
     range: MotionRange
     sets: tuple[ConstraintSet, ...]
+    limits: tuple[LimitOnArm, ...]
     samples: int
-    left_out: tuple[str, ...] = ()
 
     def motion(self, z: Array) -> MotionSamples:
         """Return the samples of the criterion over one period."""
@@ -88,13 +88,10 @@ class FeasibleMotions:
 
         The violation is relative to the scale of each limit; negative values are margins.
         """
-        fine = self._grid(FINE)
+        sets = (self.range.constraint_set(), *self.sets)
         for _ in range(50):
-            motion = fine.motion(z)
-            worst = max(
-                float((s.excess(s.values(motion)).max(axis=1) / s.scale).max())
-                for s in (self.range.constraint_set(), *self.sets)
-            )
+            trajectory = self.parametrization.trajectory(z)
+            worst = max(x.scaled for x in excesses_along(trajectory, sets, self.samples))
             if worst <= 0.0:
                 return z, worst
             z = USED * z
@@ -180,16 +177,17 @@ def feasible_motions(
     if samples < 4 * basis.size:
         raise ExcitationError(f"samples: {samples}; expected at least {4 * basis.size}")
     check_duration(robot, joints, duration)
-    sets, left_out = sets_of(limits, robot, fit)
+    made = on_arm(limits, robot, fit)
+    sets = sets_of(made)
     every = (joints.constraint_set(), *sets)
     if start_pose is None:
-        pose = find_start_pose(joints, every)
+        pose = find_start_pose(robot, joints, every)
     else:
         pose = np.asarray(start_pose, dtype=float)
         check_start_pose(robot, joints, pose)
         check_at_rest(pose, every)
-    parametrization = Parametrization(basis, pose, True, joints.units)
-    return FeasibleMotions(parametrization, joints, sets, samples, left_out)
+    parametrization = Parametrization(basis, pose, joints.units)
+    return FeasibleMotions(parametrization, joints, sets, made, samples)
 
 
 GROWTH = 1.5  # of the step after a success

@@ -8,6 +8,7 @@ from lieid_casadi.excitation.clearance import (
     floor,
     workspace_box,
 )
+from lieid_casadi.excitation.criteria import Criterion
 from lieid_casadi.excitation.excite import Excitation, excite
 from lieid_casadi.excitation.friction_sweep import FrictionSweep, friction_sweep
 from lieid_casadi.excitation.limits import (
@@ -28,6 +29,7 @@ __all__ = [
     "Capsule",
     "CartesianSpeed",
     "ConstraintSet",
+    "Criterion",
     "Excitation",
     "ExpressionLimit",
     "Fourier",

@@ -1,23 +1,51 @@
-"""Limits that a design checks by default, and the limits that it does not check."""
+"""What a motion is checked against: the default limits, and the verification of a finished motion.
+
+The verification shares nothing with the search but the limits: positions, speeds and torques are
+Pinocchio's, distances are coal's between the shapes of the links, at 1 kHz. What it covered is
+``checked``, everything else ``unchecked``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 
-from lieid_casadi.arrays import Array
-from lieid_casadi.excitation.clearance import SelfCollision, Wall, floor
-from lieid_casadi.excitation.limits import CartesianSpeed, ExpressionLimit, Limit, MotionRange
-from lieid_casadi.excitation.links import Capsule, capsules_of, skeleton
+from lieid_casadi.errors import NoSolution
+from lieid_casadi.excitation.clearance import Obstacle, SelfCollision, Wall, floor, link_name
+from lieid_casadi.excitation.clearance import pair_name as pair
+from lieid_casadi.excitation.limits import (
+    CartesianSpeed,
+    ConstraintSet,
+    Limit,
+    LimitOnArm,
+    MotionRange,
+    numbers,
+    speed_points,
+)
+from lieid_casadi.excitation.links import Capsule, Shape, capsules_of, collision_shapes
+from lieid_casadi.excitation.rigid_arm import (
+    ArmAlong,
+    box_shape,
+    capsule_shape,
+    nearness_to_singular,
+)
 from lieid_casadi.excitation.sample_functions import FittedArm
-from lieid_casadi.excitation.torque_limit import Torque, torque_limits
-from lieid_casadi.robot.robot import Robot
+from lieid_casadi.excitation.torque_limit import Torque, joint_names, torque_limits
+from lieid_casadi.excitation.trajectory import MotionSamples
+from lieid_casadi.robot import Robot
 
 MARGIN = 0.8  # part of the velocity and torque limits that a design uses
 TOOL_SPEED = 1.5  # m/s
 FLOOR = 0.0  # m, base frame
 CLEARANCE = 0.02  # m, between links
+CONTROL_STEP = 1e-3  # s; of the verification
+CHUNK = 4000  # samples that constraint sets evaluate at a time
+SINGULAR = 0.1  # σ_min of the tool's Jacobian at rest, in parts of its typical value, at least
+ROUNDING = 1e-6  # of a joint's limit, or m/s: differences between two ways of computing
+ROUNDING_LENGTH = 1e-5  # m; the same for distances
 
 
 def default_limits(
@@ -64,129 +92,268 @@ def default_limits(
     return tuple(limits)
 
 
-def checked_limits(
-    joints: MotionRange, limits: Sequence[Limit], fit: FittedArm | None
-) -> tuple[str, ...]:
-    """Return a description of each limit that a design with these limits checks.
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """Limits that a motion was verified to keep, and limits that it was not, in words."""
 
-    Parameters
-    ----------
-    joints : MotionRange
-    limits : sequence of Limit
-        Besides those of the joints.
-    fit : FittedArm or None
-    """
-    velocity, acceleration = _list(joints.velocity), _list(joints.acceleration)
-    unit = "rad" if joints.revolute.all() else "rad or m"
-    return (
-        f"position, velocity ({velocity} {unit}/s) and acceleration ({acceleration} {unit}/s²) "
-        "of joints",
-        *(_description(limit, fit) for limit in limits),
-    )
+    checked: tuple[str, ...]
+    unchecked: tuple[str, ...]
 
 
-def _description(limit: Limit, fit: FittedArm | None) -> str:
-    if isinstance(limit, Torque):
-        part = f"torque within {limit.fraction:g} of its limits"
-        if fit is not None:
-            return (
-                f"{part}, by the fit with all effects, ± {limit.deviations:g} standard deviations"
-            )
-        return (
-            f"{part}, by the stated inertias, with {limit.dry:g} of the limit for friction and "
-            f"up to {limit.viscous:g} more in proportion to the speed"
-        )
-    if isinstance(limit, CartesianSpeed):
-        return f"speed of tool and joint centres up to {limit.limit:g} m/s"
-    if isinstance(limit, Wall) and limit.name == "floor":
-        return f"floor at {-limit.offset:g} m"
-    if isinstance(limit, SelfCollision):
-        return f"{limit.clearance:g} m between links that are not adjacent (capsules)"
-    if isinstance(limit, ExpressionLimit):
-        return f"{limit.name} of {_bounds(limit)} {limit.unit}".rstrip()
-    return str(getattr(limit, "name", type(limit).__name__))
-
-
-def _bounds(limit: ExpressionLimit) -> str:
-    """Return the bounds of an expression in words."""
-    lower, upper = (np.asarray(bound, dtype=float) for bound in (limit.lower, limit.upper))
-    parts = [
-        f"{word} {_list(np.atleast_1d(bound))}"
-        for word, bound in (("at least", lower), ("at most", upper))
-        if np.isfinite(bound).all()
-    ]
-    return " and ".join(parts)
-
-
-def unchecked_limits(
+def verify(
     robot: Robot,
-    limits: Sequence[Limit],
-    left_out: Sequence[str] = (),
-    fit: FittedArm | None = None,
-) -> tuple[str, ...]:
-    """Return the names of the limits that a design with these limits does not check.
+    motion: MotionSamples,
+    joints: MotionRange,
+    limits: Sequence[LimitOnArm],
+    fit: FittedArm | None,
+) -> Verification:
+    """Verify a motion, and return what was checked and what was not.
 
-    Parameters
-    ----------
-    robot : Robot
-    limits : sequence of Limit
-        Besides those of the joints.
-    left_out : sequence of str
-        Quantities that these limits leave out.
-    fit : FittedArm, optional
+    Raises
+    ------
+    NoSolution
+        The motion violates a limit; names it.
     """
-    unchecked: list[str] = []
-    torque, position = torque_limits(robot), robot.limit("position_lower")
-    has_torque = any(isinstance(limit, Torque) for limit in limits)
-    without = [j + 1 for j in range(robot.n) if not (has_torque and np.isfinite(torque[j]))]
-    if without:
-        unchecked.append(f"torque of {_joints(without, robot.n)}")
-    if len(without) < robot.n:
-        unchecked.append(
+    motion = at_control_rate(motion)
+    along = ArmAlong(robot, motion)
+    findings = [*_joint_findings(joints, motion)]
+    findings += [_finding(limit, along, fit) for limit in limits]
+    for finding in findings:
+        finding.refuse_violations()
+    checked, unchecked = [finding.checked for finding in findings], list[str]()
+    nearness = float(nearness_to_singular(robot, motion.q[:1])[0])
+    rest = f"rest pose: σ_min of the tool's Jacobian is {nearness:.2g} of its typical value"
+    (checked if nearness >= SINGULAR else unchecked).append(rest)
+    unchecked += [
+        *(text for finding in findings for text in finding.unchecked),
+        *_kinds_without_limit(robot, [x.limit for x in limits]),
+        *_general_remarks(robot, [x.limit for x in limits], fit),
+    ]
+    return Verification(tuple(text for text in checked if text), tuple(dict.fromkeys(unchecked)))
+
+
+def at_control_rate(motion: MotionSamples) -> MotionSamples:
+    """Return a motion at 1 kHz, by the quintics through its samples, as a controller follows it."""
+    steps = np.diff(motion.t)
+    if steps.max(initial=0.0) <= 1.5 * CONTROL_STEP:
+        stride = max(1, int(CONTROL_STEP / steps.min(initial=CONTROL_STEP) + 1e-6))
+        return motion.at(np.unique(np.append(np.arange(0, len(motion), stride), len(motion) - 1)))
+    t = np.append(np.arange(motion.t[0], motion.t[-1], CONTROL_STEP), motion.t[-1])
+    k = np.clip(np.searchsorted(motion.t, t, side="right") - 1, 0, len(steps) - 1)
+    h, u = steps[k, None], ((t - motion.t[k]) / steps[k])[:, None]
+    q0, v0, a0 = motion.q[k], h * motion.dq[k], h**2 * motion.ddq[k]
+    end = motion.q[k + 1] - q0 - v0 - 0.5 * a0
+    slope, bend = h * motion.dq[k + 1] - v0 - a0, h**2 * motion.ddq[k + 1] - a0
+    c3, c4 = 10.0 * end - 4.0 * slope + 0.5 * bend, -15.0 * end + 7.0 * slope - bend
+    c5 = 6.0 * end - 3.0 * slope + 0.5 * bend
+    q = q0 + v0 * u + 0.5 * a0 * u**2 + c3 * u**3 + c4 * u**4 + c5 * u**5
+    dq = v0 + a0 * u + 3.0 * c3 * u**2 + 4.0 * c4 * u**3 + 5.0 * c5 * u**4
+    ddq = a0 + 6.0 * c3 * u + 12.0 * c4 * u**2 + 20.0 * c5 * u**3
+    dddq = 6.0 * c3 + 24.0 * c4 * u + 60.0 * c5 * u**2
+    return MotionSamples(t, q, dq / h, ddq / h**2, dddq / h**3)
+
+
+@dataclass(eq=False)
+class _Finding:
+    """Excess (negative inside) of every subject of a limit that was evaluated.
+
+    ``excused`` has subjects that the search did not restrict, with the reason: they are unchecked
+    where they violate the limit, or were not evaluated.
+    """
+
+    title: str
+    name: str
+    unit: str = ""
+    tolerance: float = ROUNDING_LENGTH
+    excess: dict[str, float] = field(default_factory=dict)
+    times: dict[str, float] = field(default_factory=dict)
+    excused: dict[str, str] = field(default_factory=dict)
+    itemized: bool = True
+
+    def add(self, subject: str, excess: float, time: float) -> None:
+        """Record an excess; the largest of a subject counts."""
+        if excess > self.excess.get(subject, -np.inf):
+            self.excess[subject], self.times[subject] = excess, time
+
+    def refuse_violations(self) -> None:
+        """Raise `NoSolution` for a subject beyond its limit that is not excused."""
+        for subject, excess in self.excess.items():
+            if excess > self.tolerance and subject not in self.excused:
+                raise NoSolution(
+                    f"the verification of the motion failed: {self.title}, {subject}: beyond it by "
+                    f"{excess:.3g} {self.unit} at {self.times[subject]:.3g} s; relax this limit, "
+                    "or choose another start pose or seed"
+                )
+
+    @property
+    def kept(self) -> list[str]:
+        """Subjects that were found within the limit."""
+        return [name for name, excess in self.excess.items() if excess <= self.tolerance]
+
+    @property
+    def checked(self) -> str:
+        """The limit and its subjects; empty if there is none."""
+        if not self.itemized:
+            return self.title if len(self.kept) == len(self.excess) else ""
+        return f"{self.title}: {', '.join(self.kept)}" if self.kept else ""
+
+    @property
+    def unchecked(self) -> list[str]:
+        """The subjects that are not in `checked`, by reason."""
+        others: dict[str, list[str]] = {}
+        for subject, reason in self.excused.items():
+            if self.excess.get(subject, np.inf) > self.tolerance:
+                others.setdefault(reason, []).append(subject)
+        return [f"{self.name}: {', '.join(names)} ({why})" for why, names in others.items()]
+
+
+def _joint_findings(joints: MotionRange, motion: MotionSamples) -> Iterator[_Finding]:
+    names, low, high = joint_names(range(len(joints.velocity))), *joints.position.T
+    unit = "rad" if joints.revolute.all() else "rad or m"
+    for title, name, values, bounds, suffix in (
+        ("position", "lower position limit", -motion.q, -low, ""),
+        ("position", "upper position limit", motion.q, high, ""),
+        (f"velocity ({numbers(joints.velocity)} {unit}/s)", "velocity",
+         np.abs(motion.dq), joints.velocity, "/s"),
+        (f"acceleration ({numbers(joints.acceleration)} {unit}/s²)", "acceleration",
+         np.abs(motion.ddq), joints.acceleration, "/s²"),
+    ):  # fmt: skip
+        finding = _Finding(title if title != "position" else name, name, unit + suffix)
+        stated = np.abs(bounds[np.isfinite(bounds)])
+        finding.tolerance = ROUNDING * float(stated.max(initial=1.0))
+        for j, subject in enumerate(names):
+            if np.isfinite(bounds[j]):
+                k = int(np.argmax(values[:, j]))
+                finding.add(subject, float(values[k, j] - bounds[j]), float(motion.t[k]))
+            else:
+                finding.excused[subject] = "no limit is stated"
+        yield finding
+
+
+def _finding(limit: LimitOnArm, along: ArmAlong, fit: FittedArm | None) -> _Finding:
+    made, own = limit.set, limit.limit
+    name = str(getattr(own, "name", type(own).__name__))
+    finding = _Finding(getattr(made, "title", "") or name, name)
+    finding.excused = dict(made.left_out) if made is not None else {}
+    if isinstance(own, CartesianSpeed):
+        finding.name, finding.unit, finding.tolerance = "tool speed", "m/s", ROUNDING
+        points = speed_points(along.robot)
+        speeds = along.speeds([(link, point) for _, link, point in points], own.limit)
+        for (subject, _, _), row in zip(points, speeds.T, strict=True):
+            k = int(np.argmax(row))
+            finding.add(subject, float(row[k] - own.limit), float(along.motion.t[k]))
+    elif isinstance(own, Torque) and fit is None:
+        finding.name, finding.unit = "torque", "N·m"
+        _rigid_torque(finding, own, along)
+    elif isinstance(own, Wall | Obstacle | SelfCollision):
+        finding.unit = "m"
+        _distances(finding, own, along)
+    elif made is not None:
+        finding.name = "torque" if isinstance(own, Torque) else name
+        _by_its_own_set(finding, made, along.motion)
+    return finding
+
+
+def _by_its_own_set(finding: _Finding, made: ConstraintSet, motion: MotionSamples) -> None:
+    """Evaluate a limit of the user's, or the torque of a fit: only its own functions know it."""
+    finding.itemized = bool(made.subjects)
+    finding.tolerance = ROUNDING * float(made.scale.max(initial=0.0))
+    for first in range(0, len(motion), CHUNK):
+        part = motion.at(slice(first, first + CHUNK))
+        excess = made.excess(made.values(part))
+        for row, subject in zip(excess, made.subjects or made.labels, strict=True):
+            k = int(np.argmax(row))
+            finding.add(subject, float(row[k]), float(part.t[k]))
+
+
+def _rigid_torque(finding: _Finding, limit: Torque, along: ArmAlong) -> None:
+    torque, velocity = torque_limits(along.robot), along.robot.limit("velocity")
+    finding.tolerance = ROUNDING * float(np.nanmax(torque))
+    rigid = along.torque()
+    loaded = rigid + limit.viscous * torque / velocity * along.motion.dq
+    excess = np.maximum(np.abs(rigid), np.abs(loaded)) - (limit.fraction - limit.dry) * torque
+    for j, subject in enumerate(joint_names(range(along.robot.n))):
+        if np.isfinite(torque[j]):
+            k = int(np.argmax(excess[:, j]))
+            finding.add(subject, float(excess[k, j]), float(along.motion.t[k]))
+
+
+def _distances(finding: _Finding, limit: Wall | Obstacle | SelfCollision, along: ArmAlong) -> None:
+    """Evaluate the distances of the links' shapes; links without one are excused."""
+    bodies, n = _bodies(along.robot, limit.capsules), along.robot.n
+    if isinstance(limit, SelfCollision):
+        finding.name = "self-collision"
+        for a, b in combinations(range(n + 1), 2):
+            if b - a == 1:
+                finding.excused[pair(a, b)] = "adjacent"
+            elif not (bodies[a] and bodies[b]):
+                finding.excused[pair(a, b)] = "no shape"
+            else:
+                near = bodies[a], bodies[b], limit.clearance, finding.tolerance
+                nearest = along.nearest(*near)
+                finding.add(pair(a, b), *nearest)
+        return
+    finding.excused[link_name(0)] = "does not move"
+    for link in range(1, n + 1):
+        if not bodies[link]:
+            finding.excused[link_name(link)] = "no shape"
+        elif isinstance(limit, Wall):
+            for body in bodies[link]:
+                beyond = along.beyond_plane(body, *limit.plane, finding.tolerance)
+                finding.add(link_name(link), *beyond)
+        else:
+            box = box_shape(np.array(limit.lower), np.array(limit.upper))
+            nearest = along.nearest(bodies[link], [box], 0.0, finding.tolerance)
+            finding.add(link_name(link), *nearest)
+
+
+def _bodies(robot: Robot, capsules: Sequence[Capsule]) -> list[list[Shape]]:
+    """Return the shapes of every link, the base first: collision geometry, or given capsules."""
+    given = tuple(capsules) or capsules_of(robot)
+    bodies: list[list[Shape]] = [[] for _ in range(robot.n + 1)]
+    enclosed = {c.link for c in given if c.source == "shape"}
+    if enclosed:
+        for shape in collision_shapes(robot)[0]:
+            if shape.link in enclosed:
+                bodies[shape.link].append(shape)
+    for capsule in given:
+        if capsule.source != "shape":
+            bodies[capsule.link].append(capsule_shape(capsule))
+    return bodies
+
+
+def _kinds_without_limit(robot: Robot, limits: Sequence[Limit]) -> Iterator[str]:
+    """Yield the usual limits that are not among those of a design."""
+    if not any(isinstance(limit, Torque) for limit in limits):
+        yield "torque of every joint"
+    if not any(getattr(limit, "name", "") == "jerk" for limit in limits):
+        yield "jerk"
+    if not any(isinstance(limit, CartesianSpeed) for limit in limits):
+        yield "tool speed"
+    if not any(isinstance(limit, Wall) and limit.normal[2] < 0.0 for limit in limits):
+        yield "floor"
+    if not any(isinstance(limit, SelfCollision) for limit in limits):
+        yield "self-collision"
+
+
+def _general_remarks(robot: Robot, limits: Sequence[Limit], fit: FittedArm | None) -> Iterator[str]:
+    """Yield what no limit of a design covers."""
+    if any(isinstance(limit, Torque) for limit in limits):
+        yield (
             "torque of payloads and inertias other than the stated ones, and of friction above "
             "the allowance"
             if fit is None
             else "torque of payloads and temperatures other than in the recordings of the fit"
         )
-    endless = [j + 1 for j in range(robot.n) if not np.isfinite(position[j])]
-    if endless:
-        unchecked.append(f"position of {_joints(endless, robot.n)}")
-    checked = {
-        "jerk": any(getattr(limit, "name", "") == "jerk" for limit in limits),
-        "tool speed": any(isinstance(limit, CartesianSpeed) for limit in limits),
-        "floor": any(isinstance(limit, Wall) and limit.normal[2] < 0.0 for limit in limits),
-        "self-collision": any(isinstance(limit, SelfCollision) for limit in limits),
-    }
-    unchecked += [name for name, is_checked in checked.items() if not is_checked]
-    if any(_is_skeleton(robot, getattr(limit, "capsules", None)) for limit in limits):
-        unchecked.append(
-            "shapes of links (no collision geometry was found: capsules follow the lines between "
-            "joints; state capsules with --capsules)"
+    near = [x for x in limits if isinstance(x, Wall | Obstacle | SelfCollision)]
+    used = [c for limit in near for c in (limit.capsules or capsules_of(robot))]
+    lines = dict.fromkeys(link_name(c.link) for c in used if c.source == "line")
+    if lines:
+        yield (
+            f"shapes: {', '.join(lines)} (no collision geometry was found: capsules follow the "
+            "lines between joints; state capsules with --capsules)"
         )
-    unchecked += [f"{label} (capsules too coarse)" for label in left_out]
-    return (*unchecked, "surroundings other than the stated ones")
-
-
-def _is_skeleton(robot: Robot, capsules: Sequence[Capsule] | None) -> bool:
-    """Return whether capsules are those of `skeleton`, which () stands for; not for None."""
-    if capsules is None:
-        return False
-    lines = skeleton(robot)
-    return not capsules or (
-        len(capsules) == len(lines)
-        and all(
-            a.link == b.link and a.radius == b.radius and np.array_equal(a.end, b.end)
-            for a, b in zip(capsules, lines, strict=True)
-        )
-    )
-
-
-def _list(values: Array) -> str:
-    """Return numbers separated by commas; one number if all are equal."""
-    return ", ".join(f"{v:.3g}" for v in (values[:1] if np.ptp(values) == 0.0 else values))
-
-
-def _joints(numbers: list[int], n: int) -> str:
-    if len(numbers) == n:
-        return "every joint"
-    return f"joint{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
+    unknown = collision_shapes(robot)[1] if any(c.source != "given" for c in used) else ()
+    if unknown:
+        yield f"shapes: {', '.join(unknown)} (no collision geometry, or a mesh was not found)"
+    yield "surroundings other than the stated ones"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -11,98 +10,35 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.dynamics.lie import Motion as Symbols
-from lieid_casadi.dynamics.lie import Pose
-from lieid_casadi.errors import ExcitationError
-from lieid_casadi.excitation.limits import ConstraintSet, SymbolicSet, UncheckedSet, link_poses
-from lieid_casadi.excitation.links import Capsule, skeleton
+from lieid_casadi.dynamics.lie import Motion, Pose
+from lieid_casadi.errors import ExcitationError, NoSolution
+from lieid_casadi.excitation.limits import ConstraintSet, SymbolicSet, link_poses
+from lieid_casadi.excitation.links import Capsule, capsules_of
 from lieid_casadi.excitation.sample_functions import FittedArm, motion_jacobian
-from lieid_casadi.robot.robot import Robot
+from lieid_casadi.robot import Robot
 
-logger = logging.getLogger("lieid_casadi")
 SCALE = 0.2  # m; unit in which violated distances are compared with other violations
 TINY = 1e-12  # m²; keeps square roots and quotients of lengths smooth
 PROBES = 500  # random poses at which distances are evaluated before the design
-
-
-def point_in_base(pose: Pose, point: Array) -> ca.SX:
-    """Return a point (3,) of a link in the base frame, m."""
-    return ca.mtimes(pose.rotation, ca.DM(point)) + pose.translation
-
-
-def link_name(robot: Robot, link: int) -> str:
-    """Return a link's name in messages."""
-    return "the base" if link == 0 else f"link {link}"
-
-
-def clearances(
-    name: str,
-    robot: Robot,
-    symbols: Symbols,
-    labels: list[str],
-    distances: list[ca.SX],
-    clearance: float,
-    slopes: list[ca.SX] | None = None,
-    *,
-    often: Sequence[float] = (),
-) -> ConstraintSet | None:
-    """Return the set distance ≥ clearance of the distances that depend on the pose.
-
-    Parameters
-    ----------
-    name : str
-        Of the set, in messages.
-    robot : Robot
-    symbols : Symbols
-    labels : list of str
-        Of the distances.
-    distances : list of SX (1,)
-        m.
-    clearance : float
-        m.
-    slopes : list of SX (1, 3 n), optional
-        Jacobians of the distances; differentiated by CasADi if left out.
-    often : sequence of float
-        Fraction of random poses for each distance: if it is below the clearance in as many or
-        more, it is left out, and the set names it.
-    """
-    if not distances:
-        return None
-    touching, spread = _probed(robot, symbols, ca.vertcat(*distances), clearance)
-    varying = np.flatnonzero((spread > 1e-9) & (touching < (often or np.inf)))
-    coarse = [labels[k] for k in np.flatnonzero((spread > 1e-9) & (touching >= (often or np.inf)))]
-    if coarse:
-        logger.info(
-            "%s: not checked, because the capsules are too coarse: %s", name, "; ".join(coarse)
-        )
-    if not len(varying):
-        return UncheckedSet(coarse) if coarse else None
-    count = len(varying)
-    chosen = ca.vertcat(*(distances[k] for k in varying))
-    jacobian = None if slopes is None else ca.vertcat(*(slopes[k] for k in varying))
-    return SymbolicSet(
-        "".join(c if c.isalnum() else "_" for c in name), symbols, chosen, jacobian,
-        labels=[labels[k] for k in varying], units=["m"] * count,
-        lower=np.full(count, clearance), upper=np.full(count, np.inf), scale=np.full(count, SCALE),
-        remedy="another start pose, thinner capsules or a wider workspace", left_out=coarse,
-    )  # fmt: skip
-
-
-def _probed(
-    robot: Robot, symbols: Symbols, distances: ca.SX, clearance: float
-) -> tuple[Array, Array]:
-    """Return the fraction of random poses below the clearance, and the range of each distance."""
-    generator = np.random.default_rng(0)
-    low, high = robot.limit("position_lower"), robot.limit("position_upper")
-    low, high = np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
-    q = generator.uniform(low, high, (PROBES, robot.n))
-    function = ca.Function("distances", [symbols.q, symbols.sin, symbols.cos], [distances])
-    values = function(q.T, np.sin(q).T, np.cos(q).T).full()
-    return np.mean(values < clearance, axis=1), np.ptp(values, axis=1)
-
-
 OFTEN = 1.0 / 3.0  # part of the probed poses; links two joints apart touching in more are left out
 ALWAYS = 0.95  # the same for links that are farther apart
+CONSTANT = 1e-9  # m; distances that vary less do not depend on the pose
+
+
+@dataclass(frozen=True, eq=False)
+class _Distance:
+    """A distance of a subject in every pose, its Jacobian (1, 3 n), and what to do with it.
+
+    It is left out where it is below the clearance in the fraction ``often`` of random poses.
+    ``inside`` is by how much it falls below 0 while the axes of the capsules still are apart.
+    """
+
+    subject: str
+    label: str
+    value: ca.SX
+    inside: float
+    often: float = np.inf
+    slope: ca.SX | None = None
 
 
 @dataclass(frozen=True)
@@ -111,14 +47,14 @@ class SelfCollision:
 
     Adjacent links are left out, and pairs for which capsules are too coarse: links two joints
     apart whose capsules touch in a third of random poses or more, and links farther apart that
-    touch in nearly all. The result of the design and the log name these pairs.
+    touch in nearly all. The result of the design names these pairs.
 
     Attributes
     ----------
     clearance : float
         m.
     capsules : tuple of Capsule
-        Links. Default: along the lines from joint to joint (`skeleton`).
+        Links. Default: those of `capsules_of`.
     """
 
     clearance: float = 0.02
@@ -126,45 +62,38 @@ class SelfCollision:
 
     def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
         """See `Limit`."""
-        symbols = Symbols.symbols(robot.n)
-        poses = link_poses(robot, symbols)
-        labels, distances, slopes, often = [], [], [], []
-        for a, b in combinations(self.capsules or skeleton(robot), 2):
+        motion = Motion.symbols(robot.n)
+        poses = link_poses(robot, motion)
+        distances = []
+        for a, b in combinations(self.capsules or capsules_of(robot), 2):
             if abs(a.link - b.link) <= 1:
                 continue
-            often.append(OFTEN if abs(a.link - b.link) == 2 else ALWAYS)
-            distance, jacobian = capsule_distance(poses, symbols, a, b)
-            labels.append(f"distance of {link_name(robot, a.link)} from {link_name(robot, b.link)}")
-            distances.append(distance)
-            slopes.append(jacobian)
-        return clearances(
-            "self_collision", robot, symbols, labels, distances, self.clearance, slopes, often=often
-        )
+            value, slope = capsule_distance(poses, motion, a, b)
+            distances.append(
+                _Distance(
+                    pair_name(a.link, b.link),
+                    f"distance of {link_name(a.link)} from {link_name(b.link)}", value, np.inf,
+                    OFTEN if abs(a.link - b.link) == 2 else ALWAYS, slope,
+                )
+            )  # fmt: skip
+        title = f"{self.clearance:g} m between links"
+        return _clearance_set("self_collision", title, robot, motion, distances, self.clearance)
 
 
 def capsule_distance(
-    poses: Sequence[Pose], symbols: Symbols, a: Capsule, b: Capsule
+    poses: Sequence[Pose], motion: Motion, a: Capsule, b: Capsule
 ) -> tuple[ca.SX, ca.SX]:
     """Return the distance between the surfaces of two capsules and its Jacobian (1, 3 n).
 
-    Parameters
-    ----------
-    poses : sequence of Pose
-        Of the base and of every link, in the base frame.
-    symbols : Symbols
-    a, b : Capsule
-
-    Notes
-    -----
     The closest points move along their segments to first order without changing the distance, so
     the Jacobian holds them fixed on the segments: it is smooth wherever they are unique.
     """
-    starts = [point_in_base(poses[c.link], c.start) for c in (a, b)]
+    starts = [_point_in_base(poses[c.link], c.start) for c in (a, b)]
     edges = [ca.mtimes(poses[c.link].rotation, ca.DM(c.end - c.start)) for c in (a, b)]
     share = [ca.SX.sym("s"), ca.SX.sym("t")]
     gap = starts[0] + share[0] * edges[0] - starts[1] - share[1] * edges[1]
     distance = ca.sqrt(ca.sumsqr(gap) + TINY) - a.radius - b.radius
-    jacobian = motion_jacobian(distance, symbols)
+    jacobian = motion_jacobian(distance, motion)
     closest = ca.vertcat(*_closest(starts, edges, a, b))
     here = ca.vertcat(*share)
     return ca.substitute(distance, here, closest), ca.substitute(jacobian, here, closest)
@@ -204,7 +133,7 @@ class Wall:
     name : str
         In messages.
     capsules : tuple of Capsule
-        Links. Default: along the lines from joint to joint.
+        Links. Default: those of `capsules_of`.
     """
 
     normal: tuple[float, float, float]
@@ -212,21 +141,29 @@ class Wall:
     name: str = "wall"
     capsules: tuple[Capsule, ...] = ()
 
-    def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
-        """See `Limit`."""
+    @property
+    def plane(self) -> tuple[Array, float]:
+        """Unit normal (3,) and offset, m."""
         size = float(np.linalg.norm(self.normal))
         if size == 0.0:
             raise ExcitationError(f"{self.name}: normal 0 0 0; expected a direction")
-        normal, offset = np.array(self.normal) / size, self.offset / size
-        symbols = Symbols.symbols(robot.n)
-        poses = link_poses(robot, symbols)
-        labels, distances = [], []
-        for capsule in self.capsules or skeleton(robot):
+        return np.array(self.normal) / size, self.offset / size
+
+    def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
+        """See `Limit`."""
+        normal, offset = self.plane
+        motion = Motion.symbols(robot.n)
+        poses = link_poses(robot, motion)
+        distances = []
+        for capsule in self.capsules or capsules_of(robot):
+            if capsule.link == 0:
+                continue
             for point in (capsule.start, capsule.end):
-                here = point_in_base(poses[capsule.link], point)
-                distances.append(offset - ca.dot(ca.DM(normal), here) - capsule.radius)
-                labels.append(f"distance of {link_name(robot, capsule.link)} from the {self.name}")
-        return clearances(self.name, robot, symbols, labels, distances, 0.0)
+                here = _point_in_base(poses[capsule.link], point)
+                value = offset - ca.dot(ca.DM(normal), here) - capsule.radius
+                distances.append(_from(self.name, capsule, value))
+        title = f"floor at {-offset:g} m" if self.name == "floor" else self.name
+        return _clearance_set(self.name, title, robot, motion, distances, 0.0)
 
 
 def floor(height: float = 0.0, *, capsules: Sequence[Capsule] = ()) -> Wall:
@@ -237,7 +174,7 @@ def floor(height: float = 0.0, *, capsules: Sequence[Capsule] = ()) -> Wall:
     height : float
         Of the floor in the base frame, m; up is the base's z axis.
     capsules : sequence of Capsule
-        Links. Default: along the lines from joint to joint.
+        Links. Default: those of `capsules_of`.
     """
     return Wall((0.0, 0.0, -1.0), -height, "floor", tuple(capsules))
 
@@ -252,7 +189,7 @@ def workspace_box(
     lower, upper : (3,)
         Corners in the base frame, m.
     capsules : sequence of Capsule
-        Links. Default: along the lines from joint to joint.
+        Links. Default: those of `capsules_of`.
 
     Raises
     ------
@@ -286,7 +223,7 @@ class Obstacle:
     name : str
         In messages.
     capsules : tuple of Capsule
-        Links. Default: along the lines from joint to joint.
+        Links. Default: those of `capsules_of`.
     """
 
     lower: tuple[float, float, float]
@@ -299,15 +236,17 @@ class Obstacle:
         low, high = np.array(self.lower), np.array(self.upper)
         if not np.all(low < high):
             raise ExcitationError(f"{self.name}: a lower corner is not below the upper one")
-        symbols = Symbols.symbols(robot.n)
-        poses = link_poses(robot, symbols)
-        labels, distances = [], []
-        for capsule in self.capsules or skeleton(robot):
+        motion = Motion.symbols(robot.n)
+        poses = link_poses(robot, motion)
+        distances = []
+        for capsule in self.capsules or capsules_of(robot):
+            if capsule.link == 0:
+                continue
             for point, radius in covering_balls(capsule):
-                here = point_in_base(poses[capsule.link], point)
-                distances.append(_outside_box(here, low, high) - radius)
-                labels.append(f"distance of {link_name(robot, capsule.link)} from the {self.name}")
-        return clearances(self.name, robot, symbols, labels, distances, 0.0)
+                here = _point_in_base(poses[capsule.link], point)
+                value = _outside_box(here, low, high) - radius
+                distances.append(_from(self.name, capsule, value))
+        return _clearance_set(self.name, self.name, robot, motion, distances, 0.0)
 
 
 def covering_balls(capsule: Capsule) -> list[tuple[Array, float]]:
@@ -326,3 +265,80 @@ def _outside_box(point: ca.SX, low: Array, high: Array) -> ca.SX:
     beyond = ca.fabs(point - ca.DM(0.5 * (low + high))) - ca.DM(0.5 * (high - low))
     outside = ca.sqrt(ca.sumsqr(ca.fmax(beyond, 0.0)) + TINY)
     return outside + ca.fmin(ca.mmax(beyond), 0.0)
+
+
+def _point_in_base(pose: Pose, point: Array) -> ca.SX:
+    """Return a point (3,) of a link in the base frame, m."""
+    return ca.mtimes(pose.rotation, ca.DM(point)) + pose.translation
+
+
+def link_name(link: int) -> str:
+    """Return a link's name in messages."""
+    return "the base" if link == 0 else f"link {link}"
+
+
+def pair_name(a: int, b: int) -> str:
+    """Return the name of two links in the lists of what was checked."""
+    return " – ".join("base" if link == 0 else f"link {link}" for link in sorted((a, b)))
+
+
+def _from(name: str, capsule: Capsule, value: ca.SX) -> _Distance:
+    subject = link_name(capsule.link)
+    return _Distance(subject, f"distance of {subject} from the {name}", value, capsule.radius)
+
+
+def _clearance_set(
+    name: str,
+    title: str,
+    robot: Robot,
+    motion: Motion,
+    distances: Sequence[_Distance],
+    clearance: float,
+) -> ConstraintSet:
+    """Return the set distance ≥ clearance, with a reason for each distance that is left out.
+
+    Raises
+    ------
+    NoSolution
+        A distance is below the clearance in every pose, and not because a capsule is too thick.
+    """
+    touching, low, high = _probed(robot, motion, distances, clearance)
+    kept: list[_Distance] = []
+    always: list[str] = []
+    left_out: dict[str, str] = {}
+    for distance, touches, least, most in zip(distances, touching, low, high, strict=True):
+        if most - least <= CONSTANT and least >= clearance:
+            always.append(distance.subject)
+        elif most - least <= CONSTANT and least < clearance - distance.inside - CONSTANT:
+            raise NoSolution(
+                f"every pose violates a limit: {distance.label} is {least:.3g} m; expected "
+                f"{clearance:g} m at least: relax it, or leave it out"
+            )
+        elif most - least <= CONSTANT or touches >= distance.often:
+            left_out[distance.subject] = f"its capsules touch in {100.0 * touches:.0f} % of poses"
+        else:
+            kept.append(distance)
+    count = len(kept)
+    slopes = [d.slope for d in kept if d.slope is not None]
+    return SymbolicSet(
+        name, motion, ca.vertcat(ca.SX(0, 1), *(d.value for d in kept)),
+        ca.vertcat(*slopes) if slopes else None,
+        title=title, labels=tuple(d.label for d in kept), subjects=tuple(d.subject for d in kept),
+        units=("m",) * count, lower=np.full(count, clearance), upper=np.full(count, np.inf),
+        scale=np.full(count, SCALE), always=tuple(always), left_out=left_out,
+        remedy="another start pose, thinner capsules or a wider workspace",
+    )  # fmt: skip
+
+
+def _probed(
+    robot: Robot, motion: Motion, distances: Sequence[_Distance], clearance: float
+) -> tuple[Array, Array, Array]:
+    """Return the fraction of random poses below the clearance, and the least and most distance."""
+    generator = np.random.default_rng(0)
+    low, high = robot.limit("position_lower"), robot.limit("position_upper")
+    low, high = np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
+    q = generator.uniform(low, high, (PROBES, robot.n))
+    values = ca.vertcat(ca.SX(0, 1), *(d.value for d in distances))
+    function = ca.Function("distances", [motion.q, motion.sin, motion.cos], [values])
+    found = function(q.T, np.sin(q).T, np.cos(q).T).full()
+    return np.mean(found < clearance, axis=1), found.min(axis=1), found.max(axis=1)

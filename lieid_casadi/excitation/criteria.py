@@ -1,82 +1,46 @@
-"""Excitation criteria: functions of the base regressor's Gram matrix G = YᵀY."""
+"""Excitation criteria, and the information matrix G = YᵀY that they are functions of."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Literal, get_args
+from typing import Literal, get_args
 
 import casadi as ca
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.errors import ExcitationError
+from lieid_casadi.dynamics import recursion
+from lieid_casadi.dynamics.lie import Motion
+from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.effects import Effect, Placement, place
+from lieid_casadi.effects.arm_effect import ArmEffect
+from lieid_casadi.effects.signals import EffectSignals
+from lieid_casadi.errors import ExcitationError, NotCountedWarning
+from lieid_casadi.excitation.sample_functions import (
+    FittedArm,
+    SampleKernel,
+    load_parameters,
+    reverse_derivative,
+    shapes_of,
+)
+from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.model import Model
 
-ScalingName = Literal["si", "units", "prior", "unit_norm"]
-SCALINGS: tuple[ScalingName, ...] = get_args(ScalingName)
-LEAST_SIZE = 0.01  # of a group's typical size: prior deviation of a parameter stated as 0
-
-
-def column_scale(model: Model, scaling: ScalingName | Sequence[float] | Array) -> Array | None:
-    """Return the factors (P,) of the full regressor's columns; None for ``unit_norm``.
-
-    Parameters
-    ----------
-    model : Model
-    scaling : str or (P,)
-        ``si``: factors of one. ``units``: units from the arm's own mass and length, and for
-        friction from typical torques of its joints. ``prior``: the sizes of the stated parameters
-        as prior standard deviations, for friction again typical torques. ``unit_norm``: columns of
-        the base regressor scaled to unit norm, which depends on the trajectory.
-
-    Raises
-    ------
-    ExcitationError
-        Unknown name, wrong number of factors, factors that are not positive.
-    """
-    count = len(model.base.names)
-    if not isinstance(scaling, str):
-        factors = np.asarray(scaling, dtype=float)
-        if factors.shape != (count,) or not np.all(np.isfinite(factors) & (factors > 0.0)):
-            raise ExcitationError(
-                f"scaling: expected {count} positive factors, one per column of the full regressor"
-            )
-        return factors
-    if scaling == "unit_norm":
-        return None
-    if scaling == "si":
-        return np.ones(count)
-    if scaling not in SCALINGS:
-        raise ExcitationError(f"scaling: {scaling!r}; expected {', '.join(SCALINGS)} or factors")
-    links = model.robot.link_parameters.reshape(model.n, 10)
-    groups = (slice(0, 1), slice(1, 4), slice(4, 10))
-    scale = np.empty_like(links)
-    for group in groups:
-        typical = np.sqrt(np.mean(links[:, group] ** 2))
-        if scaling == "units":
-            scale[:, group] = typical
-        else:
-            scale[:, group] = np.maximum(np.abs(links[:, group]), LEAST_SIZE * typical)
-    return np.concatenate([scale.ravel(), _friction_scale(model)])
-
-
-def _friction_scale(model: Model) -> Array:
-    """Return a few per cent of each joint's torque limit, per effect coefficient's unit of 1."""
-    torque = model.robot.limit("torque")
-    typical = np.where(np.isfinite(torque), 0.03 * torque, 1.0)
-    return np.array([typical[column.joint] for column in model.columns])
-
-
 CriterionExpression = Callable[[ca.SX], ca.SX]
+CriterionName = Literal["combined", "condition", "hadamard", "logdet"]
+NAMES: tuple[CriterionName, ...] = get_args(CriterionName)
+NAMED = 3  # base parameters that name a weak direction
+WEAK = 3  # directions that are reported
+NAMED_SHARE = 0.1  # smallest part of a direction that is named
 SMALLEST = 1e-14  # of the largest eigenvalue; smaller ones are replaced by it
 
 
 class Criterion(ABC):
-    """A function of G (p, p) to be minimized, with its derivative."""
+    """A function of G (p, p) to be minimized, with its derivative; the name is that in files."""
 
-    name: ClassVar[str]
+    name: str
 
     @abstractmethod
     def evaluate(self, gram: Array) -> tuple[float, Array]:
@@ -93,8 +57,8 @@ class Condition(Criterion):
     Attributes
     ----------
     metric : (p, p)
-        L with LLᵀ = K·D²·Kᵀ (K the base combination, D the column scales): the eigenvalues of
-        LᵀGL are the nonzero ones of the full scaled regressor's Gram matrix.
+        L with LLᵀ = K·Kᵀ (K the base combination): the eigenvalues of LᵀGL are the nonzero ones
+        of the full regressor's Gram matrix.
     power : float
         p; with a small one all directions contribute, with a large one the extremes.
     """
@@ -115,7 +79,6 @@ class Condition(Criterion):
         return 0.5 * float(value), 0.5 * (turned * slopes) @ turned.T
 
 
-@dataclass(frozen=True, eq=False)
 class LogDet(Criterion):
     """−log det G / p (C4, D-optimality): the volume of the parameters' confidence region."""
 
@@ -129,7 +92,6 @@ class LogDet(Criterion):
         return -float(np.mean(np.log(sizes))), -(vectors / (count * sizes)) @ vectors.T
 
 
-@dataclass(frozen=True, eq=False)
 class Hadamard(Criterion):
     """1/∏ of the base regressor's column norms, as a mean logarithm (C3).
 
@@ -144,54 +106,15 @@ class Hadamard(Criterion):
         return -0.5 * float(np.mean(np.log(norms))), np.diag(-0.5 / (len(norms) * norms))
 
 
-@dataclass(frozen=True, eq=False)
-class AOptimal(Criterion):
-    """log tr (LᵀGL)⁻¹: the sum of the parameters' variances."""
-
-    metric: Array
-    name = "a_optimal"
-
-    def evaluate(self, gram: Array) -> tuple[float, Array]:
-        """See `Criterion`."""
-        sizes, vectors = np.linalg.eigh(self.metric.T @ gram @ self.metric)
-        sizes = np.maximum(sizes, SMALLEST * sizes[-1])
-        total = float(np.sum(1.0 / sizes))
-        turned = self.metric @ vectors
-        return float(np.log(total)), -(turned / (total * sizes**2)) @ turned.T
-
-
-@dataclass(frozen=True, eq=False)
-class EOptimal(Criterion):
-    """−log λ_min(LᵀGL), smoothed as in `Condition`: the worst parameter direction's variance."""
-
-    metric: Array
-    power: float
-    name = "e_optimal"
-
-    def evaluate(self, gram: Array) -> tuple[float, Array]:
-        """See `Criterion`."""
-        sizes, vectors = np.linalg.eigh(self.metric.T @ gram @ self.metric)
-        sizes = np.maximum(sizes, SMALLEST * sizes[-1])
-        below = (sizes[0] / sizes) ** self.power
-        value = -np.log(sizes[0]) + np.log(below.sum()) / self.power
-        turned = self.metric @ vectors
-        return float(value), -(turned * (below / below.sum() / sizes)) @ turned.T
-
-
-@dataclass(frozen=True, eq=False)
 class UnitNormColumns(Criterion):
-    """A criterion of the base regressor with columns scaled to unit norm.
+    """A criterion of the base regressor with columns scaled to unit norm, as in the paper.
 
     With R = D⁻¹GD⁻¹, D = diag(G)^½ and S = ∂f/∂R, the derivative is
     ∂f/∂G = D⁻¹SD⁻¹ − diag(SR)/diag(G).
     """
 
-    criterion: Criterion
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """Name of the criterion."""
-        return self.criterion.name
+    def __init__(self, criterion: Criterion) -> None:
+        self.criterion, self.name = criterion, criterion.name
 
     def evaluate(self, gram: Array) -> tuple[float, Array]:
         """See `Criterion`."""
@@ -203,27 +126,14 @@ class UnitNormColumns(Criterion):
 
 
 class ExpressionCriterion(Criterion):
-    """A criterion of your own, as a CasADi expression of G (p, p); differentiated by CasADi.
-
-    Parameters
-    ----------
-    expression : callable
-        SX (p, p) → SX scalar.
-    size : int
-        p.
-
-    Raises
-    ------
-    ExcitationError
-        The expression is not a scalar.
-    """
+    """A criterion of your own, as a CasADi expression of G (p, p); differentiated by CasADi."""
 
     def __init__(self, expression: CriterionExpression, size: int) -> None:
         gram = ca.SX.sym("G", size, size)
         value = ca.SX(expression(gram))
         if value.shape != (1, 1):
             raise ExcitationError(f"criterion: shape {value.shape}; expected a scalar expression")
-        self.name = criterion_name(expression)  # type: ignore[misc]
+        self.name = criterion_name(expression)
         self._function = ca.Function("criterion", [gram], [value, ca.gradient(value, gram)])
 
     def evaluate(self, gram: Array) -> tuple[float, Array]:
@@ -232,8 +142,53 @@ class ExpressionCriterion(Criterion):
         return float(value[0, 0]), 0.5 * (slope + slope.T)
 
 
-def criterion_name(criterion: str | CriterionExpression) -> str:
+@dataclass(frozen=True)
+class CriterionStage:
+    """Part of an optimization: at most so many iterations, ended by a smaller decrease."""
+
+    criterion: Criterion
+    iterations: int
+    tolerance: float
+
+
+# power of the smooth condition number, most iterations, decrease that ends the stage
+POWERS = (
+    (1.0, 30, 1e-4), (2.0, 30, 1e-4), (4.0, 40, 1e-4), (8.0, 60, 1e-4), (16.0, 60, 3e-5),
+    (64.0, 100, 3e-5),
+)  # fmt: skip
+
+
+def stages(
+    criterion: str | CriterionExpression | Criterion, metric: Array, *, unit_norm: bool = False
+) -> tuple[CriterionStage, ...]:
+    """Return the stages that lead to a criterion's optimum; a new criterion has its own here.
+
+    With ``unit_norm`` the condition number is that of the base columns scaled to unit norm.
+    """
+    if criterion == "combined":  # the paper's C1 (Eq. 20): C3, then C2 with a bound on C4
+        first = CriterionStage(Hadamard(), 60, 1e-5)
+        return (first, *stages("condition", metric, unit_norm=unit_norm))
+    if criterion == "condition":
+        smooth = [Condition(metric, power) for power, _, _ in POWERS]
+        return tuple(
+            CriterionStage(UnitNormColumns(one) if unit_norm else one, count, tolerance)
+            for one, (_, count, tolerance) in zip(smooth, POWERS, strict=True)
+        )
+    if criterion == "hadamard":
+        return (CriterionStage(Hadamard(), 200, 1e-5),)
+    if criterion == "logdet":
+        return (CriterionStage(LogDet(), 200, 1e-5),)
+    if isinstance(criterion, str):
+        raise ExcitationError(f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}")
+    if not isinstance(criterion, Criterion):
+        criterion = ExpressionCriterion(criterion, len(metric))
+    return (CriterionStage(LogDet(), 15, 1e-4), CriterionStage(criterion, 200, 1e-5))
+
+
+def criterion_name(criterion: str | CriterionExpression | Criterion) -> str:
     """Return the name of a criterion in files and summaries."""
+    if isinstance(criterion, Criterion):
+        return criterion.name
     return criterion if isinstance(criterion, str) else getattr(criterion, "__name__", "own")
 
 
@@ -243,76 +198,233 @@ def unit_norm_gram(gram: Array) -> Array:
     return np.asarray(gram / np.outer(norms, norms))
 
 
-@dataclass(frozen=True)
-class CriterionStage:
-    """Part of an optimization.
+def design_model(model: Model) -> tuple[Model, tuple[NotCountedWarning, ...]]:
+    """Return the model whose regressor a design evaluates, and a warning for what differs.
 
-    Attributes
-    ----------
-    criterion : Criterion
-    iterations : int
-        At most.
-    tolerance : float
-        Decrease of the criterion below which the stage ends.
+    Presliding is replaced by the dry friction that it becomes in sliding, and friction that falls
+    with temperature by viscous friction at one temperature. Left out are effects of a measured
+    temperature, which no trajectory chooses, other effects with memory, and effects on the whole
+    arm or on the measurement.
     """
+    model.robot.require_numbers("excite")
+    kept: list[Placement] = []
+    left_out: list[Placement] = []
+    replaced: list[Placement] = []
+    for placement in model.placements:
+        others = placement.effect.counted_as
+        if others:
+            replaced.append(placement)
+            kept += [new for name in others for new in place(name, model.n, [placement.joint])]
+        elif follows_from_motion(placement.effect):
+            kept.append(placement)
+        else:
+            left_out.append(placement)
+    unique = {placement.label: placement for placement in kept}
+    warnings = []
+    if replaced:
+        names = ", ".join(p.label for p in replaced)
+        dry = sorted({name for p in replaced for name in p.effect.counted_as})
+        warnings.append(
+            NotCountedWarning(
+                f"{names}: replaced by {' and '.join(dry)} in the regressor of the design"
+            )
+        )
+    if left_out:
+        names = ", ".join(p.label for p in left_out)
+        warnings.append(
+            NotCountedWarning(
+                f"{names}: not in the regressor of the design, because the columns need "
+                "temperature, memory, the whole arm or the measurement. Except for temperature, "
+                "lieid discriminate designs a motion that separates them from other effects"
+            )
+        )
+    return Model.of_placements(model.robot, tuple(unique.values())), tuple(warnings)
 
-    criterion: Criterion
-    iterations: int
-    tolerance: float = 1e-4
 
-
-CriterionName = Literal["combined", "condition", "hadamard", "logdet", "a_optimal", "e_optimal"]
-NAMES: tuple[CriterionName, ...] = get_args(CriterionName)
-POWERS = (1.0, 2.0, 4.0, 8.0, 16.0, 64.0)
-ITERATIONS = (30, 30, 40, 60, 60, 100)  # of each power
-TOLERANCES = (1e-4, 1e-4, 1e-4, 1e-4, 3e-5, 3e-5)
-
-
-def stages(name: str, metric: Array, *, unit_norm: bool = False) -> tuple[CriterionStage, ...]:
-    """Return the stages of a criterion by its name; `make_plan` composes ``combined``.
-
-    Parameters
-    ----------
-    name : str
-        ``condition``, ``hadamard``, ``logdet``, ``a_optimal`` or ``e_optimal``.
-    metric : (p, p)
-        See `Condition`.
-    unit_norm : bool
-        Whether criteria with a metric take the base columns scaled to unit norm.
-
-    Raises
-    ------
-    ExcitationError
-        Unknown name.
-    """
-
-    def scaled(criterion: Criterion) -> Criterion:
-        return UnitNormColumns(criterion) if unit_norm else criterion
-
-    if name == "hadamard":
-        return (CriterionStage(Hadamard(), 200, 1e-5),)
-    if name == "logdet":
-        return (CriterionStage(LogDet(), 200, 1e-5),)
-    if name == "a_optimal":
-        return (CriterionStage(LogDet(), 15), CriterionStage(scaled(AOptimal(metric)), 200, 1e-4))
-    if name not in ("condition", "e_optimal"):
-        raise ExcitationError(f"criterion: {name!r}; expected one of {', '.join(NAMES)}")
-    smooth = Condition if name == "condition" else EOptimal
-    return tuple(
-        CriterionStage(scaled(smooth(metric, power)), count, tolerance)
-        for power, count, tolerance in zip(POWERS, ITERATIONS, TOLERANCES, strict=True)
-    )
+def follows_from_motion(effect: Effect) -> bool:
+    """Return whether an effect's columns follow from the motion and the time of one instant."""
+    has_memory = isinstance(effect, ArmEffect) or bool(effect.states)
+    return not has_memory and "temperature" not in effect.signals and not effect.commanded
 
 
 @dataclass(frozen=True, eq=False)
-class ObjectiveValue:
-    """An objective at z: value, gradient (m,), G (p, p) and further limits excess ≤ 0.
+class StackedRegressor:
+    """Base regressor Y_b of N samples, transposed: rows (p, n·N), one per base parameter."""
 
-    ``excess`` (s,) has the slopes (s, m); most objectives have none.
+    motion: MotionSamples
+    rows: Array
+
+    def gram(self) -> Array:
+        """Return YᵀY (p, p)."""
+        return np.asarray(self.rows @ self.rows.T)
+
+
+class InformationMatrix:
+    """The base regressor of [Y, effect columns] along a motion, and gradients through it.
+
+    The signs of velocities are smooth here, sgn(q̇) ≈ tanh(q̇/width), so that gradients exist. The
+    quality of a design is evaluated with the model's own, sharp columns (see `quality`). Shape
+    parameters, and link parameters for effects of the load, are those of the fit or the stated
+    ones. Effects whose columns do not follow from the motion of one instant are refused.
     """
 
-    value: float
-    gradient: Array
-    gram: Array
-    excess: Array
-    slopes: Array
+    def __init__(self, model: Model, *, sign_width: Array, fit: FittedArm | None = None) -> None:
+        self.model = model
+        symbols = Motion.symbols(model.n)
+        time = ca.SX.sym("time")
+        self._timed = any("time" in p.effect.signals for p in model.placements)
+        further = {"time": time} if self._timed else {}
+        matrix = base_regressor(model, symbols, sign_width, time, fit)
+        kept = model.base.count
+        self._values = SampleKernel("base_columns", symbols, matrix, further)
+        seed = ca.SX.sym("seed", len(self._values.rows))
+        # nonzeros in the kernel's order: row after row
+        flat = ca.vertcat(
+            *(
+                matrix[int(i), int(j)]
+                for i, j in zip(self._values.rows, self._values.columns, strict=True)
+            )
+        )
+        reverse = reverse_derivative(flat, seed, symbols)
+        self._reverse = SampleKernel(
+            "base_columns_reverse", symbols, reverse, {"seed": seed, **further}
+        )
+        self._columns, self._rows = self._values.columns, self._values.rows
+        self.size = kept
+
+    def at(self, motion: MotionSamples) -> StackedRegressor:
+        """Return the stacked base regressor of a motion."""
+        n, samples = self.model.n, len(motion)
+        stacked = np.zeros((self.size, n, samples))
+        stacked[self._columns, self._rows] = self._values.values(motion, **self._time(motion))
+        return StackedRegressor(motion, stacked.reshape(self.size, n * samples))
+
+    def gradient(self, stacked: StackedRegressor, slope: Array) -> Array:
+        """Return ∂f/∂(q, dq, ddq) (n, 3, N) of a function f(G) with the slope ∂f/∂G (p, p)."""
+        n, samples = self.model.n, len(stacked.motion)
+        seeds = (2.0 * slope @ stacked.rows).reshape(self.size, n, samples)
+        seed = np.ascontiguousarray(seeds[self._columns, self._rows].T)
+        reverse = self._reverse.dense(stacked.motion, seed=seed, **self._time(stacked.motion))[
+            :, 0, :
+        ]
+        return np.ascontiguousarray(reverse.reshape(3, n, samples).transpose(1, 0, 2))
+
+    def _time(self, motion: MotionSamples) -> dict[str, Array]:
+        return {"time": motion.t[:, None]} if self._timed else {}
+
+
+def base_regressor(
+    model: Model, symbols: Motion, sign_width: Array, time: ca.SX, fit: FittedArm | None = None
+) -> ca.SX:
+    """Return the base columns (n, p) of [Y, effect columns] with a smooth sign."""
+    unreachable = [p.label for p in model.placements if not follows_from_motion(p.effect)]
+    if unreachable:
+        raise ExcitationError(
+            f"{', '.join(unreachable)}: depends on temperature, the past or the whole arm, "
+            "not on the motion of one instant; leave it out of the design"
+        )
+    n = model.n
+    sign = ca.tanh(symbols.dq / ca.DM(sign_width))
+    load = ca.SX(n, 1)
+    if any("load" in p.effect.signals for p in model.placements):
+        parameters = ca.SX(ca.DM(load_parameters(model, fit)))
+        load = recursion.inverse_dynamics(model.robot, symbols, parameters)
+    signals = EffectSignals(symbols.q, symbols.dq, symbols.ddq, sign, load, ca.SX(n, 1), time)
+    shapes = ca.SX(ca.DM(shapes_of(model, fit)))
+    every = ca.horzcat(regressor(model.robot, symbols), model.effect_columns(signals, shapes))
+    return every[:, [int(k) for k in model.base.kept]]
+
+
+@dataclass(frozen=True)
+class WeakDirection:
+    """A direction of the parameters that changes the torques least.
+
+    Attributes
+    ----------
+    singular_value : float
+        Root sum of squares of the torques per unit of parameter along the direction.
+    parameters : tuple of (str, float)
+        Largest components among the base parameters: name, share in [−1, 1].
+    """
+
+    singular_value: float
+    parameters: tuple[tuple[str, float], ...]
+
+    @property
+    def text(self) -> str:
+        """E.g. ``0.9 Ixx7 − 0.4 Iyy7``."""
+        first, *rest = self.parameters
+        terms = [f"{first[1]:.2g} {first[0]}"]
+        terms += [f"{'−' if share < 0 else '+'} {abs(share):.2g} {name}" for name, share in rest]
+        return " ".join(terms)
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """How well the samples of a motion determine the parameters.
+
+    Attributes
+    ----------
+    singular_values : (P,)
+        Of the stacked full regressor, SI, largest first; those beyond the rank are rounding.
+    rank : int
+        Structural rank r.
+    neg_log_det : float
+        −log det of the base regressor's Gram matrix (C4), SI.
+    weak : tuple of WeakDirection
+        The smallest first.
+    """
+
+    singular_values: Array
+    rank: int
+    neg_log_det: float
+    weak: tuple[WeakDirection, ...]
+
+    @property
+    def condition_number(self) -> float:
+        """σ₁/σ_r."""
+        return float(self.singular_values[0] / self.singular_values[self.rank - 1])
+
+
+def quality(model: Model, motion: MotionSamples, fit: FittedArm | None = None) -> Quality:
+    """Evaluate the model's own columns, sharp signs included, at samples of a motion."""
+    base, full = stacked_regressors(model, motion, fit)
+    sizes = np.linalg.svd(full, compute_uv=False)
+    metric = np.linalg.cholesky(model.base.combination @ model.base.combination.T)
+    _, small, rows = np.linalg.svd(base @ metric, full_matrices=False)
+    directions = metric @ rows.T
+    names, rank = [model.base.names[k] for k in model.base.kept], model.base.count
+    weak = tuple(
+        _direction(float(small[-1 - k]), directions[:, -1 - k], names)
+        for k in range(min(WEAK, rank))
+    )
+    volume = float(np.linalg.slogdet(base.T @ base)[1])
+    return Quality(np.asarray(sizes), rank, -volume, weak)
+
+
+def stacked_regressors(
+    model: Model, motion: MotionSamples, fit: FittedArm | None = None
+) -> tuple[Array, Array]:
+    """Return the base (N·n, p) and the full (N·n, P) regressor of a motion's samples."""
+    from lieid_casadi.compiled import compile
+
+    arm = compile(model)
+    signals = motion.q, motion.dq, motion.ddq
+    load = None
+    if any("load" in p.effect.signals for p in model.placements):
+        load = arm.inverse_dynamics(*signals, load_parameters(model, fit))
+    columns = [arm.regressor(*signals)]
+    if model.columns:
+        shapes = shapes_of(model, fit)
+        columns.append(arm.effect_columns(*signals, load=load, time=motion.t, shapes=shapes))
+    full = np.concatenate(columns, axis=2).reshape(-1, len(model.base.names))
+    return np.ascontiguousarray(full[:, model.base.kept]), full
+
+
+def _direction(size: float, direction: Array, names: list[str]) -> WeakDirection:
+    shares = direction / np.linalg.norm(direction)
+    largest = np.argsort(-np.abs(shares))[:NAMED]
+    if shares[largest[0]] < 0.0:
+        shares = -shares
+    parts = [(names[k], float(shares[k])) for k in largest if abs(shares[k]) > NAMED_SHARE]
+    return WeakDirection(size, tuple(parts))

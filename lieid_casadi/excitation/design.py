@@ -11,117 +11,55 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.atomic_file import require_regular
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.checks import MARGIN, default_limits
+from lieid_casadi.excitation.checks import CHUNK, CONTROL_STEP, MARGIN, SINGULAR, default_limits
 from lieid_casadi.excitation.criteria import (
     NAMES,
     Criterion,
     CriterionExpression,
     CriterionName,
+    InformationMatrix,
     LogDet,
-    ObjectiveValue,
-    ScalingName,
-    column_scale,
     criterion_name,
+    design_model,
     unit_norm_gram,
 )
-from lieid_casadi.excitation.information import InformationMatrix, design_model
+from lieid_casadi.excitation.ipopt import ObjectiveValue, SampledConstraints
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
     Limit,
     MotionRange,
-    SampledConstraints,
     check_duration,
     check_start_pose,
     motion_range,
+    on_arm,
     sets_of,
 )
+from lieid_casadi.excitation.rigid_arm import nearness_to_singular
 from lieid_casadi.excitation.sample_functions import FittedArm, IdentifiedModel, model_and_fit
 from lieid_casadi.excitation.trajectory import (
     Basis,
     MotionSamples,
     Parametrization,
     SampledBasis,
+    Trajectory,
     check_basis,
+    load_positions,
     period_grid,
 )
 from lieid_casadi.model import Model
 from lieid_casadi.robot import Robot
 
+MOST_SAMPLES = 100_000  # of one period in the criterion
 TRIED = 2000  # random poses
 RANGE_USED = 0.9  # part of the joint ranges that a motion around the pose uses
 RANGE_TRIED = 0.6  # part of the joint ranges around their middle
 ENOUGH = 0.05  # scaled distance from every limit above which the middle of the ranges is taken
-
-
-def check_at_rest(pose: Array, sets: Sequence[ConstraintSet]) -> None:
-    """Refuse a start pose (n,) that violates a limit at rest.
-
-    Raises
-    ------
-    NoSolution
-        Names the limit.
-    """
-    excess, names = _excess(pose[None], sets)
-    worst = int(np.argmax(excess[:, 0]))
-    if excess[worst, 0] > 0.0:
-        raise NoSolution(
-            f"the start pose violates a limit at rest: {names[worst]}; choose another start pose "
-            "(--start-pose) or relax the limit"
-        )
-
-
-def find_start_pose(
-    limits: MotionRange, sets: Sequence[ConstraintSet], *, travel: Array | None = None
-) -> Array:
-    """Return the middle of the joint ranges or, near a limit, the random pose farthest from all.
-
-    Parameters
-    ----------
-    limits : MotionRange
-    sets : sequence of ConstraintSet
-        Evaluated at rest.
-    travel : (n,), optional
-        Distance that each joint will move to either side of the pose, rad.
-
-    Raises
-    ------
-    NoSolution
-        No pose meets all limits; names the one that the best pose violates.
-    """
-    half = RANGE_TRIED * limits.units[:, 0]
-    if travel is not None:
-        space = np.maximum(limits.units[:, 0] - travel / RANGE_USED, 0.0)
-        half = np.where(travel > 0.0, space, half)
-    random = np.random.default_rng(0).uniform(-half, half, (TRIED, len(half)))
-    poses = limits.middle + np.vstack([np.zeros(len(half)), random])
-    excess, names = _excess(poses, sets)
-    if travel is not None:
-        for part in (-1.0, -0.5, 0.5, 1.0):
-            excess = np.maximum(excess, _excess(poses + part * travel, sets)[0])
-    largest = excess.max(axis=0)
-    best = 0 if largest[0] <= -ENOUGH else int(np.argmin(largest))
-    if largest[best] > 0.0:
-        raise NoSolution(
-            f"no start pose of {TRIED} meets all limits: {names[int(np.argmax(excess[:, best]))]} "
-            "is violated; relax it, or give a start pose (--start-pose)"
-        )
-    return np.asarray(poses[best])
-
-
-def _excess(poses: Array, sets: Sequence[ConstraintSet]) -> tuple[Array, list[str]]:
-    """Return scaled excesses (k, N) at rest in poses (N, n), and the names of the quantities."""
-    rest = np.zeros_like(poses)
-    motion = MotionSamples(np.zeros(len(poses)), poses, rest, rest, rest)
-    parts = [s.excess(s.values(motion)) / s.scale[:, None] for s in sets]
-    return np.concatenate(parts), [label for s in sets for label in s.labels]
-
-
+ORDERED = 50  # poses whose Jacobian is evaluated at a time
 SIGN_WIDTH = 0.02  # width of the smooth sign, in parts of the velocity limit
 DISTANCE = 1e-3  # distance from a limit during the optimization, in parts of its scale
 COARSE = 4  # grid points of the optimization per sample of the criterion
-FINE = 20  # grid points of the verification per sample of the criterion
+FINE = 20  # grid points of the verification per sample of the criterion, at least
 FAR = 0.3  # distance of −log det per parameter from Δ₂ above which its gradient is omitted
 
 
@@ -135,27 +73,17 @@ class ExcitationDesign:
         Its regressor is the one that the criterion evaluates.
     fit : FittedArm or None
         Identified parameters; without them the stated inertias and initial shapes are used.
-    basis : Basis
-    samples : int
-        Of the criterion, over one period.
     range : MotionRange
-        Joint limits.
-    limits : tuple of Limit
-        Limits besides the joint limits.
+        Joint limits; ``limits`` are the others.
     pose : (n,) or None
-        Start pose; where the trajectory may start anywhere (``fixed`` False), its middle. Rad.
-        None: found within all limits.
-    fixed : bool
-        Whether the trajectory starts and ends at ``pose``.
-    criterion : str or callable
-        Name, or expression of G.
-    column_scale : (P,) or None
-        Factors of the full regressor's columns, ones for plain SI; None: columns of the base
-        regressor, scaled to unit norm.
+        Start pose, rad. None: found within all limits.
     condition_threshold, neg_log_det_threshold : float, optional
         Δ₁ and Δ₂ of the criterion ``combined`` (Eq. 20).
     start : (N, n), optional
         Positions over one period, equidistant in time, from which the first search starts; rad.
+    unit_norm : bool
+        Whether condition numbers are those of the base columns scaled to unit norm, as in the
+        paper, in place of the full regressor's in SI.
     """
 
     model: Model
@@ -165,12 +93,116 @@ class ExcitationDesign:
     range: MotionRange
     limits: tuple[Limit, ...]
     pose: Array | None
-    fixed: bool
-    criterion: CriterionName | CriterionExpression
-    column_scale: Array | None
+    criterion: CriterionName | CriterionExpression | Criterion
     condition_threshold: float | None = None
     neg_log_det_threshold: float | None = None
     start: Array | None = None
+    unit_norm: bool = False
+
+
+def make_design(
+    source: Model | Robot | IdentifiedModel,
+    *,
+    basis: Basis,
+    criterion: CriterionName | CriterionExpression | Criterion = "combined",
+    inertial_only: bool = False,
+    limits: Sequence[Limit] | None = None,
+    start_pose: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    margin: float = MARGIN,
+    samples: int = 100,
+    condition_threshold: float | None = None,
+    neg_log_det_threshold: float | None = None,
+    start: str | Path | None = None,
+    unit_norm: bool = False,
+) -> ExcitationDesign:
+    """Check the arguments of `excite` and return the design that they specify."""
+    if isinstance(criterion, str) and criterion not in NAMES:
+        raise ExcitationError(
+            f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}, or a function of the "
+            "information matrix"
+        )
+    check_basis(basis)
+    if not 4 * basis.size <= samples <= MOST_SAMPLES:
+        raise ExcitationError(
+            f"samples: {samples}; expected {4 * basis.size} at least for {basis.size} "
+            f"coefficients per joint, and at most {MOST_SAMPLES}"
+        )
+    _check_thresholds(criterion, condition_threshold, neg_log_det_threshold)
+    model, fit = model_and_fit(source)
+    reduced = Model(model.robot) if inertial_only else design_model(model)[0]
+    robot = reduced.robot
+    joints = motion_range(robot, acceleration, margin=margin)
+    check_duration(robot, joints, basis.duration)
+    first = None if start is None else load_positions(start, robot.n)
+    if start_pose is None and first is not None:
+        start_pose = first[0]
+    pose = None if start_pose is None else np.asarray(start_pose, dtype=float)
+    if pose is not None:
+        check_start_pose(robot, joints, pose)
+    if limits is None:
+        limits = default_limits(robot, margin=margin)
+    return ExcitationDesign(
+        reduced, fit, basis, samples, joints, tuple(limits), pose, criterion,
+        condition_threshold, neg_log_det_threshold, first, unit_norm,
+    )  # fmt: skip
+
+
+def _check_thresholds(
+    criterion: CriterionName | CriterionExpression | Criterion,
+    condition_threshold: float | None,
+    neg_log_det_threshold: float | None,
+) -> None:
+    """Refuse thresholds that the criterion does not have."""
+    given = {
+        "condition_threshold": condition_threshold, "neg_log_det_threshold": neg_log_det_threshold,
+    }  # fmt: skip
+    for name, value in given.items():
+        if value is not None and criterion != "combined":
+            raise ExcitationError(
+                f"{name}: only the criterion 'combined' has it, not {criterion_name(criterion)!r}"
+            )
+    if condition_threshold is not None and not condition_threshold >= 1.0:
+        raise ExcitationError(f"condition_threshold: {condition_threshold:g}; expected at least 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Excess:
+    """Largest excess of a quantity over its limit (negative inside), and when, s.
+
+    ``scaled`` is in parts of the limit's scale.
+    """
+
+    label: str
+    unit: str
+    value: float
+    scaled: float
+    time: float
+    remedy: str
+
+
+def excesses_along(
+    trajectory: Trajectory, sets: Sequence[ConstraintSet], samples: int
+) -> list[Excess]:
+    """Return the excess of every quantity on a grid 20 times finer than the samples, or 1 kHz."""
+    count = FINE * samples
+    count *= int(np.ceil(trajectory.duration / CONTROL_STEP / count))
+    times = np.append(period_grid(trajectory.duration, count), trajectory.duration)
+    found: list[Excess] = []
+    for made in sets:
+        worst, when = np.full(len(made.labels), -np.inf), np.zeros(len(made.labels))
+        for first in range(0, len(times), CHUNK):
+            part = trajectory.at(times[first : first + CHUNK])
+            excess = made.excess(made.values(part))
+            k = np.argmax(excess, axis=1)
+            here = excess[np.arange(len(k)), k]
+            when, worst = np.where(here > worst, part.t[k], when), np.maximum(here, worst)
+        parts = zip(made.labels, made.units, worst, made.scale, when, strict=True)
+        found += [
+            Excess(label, unit, float(value), float(value / scale), float(t), made.remedy)
+            for label, unit, value, scale, t in parts
+        ]
+    return found
 
 
 class ExcitationProblem:
@@ -178,32 +210,29 @@ class ExcitationProblem:
 
     def __init__(self, design: ExcitationDesign) -> None:
         self.design = design
-        sets, self.left_out = sets_of(design.limits, design.model.robot, design.fit)
-        self.sets = (design.range.constraint_set(), *sets)
-        self.pose = self._start_pose()
-        self.parametrization = Parametrization(
-            design.basis, self.pose, design.fixed, design.range.units
-        )
+        robot = design.model.robot
+        self.limits = on_arm(design.limits, robot, design.fit)
+        self.sets = (design.range.constraint_set(), *sets_of(self.limits))
+        if design.pose is None:
+            self.pose = find_start_pose(robot, design.range, self.sets)
+        else:
+            check_at_rest(design.pose, self.sets)
+            self.pose = design.pose
+        self.parametrization = Parametrization(design.basis, self.pose, design.range.units)
         self.information = InformationMatrix(
             design.model, sign_width=SIGN_WIDTH * design.range.velocity, fit=design.fit
         )
 
-    def _start_pose(self) -> Array:
-        if self.design.pose is None:
-            return find_start_pose(self.design.range, self.sets)
-        check_at_rest(self.design.pose, self.sets)
-        return self.design.pose
-
     @cached_property
     def metric(self) -> Array:
-        """L (p, p): LᵀGL has the nonzero eigenvalues of the full scaled regressor's Gram matrix.
+        """L (p, p): LᵀGL has the nonzero eigenvalues of the full regressor's Gram matrix.
 
         The identity for base columns of unit norm.
         """
-        if self.design.column_scale is None:
-            return np.eye(self.design.model.base.count)
-        scaled = self.design.model.base.combination * self.design.column_scale
-        return np.asarray(np.linalg.cholesky(scaled @ scaled.T))
+        base = self.design.model.base
+        if self.design.unit_norm:
+            return np.eye(base.count)
+        return np.asarray(np.linalg.cholesky(base.combination @ base.combination.T))
 
     @cached_property
     def samples(self) -> SampledBasis:
@@ -219,18 +248,56 @@ class ExcitationProblem:
             self.sets, SampledBasis(self.parametrization, times), margin=margin
         )
 
+    def excesses(self, z: Array) -> list[Excess]:
+        """Return the excess of every quantity at z, on the fine grid."""
+        trajectory = self.parametrization.trajectory(z)
+        return excesses_along(trajectory, self.sets, self.design.samples)
+
+    def within_limits(self, z: Array) -> bool:
+        """Return whether the motion keeps every limit on the fine grid."""
+        return all(excess.value <= 0.0 for excess in self.excesses(z))
+
     def gram(self, z: Array) -> Array:
         """Return G (p, p) of the base regressor at z."""
         return self.information.at(self.samples.motion(z)).gram()
 
     def condition_number(self, gram: Array) -> float:
-        """Return the condition number of the scaled regressor with G (p, p)."""
-        scaled = gram if self.design.column_scale is not None else unit_norm_gram(gram)
-        return condition_number(scaled, self.metric)
+        """Return σ₁/σ_r of the regressor with G (p, p); for condition numbers below 1e6."""
+        scaled = unit_norm_gram(gram) if self.design.unit_norm else gram
+        sizes = np.linalg.eigvalsh(self.metric.T @ scaled @ self.metric)
+        return float(np.sqrt(sizes[-1] / max(sizes[0], 1e-300)))
 
     def objective(self, criterion: Criterion, ceiling: float | None = None) -> ExcitationObjective:
         """Return f(z) of a criterion, with −log det G / p ≤ ceiling where one is given."""
         return ExcitationObjective(self, criterion, ceiling)
+
+    def random_start(self, seed: int) -> Array:
+        """Return free variables (m,) that use 90 % of some joint limit of every joint.
+
+        Where that violates other limits by more than 0.3 of their scale, all joints move less.
+        """
+        parametrization, limits = self.parametrization, self.design.range
+        generator = np.random.default_rng(seed)
+        z = generator.normal(size=(parametrization.n, parametrization.directions_per_joint))
+        motion = self.samples.motion(z.ravel())
+        units, position = limits.units, limits.position
+        reach = np.minimum(position[:, 1] - self.pose, self.pose - position[:, 0])
+        reach = np.where(np.isfinite(reach), reach, units[:, 0])
+        used = np.stack(
+            [
+                np.abs(motion.q - self.pose).max(axis=0) / reach,
+                np.abs(motion.dq).max(axis=0) / units[:, 1],
+                np.abs(motion.ddq).max(axis=0) / units[:, 2],
+            ]
+        ).max(axis=0)
+        start = np.ravel(0.9 * z / used[:, None])
+        constraints = self.constraints(1)
+        for _ in range(6):
+            excess = constraints.excess(constraints.sampled.motion(start))
+            if constraints.largest(excess) <= 0.3:
+                break
+            start = 0.75 * start
+        return start
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,191 +327,63 @@ class ExcitationObjective:
         return ObjectiveValue(value, in_variables(slope), gram, excess, slopes)
 
 
-def condition_number(gram: Array, metric: Array) -> float:
-    """Return σ₁/σ_r from G; for condition numbers below 1e6."""
-    sizes = np.linalg.eigvalsh(metric.T @ gram @ metric)
-    return float(np.sqrt(sizes[-1] / max(sizes[0], 1e-300)))
+def check_at_rest(pose: Array, sets: Sequence[ConstraintSet]) -> None:
+    """Refuse a start pose (n,) that violates a limit at rest, with the name of the limit."""
+    excess, names = _excess_at_rest(pose[None], sets)
+    worst = int(np.argmax(excess[:, 0]))
+    if excess[worst, 0] > 0.0:
+        raise NoSolution(
+            f"the start pose violates a limit at rest: {names[worst]}; choose another start pose "
+            "(--start-pose) or relax the limit"
+        )
 
 
-MOST_SAMPLES = 100_000  # of one period in the criterion
-
-
-def make_design(
-    source: Model | Robot | IdentifiedModel,
+def find_start_pose(
+    robot: Robot,
+    limits: MotionRange,
+    sets: Sequence[ConstraintSet],
     *,
-    basis: Basis,
-    criterion: CriterionName | CriterionExpression = "combined",
-    inertial_only: bool = False,
-    limits: Sequence[Limit] | None = None,
-    start_pose: ArrayLike | None = None,
-    free_start: bool = False,
-    acceleration: ArrayLike | None = None,
-    margin: float = MARGIN,
-    samples: int = 100,
-    scaling: ScalingName | Sequence[float] | Array = "si",
-    condition_threshold: float | None = None,
-    neg_log_det_threshold: float | None = None,
-    start: str | Path | None = None,
-) -> ExcitationDesign:
-    """Check the arguments of `excite` and return the design that they specify.
+    travel: Array | None = None,
+) -> Array:
+    """Return the middle of the joint ranges or, near a limit, the random pose farthest from all.
 
-    Parameters
-    ----------
-    source : Model, Robot or Fit
-    basis : Basis
-    criterion, inertial_only, limits, start_pose, free_start, acceleration, samples, scaling, start
-        As in `excite`.
-    condition_threshold, neg_log_det_threshold : float, optional
-        Δ₁ and Δ₂ of the criterion ``combined``.
-
-    Raises
-    ------
-    ExcitationError
+    Poses near a singular one are passed over; where all are, the one farthest from it is taken.
+    ``travel`` (n,) is the distance that each joint will move to either side, rad. A `NoSolution`
+    names the limit that the best pose violates.
     """
-    if not callable(criterion) and criterion not in NAMES:
-        raise ExcitationError(
-            f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}, or a function of the "
-            "information matrix"
+    half = RANGE_TRIED * limits.units[:, 0]
+    if travel is not None:
+        space = np.maximum(limits.units[:, 0] - travel / RANGE_USED, 0.0)
+        half = np.where(travel > 0.0, space, half)
+    random = np.random.default_rng(0).uniform(-half, half, (TRIED, len(half)))
+    poses = limits.middle + np.vstack([np.zeros(len(half)), random])
+    excess, names = _excess_at_rest(poses, sets)
+    if travel is not None:
+        for part in (-1.0, -0.5, 0.5, 1.0):
+            excess = np.maximum(excess, _excess_at_rest(poses + part * travel, sets)[0])
+    largest = excess.max(axis=0)
+    order = np.argsort(largest, kind="stable")
+    if largest[0] <= -ENOUGH:
+        order = np.append(0, order[order != 0])
+    if largest[order[0]] > 0.0:
+        best = order[0]
+        raise NoSolution(
+            f"no start pose of {TRIED} meets all limits: {names[int(np.argmax(excess[:, best]))]} "
+            "is violated; relax it, or give a start pose (--start-pose)"
         )
-    check_basis(basis)
-    if not 4 * basis.size <= samples <= MOST_SAMPLES:
-        raise ExcitationError(
-            f"samples: {samples}; expected {4 * basis.size} at least for {basis.size} "
-            f"coefficients per joint, and at most {MOST_SAMPLES}"
-        )
-    check_thresholds(criterion, condition_threshold, neg_log_det_threshold)
-    model, fit = model_and_fit(source)
-    reduced = Model(model.robot) if inertial_only else design_model(model)[0]
-    robot = reduced.robot
-    joints = motion_range(robot, acceleration, margin=margin)
-    check_duration(robot, joints, basis.duration)
-    first = None if start is None else load_positions(start, robot.n)
-    if start_pose is None and first is not None:
-        start_pose = first[0]
-    pose = None if start_pose is None else np.asarray(start_pose, dtype=float)
-    if pose is not None:
-        check_start_pose(robot, joints, pose)
-    if limits is None:
-        limits = default_limits(robot, margin=margin)
-    return ExcitationDesign(
-        reduced, fit, basis, samples, joints, tuple(limits), pose, not free_start, criterion,
-        column_scale(reduced, scaling), condition_threshold, neg_log_det_threshold, first,
-    )  # fmt: skip
+    inside = order[largest[order] <= 0.0]
+    away = np.zeros(0)
+    for first in range(0, len(inside), ORDERED):
+        near = nearness_to_singular(robot, poses[inside[first : first + ORDERED]])
+        away = np.append(away, near)
+        if near.max() >= SINGULAR:
+            return np.asarray(poses[inside[int(np.argmax(away >= SINGULAR))]])
+    return np.asarray(poses[inside[int(np.argmax(away))]])
 
 
-def check_thresholds(
-    criterion: CriterionName | CriterionExpression,
-    condition_threshold: float | None,
-    neg_log_det_threshold: float | None,
-) -> None:
-    """Refuse thresholds that the criterion does not have.
-
-    Parameters
-    ----------
-    criterion : str or callable
-    condition_threshold, neg_log_det_threshold : float or None
-        Δ₁ and Δ₂.
-
-    Raises
-    ------
-    ExcitationError
-    """
-    given = {
-        "condition_threshold": condition_threshold, "neg_log_det_threshold": neg_log_det_threshold,
-    }  # fmt: skip
-    for name, value in given.items():
-        if value is not None and criterion != "combined":
-            raise ExcitationError(
-                f"{name}: only the criterion 'combined' has it, not {criterion_name(criterion)!r}"
-            )
-    if condition_threshold is not None and not condition_threshold >= 1.0:
-        raise ExcitationError(f"condition_threshold: {condition_threshold:g}; expected at least 1")
-
-
-USED = 0.9  # part of a joint limit that every joint of a start uses
-LARGE_EXCESS = 0.3  # scaled excess above which a start is made smaller
-SHRINK = 0.75
-SHRINK_ROUNDS = 6
-
-
-def random_start(problem: ExcitationProblem, seed: int) -> Array:
-    """Return free variables (m,) that use 90 % of some joint limit of every joint.
-
-    Where that violates other limits by much, all joints move less.
-    """
-    parametrization = problem.parametrization
-    generator = np.random.default_rng(seed)
-    z = generator.normal(size=(parametrization.n, parametrization.directions_per_joint))
-    motion = problem.samples.motion(z.ravel())
-    units, position = problem.design.range.units, problem.design.range.position
-    from_pose = np.abs(motion.q - parametrization.pose)
-    reach = np.minimum(position[:, 1] - parametrization.pose, parametrization.pose - position[:, 0])
-    reach = np.where(np.isfinite(reach), reach, units[:, 0])
-    used = np.stack(
-        [
-            from_pose.max(axis=0) / reach,
-            np.abs(motion.dq).max(axis=0) / units[:, 1],
-            np.abs(motion.ddq).max(axis=0) / units[:, 2],
-        ]
-    ).max(axis=0)
-    start = np.ravel(USED * z / used[:, None])
-    constraints = problem.constraints(1)
-    for _ in range(SHRINK_ROUNDS):
-        excess = constraints.excess(constraints.sampled.motion(start))
-        if constraints.largest(excess) <= LARGE_EXCESS:
-            break
-        start = SHRINK * start
-    return start
-
-
-def load_positions(path: str | Path, n: int) -> Array:
-    """Return the positions (N, n) of a trajectory file, equidistant in time.
-
-    Parameters
-    ----------
-    path : str or Path
-        CSV with the columns t, q1 … qn, as ``trajectory.csv``; lines with # precede the header.
-    n : int
-        Number of joints.
-
-    Raises
-    ------
-    ExcitationError
-        Not such a file; names what is missing.
-    """
-    try:
-        require_regular(path)
-        lines = Path(path).read_text("utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ExcitationError(f"start: {path} cannot be read: {error}") from None
-    rows = [line for line in lines if line.strip() and not line.startswith("#")]
-    header = rows[0].split(",") if rows else []
-    names = ["t", *(f"q{j + 1}" for j in range(n))]
-    missing = [name for name in names if name not in header]
-    if missing:
-        raise ExcitationError(f"start: {path} has no column {missing[0]}; expected t, q1 … q{n}")
-    try:
-        columns = [header.index(name) for name in names]
-        table = np.loadtxt(rows[1:], delimiter=",", usecols=columns, ndmin=2)
-    except ValueError as error:
-        raise ExcitationError(f"start: {path}: {error}") from None
-    t = table[:, 0]
-    if len(t) < 3 or not np.isfinite(table).all() or not np.all(np.diff(t) > 0.0):
-        raise ExcitationError(
-            f"start: {path}: expected 3 rows of finite numbers at least, with increasing times"
-        )
-    grid = np.linspace(t[0], t[-1], len(t))
-    return np.column_stack([np.interp(grid, t, q) for q in table[:, 1:].T])
-
-
-def warm_start(parametrization: Parametrization, positions: Array) -> Array:
-    """Return the free variables (m,) of the trajectory nearest to positions (N, n), equidistant.
-
-    The positions are taken as one period: their time is scaled to the period of the basis.
-    """
-    t = np.linspace(0.0, parametrization.basis.duration, len(positions))
-    functions = parametrization.functions(t)[:, 0]  # (n, N, d)
-    moved = positions - parametrization.pose
-    return np.concatenate(
-        [np.linalg.lstsq(f, q, rcond=None)[0] for f, q in zip(functions, moved.T, strict=True)]
-    )
+def _excess_at_rest(poses: Array, sets: Sequence[ConstraintSet]) -> tuple[Array, list[str]]:
+    """Return scaled excesses (k, N) at rest in poses (N, n), and the names of the quantities."""
+    rest = np.zeros_like(poses)
+    motion = MotionSamples(np.zeros(len(poses)), poses, rest, rest, rest)
+    parts = [s.excess(s.values(motion)) / s.scale[:, None] for s in sets]
+    return np.concatenate(parts), [label for s in sets for label in s.labels]

@@ -17,32 +17,33 @@ from numpy.typing import ArrayLike
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import ExcitationError, LieidWarning, NoSolution, warning_list
-from lieid_casadi.excitation.checks import MARGIN, checked_limits, unchecked_limits
+from lieid_casadi.excitation.checks import MARGIN, verify
 from lieid_casadi.excitation.criteria import (
+    Criterion,
     CriterionExpression,
     CriterionName,
-    ScalingName,
+    Quality,
     criterion_name,
+    design_model,
+    quality,
 )
-from lieid_casadi.excitation.design import FINE, ExcitationProblem, make_design
-from lieid_casadi.excitation.information import Quality, design_model, quality
-from lieid_casadi.excitation.limits import ConstraintSet, Limit, MotionRange
+from lieid_casadi.excitation.design import ExcitationProblem, make_design
+from lieid_casadi.excitation.limits import Limit
+from lieid_casadi.excitation.rigid_arm import RigidArm
 from lieid_casadi.excitation.sample_functions import IdentifiedModel, model_and_fit
 from lieid_casadi.excitation.search import (
-    WARM_START,
     IterationRecord,
     OptimizedStart,
     StartAttempt,
     solve_all,
 )
 from lieid_casadi.excitation.trajectory import (
-    PEAK_ACCELERATION,
-    PEAK_VELOCITY,
     Basis,
     BasisName,
     MotionSamples,
-    RestToRest,
     Trajectory,
+    csv_text,
+    joint_trajectory_yaml,
     make,
     period_grid,
 )
@@ -50,11 +51,215 @@ from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.output_folder import write_folder
 from lieid_casadi.robot import Robot
-from lieid_casadi.tables import html as to_html
+from lieid_casadi.tables import html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+MOST_ROWS = 10_000_000  # of a trajectory file
+ROS_RATE = 100.0  # Hz; joint trajectory controllers interpolate with quintics between points
+PLOTTED = 600  # samples of a figure
+
+
+@blas_on_one_thread
+def excite(
+    source: Model | Robot | IdentifiedModel,
+    *,
+    criterion: CriterionName | CriterionExpression | Criterion = "combined",
+    inertial_only: bool = False,
+    limits: Sequence[Limit] | None = None,
+    start_pose: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    margin: float = MARGIN,
+    basis: BasisName | Basis = "fourier",
+    duration: float = 20.0,
+    harmonics: int = 5,
+    periods: int = 1,
+    samples: int = 100,
+    rate: float = 1000.0,
+    condition_threshold: float | None = None,
+    neg_log_det_threshold: float | None = None,
+    start: str | Path | None = None,
+    starts: int = 4,
+    seed: int = 0,
+    max_iterations: int | None = None,
+    progress: Callable[[str, float], None] = lambda stage, fraction: None,
+    executor: Executor | None = None,
+) -> Excitation:
+    """Design an optimal excitation trajectory within limits.
+
+    By default joint limits, torque, tool speed, a floor at the base plane and self-collision are
+    checked. The finished motion is verified by other means than those of the search:
+    `Excitation.checked` lists what this covered, joint by joint and link by link, and
+    `Excitation.unchecked` the rest.
+
+    The torque limit of a fit is that of the identified links with all effects, plus or minus two
+    standard deviations; that of a model without a fit is the rigid torque of the stated inertias
+    with an allowance for friction (see `Torque`).
+
+    The criterion evaluates the model's own regressor, effects included, as far as its columns
+    follow from the motion and the time; warnings name the effects that do not (temperature,
+    memory, effects on the whole arm).
+
+    Parameters
+    ----------
+    source : Model, Robot or Fit
+    criterion : str or callable
+        ``combined`` (the paper's C1: condition number with a bound on −log det), ``condition``
+        (C2), ``hadamard`` (C3) or ``logdet`` (C4); or a function of the information matrix
+        G = Y_bᵀY_b, SX (p, p) in the order of ``model.base_columns``, that returns the scalar
+        expression to be minimized (a logarithm is well scaled); or a
+        `lieid_casadi.excitation.Criterion` with a derivative of its own.
+    inertial_only : bool
+        Leave the model's effects out, for comparison with the literature.
+    limits : sequence of Limit, optional
+        Limits besides those of the joints: `Torque`, `CartesianSpeed`, `Wall`, `Obstacle`,
+        `SelfCollision`, `ExpressionLimit` for your own. Default: those of `default_limits`, which
+        yours may follow: ``limits=[*default_limits(robot), mine]``; ``()`` leaves all out.
+    start_pose : (n,), optional
+        Pose at rest at start and end, rad. Default: the middle of the joint ranges or, where that
+        is near a limit or a singular pose, one that is far from both.
+    acceleration : float or (n,), optional
+        Limits in place of the robot's, rad/s². Default: 3 where the robot states none.
+    margin : float
+        Part of the velocity limits, and of the torque limits by default, that is used.
+    basis : str or Basis
+        ``fourier`` (Eq. 19), ``modified_fourier``, ``bspline``, or an object with the members of
+        `Basis`, whose duration is then used.
+    duration : float
+        Length of one period, s.
+    harmonics : int
+        Of the period's frequency; a B-spline has as many free coefficients.
+    periods : int
+        How often the period is repeated.
+    samples : int
+        Of the criterion over a period; limits are verified on a grid 20 times finer, and at 1 kHz.
+    rate : float
+        Of the files, Hz.
+    condition_threshold : float, optional
+        Δ₁ of ``combined`` (Eq. 20): a start ends at the first feasible trajectory whose condition
+        number is at most this. Default: it is minimized.
+    neg_log_det_threshold : float, optional
+        Δ₂ of ``combined`` (Eq. 20): bound on −log det of the base regressor's Gram matrix, SI.
+        Default: the value that minimizing 1/∏ of the column norms reaches, plus 0.5 a parameter.
+    start : str or Path, optional
+        Trajectory file (CSV with t, q1 … qn, as ``trajectory.csv``) of one period, from which the
+        first search starts; its first pose is the start pose unless one is given.
+    starts : int
+        Number of starts; the best trajectory is returned. All are random but that from a file.
+    seed : int
+        Of the first start; the others follow. Results do not depend on threads, executors or the
+        instruction set of the compiled functions. The rounding of the linear algebra depends on
+        the processor, and the search amplifies it: between OpenBLAS kernels the condition number
+        of the best of four starts changes by 1 to 10 %.
+    max_iterations : int, optional
+        Most iterations of one start; without it each stage of the search ends by its own
+        tolerance. There is no limit in seconds, so that results do not depend on the load of the
+        machine.
+    progress : callable
+        Called with what is done and the fraction that is done.
+    executor : Executor, optional
+        Of `concurrent.futures`, with the same result; without one the starts run one after the
+        other, and an interrupt (Ctrl-C) keeps the best trajectory so far.
+
+    Returns
+    -------
+    Excitation
+
+    Raises
+    ------
+    ExcitationError
+        Limits that are missing or contradictory, a start pose outside of them.
+    NoSolution
+        No start led to a trajectory within all limits, or the verification of the motion failed;
+        names the limit and what to relax.
+    """
+    began = time.monotonic()
+    model = model_and_fit(source)[0]
+    chosen = (
+        make(basis, duration=duration, harmonics=harmonics) if isinstance(basis, str) else basis
+    )
+    design = make_design(
+        source, criterion=criterion, inertial_only=inertial_only, limits=limits,
+        start_pose=start_pose, acceleration=acceleration, margin=margin, samples=samples,
+        basis=chosen, condition_threshold=condition_threshold,
+        neg_log_det_threshold=neg_log_det_threshold, start=start,
+    )  # fmt: skip
+    _check_counts(periods=periods, starts=starts, max_iterations=max_iterations, seed=seed)
+    _check_rows(rate, chosen.duration, periods)
+    progress("compiling", 0.0)
+    problem = ExcitationProblem(design)
+    built = time.monotonic()
+    seeds: list[int | None] = [seed + k for k in range(starts)]
+    if start is not None:
+        seeds = [None, *seeds[:-1]]
+    attempts = solve_all(
+        problem, seeds, progress=progress, executor=executor, max_iterations=max_iterations
+    )
+    best = best_of(attempts)
+    trajectory = problem.parametrization.trajectory(best.z)
+    times = np.append(np.arange(0.0, trajectory.duration, 1.0 / rate), trajectory.duration)
+    verified = verify(model.robot, trajectory.at(times), design.range, problem.limits, design.fit)
+    excesses = problem.excesses(best.z)
+    return Excitation(
+        model=design.model, trajectory=trajectory, periods=periods, rest_pose=problem.pose,
+        rate=rate, samples=samples, criterion=criterion_name(criterion),
+        quality=quality(
+            design.model, trajectory.at(period_grid(trajectory.duration, samples)), design.fit
+        ),
+        max_violation=max(0.0, *(excess.value for excess in excesses)),
+        active_limits=_active([(excess.label, 1.0 + excess.scaled) for excess in excesses]),
+        starts=tuple(_start(a) for a in attempts), history=best.history,
+        build_seconds=built - began, solve_seconds=time.monotonic() - built,
+        checked=verified.checked, unchecked=verified.unchecked,
+        interrupted=any(a.interrupted for a in attempts),
+        warnings=() if inertial_only else design_model(model)[1],
+    )  # fmt: skip
+
+
+def _check_counts(*, seed: int, **counts: int | None) -> None:
+    for name, count in counts.items():
+        if count is not None and count < 1:
+            raise ExcitationError(f"{name}: {count}; expected 1 at least")
+    if seed < 0:
+        raise ExcitationError(f"seed: {seed}; expected 0 or a positive integer")
+
+
+def _check_rows(rate: float, duration: float, periods: int) -> None:
+    """Refuse a rate at which the trajectory file would be too long."""
+    if not rate > 0.0:
+        raise ExcitationError(f"rate: {rate:g} Hz; expected a positive number")
+    if rate * duration * periods > MOST_ROWS:
+        raise ExcitationError(
+            f"rate: {rate:g} Hz gives {rate * duration * periods:.3g} rows in {periods} periods of "
+            f"{duration:g} s; expected at most {MOST_ROWS}: lower the rate or the number of periods"
+        )
+
+
+def best_of(attempts: Sequence[StartAttempt]) -> OptimizedStart:
+    """Return the best solution of several starts; where none has one, raise the first's reason."""
+    solutions = [a.solution for a in attempts if a.solution is not None]
+    if not solutions:
+        count = f" ({len(attempts)} starts)" if len(attempts) > 1 else ""
+        raise NoSolution(f"{attempts[0].reason}{count}")
+    return min(solutions, key=lambda solution: solution.rank)
+
+
+def _start(attempt: StartAttempt) -> StartSummary:
+    solution = attempt.solution
+    if solution is None:
+        return StartSummary(attempt.seed, np.nan, np.nan, attempt.seconds, np.nan)
+    first = solution.history[0].condition_number if solution.history else np.nan
+    return StartSummary(
+        attempt.seed, solution.condition_number, solution.neg_log_det, solution.seconds, first
+    )
+
+
+def _active(quantities: Sequence[tuple[str, float]]) -> tuple[ActiveLimit, ...]:
+    """Return the quantities that come within 1 % of their limits, the closest first."""
+    active = [ActiveLimit(name, used) for name, used in quantities if used > 0.99]
+    return tuple(sorted(active, key=lambda limit: -limit.used))
 
 
 @dataclass(frozen=True)
@@ -87,15 +292,13 @@ class Excitation:
     periods : int
     rest_pose : (n,)
         Pose at which the whole motion begins and ends, rad.
-    approach : RestToRest
-        Motion from the rest pose to the start of the trajectory; at the end it runs backwards.
     rate : float
         Of the files, Hz.
     samples : int
         Of the criterion over one period.
     quality : Quality
         Condition number and singular values at the samples.
-    criterion, scaling : str
+    criterion : str
     max_violation : float
         Largest excess over any limit on a grid 20 times finer than the samples, in the limit's
         unit; 0 if every limit holds.
@@ -109,7 +312,8 @@ class Excitation:
     interrupted : bool
         Whether the user interrupted the search; the trajectory is the best so far.
     checked, unchecked : tuple of str
-        Limits that were checked, and limits that were not.
+        Limits with the joints, links and pairs for which the motion was verified to keep them, and
+        everything for which it was not.
     warnings : tuple of LieidWarning
         Effects that the design could not take into account.
     """
@@ -118,12 +322,10 @@ class Excitation:
     trajectory: Trajectory
     periods: int
     rest_pose: Array
-    approach: RestToRest
     rate: float
     samples: int
     quality: Quality
     criterion: str
-    scaling: str
     max_violation: float
     active_limits: tuple[ActiveLimit, ...]
     starts: tuple[StartSummary, ...]
@@ -137,7 +339,7 @@ class Excitation:
 
     @property
     def condition_number(self) -> float:
-        """σ₁/σ_r of the stacked full regressor (scaled according to ``scaling``)."""
+        """σ₁/σ_r of the stacked full regressor, SI."""
         return self.quality.condition_number
 
     @property
@@ -148,7 +350,7 @@ class Excitation:
     @property
     def start(self) -> float:
         """Time at which the periods of the trajectory begin, s."""
-        return self.approach.duration
+        return 0.0
 
     @property
     def end(self) -> float:
@@ -158,7 +360,7 @@ class Excitation:
     @property
     def duration(self) -> float:
         """Length of the whole motion, s."""
-        return self.end + self.approach.duration
+        return self.end
 
     def motion(self, rate: float | None = None) -> MotionSamples:
         """Return samples of the whole motion at a rate in Hz."""
@@ -169,26 +371,10 @@ class Excitation:
     def at(self, t: Array) -> MotionSamples:
         """Return the whole motion at times (N,) from 0 to ``duration``, s."""
         time = np.asarray(t, dtype=float)
-        n = self.model.n
-        parts = np.zeros((4, len(time), n))
-        before, after = time < self.start, time > self.end
-        inside = ~(before | after)
-        phase = time[inside] - self.start
-        phase = phase - self.trajectory.duration * np.floor(
-            np.minimum(phase / self.trajectory.duration, self.periods - 1e-12)
-        )
-        for mask, part in (
-            (inside, self.trajectory.at(phase)),
-            (before, self.approach.at(time[before]) if before.any() else None),
-            (after, self._return_motion(time[after]) if after.any() else None),
-        ):
-            if part is not None:
-                parts[:, mask] = part.q, part.dq, part.ddq, part.dddq
-        return MotionSamples(time, *parts)
-
-    def _return_motion(self, time: Array) -> MotionSamples:
-        backwards = RestToRest(self.approach.end, self.approach.start, self.approach.duration)
-        return backwards.at(time - self.end)
+        period = self.trajectory.duration
+        phase = time - period * np.floor(np.minimum(time / period, self.periods - 1e-12))
+        motion = self.trajectory.at(phase)
+        return MotionSamples(time, motion.q, motion.dq, motion.ddq, motion.dddq)
 
     @property
     def coefficients(self) -> dict[str, Any]:
@@ -214,7 +400,6 @@ class Excitation:
             "robot": self.model.robot.name,
             "effects": self.model.effects,
             "criterion": self.criterion,
-            "scaling": self.scaling,
             "condition_number": self.condition_number,
             "singular_values": {
                 "largest": float(sizes[0]),
@@ -261,11 +446,54 @@ class Excitation:
 
     def summary(self) -> str:
         """Return a text summary: quality, active limits, weakest directions."""
-        return summary(self)
+        q = self.quality
+        effects = ", ".join(self.model.effects) or "no effects"
+        random = [s.first_condition_number for s in self.starts]
+        random = [number for number in random if np.isfinite(number)]
+        against = ""
+        if random:
+            against = (
+                f" Random starts had {np.median(random):.3g} after one iteration (median of "
+                f"{len(random)})."
+            )
+        lines = [
+            f"Excitation of {self.model.robot.name}: {self.duration:.4g} s "
+            f"({self.periods} × {self.trajectory.duration:.4g} s).",
+            f"Condition number {self.condition_number:.4g} (σ₁ {q.singular_values[0]:.4g}, "
+            f"σ_r {q.singular_values[q.rank - 1]:.4g} of the full regressor at {self.samples} "
+            f"samples, SI, {effects}); −log det {self.neg_log_det:.4g} for {q.rank} base "
+            f"parameters. Solved by Ipopt.{against}",
+            "These limits are met at 1 kHz (largest excess "
+            f"{self.max_violation:.1g}): {'; '.join(self.checked)}.",
+            f"Not checked: {'; '.join(self.unchecked)}.",
+        ]
+        if self.active_limits:
+            names = ", ".join(limit.quantity for limit in self.active_limits[:6])
+            more = f" and {len(self.active_limits) - 6} more" if len(self.active_limits) > 6 else ""
+            lines.append(f"Active limits: {names}{more}.")
+        weak = "; ".join(f"{w.text} (σ {w.singular_value:.3g})" for w in q.weak)
+        lines.append(f"Directions of the base parameters that change the torques least: {weak}.")
+        if self.interrupted:
+            lines.append("The search was interrupted; this is the best trajectory so far.")
+        lines += [f"! {warning}" for warning in self.warnings]
+        return "\n".join(lines)
 
     def plot(self, ax: None = None) -> Figure:
         """Return a figure: positions within limits, path of the tool, history of the criterion."""
-        return plot(self)
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(12.0, 7.5), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=[2.0, 1.0])
+        motion, robot = self.at(np.linspace(0.0, self.duration, PLOTTED)), self.model.robot
+        plot_positions(motion, robot, figure.add_subplot(grid[:, 0]))
+        path = RigidArm(robot).tool_path(motion.q)
+        plot_tool_path(path, figure.add_subplot(grid[0, 1], projection="3d"))
+        plot_history(self.history, figure.add_subplot(grid[1, 1]))
+        figure.suptitle(
+            f"{robot.name}: condition number {self.condition_number:.4g}, {self.duration:.4g} s",
+            parse_math=False,  # "$" in a robot's name is no formula
+        )
+        return figure
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
         """Write trajectory, JSON, plot, text and ROS 2 message into a folder; return the files.
@@ -282,10 +510,22 @@ class Excitation:
         OutputError
             The folder has other content or cannot be written.
         """
-        return save(self, Path(folder), force=force)
+        content = {"schema": 1} | self.to_dict()
+        ros = self.motion(min(ROS_RATE, self.rate))
+        names = [joint.name for joint in self.model.robot.joints]
+        figure = io.BytesIO()
+        self.plot().savefig(figure, format="png", dpi=120)
+        files = {
+            "trajectory.csv": csv_text(self.motion(), self.checked, self.unchecked).encode(),
+            "excitation.json": json.dumps(content, indent=1, ensure_ascii=False).encode(),
+            "joint_trajectory.yaml": joint_trajectory_yaml(ros, names).encode(),
+            "excitation.png": figure.getvalue(),
+            "summary.txt": (self.summary() + "\n").encode(),
+        }
+        return write_folder(Path(folder), files, force=force)
 
     def _repr_html_(self) -> str:
-        return html(self)
+        return html(*self.summary().split("\n"))
 
     def __repr__(self) -> str:
         return (
@@ -294,316 +534,9 @@ class Excitation:
         )
 
 
-def active_limits(quantities: Sequence[tuple[str, float]]) -> tuple[ActiveLimit, ...]:
-    """Return the quantities that come within 1 % of their limits, the closest first."""
-    active = [ActiveLimit(name, used) for name, used in quantities if used > 0.99]
-    return tuple(sorted(active, key=lambda limit: -limit.used))
-
-
-MOST_ROWS = 10_000_000  # of a trajectory file
-
-
-@blas_on_one_thread
-def excite(
-    source: Model | Robot | IdentifiedModel,
-    *,
-    criterion: CriterionName | CriterionExpression = "combined",
-    inertial_only: bool = False,
-    limits: Sequence[Limit] | None = None,
-    start_pose: ArrayLike | None = None,
-    free_start: bool = False,
-    acceleration: ArrayLike | None = None,
-    margin: float = MARGIN,
-    basis: BasisName | Basis = "fourier",
-    duration: float = 20.0,
-    harmonics: int = 5,
-    periods: int = 1,
-    samples: int = 100,
-    rate: float = 1000.0,
-    scaling: ScalingName | Sequence[float] | Array = "si",
-    condition_threshold: float | None = None,
-    neg_log_det_threshold: float | None = None,
-    start: str | Path | None = None,
-    starts: int = 4,
-    seed: int = 0,
-    max_iterations: int | None = None,
-    progress: Callable[[str, float], None] = lambda stage, fraction: None,
-    executor: Executor | None = None,
-) -> Excitation:
-    """Design an optimal excitation trajectory within limits.
-
-    By default joint limits, torque, tool speed, a floor at the base plane and self-collision are
-    checked. `Excitation.checked` and `Excitation.unchecked` list what is and what is not.
-
-    The torque limit of a fit is that of the identified links with all effects, plus or minus two
-    standard deviations; that of a model without a fit is the rigid torque of the stated inertias
-    with an allowance for friction (see `Torque`).
-
-    The criterion evaluates the model's own regressor, effects included, as far as its columns
-    follow from the motion and the time; warnings name the effects that do not (temperature,
-    memory, effects on the whole arm).
-
-    Parameters
-    ----------
-    source : Model, Robot or Fit
-    criterion : str or callable
-        ``combined`` (the paper's C1: condition number with a bound on −log det), ``condition``
-        (C2), ``hadamard`` (C3), ``logdet`` (C4), ``a_optimal`` or ``e_optimal``; or a function of
-        the information matrix G = Y_bᵀY_b, SX (p, p) in the order of ``model.base_columns``, that
-        returns the scalar expression to be minimized. A logarithm is well scaled.
-    inertial_only : bool
-        Leave the model's effects out, for comparison with the literature.
-    limits : sequence of Limit, optional
-        Limits besides those of the joints: `Torque`, `CartesianSpeed`, `Wall`, `Obstacle`,
-        `SelfCollision`, `ExpressionLimit` for your own. Default: those of `default_limits`, which
-        yours may follow: ``limits=[*default_limits(robot), mine]``; ``()`` leaves all out.
-    start_pose : (n,), optional
-        Pose at rest at start and end, rad. Default: the middle of the joint ranges or, where that
-        is near a limit, a pose that is far from all limits.
-    free_start : bool
-        Let the trajectory start (at rest) at any pose; a motion from the start pose leads there.
-    acceleration : float or (n,), optional
-        Limits in place of the robot's, rad/s². Default: 3 where the robot states none.
-    margin : float
-        Part of the velocity limits, and of the torque limits by default, that is used.
-    basis : str or Basis
-        ``fourier`` (Eq. 19), ``modified_fourier``, ``bspline``, or an object with the members of
-        `Basis`, whose duration is then used.
-    duration : float
-        Length of one period, s.
-    harmonics : int
-        Of the period's frequency; a B-spline has as many free coefficients.
-    periods : int
-        How often the period is repeated.
-    samples : int
-        Of the criterion over a period; limits are verified on a grid 20 times finer.
-    rate : float
-        Of the files, Hz.
-    scaling : str or (P,)
-        Of the full regressor's columns: ``si``, ``units`` (by the arm's mass and length),
-        ``prior`` (by the size of the stated parameters), ``unit_norm`` (base columns of unit
-        norm), or factors.
-    condition_threshold : float, optional
-        Δ₁ of ``combined`` (Eq. 20): a start ends at the first feasible trajectory whose condition
-        number is at most this. Default: it is minimized.
-    neg_log_det_threshold : float, optional
-        Δ₂ of ``combined`` (Eq. 20): bound on −log det of the base regressor's Gram matrix, SI.
-        Default: the value that minimizing 1/∏ of the column norms reaches, plus 0.5 a parameter.
-    start : str or Path, optional
-        Trajectory file (CSV with t, q1 … qn, as ``trajectory.csv``) of one period, from which the
-        first search starts; its first pose is the start pose unless one is given.
-    starts : int
-        Number of starts; the best trajectory is returned. All are random but that from a file.
-    seed : int
-        Of the first start; the others follow. Results do not depend on threads, executors or the
-        instruction set of the compiled functions. The rounding of the linear algebra depends on
-        the processor, and the search amplifies it: between OpenBLAS kernels the condition number
-        of the best of four starts changes by 1 to 10 %.
-    max_iterations : int, optional
-        Most iterations of one start; without it each stage of the search ends by its own
-        tolerance. There is no limit in seconds, so that results do not depend on the load of the
-        machine.
-    progress : callable
-        Called with what is done and the fraction that is done.
-    executor : Executor, optional
-        Of `concurrent.futures`, with the same result; without one the starts run one after the
-        other, and an interrupt (Ctrl-C) keeps the best trajectory so far.
-
-    Returns
-    -------
-    Excitation
-
-    Raises
-    ------
-    ExcitationError
-        Limits that are missing or contradictory, a start pose outside of them.
-    NoSolution
-        No start led to a trajectory within all limits; names the limit and what to relax.
-    """
-    began = time.monotonic()
-    model = model_and_fit(source)[0]
-    chosen = (
-        make(basis, duration=duration, harmonics=harmonics) if isinstance(basis, str) else basis
-    )
-    duration = chosen.duration
-    design = make_design(
-        source, criterion=criterion, inertial_only=inertial_only, limits=limits,
-        start_pose=start_pose, free_start=free_start, acceleration=acceleration, margin=margin,
-        samples=samples,
-        basis=chosen, scaling=scaling,
-        condition_threshold=condition_threshold, neg_log_det_threshold=neg_log_det_threshold,
-        start=start,
-    )  # fmt: skip
-    _check_counts(periods=periods, starts=starts, max_iterations=max_iterations, seed=seed)
-    _check_rows(rate, duration, periods)
-    progress("compiling", 0.0)
-    problem = ExcitationProblem(design)
-    built = time.monotonic()
-    seeds = [seed + k for k in range(starts)]
-    if start is not None:
-        seeds = [WARM_START, *seeds[:-1]]
-    attempts = solve_all(
-        problem, seeds,
-        progress=progress, executor=executor, max_iterations=max_iterations,
-    )  # fmt: skip
-    best = best_of(attempts)
-    solved = time.monotonic()
-    approach = RestToRest(problem.pose, problem.pose, 0.0)
-    trajectory = problem.parametrization.trajectory(best.z)
-    if free_start:
-        begin = trajectory.at(np.zeros(1)).q[0]
-        approach = approach_motion(problem.pose, begin, design.range, problem.sets, step=1.0 / rate)
-    motion = trajectory.at(period_grid(duration, samples))
-    violation, active = verification(problem, best.z)
-    return Excitation(
-        model=design.model, trajectory=trajectory, periods=periods, rest_pose=problem.pose,
-        approach=approach, rate=rate, samples=samples, criterion=criterion_name(criterion),
-        quality=quality(design.model, motion, design.column_scale, design.fit),
-        scaling=scaling if isinstance(scaling, str) else "given",
-        max_violation=violation, active_limits=active, starts=tuple(_start(a) for a in attempts),
-        history=best.history,
-        build_seconds=built - began, solve_seconds=solved - built,
-        checked=checked_limits(design.range, design.limits, design.fit),
-        unchecked=unchecked_limits(model.robot, design.limits, problem.left_out, design.fit),
-        interrupted=any(a.interrupted for a in attempts),
-        warnings=() if inertial_only else design_model(model)[1],
-    )  # fmt: skip
-
-
-def _check_counts(*, seed: int, **counts: int | None) -> None:
-    for name, count in counts.items():
-        if count is not None and count < 1:
-            raise ExcitationError(f"{name}: {count}; expected 1 at least")
-    if seed < 0:
-        raise ExcitationError(f"seed: {seed}; expected 0 or a positive integer")
-
-
-def _check_rows(rate: float, duration: float, periods: int) -> None:
-    """Refuse a rate at which the trajectory file would be too long."""
-    if not rate > 0.0:
-        raise ExcitationError(f"rate: {rate:g} Hz; expected a positive number")
-    if rate * duration * periods > MOST_ROWS:
-        raise ExcitationError(
-            f"rate: {rate:g} Hz gives {rate * duration * periods:.3g} rows in {periods} periods of "
-            f"{duration:g} s; expected at most {MOST_ROWS}: lower the rate or the number of periods"
-        )
-
-
-def best_of(attempts: Sequence[StartAttempt]) -> OptimizedStart:
-    """Return the best solution of several starts.
-
-    Raises
-    ------
-    NoSolution
-        No start has one; with the reason of the first.
-    """
-    solutions = [a.solution for a in attempts if a.solution is not None]
-    if not solutions:
-        count = f" ({len(attempts)} starts)" if len(attempts) > 1 else ""
-        raise NoSolution(f"{attempts[0].reason}{count}")
-    return min(solutions, key=lambda solution: solution.rank)
-
-
-def verification(problem: ExcitationProblem, z: Array) -> tuple[float, tuple[ActiveLimit, ...]]:
-    """Return the largest violation on the fine grid in the limit's unit, and the active limits."""
-    exact = problem.constraints(FINE, margin=0.0)
-    motion = exact.sampled.motion(z)
-    worst, used = 0.0, []
-    for limits in problem.sets:
-        excess = limits.excess(limits.values(motion)).max(axis=1)
-        worst = max(worst, float(excess.max()))
-        used += [
-            (label, 1.0 + float(e / s))
-            for label, e, s in zip(limits.labels, excess, limits.scale, strict=True)
-        ]
-    return worst, active_limits(used)
-
-
-def _start(attempt: StartAttempt) -> StartSummary:
-    solution = attempt.solution
-    seed = None if attempt.seed == WARM_START else attempt.seed
-    if solution is None:
-        return StartSummary(seed, np.nan, np.nan, attempt.seconds, np.nan)
-    first = solution.history[0].condition_number if solution.history else np.nan
-    return StartSummary(
-        seed, solution.condition_number, solution.neg_log_det, solution.seconds, first
-    )
-
-
-def summary(excitation: Excitation) -> str:
-    """Return a few paragraphs: quality, reference, active limits, weakest directions."""
-    e, q = excitation, excitation.quality
-    unit = "SI" if e.scaling == "si" else f"columns scaled by {e.scaling}"
-    effects = ", ".join(e.model.effects) or "no effects"
-    random = [s.first_condition_number for s in e.starts if np.isfinite(s.first_condition_number)]
-    against = ""
-    if random:
-        against = (
-            f" Random starts had {np.median(random):.3g} after one iteration (median of "
-            f"{len(random)})."
-        )
-    lines = [
-        f"Excitation of {e.model.robot.name}: {e.duration:.4g} s, of which {e.start:.4g} to "
-        f"{e.end:.4g} s are the trajectory ({e.periods} × {e.trajectory.duration:.4g} s).",
-        f"Condition number {e.condition_number:.4g} (σ₁ {q.singular_values[0]:.4g}, "
-        f"σ_r {q.singular_values[q.rank - 1]:.4g} of the full regressor at {e.samples} samples, "
-        f"{unit}, {effects}); −log det {e.neg_log_det:.4g} for {q.rank} base parameters. "
-        f"Solved by Ipopt.{against}",
-        f"These limits are met on a grid 20 times finer than the samples (largest excess "
-        f"{e.max_violation:.1g}): {'; '.join(e.checked)}.",
-        f"Not checked: {'; '.join(e.unchecked)}.",
-    ]
-    if e.active_limits:
-        names = ", ".join(limit.quantity for limit in e.active_limits[:6])
-        more = f" and {len(e.active_limits) - 6} more" if len(e.active_limits) > 6 else ""
-        lines.append(f"Active limits: {names}{more}.")
-    weak = "; ".join(f"{w.text} (σ {w.singular_value:.3g})" for w in q.weak)
-    lines.append(f"Directions of the base parameters that change the torques least: {weak}.")
-    if e.interrupted:
-        lines.append("The search was interrupted; this is the best trajectory so far.")
-    lines += [f"! {warning}" for warning in e.warnings]
-    return "\n".join(lines)
-
-
-def html(excitation: Excitation) -> str:
-    """Return the summary as HTML paragraphs, for notebooks."""
-    return to_html(*summary(excitation).split("\n"))
-
-
-POINTS = 600
-
-
-def plot(excitation: Excitation) -> Figure:
-    """Return positions within limits, the path of the tool and the history of the criterion."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 7.5), layout="constrained")
-    grid = figure.add_gridspec(2, 2, width_ratios=[2.0, 1.0])
-    motion = excitation.at(np.linspace(0.0, excitation.duration, POINTS))
-    plot_positions(excitation, motion.t, motion.q, figure.add_subplot(grid[:, 0]))
-    plot_tool_path(excitation, motion.q, figure.add_subplot(grid[0, 1], projection="3d"))
-    plot_history(excitation, figure.add_subplot(grid[1, 1]))
-    figure.suptitle(
-        f"{excitation.model.robot.name}: condition number {excitation.condition_number:.4g}, "
-        f"{excitation.duration:.4g} s",
-        parse_math=False,  # "$" in a robot's name is no formula
-    )
-    return figure
-
-
-def plot_positions(excitation: Excitation, t: Array, q: Array, ax: Axes) -> None:
-    """Draw the position of each joint in parts of its range, one row per joint.
-
-    Parameters
-    ----------
-    excitation : Excitation
-    t : (N,)
-        s.
-    q : (N, n)
-        rad.
-    ax : Axes
-    """
-    robot = excitation.model.robot
+def plot_positions(motion: MotionSamples, robot: Robot, ax: Axes) -> None:
+    """Draw the position of each joint in parts of its range, one row per joint."""
+    t, q = motion.t, motion.q
     low, high = robot.limit("position_lower"), robot.limit("position_upper")
     low = np.where(np.isfinite(low), low, q.min(axis=0))
     high = np.where(np.isfinite(high), high, q.max(axis=0))
@@ -612,8 +545,6 @@ def plot_positions(excitation: Excitation, t: Array, q: Array, ax: Axes) -> None
         row = robot.n - 1 - j
         ax.fill_between([t[0], t[-1]], row + 0.06, row + 0.94, color="0.93", linewidth=0)
         ax.plot(t, row + 0.06 + 0.88 * share, linewidth=1.4)
-    for edge in {excitation.start, excitation.end} - {0.0, excitation.duration}:
-        ax.axvline(edge, color="0.4", linestyle=":", linewidth=1.0)
     ax.set_yticks(np.arange(robot.n) + 0.5, [f"q{j}" for j in range(robot.n, 0, -1)])
     ax.set_ylim(0.0, robot.n)
     ax.set_xlim(t[0], t[-1])
@@ -621,40 +552,16 @@ def plot_positions(excitation: Excitation, t: Array, q: Array, ax: Axes) -> None
     ax.set_title("positions; grey: range of the joint")
 
 
-def plot_tool_path(excitation: Excitation, q: Array, ax: Axes) -> None:
-    """Draw the path of the tool in the base frame.
-
-    Parameters
-    ----------
-    excitation : Excitation
-    q : (N, n)
-        rad.
-    ax : Axes
-        Three-dimensional.
-    """
-    path = tool_path(excitation, q)
+def plot_tool_path(path: Array, ax: Axes) -> None:
+    """Draw the path (N, 3) of the tool in the base frame."""
     ax.plot(*path.T, linewidth=1.0)
     ax.plot(*path[:1].T, marker="o", markersize=5, linestyle="", color="black")
     ax.set_title("tool, base frame (m); dot: rest pose")
     ax.set_aspect("equal")
 
 
-def tool_path(excitation: Excitation, q: Array) -> Array:
-    """Return the positions of the tool (N, 3) in the base frame, m."""
-    import casadi as ca
-
-    from lieid_casadi.dynamics.lie import Motion
-    from lieid_casadi.dynamics.recursion import tool_in_base
-
-    angles = ca.SX.sym("q", excitation.model.n)
-    place = tool_in_base(excitation.model.robot, Motion.of(angles)).translation
-    function = ca.Function("tool", [angles], [ca.densify(place)])
-    return np.asarray(function(q.T).full().T)
-
-
-def plot_history(excitation: Excitation, ax: Axes) -> None:
+def plot_history(history: Sequence[IterationRecord], ax: Axes) -> None:
     """Draw the condition number over the iterations of the best start."""
-    history = excitation.history
     numbers = np.array([step.condition_number for step in history])
     inside = np.array([step.violation <= 1e-3 for step in history])
     count = np.arange(1, len(history) + 1)
@@ -667,141 +574,3 @@ def plot_history(excitation: Excitation, ax: Axes) -> None:
     ax.set_xlabel("iteration")
     ax.set_title("condition number")
     ax.legend(loc="upper right", fontsize="small")
-
-
-ROS_RATE = 100.0  # Hz; joint trajectory controllers interpolate with quintics between points
-
-
-def save(excitation: Excitation, folder: Path, *, force: bool) -> tuple[Path, ...]:
-    """Write all files of a design into a folder; see `write_folder`.
-
-    Parameters
-    ----------
-    excitation : Excitation
-    folder : Path
-    force : bool
-        Replace the files of an earlier design in the folder.
-    """
-    content = {"schema": 1} | excitation.to_dict()
-    motion = excitation.motion()
-    comments = limit_comments(excitation.checked, excitation.unchecked)
-    ros = excitation.motion(min(ROS_RATE, excitation.rate))
-    names = [joint.name for joint in excitation.model.robot.joints]
-    figure = io.BytesIO()
-    excitation.plot().savefig(figure, format="png", dpi=120)
-    files = {
-        "trajectory.csv": csv_text(motion, comments=comments).encode(),
-        "excitation.json": json.dumps(content, indent=1, ensure_ascii=False).encode(),
-        "joint_trajectory.yaml": joint_trajectory_yaml(ros, names).encode(),
-        "excitation.png": figure.getvalue(),
-        "summary.txt": (excitation.summary() + "\n").encode(),
-    }
-    return write_folder(folder, files, force=force)
-
-
-def limit_comments(checked: Sequence[str], unchecked: Sequence[str]) -> tuple[str, ...]:
-    """Return the comments of ``trajectory.csv``: limits that were checked, and that were not."""
-    return tuple(
-        f"{state}: {name}"
-        for state, names in (("checked", checked), ("not checked", unchecked))
-        for name in names
-    )
-
-
-def csv_text(motion: MotionSamples, *, comments: Sequence[str] = ()) -> str:
-    """Return t, q1 … qn, dq1 … dqn, ddq1 … ddqn, one row per sample; 12 digits.
-
-    Comments precede the header, each in a line that begins with ``#``.
-    """
-    n = motion.q.shape[1]
-    names = [f"{kind}{j + 1}" for kind in ("q", "dq", "ddq") for j in range(n)]
-    table = np.column_stack([motion.t, motion.q, motion.dq, motion.ddq])
-    row = ",".join(["%.12g"] * table.shape[1]) + "\n"
-    return (
-        "".join(f"# {comment}\n" for comment in comments)
-        + ",".join(["t", *names])
-        + "\n"
-        + "".join(row % tuple(values) for values in table.tolist())
-    )
-
-
-def joint_trajectory_yaml(motion: MotionSamples, names: list[str]) -> str:
-    """Return a ``trajectory_msgs/msg/JointTrajectory`` as ``ros2 topic pub`` reads it."""
-    lines = ["joint_names: [" + ", ".join(json.dumps(name) for name in names) + "]", "points:"]
-    for k, t in enumerate(motion.t):
-        seconds = int(np.floor(t + 5e-10))
-        nanoseconds = max(0, round((t - seconds) * 1e9))
-        lines += [
-            f"- positions: {_numbers(motion.q[k])}",
-            f"  velocities: {_numbers(motion.dq[k])}",
-            f"  accelerations: {_numbers(motion.ddq[k])}",
-            f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}",
-        ]
-    return "\n".join(lines) + "\n"
-
-
-def _numbers(values: np.ndarray) -> str:
-    # "1e-05" is text in YAML 1.1; with a point it is a number
-    return "[" + ", ".join(f"{value:.9f}" for value in values.tolist()) + "]"
-
-
-SLOWER = 1.05  # on the shortest duration that the joint limits permit
-DURATIONS = (1.0, 1.5, 2.5, 4.0)  # that are tried, in parts of the shortest
-GRID = 400  # samples of the verification
-
-
-def approach_motion(
-    rest: Array,
-    start: Array,
-    limits: MotionRange,
-    sets: Sequence[ConstraintSet],
-    *,
-    step: float = 1e-3,
-) -> RestToRest:
-    """Return a motion from the rest pose to the start of the trajectory, within all limits.
-
-    Parameters
-    ----------
-    rest, start : (n,)
-        Poses, rad.
-    limits : MotionRange
-    sets : sequence of ConstraintSet
-        Verified at 400 samples.
-    step : float
-        The duration is a multiple of it, s, so that the last sample is at rest.
-
-    Raises
-    ------
-    NoSolution
-        Names the limit that the straight joint-space motion violates at every speed.
-    """
-    distance = np.abs(start - rest)
-    if not distance.max() > 1e-9:
-        return RestToRest(rest, start, 0.0)
-    shortest = SLOWER * max(
-        float(np.max(PEAK_VELOCITY * distance / limits.velocity)),
-        float(np.max(np.sqrt(PEAK_ACCELERATION * distance / limits.acceleration))),
-    )
-    violated = ""
-    for factor in DURATIONS:
-        path = RestToRest(rest, start, float(np.ceil(factor * shortest / step)) * step)
-        violated = _violated_limit(path, sets)
-        if not violated:
-            return path
-    raise NoSolution(
-        f"the motion from the rest pose to the start of the trajectory violates a limit: "
-        f"{violated}; choose another start pose (--start-pose), or leave out --free-start"
-    )
-
-
-def _violated_limit(path: RestToRest, sets: Sequence[ConstraintSet]) -> str:
-    motion = path.at(np.linspace(0.0, path.duration, GRID))
-    for limits in sets:
-        excess = limits.excess(limits.values(motion))
-        k, sample = np.unravel_index(int(np.argmax(excess)), excess.shape)
-        if excess[k, sample] > 0.0:
-            return (
-                f"{limits.labels[k]} by {excess[k, sample]:.3g} {limits.units[k]} "
-                f"at {motion.t[sample]:.3g} s"
-            )
-    return ""

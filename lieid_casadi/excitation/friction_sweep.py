@@ -1,7 +1,11 @@
-"""Parts of a friction sweep: runs at constant speed, and the path that they compose."""
+"""Constant-speed runs of one joint, forward and backward over the same positions (6.4.2).
+
+Half the difference of the torques of both directions at a position is the friction (Eq. 15).
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,103 +16,22 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.checks import MARGIN, checked_limits, default_limits, unchecked_limits
-from lieid_casadi.excitation.design import RANGE_USED, find_start_pose
+from lieid_casadi.excitation.checks import MARGIN, default_limits, verify
+from lieid_casadi.excitation.design import RANGE_USED, check_at_rest, find_start_pose
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
     Limit,
     MotionRange,
     check_start_pose,
     motion_range,
+    on_arm,
     sets_of,
 )
 from lieid_casadi.excitation.sample_functions import IdentifiedModel, model_and_fit
-from lieid_casadi.excitation.trajectory import (
-    PEAK_ACCELERATION,
-    PEAK_VELOCITY,
-    MotionSamples,
-    RestToRest,
-)
+from lieid_casadi.excitation.trajectory import MotionSamples, csv_text
 from lieid_casadi.model import Model
+from lieid_casadi.output_folder import write_folder
 from lieid_casadi.robot import Robot
-
-
-@dataclass(frozen=True)
-class ConstantSpeedRun:
-    """From rest to rest: a smooth ramp up to ``speed``, a steady part, a ramp down (s)."""
-
-    speed: float
-    ramp: float
-    steady: float
-
-    @property
-    def travel(self) -> float:
-        """Distance of the run, rad."""
-        return self.speed * (self.steady + self.ramp)
-
-    @property
-    def duration(self) -> float:
-        """Time from rest to rest, s."""
-        return 2.0 * self.ramp + self.steady
-
-    def at(self, t: Array) -> Array:
-        """Return distance, speed and acceleration (3, N) since the start of the run."""
-        up = np.clip(t / self.ramp, 0.0, 1.0)
-        down = np.clip((t - self.ramp - self.steady) / self.ramp, 0.0, 1.0)
-        distance = self.ramp * (_smooth_step_integral(up) + down - _smooth_step_integral(down))
-        distance = distance + np.clip(t - self.ramp, 0.0, self.steady)
-        slope = (_smooth_step_slope(up) - _smooth_step_slope(down)) / self.ramp
-        return np.asarray(
-            self.speed * np.stack([distance, _smooth_step(up) - _smooth_step(down), slope])
-        )
-
-
-def _smooth_step(u: Array) -> Array:
-    return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
-
-
-def _smooth_step_integral(u: Array) -> Array:
-    return np.asarray(u**4 * (2.5 - 3.0 * u + u**2))
-
-
-def _smooth_step_slope(u: Array) -> Array:
-    return np.asarray(30.0 * u**2 * (1.0 - u) ** 2)
-
-
-@dataclass
-class MotionPath:
-    """Position, speed and acceleration of one joint, composed part by part."""
-
-    rate: float
-    time: float = 0.0
-    position: float = 0.0
-
-    def __post_init__(self) -> None:
-        self.times = [np.zeros(1)]
-        self.distances = [np.zeros((3, 1))]
-
-    def add(self, duration: float, distance: Callable[[Array], Array], sign: float = 1.0) -> None:
-        """Append a part that moves by ``sign * distance(t)`` from the end of the path.
-
-        Parameters
-        ----------
-        duration : float
-            s.
-        distance : callable
-            Times (K,) since the start of the part, s → distance and its first two time
-            derivatives, rad, rad/s and rad/s².
-        sign : float
-            Direction, 1 or −1.
-        """
-        count = max(2, round(duration * self.rate))
-        local = duration * np.arange(1, count + 1) / count
-        part = sign * distance(local)
-        part[0] += self.position
-        self.times.append(self.time + local)
-        self.distances.append(part)
-        self.time += duration
-        self.position = float(part[0, -1])
-
 
 SPEEDS = np.deg2rad(
     [
@@ -117,7 +40,7 @@ SPEEDS = np.deg2rad(
     ]
 )  # fmt: skip
 DWELL = 0.5  # s at rest between runs
-STEEPEST = 1.875  # of the quintic step from 0 to 1 in 1 s
+STEEPEST, SHARPEST = 1.875, 5.7736  # first and second derivative of the quintic step at most
 RAMP_MARGIN = 1.1  # on the shortest ramp that the acceleration limit permits
 SHORTEST_RAMP = 0.2  # s
 REACHES = (1.0, 0.7, 0.5, 0.35, 0.25)  # parts of the longest motion for which a pose is searched
@@ -143,7 +66,7 @@ class FrictionSweep:
     left_out : tuple of float
         Speeds beyond the joint's limit, or for which its range is too short, rad/s.
     checked, unchecked : tuple of str
-        Limits that were checked, and limits that were not.
+        As of `Excitation`.
     """
 
     model: Model
@@ -168,32 +91,13 @@ class FrictionSweep:
 
     def files(self) -> dict[str, bytes]:
         """Return the content of ``friction_sweep_qJ.csv`` and ``.json`` by name."""
-        import json
-
-        from lieid_casadi.excitation.excite import csv_text, limit_comments
-
         name = f"friction_sweep_q{self.joint + 1}"
-        table = csv_text(self.motion, comments=limit_comments(self.checked, self.unchecked))
+        table = csv_text(self.motion, self.checked, self.unchecked)
         content = json.dumps({"schema": 1} | self.to_dict(), indent=1)
         return {f"{name}.csv": table.encode(), f"{name}.json": content.encode()}
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
-        """Write ``friction_sweep_qJ.csv`` and ``.json`` into a folder; return the files.
-
-        Parameters
-        ----------
-        folder : str or Path
-            Made if it does not exist; written as a whole or not at all.
-        force : bool
-            Replace what an earlier call wrote into it; other files are kept.
-
-        Raises
-        ------
-        OutputError
-            The folder has other content or cannot be written.
-        """
-        from lieid_casadi.output_folder import write_folder
-
+        """Write ``friction_sweep_qJ.csv`` and ``.json`` into a folder, as `Excitation.save`."""
         return write_folder(folder, self.files(), force=force)
 
 
@@ -250,14 +154,15 @@ def friction_sweep(
     joints = motion_range(robot, acceleration, margin=margin)
     if limits is None:
         limits = default_limits(robot, margin=margin)
-    made, left_out_pairs = sets_of(limits, robot, fit)
-    sets = (*made, joints.constraint_set())
+    made = on_arm(limits, robot, fit)
+    sets = (*sets_of(made), joints.constraint_set())
     reach = min(RANGE_USED * joints.units[joint, 0], 0.5 * seconds * float(np.max(np.abs(speeds))))
     if start_pose is None:
-        pose, reach = _found_pose(joints, sets, joint, reach)
+        pose, reach = _found_pose(robot, joints, sets, joint, reach)
     else:
         pose = np.asarray(start_pose, dtype=float)
         check_start_pose(robot, joints, pose)
+        check_at_rest(pose, sets)
     runs, left_out = _runs(joints, joint, pose[joint], np.sort(np.abs(speeds)), seconds, reach)
     if not runs:
         raise NoSolution(
@@ -265,37 +170,67 @@ def friction_sweep(
             "for every speed; choose a start pose nearer to the middle of the range"
         )
     motion, parts = _motion(pose, joint, runs, rate, float(joints.acceleration[joint]))
-    _verify(motion, sets)
+    verified = verify(robot, motion, joints, made, fit)
     return FrictionSweep(
-        model, joint, motion, tuple(parts), tuple(left_out),
-        checked_limits(joints, limits, fit),
-        unchecked_limits(robot, limits, left_out_pairs, fit),
-    )  # fmt: skip
+        model, joint, motion, parts, tuple(left_out), verified.checked, verified.unchecked
+    )
 
 
 def _found_pose(
-    limits: MotionRange, sets: Sequence[ConstraintSet], joint: int, reach: float
+    robot: Robot, limits: MotionRange, sets: Sequence[ConstraintSet], joint: int, reach: float
 ) -> tuple[Array, float]:
-    """Return a pose around which the joint can move, and how far it moves to either side, rad.
-
-    Raises
-    ------
-    NoSolution
-        There is none even for a quarter of ``reach``; names the limit.
-    """
+    """Return a pose around which the joint can move, and how far it moves to either side, rad."""
     for part in REACHES:
-        travel = np.zeros(len(limits.velocity))
+        travel = np.zeros(robot.n)
         travel[joint] = part * reach
         try:
-            return find_start_pose(limits, sets, travel=travel), part * reach
+            return find_start_pose(robot, limits, sets, travel=travel), part * reach
         except NoSolution as failure:
             reason = failure
     raise NoSolution(f"friction sweep of joint {joint + 1}: {reason}")
 
 
+@dataclass(frozen=True)
+class _Run:
+    """From rest to rest: a smooth ramp up to ``speed``, a steady part, a ramp down (s)."""
+
+    speed: float
+    ramp: float
+    steady: float
+
+    @property
+    def travel(self) -> float:
+        """Distance of the run, rad."""
+        return self.speed * (self.steady + self.ramp)
+
+    @property
+    def duration(self) -> float:
+        """Time from rest to rest, s."""
+        return 2.0 * self.ramp + self.steady
+
+    def at(self, t: Array) -> Array:
+        """Return distance, speed and acceleration (3, N) since the start of the run."""
+        up = np.clip(t / self.ramp, 0.0, 1.0)
+        down = np.clip((t - self.ramp - self.steady) / self.ramp, 0.0, 1.0)
+        # integral of the quintic step
+        covered = [u**4 * (2.5 - 3.0 * u + u**2) for u in (up, down)]
+        distance = self.ramp * (covered[0] + down - covered[1])
+        distance = distance + np.clip(t - self.ramp, 0.0, self.steady)
+        (first, slope), (last, fall) = _step(up)[:2], _step(down)[:2]
+        return np.asarray(
+            self.speed * np.stack([distance, first - last, (slope - fall) / self.ramp])
+        )
+
+
+def _step(u: Array) -> Array:
+    """Return the quintic step from 0 to 1 and its first two derivatives (3, N)."""
+    value = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    return np.stack([value, 30.0 * u**2 * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)])
+
+
 def _runs(
     limits: MotionRange, joint: int, centre: float, speeds: Array, seconds: float, reach: float
-) -> tuple[list[ConstantSpeedRun], list[float]]:
+) -> tuple[list[_Run], list[float]]:
     """Return the runs that fit the joint's range, and the speeds that are left out."""
     low, high = limits.position[joint]
     available = 2.0 * min(RANGE_USED * min(centre - low, high - centre), reach, np.pi)
@@ -306,34 +241,57 @@ def _runs(
         if speed > limits.velocity[joint] or steady < ramp:
             left_out.append(speed)
         else:
-            runs.append(ConstantSpeedRun(speed, ramp, steady))
+            runs.append(_Run(speed, ramp, steady))
     return runs, left_out
 
 
+@dataclass
+class _Path:
+    """Position, speed and acceleration of one joint, composed part by part."""
+
+    rate: float
+    time: float = 0.0
+    position: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.times = [np.zeros(1)]
+        self.distances = [np.zeros((3, 1))]
+
+    def add(self, duration: float, distance: Callable[[Array], Array], sign: float = 1.0) -> None:
+        """Append a part of so many seconds that moves by ``sign * distance(t)`` from the end.
+
+        The function returns the distance and its first two time derivatives (3, K) at times (K,)
+        since the start of the part.
+        """
+        count = max(2, round(duration * self.rate))
+        local = duration * np.arange(1, count + 1) / count
+        part = sign * distance(local)
+        part[0] += self.position
+        self.times.append(self.time + local)
+        self.distances.append(part)
+        self.time += duration
+        self.position = float(part[0, -1])
+
+
 def _motion(
-    pose: Array, joint: int, runs: Sequence[ConstantSpeedRun], rate: float, acceleration: float
-) -> tuple[MotionSamples, list[ConstantSpeed]]:
+    pose: Array, joint: int, runs: Sequence[_Run], rate: float, acceleration: float
+) -> tuple[MotionSamples, tuple[ConstantSpeed, ...]]:
     """Compose the runs: to the start, forward, backward, to the next start."""
-    path, parts = MotionPath(rate), []
+    path, parts = _Path(rate), []
     fastest = max(run.speed for run in runs)
 
     def rest() -> None:
         path.add(DWELL, lambda t: np.zeros((3, len(t))))
 
     def go(target: float) -> None:
-        distance = np.array([target - path.position])
-        slowest = max(
+        distance = target - path.position
+        seconds = max(
             1.0,
-            PEAK_VELOCITY * abs(distance[0]) / fastest,
-            float(np.sqrt(RAMP_MARGIN * PEAK_ACCELERATION * abs(distance[0]) / acceleration)),
+            STEEPEST * abs(distance) / fastest,
+            float(np.sqrt(RAMP_MARGIN * SHARPEST * abs(distance) / acceleration)),
         )
-        quintic = RestToRest(np.zeros(1), distance, slowest)
-
-        def moved(t: Array) -> Array:
-            motion = quintic.at(t)
-            return np.stack([motion.q[:, 0], motion.dq[:, 0], motion.ddq[:, 0]])
-
-        path.add(slowest, moved)
+        scale = distance / seconds ** np.arange(3)[:, None]
+        path.add(seconds, lambda t: scale * _step(t / seconds))
 
     for run in runs:
         go(-0.5 * run.travel)
@@ -348,15 +306,4 @@ def _motion(
     signals = np.zeros((3, len(time), len(pose)))
     signals[0] = pose
     signals[:, :, joint] += moved
-    return MotionSamples(time, *signals), parts
-
-
-def _verify(motion: MotionSamples, sets: Sequence[ConstraintSet]) -> None:
-    for limits in sets:
-        excess = limits.excess(limits.values(motion))
-        k, sample = np.unravel_index(int(np.argmax(excess)), excess.shape)
-        if excess[k, sample] > 1e-9:
-            raise NoSolution(
-                f"friction sweep: {limits.labels[k]} exceeds its limit by {excess[k, sample]:.3g} "
-                f"{limits.units[k]} at {motion.t[sample]:.3g} s; choose another start pose"
-            )
+    return MotionSamples(time, *signals), tuple(parts)

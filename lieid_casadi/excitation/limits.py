@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from operator import attrgetter
 from typing import Protocol
 
@@ -25,15 +24,20 @@ from lieid_casadi.dynamics.lie import (
     relative_poses,
 )
 from lieid_casadi.errors import ExcitationError
+from lieid_casadi.excitation.links import fixed_frames
 from lieid_casadi.excitation.sample_functions import (
     SIGN_WIDTH,
     FittedArm,
     SampleKernel,
     motion_jacobian,
 )
-from lieid_casadi.excitation.trajectory import MotionSamples, SampledBasis
+from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.expressions.model_functions import ramp
-from lieid_casadi.robot.robot import Robot
+from lieid_casadi.robot import Robot
+
+ACCELERATION = 3.0  # rad/s² (m/s²) where the robot states none
+LEAST_MOTION = 0.05  # rad; shorter durations are refused
+SMOOTHING = 1e-4  # m/s; √(v² + SMOOTHING²) has a gradient at rest
 
 
 class ConstraintSet(ABC):
@@ -41,8 +45,12 @@ class ConstraintSet(ABC):
 
     Attributes
     ----------
+    title : str
+        Of the limit, in the lists of what was checked.
     labels : tuple of str
         Name of each quantity in messages.
+    subjects : tuple of str
+        Link, pair or joint that each quantity belongs to; several may belong to one.
     units : tuple of str
     lower, upper : (k,)
         Infinite where there is no limit.
@@ -50,18 +58,23 @@ class ConstraintSet(ABC):
         Unit in which violations of different quantities are compared.
     remedy : str
         What to relax, for messages.
-    left_out : tuple of str
-        Quantities that are not checked.
+    always : tuple of str
+        Subjects that no motion brings beyond the limit.
+    left_out : mapping
+        Subject → why it is not checked.
     """
 
+    title: str = ""
     labels: tuple[str, ...]
+    subjects: tuple[str, ...] = ()
     units: tuple[str, ...]
     lower: Array
     upper: Array
     scale: Array
     remedy: str
     linear: bool = False
-    left_out: tuple[str, ...] = ()
+    always: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = {}
 
     @abstractmethod
     def values(self, motion: MotionSamples) -> Array:
@@ -76,197 +89,36 @@ class ConstraintSet(ABC):
         return np.maximum(values - self.upper[:, None], self.lower[:, None] - values)
 
 
-class UncheckedSet(ConstraintSet):
-    """A set of a limit none of whose quantities can be checked; without quantities."""
+class Limit(Protocol):
+    """A limit that a caller specifies; for a robot it becomes a constraint set."""
 
-    labels = units = ()
-    lower = upper = scale = np.zeros(0)
-    remedy = ""
+    def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
+        """Return the set for a robot; None if no motion of the robot can violate the limit.
 
-    def __init__(self, left_out: Sequence[str]) -> None:
-        self.left_out = tuple(left_out)
-
-    def values(self, motion: MotionSamples) -> Array:
-        """See `ConstraintSet`."""
-        return np.zeros((0, len(motion)))
-
-    def jacobian(self, motion: MotionSamples) -> Array:
-        """See `ConstraintSet`."""
-        return np.zeros((0, 3 * motion.q.shape[1], len(motion)))
-
-
-class JointLimits(ConstraintSet):
-    """Position, velocity and acceleration of each joint.
-
-    Parameters
-    ----------
-    position : (n, 2)
-        Lower and upper, rad.
-    velocity, acceleration : (n,)
-        rad/s, rad/s².
-    revolute : (n,), optional
-        Whether each joint is revolute; decides the units in messages.
-    """
-
-    linear = True
-    remedy = "a longer duration, fewer harmonics or wider joint limits"
-
-    def __init__(
-        self,
-        position: Array,
-        velocity: Array,
-        acceleration: Array,
-        *,
-        revolute: NDArray[np.bool_] | None = None,
-    ) -> None:
-        n = len(velocity)
-        turns = np.ones(n, dtype=bool) if revolute is None else revolute
-        self.lower = np.concatenate([position[:, 0], -velocity, -acceleration])
-        self.upper = np.concatenate([position[:, 1], velocity, acceleration])
-        half = 0.5 * (position[:, 1] - position[:, 0])
-        self.scale = np.concatenate(
-            [np.where(np.isfinite(half), half, np.pi), velocity, acceleration]
-        )
-        kinds = ("position", "velocity", "acceleration")
-        self.labels = tuple(f"{kind} of joint {j + 1}" for kind in kinds for j in range(n))
-        self.units = tuple(
-            ("rad" if turn else "m") + suffix for suffix in ("", "/s", "/s²") for turn in turns
-        )
-        self._n = n
-
-    def values(self, motion: MotionSamples) -> Array:
-        """See `ConstraintSet`."""
-        return np.concatenate([motion.q.T, motion.dq.T, motion.ddq.T])
-
-    def jacobian(self, motion: MotionSamples) -> Array:
-        """See `ConstraintSet`."""
-        identity = np.eye(3 * self._n)[:, :, None]
-        return np.broadcast_to(identity, (3 * self._n, 3 * self._n, len(motion)))
+        A fit has the identified parameters, for limits that depend on the torque. An
+        `ExcitationError` says what the robot lacks.
+        """
 
 
 @dataclass(frozen=True, eq=False)
-class ConstraintRows:
-    """Selected limits at selected samples: set, quantity, sample, side (+1 upper, −1 lower)."""
+class LimitOnArm:
+    """A limit, and the set that it is for a robot; None if no motion can violate it."""
 
-    sets: NDArray[np.intp]
-    quantities: NDArray[np.intp]
-    samples: NDArray[np.intp]
-    sides: NDArray[np.intp]
-
-    def __len__(self) -> int:
-        return len(self.sets)
-
-    @cached_property
-    def keys(self) -> set[tuple[int, int, int, int]]:
-        """The rows as tuples."""
-        columns = (self.sets, self.quantities, self.samples, self.sides)
-        return set(zip(*(column.tolist() for column in columns), strict=True))
-
-    def without(self, other: ConstraintRows) -> ConstraintRows:
-        """Return the rows that are not among the other's."""
-        keys = zip(*(column.tolist() for column in self.columns), strict=True)
-        return self.chosen(np.array([key not in other.keys for key in keys], dtype=bool))
-
-    def joined(self, other: ConstraintRows) -> ConstraintRows:
-        """Return these rows and the other's that are not among them."""
-        new = other.without(self)
-        pairs = zip(self.columns, new.columns, strict=True)
-        return ConstraintRows(*(np.concatenate(pair) for pair in pairs))
-
-    @property
-    def columns(self) -> tuple[NDArray[np.intp], ...]:
-        """The four arrays."""
-        return self.sets, self.quantities, self.samples, self.sides
-
-    def chosen(self, mask: NDArray[np.bool_]) -> ConstraintRows:
-        """Return some of the rows."""
-        return ConstraintRows(*(column[mask] for column in self.columns))
+    limit: Limit
+    set: ConstraintSet | None
 
 
-class SampledConstraints:
-    """Constraint sets on a grid of times, as scaled excesses of the free variables z.
-
-    The excess is the distance beyond a limit in parts of its scale, plus ``margin``: a motion with
-    nonpositive excess keeps the margin from every limit.
-
-    Parameters
-    ----------
-    sets : tuple of ConstraintSet
-    sampled : SampledBasis
-        Grid of times.
-    margin : float
-    """
-
-    def __init__(
-        self, sets: tuple[ConstraintSet, ...], sampled: SampledBasis, *, margin: float
-    ) -> None:
-        self.sets = sets
-        self.sampled = sampled
-        self.margin = margin
-
-    def excess(self, motion: MotionSamples) -> list[tuple[Array, Array]]:
-        """Return per set the scaled excesses (k, N) above the upper and below the lower limits."""
-        result = []
-        for limits in self.sets:
-            values, scale = limits.values(motion), limits.scale[:, None]
-            result.append(
-                (
-                    (values - limits.upper[:, None]) / scale + self.margin,
-                    (limits.lower[:, None] - values) / scale + self.margin,
-                )
-            )
-        return result
-
-    def largest(self, excess: list[tuple[Array, Array]]) -> float:
-        """Return the largest scaled excess."""
-        return max(float(side.max()) for pair in excess for side in pair)
-
-    def peaks(self, excess: list[tuple[Array, Array]], threshold: float) -> ConstraintRows:
-        """Return the local maxima over time of excesses above a threshold."""
-        found: list[tuple[NDArray[np.intp], ...]] = []
-        for index, pair in enumerate(excess):
-            for side, values in zip((1, -1), pair, strict=True):
-                before, after = np.roll(values, 1, axis=1), np.roll(values, -1, axis=1)
-                quantity, sample = np.nonzero(
-                    (values > threshold) & (values >= before) & (values > after)
-                )
-                found.append(
-                    (np.full_like(quantity, index), quantity, sample, np.full_like(quantity, side))
-                )
-        return ConstraintRows(*(np.concatenate(column) for column in zip(*found, strict=True)))
-
-    def at(self, excess: list[tuple[Array, Array]], rows: ConstraintRows) -> Array:
-        """Return the excesses of rows (R,)."""
-        result = np.empty(len(rows))
-        for index, (upper, lower) in enumerate(excess):
-            own = rows.sets == index
-            where = rows.quantities[own], rows.samples[own]
-            result[own] = np.where(rows.sides[own] > 0, upper[where], lower[where])
-        return result
-
-    def jacobian(self, motion: MotionSamples, rows: ConstraintRows) -> Array:
-        """Return ∂excess/∂z (R, n d) of rows."""
-        functions = self.sampled.functions  # (n, 4, N, d)
-        n, _, _, d = functions.shape
-        result = np.zeros((len(rows), n, d))
-        for index, limits in enumerate(self.sets):
-            own = np.flatnonzero(rows.sets == index)
-            if not len(own):
-                continue
-            samples, place = np.unique(rows.samples[own], return_inverse=True)
-            slopes = limits.jacobian(motion.at(samples))
-            kinds = slopes.shape[1] // n  # of derivatives of the position, itself included
-            slopes = slopes[rows.quantities[own], :, place]  # (R, kinds n)
-            factor = rows.sides[own] / limits.scale[rows.quantities[own]]
-            slopes = (slopes * factor[:, None]).reshape(-1, kinds, n)
-            result[own] = np.einsum(
-                "rkj,jkrd->rjd", slopes, functions[:, :kinds, rows.samples[own], :], optimize=True
-            )
-        return result.reshape(len(rows), n * d)
+def on_arm(limits: Sequence[Limit], robot: Robot, fit: FittedArm | None) -> tuple[LimitOnArm, ...]:
+    """Return limits with their sets for a robot, or for a fit."""
+    for limit in limits:
+        if not hasattr(limit, "on"):
+            raise ExcitationError(f"limits: {limit!r:.60}; expected limits, such as Torque()")
+    return tuple(LimitOnArm(limit, limit.on(robot, fit)) for limit in limits)
 
 
-ACCELERATION = 3.0  # rad/s² (m/s²) where the robot states none
-LEAST_MOTION = 0.05  # rad; shorter durations are refused
+def sets_of(limits: Sequence[LimitOnArm]) -> tuple[ConstraintSet, ...]:
+    """Return the sets that restrict a motion."""
+    return tuple(x.set for x in limits if x.set is not None and len(x.set.labels))
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,8 +140,12 @@ class MotionRange:
 
     @property
     def middle(self) -> Array:
-        """Middle of the joint ranges (n,), zero without end stops."""
-        return np.asarray(np.where(self._stops, self.position, 0.0).mean(axis=1))
+        """Middle of the joint ranges (n,), or the angle nearest to 0 where a stop is missing."""
+        inside = np.clip(0.0, self.position[:, 0], self.position[:, 1])
+        inside = np.where(np.isfinite(self.position[:, 0]), inside + 1e-2, inside - 1e-2)
+        free = np.isinf(self.position).all(axis=1)
+        middle = np.where(self._stops, self.position, 0.0).mean(axis=1)
+        return np.asarray(np.where(self._stops[:, 0] | free, middle, inside))
 
     @property
     def units(self) -> Array:
@@ -299,26 +155,50 @@ class MotionRange:
 
     def constraint_set(self) -> JointLimits:
         """Return the limits as a constraint set."""
-        return JointLimits(self.position, self.velocity, self.acceleration, revolute=self.revolute)
+        return JointLimits(self)
+
+
+class JointLimits(ConstraintSet):
+    """Position, velocity and acceleration of each joint."""
+
+    linear = True
+    remedy = "a longer duration, fewer harmonics or wider joint limits"
+
+    def __init__(self, joints: MotionRange) -> None:
+        velocity, acceleration, n = joints.velocity, joints.acceleration, len(joints.velocity)
+        self.lower = np.concatenate([joints.position[:, 0], -velocity, -acceleration])
+        self.upper = np.concatenate([joints.position[:, 1], velocity, acceleration])
+        half = 0.5 * np.diff(joints.position, axis=1)[:, 0]
+        self.scale = np.concatenate(
+            [np.where(np.isfinite(half), half, np.pi), velocity, acceleration]
+        )
+        kinds = ("position", "velocity", "acceleration")
+        self.labels = tuple(f"{kind} of joint {j + 1}" for kind in kinds for j in range(n))
+        self.units = tuple(
+            ("rad" if turn else "m") + suffix
+            for suffix in ("", "/s", "/s²")
+            for turn in joints.revolute
+        )
+        self._n = n
+
+    def values(self, motion: MotionSamples) -> Array:
+        """See `ConstraintSet`."""
+        return np.concatenate([motion.q.T, motion.dq.T, motion.ddq.T])
+
+    def jacobian(self, motion: MotionSamples) -> Array:
+        """See `ConstraintSet`."""
+        identity = np.eye(3 * self._n)[:, :, None]
+        return np.broadcast_to(identity, (3 * self._n, 3 * self._n, len(motion)))
 
 
 def motion_range(
     robot: Robot, acceleration: ArrayLike | None = None, *, margin: float = 1.0
 ) -> MotionRange:
-    """Return the limits of a robot.
+    """Return the limits of a robot, with ``margin`` of its velocity limits.
 
-    Parameters
-    ----------
-    robot : Robot
-    acceleration : float or (n,), optional
-        In place of the robot's own, rad/s². Default: 3 rad/s² (m/s²) where it states none.
-    margin : float
-        Part of the velocity limits that is used.
-
-    Raises
-    ------
-    ExcitationError
-        No velocity limit, an empty position range, or an acceleration that is not positive.
+    An acceleration, one number or (n,) in rad/s², replaces the robot's own; where neither is
+    stated it is 3. An `ExcitationError` names a joint without a velocity limit, or with an empty
+    range.
     """
     position = np.stack([robot.limit("position_lower"), robot.limit("position_upper")], axis=1)
     position = np.where(np.isnan(position), [-np.inf, np.inf], position)
@@ -342,19 +222,7 @@ def motion_range(
 
 
 def check_start_pose(robot: Robot, limits: MotionRange, pose: Array) -> None:
-    """Refuse a start pose outside the position limits.
-
-    Parameters
-    ----------
-    robot : Robot
-    limits : MotionRange
-    pose : (n,)
-        rad.
-
-    Raises
-    ------
-    ExcitationError
-    """
+    """Refuse a start pose (n,) outside the position limits."""
     if pose.shape != (robot.n,) or not np.all(np.isfinite(pose)):
         raise ExcitationError(f"start pose: {pose.size} numbers; expected {robot.n}, one per joint")
     for j, (low, high) in enumerate(limits.position):
@@ -366,20 +234,7 @@ def check_start_pose(robot: Robot, limits: MotionRange, pose: Array) -> None:
 
 
 def check_duration(robot: Robot, limits: MotionRange, duration: float) -> None:
-    """Refuse a duration in which the limits allow less than 0.05 rad of motion.
-
-    Parameters
-    ----------
-    robot : Robot
-    limits : MotionRange
-    duration : float
-        Of one period, s.
-
-    Raises
-    ------
-    ExcitationError
-        Names the limit and a sufficient duration.
-    """
+    """Refuse a period (s) in which the limits allow less than 0.05 rad of motion."""
     rate = 2.0 * np.pi / duration
     for name, limit, power in (
         ("velocity", limits.velocity, 1),
@@ -414,102 +269,58 @@ def _joint(robot: Robot, j: int) -> str:
     return f"joint {j + 1} ({robot.joints[j].name})"
 
 
-SMOOTHING = 1e-4  # m/s; √(v² + SMOOTHING²) has a gradient at rest
-
-
-class Limit(Protocol):
-    """A limit that a caller specifies; for a robot it becomes a constraint set."""
-
-    def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
-        """Return the set for a robot; None if no motion of the robot can violate the limit.
-
-        Parameters
-        ----------
-        robot : Robot
-        fit : FittedArm, optional
-            Identified parameters, for limits that depend on the torque.
-
-        Raises
-        ------
-        ExcitationError
-            The robot lacks what the limit needs.
-        """
-
-
-def sets_of(
-    limits: Sequence[Limit], robot: Robot, fit: FittedArm | None
-) -> tuple[tuple[ConstraintSet, ...], tuple[str, ...]]:
-    """Return the constraint sets of limits, and the quantities that they leave out.
-
-    Parameters
-    ----------
-    limits : sequence of Limit
-    robot : Robot
-    fit : FittedArm or None
-
-    Raises
-    ------
-    ExcitationError
-        One of them is not a limit.
-    """
-    for limit in limits:
-        if not hasattr(limit, "on"):
-            raise ExcitationError(f"limits: {limit!r:.60}; expected limits, such as Torque()")
-    made = [s for s in (limit.on(robot, fit) for limit in limits) if s is not None]
-    left_out = dict.fromkeys(label for s in made for label in s.left_out)
-    return tuple(s for s in made if s.labels), tuple(left_out)
-
-
 class SymbolicSet(ConstraintSet):
-    """Quantities given as CasADi expressions, with exact Jacobians.
+    """Quantities (k,) given as CasADi expressions of a motion's symbols.
 
-    Parameters
-    ----------
-    name : str
-        Of the functions; letters, digits and underscores.
-    symbols : Motion
-        Of the motion.
-    quantities : SX (k,)
-    jacobian : SX (k, 3 n), optional
-        ∂quantities/∂(q, dq, ddq). Default: by differentiation.
-    labels, units, lower, upper, scale, remedy, left_out
-        See `ConstraintSet`.
+    Jacobians (k, 3 n) are by differentiation where none are given. With a jerk's symbol the
+    quantities may depend on it, too. ``facts`` are attributes of `ConstraintSet`.
     """
 
     def __init__(
         self,
         name: str,
-        symbols: Motion,
+        motion: Motion,
         quantities: ca.SX,
         jacobian: ca.SX | None = None,
         *,
-        labels: Sequence[str],
-        units: Sequence[str],
-        lower: Array,
-        upper: Array,
-        scale: Array,
-        remedy: str,
-        left_out: Sequence[str] = (),
+        jerk: ca.SX | None = None,
+        **facts: object,
     ) -> None:
-        slopes = motion_jacobian(quantities, symbols) if jacobian is None else jacobian
-        self._values = SampleKernel(name, symbols, ca.densify(quantities))
-        self._slopes = SampleKernel(f"{name}_jacobian", symbols, slopes)
-        self.labels, self.units = tuple(labels), tuple(units)
-        self.lower, self.upper, self.scale = lower, upper, scale
-        self.remedy, self.left_out = remedy, tuple(left_out)
+        slopes = motion_jacobian(quantities, motion) if jacobian is None else jacobian
+        further = {}
+        if jerk is not None and ca.depends_on(quantities, jerk):
+            further = {"dddq": jerk}
+            slopes = ca.horzcat(slopes, ca.jacobian(quantities, jerk))
+        self._needs_jerk = bool(further)
+        vars(self).update(facts)
+        if not quantities.numel():
+            return
+        name = "".join(c if c.isalnum() and c.isascii() else "_" for c in name)
+        self._values = SampleKernel(name, motion, ca.densify(quantities), further)
+        self._slopes = SampleKernel(f"{name}_jacobian", motion, slopes, further)
 
     def values(self, motion: MotionSamples) -> Array:
         """See `ConstraintSet`."""
-        return self._values.dense(motion)[:, 0]  # identically zero quantities included
+        # identically zero quantities included
+        return self._values.dense(motion, **self._inputs(motion))[:, 0]
 
     def jacobian(self, motion: MotionSamples) -> Array:
         """See `ConstraintSet`."""
-        return self._slopes.dense(motion)
+        return self._slopes.dense(motion, **self._inputs(motion))
+
+    def _inputs(self, motion: MotionSamples) -> dict[str, Array]:
+        if not self._needs_jerk:
+            return {}
+        if motion.dddq is None:
+            raise ExcitationError(
+                f"{self.labels[0]}: the jerk of this motion is not computed; leave the limit out"
+            )
+        return {"dddq": motion.dddq}
 
 
 @dataclass(frozen=True)
 class CartesianSpeed:
-    """Speed of the tool and of every joint's centre within a limit.
+    """Speed of the tool, of every joint's centre and of the URDF's further frames within a limit.
 
     Parameters
     ----------
@@ -521,45 +332,54 @@ class CartesianSpeed:
 
     def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
         """See `Limit`."""
-        _positive("Cartesian speed", self.limit)
-        symbols = Motion.symbols(robot.n)
-        twists = link_twists(robot, symbols)
-        points = [(f"centre of joint {i + 1}", v, np.zeros(3)) for i, v in enumerate(twists)]
-        points.append(("tool", twists[-1], robot.tool[:3, 3]))
-        labels, speeds = [], []
-        for label, twist, point in points:
+        if not self.limit > 0.0:
+            raise ExcitationError(f"Cartesian speed: {self.limit:g}; expected a positive number")
+        motion = Motion.symbols(robot.n)
+        twists = link_twists(robot, motion)
+        labels, speeds, always = [], [], []
+        for subject, link, point in speed_points(robot):
+            twist = twists[link - 1]
             squared = ca.sumsqr(twist[3:] + cross(twist[:3], constant(point)))
-            if ca.depends_on(squared, symbols.dq):
-                labels.append(f"speed of the {label}")
+            if ca.depends_on(squared, motion.dq):
+                labels.append(subject)
                 speeds.append(ca.sqrt(squared + SMOOTHING**2))
+            else:
+                always.append(subject)
         return SymbolicSet(
-            "speed", symbols, ca.vertcat(*speeds), labels=labels, units=["m/s"] * len(labels),
-            lower=np.full(len(labels), -np.inf), upper=np.full(len(labels), self.limit),
-            scale=np.full(len(labels), self.limit),
-            remedy="a longer duration or a higher Cartesian speed",
+            "speed", motion, ca.vertcat(*speeds), title=f"speed up to {self.limit:g} m/s",
+            labels=tuple(f"speed of the {subject}" for subject in labels), subjects=tuple(labels),
+            units=("m/s",) * len(labels), lower=np.full(len(labels), -np.inf),
+            upper=np.full(len(labels), self.limit), scale=np.full(len(labels), self.limit),
+            remedy="a longer duration or a higher Cartesian speed", always=tuple(always),
         )  # fmt: skip
 
 
-def link_twists(robot: Robot, symbols: Motion) -> list[ca.SX]:
+def speed_points(robot: Robot) -> list[tuple[str, int, Array]]:
+    """Return name, link (from 1) and position (3,) of the points whose speed is limited."""
+    points = [(f"centre of joint {i}", i, np.zeros(3)) for i in range(1, robot.n + 1)]
+    points.append(("tool", robot.n, robot.tool[:3, 3]))
+    for name, link, point in fixed_frames(robot):
+        known = [place for _, other, place in points if other == link]
+        if all(np.linalg.norm(point - place) > 1e-6 for place in known):
+            points.append((f"frame {name}", link, point))
+    return points
+
+
+def link_twists(robot: Robot, motion: Motion) -> list[ca.SX]:
     """Return the twist [ω; v] (6,) of every link, in its own frame (Eq. 2)."""
     twist, twists = ca.SX(6, 1), []
-    for i, (g, xi) in enumerate(zip(relative_poses(robot, symbols), axes(robot), strict=True)):
-        twist = inverse_adjoint_times(g, twist) + xi * symbols.dq[i]
+    for i, (g, xi) in enumerate(zip(relative_poses(robot, motion), axes(robot), strict=True)):
+        twist = inverse_adjoint_times(g, twist) + xi * motion.dq[i]
         twists.append(twist)
     return twists
 
 
-def link_poses(robot: Robot, symbols: Motion) -> list[Pose]:
+def link_poses(robot: Robot, motion: Motion) -> list[Pose]:
     """Return the frames of the base and of every link, in the base frame."""
     poses = [Pose(ca.SX(ca.DM.eye(3)), ca.SX(3, 1))]
-    for g in relative_poses(robot, symbols):
+    for g in relative_poses(robot, motion):
         poses.append(poses[-1] @ g)
     return poses
-
-
-def _positive(name: str, value: float) -> None:
-    if not value > 0.0:
-        raise ExcitationError(f"{name}: {value:g}; expected a positive number")
 
 
 @dataclass(frozen=True)
@@ -617,7 +437,38 @@ class ExpressionLimit:
 
     def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
         """See `Limit`."""
-        return ExpressionSet(self, robot, fit)
+        motion, jerk = Motion.symbols(robot.n), ca.SX.sym("dddq", robot.n)
+        values = ca.SX(self.expression(_symbols(robot, fit, motion, jerk)))
+        if values.size2() != 1 or values.size1() == 0:
+            raise ExcitationError(
+                f"limit {self.name!r}: shape {values.shape}; expected a column of expressions"
+            )
+        count = values.size1()
+        try:
+            lower, upper = (
+                np.broadcast_to(np.asarray(bound, dtype=float), count).copy()
+                for bound in (self.lower, self.upper)
+            )
+        except ValueError:
+            raise ExcitationError(
+                f"limit {self.name!r}: expected one bound, or {count}, one per expression"
+            ) from None
+        if not np.all(lower < upper):
+            raise ExcitationError(f"limit {self.name!r}: a lower bound is not below the upper one")
+        sizes = [np.abs(np.where(np.isfinite(bound), bound, 0.0)) for bound in (lower, upper)]
+        largest = np.maximum(*sizes)
+        bounds = " and ".join(
+            f"{word} {numbers(bound)}"
+            for word, bound in (("at least", lower), ("at most", upper))
+            if np.isfinite(bound).all()
+        )
+        names = [self.name] if count == 1 else [f"{self.name} {k + 1}" for k in range(count)]
+        return SymbolicSet(
+            f"limit_{self.name}", motion, values, jerk=jerk,
+            title=f"{self.name} of {bounds} {self.unit}".rstrip(), labels=tuple(names),
+            units=(self.unit,) * count, lower=lower, upper=upper,
+            scale=np.where(largest > 0.0, largest, 1.0), remedy="its bounds, or a longer duration",
+        )  # fmt: skip
 
 
 def jerk_limit(limit: ArrayLike) -> ExpressionLimit:
@@ -639,81 +490,6 @@ def jerk_limit(limit: ArrayLike) -> ExpressionLimit:
     return ExpressionLimit("jerk", attrgetter("dddq"), lower=-bound, upper=bound, unit="rad/s³")
 
 
-class ExpressionSet(ConstraintSet):
-    """The constraint set of an `ExpressionLimit`.
-
-    Parameters
-    ----------
-    limit : ExpressionLimit
-    robot : Robot
-    fit : FittedArm or None
-
-    Raises
-    ------
-    ExcitationError
-        The expression is not a column of symbols, or the bounds do not fit it.
-    """
-
-    remedy = "its bounds, or a longer duration"
-
-    def __init__(self, limit: ExpressionLimit, robot: Robot, fit: FittedArm | None) -> None:
-        motion = Motion.symbols(robot.n)
-        jerk = ca.SX.sym("dddq", robot.n)
-        values = ca.SX(limit.expression(_symbols(robot, fit, motion, jerk)))
-        if values.size2() != 1 or values.size1() == 0:
-            raise ExcitationError(
-                f"limit {limit.name!r}: shape {values.shape}; expected a column of expressions"
-            )
-        count = values.size1()
-        try:
-            self.lower, self.upper = (
-                np.broadcast_to(np.asarray(bound, dtype=float), count).copy()
-                for bound in (limit.lower, limit.upper)
-            )
-        except ValueError:
-            raise ExcitationError(
-                f"limit {limit.name!r}: expected one bound, or {count}, one per expression"
-            ) from None
-        if not np.all(self.lower < self.upper):
-            raise ExcitationError(f"limit {limit.name!r}: a lower bound is not below the upper one")
-        self._needs_jerk = bool(ca.depends_on(values, jerk))
-        further = {"dddq": jerk} if self._needs_jerk else {}
-        slopes = motion_jacobian(values, motion)
-        if self._needs_jerk:
-            slopes = ca.horzcat(slopes, ca.jacobian(values, jerk))
-        name = "limit_" + "".join(c if c.isalnum() and c.isascii() else "_" for c in limit.name)
-        self._values = SampleKernel(name, motion, ca.densify(values), further)
-        self._slopes = SampleKernel(f"{name}_jacobian", motion, slopes, further)
-        numbers = [""] if count == 1 else [f" {k + 1}" for k in range(count)]
-        self.labels = tuple(f"{limit.name}{number}" for number in numbers)
-        self.units = (limit.unit,) * count
-        self.scale = _scale(self.lower, self.upper)
-
-    def values(self, motion: MotionSamples) -> Array:
-        """See `ConstraintSet`."""
-        return self._values.dense(motion, **self._inputs(motion))[:, 0]
-
-    def jacobian(self, motion: MotionSamples) -> Array:
-        """See `ConstraintSet`."""
-        return self._slopes.dense(motion, **self._inputs(motion))
-
-    def _inputs(self, motion: MotionSamples) -> dict[str, Array]:
-        if not self._needs_jerk:
-            return {}
-        if motion.dddq is None:
-            raise ExcitationError(
-                f"{self.labels[0]}: the jerk of this motion is not computed; leave the limit out"
-            )
-        return {"dddq": motion.dddq}
-
-
-def _scale(lower: Array, upper: Array) -> Array:
-    """Return the sizes (k,) by which violations are compared: those of the bounds."""
-    sizes = [np.abs(np.where(np.isfinite(bound), bound, 0.0)) for bound in (lower, upper)]
-    largest = np.maximum(*sizes)
-    return np.where(largest > 0.0, largest, 1.0)
-
-
 def _symbols(robot: Robot, fit: FittedArm | None, motion: Motion, jerk: ca.SX) -> Symbols:
     if fit is None:
         links = ca.SX(ca.DM(robot.link_parameters))
@@ -723,3 +499,8 @@ def _symbols(robot: Robot, fit: FittedArm | None, motion: Motion, jerk: ca.SX) -
         torque = fit.torque_columns(motion, sign, sign[0], ca.SX(0.0))[:, 0]
     tool = recursion.tool_in_base(robot, motion).translation
     return Symbols(motion.q, motion.dq, motion.ddq, jerk, ca.densify(torque), ca.densify(tool))
+
+
+def numbers(values: Array) -> str:
+    """Return numbers separated by commas; one number if all are equal."""
+    return ", ".join(f"{v:.3g}" for v in (values[:1] if np.ptp(values) == 0.0 else values))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import logging
 import os
+from copy import deepcopy
 from dataclasses import dataclass
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,14 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot import Robot
+from lieid_casadi.robot.urdf import captured
 from lieid_casadi.robot.yaml_text import FARTHEST, Field
 
-logger = logging.getLogger("lieid_casadi")
 SKELETON_RADIUS = 0.06  # of the arm's length, where there is no geometry
 SPLIT_VOLUME = 0.7  # of one capsule's volume: several capsules must be smaller in sum
+RIM_POINTS = 24  # on the rim of a cylinder, outside of it, so that their hull contains it
+BUNDLED = {"panda.yaml": ("panda", "panda_luo2024")}  # capsules → robots with these link frames
+WIDE = {"lower": "-1e6", "upper": "1e6", "effort": "1e6", "velocity": "1e6"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,16 +37,55 @@ class Capsule:
         0 for the base, i for the link that joint i (from 1) moves.
     start, end : (3,)
         In the link's frame, m.
+    radius : float
+        m.
+    source : str
+        ``given``, ``shape`` for one that contains a URDF's collision geometry, or ``line`` for one
+        along the line between two joints, where the shape of the link is unknown.
     """
 
     link: int
     start: Array
     end: Array
     radius: float
+    source: Literal["given", "shape", "line"] = "given"
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A shape of a link: of the library coal, placed in the link's frame.
+
+    It is in the hull of balls of ``radius`` around ``points`` (k, 3), m; meshes have ``faces``.
+    """
+
+    link: int
+    geometry: Any
+    rotation: Array
+    origin: Array
+    points: Array
+    radius: float
+    faces: NDArray[np.int64] | None = None
+
+
+def capsules_of(robot: Robot) -> tuple[Capsule, ...]:
+    """Return the links as capsules.
+
+    A URDF's collision geometry is enclosed by capsules where its meshes are found (``package://``
+    in ``ROS_PACKAGE_PATH`` or ``AMENT_PREFIX_PATH``). The Panda has bundled ones. Every other
+    link is a capsule along the line between its joints; designs list its shape as unchecked.
+    """
+    shapes, _ = collision_shapes(robot)
+    found = tuple(capsule for shape in shapes for capsule in _around(shape))
+    if not found:
+        found = _bundled(robot)
+    have = {capsule.link for capsule in found}
+    return (*found, *(line for line in skeleton(robot) if line.link not in have))
 
 
 def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...]:
     """Return capsules along the lines from joint to joint, for robots without geometry.
+
+    A moving link of zero length is a ball.
 
     Parameters
     ----------
@@ -56,27 +99,210 @@ def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...
     capsules = []
     for link in range(robot.n + 1):
         end = np.linalg.solve(homes[link], homes[link + 1])[:3, 3]
-        if np.linalg.norm(end) > 1e-6:
-            capsules.append(Capsule(link, np.zeros(3), end, size))
+        long = np.linalg.norm(end) > 1e-6
+        if size > 0.0 and (long or link):
+            end = end if long else np.zeros(3)
+            capsules.append(Capsule(link, np.zeros(3), end, size, "line"))
     return tuple(capsules)
+
+
+def _bundled(robot: Robot) -> tuple[Capsule, ...]:
+    """Return bundled capsules, for robots with the link frames of a bundled robot."""
+    if robot.has_symbols:
+        return ()
+    frames = np.array([joint.home for joint in robot.joints])
+    for file, names in BUNDLED.items():
+        for name in names:
+            other = np.array([joint.home for joint in Robot.load(name).joints])
+            if frames.shape == other.shape and np.allclose(frames, other, atol=1e-6):
+                text = resources.files("lieid_casadi.excitation").joinpath("data", file)
+                return parse_capsules(text.read_text("utf-8"), robot, origin=file)
+    return ()
+
+
+def load_capsules(path: str | Path, robot: Robot) -> tuple[Capsule, ...]:
+    """Read capsules from YAML: ``capsules: [{link, start, end, radius}]``; link 0 is the base.
+
+    Raises
+    ------
+    RobotError
+        Not YAML, a missing key, a link that the robot does not have.
+    """
+    from lieid_casadi.robot.description import read_text
+
+    return parse_capsules(read_text(path), robot, origin=str(path))
+
+
+def parse_capsules(text: str, robot: Robot, *, origin: str) -> tuple[Capsule, ...]:
+    """Return capsules from YAML text; see `load_capsules`. ``origin`` is named in errors."""
+    rows = Field.top(text, origin).mapping(("capsules",))["capsules"]
+    if not rows.items():
+        raise rows.error("at least one capsule")
+    return tuple(_capsule(row, robot) for row in rows.items())
+
+
+def _capsule(row: Field, robot: Robot) -> Capsule:
+    keys = row.mapping(("link", "start", "end", "radius"))
+    link = keys["link"].number()
+    if link not in range(robot.n + 1):
+        raise keys["link"].error(f"0 (base) to {robot.n}")
+    start, end = (keys[name].numbers(3, largest=FARTHEST) for name in ("start", "end"))
+    return Capsule(int(link), start, end, keys["radius"].positive())
+
+
+@dataclass(frozen=True, eq=False)
+class _UrdfModel:
+    """A URDF in Pinocchio, whose joints have one coordinate each and no limits."""
+
+    root: ElementTree.Element
+    full: Any
+    reduced: Any
+    locked: list[int]
+    links: dict[str, int]
+
+    @classmethod
+    def of(cls, robot: Robot) -> _UrdfModel | None:
+        """Return the model of a robot's URDF; None if it has none that Pinocchio reads."""
+        import pinocchio as pin
+
+        if robot.source is None or robot.source.kind != "urdf":
+            return None
+        root = ElementTree.fromstring(robot.source.text)
+        for joint in root.findall("joint"):
+            for tag in ("limit", "mimic", "safety_controller"):
+                for element in joint.findall(tag):
+                    joint.remove(element)
+            if joint.get("type") == "continuous":
+                joint.set("type", "revolute")
+            ElementTree.SubElement(joint, "limit", WIDE)
+        try:
+            with captured():
+                full = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+        except (ValueError, RuntimeError):
+            return None
+        links = {joint.name: k + 1 for k, joint in enumerate(robot.joints)}
+        locked = [full.getJointId(name) for name in list(full.names)[1:] if name not in links]
+        reduced = pin.buildReducedModel(full, locked, pin.neutral(full))
+        return cls(root, full, reduced, locked, links)
+
+    def link_of(self, joint: int) -> int:
+        """Return the link (0 for the base) that a joint of the reduced model moves."""
+        return self.links.get(self.reduced.names[joint], 0)
+
+
+def fixed_frames(robot: Robot) -> list[tuple[str, int, Array]]:
+    """Return name, link (from 1) and origin (3,) of every moving link frame of a URDF, m."""
+    import pinocchio as pin
+
+    model = _UrdfModel.of(robot)
+    if model is None:
+        return []
+    return [
+        (frame.name, model.link_of(frame.parentJoint), np.array(frame.placement.translation))
+        for frame in model.reduced.frames
+        if frame.type == pin.FrameType.BODY and model.link_of(frame.parentJoint)
+    ]
+
+
+def collision_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+    """Return the collision geometry of a URDF, and the names of links of unknown shape.
+
+    The latter have geometry that is not found, or geometry to look at but none for collisions.
+    """
+    import pinocchio as pin
+
+    model = _UrdfModel.of(robot)
+    if model is None:
+        return (), ()
+    shapes: list[Shape] = []
+    unknown: list[str] = []
+    for link in model.root.findall("link"):
+        name = link.get("name", "")
+        if link.find("collision") is None:
+            unknown += [name] if link.find("visual") is not None else []
+            continue
+        try:
+            with captured():
+                every = pin.buildGeomFromUrdfString(
+                    model.full, _with_shapes_of(model.root, name), pin.GeometryType.COLLISION,
+                    None, _package_folders(),
+                )  # fmt: skip
+        except (ValueError, RuntimeError):
+            unknown.append(name)
+            continue
+        _, [geometry] = pin.buildReducedModel(
+            model.full, [every], model.locked, pin.neutral(model.full)
+        )
+        shapes += [_shape(model.link_of(g.parentJoint), g) for g in geometry.geometryObjects]
+    return tuple(shapes), tuple(unknown)
+
+
+def _with_shapes_of(root: ElementTree.Element, name: str) -> str:
+    """Return a URDF with the collision geometry of one link alone."""
+    copy = deepcopy(root)
+    for link in copy.findall("link"):
+        for kind in ("collision", "visual"):
+            for element in link.findall(kind):
+                if kind == "visual" or link.get("name") != name:
+                    link.remove(element)
+    return ElementTree.tostring(copy, encoding="unicode")
+
+
+def _package_folders() -> list[str]:
+    stated = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    stated += [
+        str(Path(prefix) / "share")
+        for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        if prefix
+    ]
+    return [folder for folder in stated if folder]
+
+
+def _shape(link: int, placed: Any) -> Shape:
+    """Return a shape of Pinocchio's geometry model."""
+    import coal
+
+    shape, along = placed.geometry, np.array([0.0, 0.0, 1.0])
+    radius, faces = 0.0, None
+    if isinstance(shape, coal.Sphere):
+        points, radius = np.zeros((1, 3)), float(shape.radius)
+    elif isinstance(shape, coal.Capsule):
+        points = np.array([-shape.halfLength * along, shape.halfLength * along])
+        radius = float(shape.radius)
+    elif isinstance(shape, coal.Box):
+        corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+        points = corners * np.ravel(shape.halfSide)
+    elif isinstance(shape, coal.Cylinder):
+        angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+        rim = shape.radius / np.cos(np.pi / RIM_POINTS) * np.stack([np.cos(angles), np.sin(angles)])
+        heights = np.repeat([shape.halfLength, -shape.halfLength], RIM_POINTS)
+        points = np.column_stack([np.tile(rim, 2).T, heights])
+    elif hasattr(shape, "vertices"):
+        triangles = [shape.tri_indices(k) for k in range(shape.num_tris)]
+        faces = np.array([[triangle[corner] for corner in range(3)] for triangle in triangles])
+        points = np.array(shape.vertices())
+    else:
+        kind = type(shape).__name__
+        raise RobotError(f"collision shape {kind} is not supported; give --capsules")
+    rotation, origin = np.array(placed.placement.rotation), np.array(placed.placement.translation)
+    return Shape(link, shape, rotation, origin, points @ rotation.T + origin, radius, faces)
+
+
+def _around(shape: Shape) -> list[Capsule]:
+    """Return capsules that contain a shape."""
+    if shape.radius > 0.0:
+        ends = shape.points[-1], shape.points[0]
+        return [Capsule(shape.link, *ends, shape.radius, "shape")]
+    return enclosing_all(shape.link, shape.points, shape.faces)
 
 
 def enclosing_all(
     link: int, points: Array, faces: NDArray[np.int64] | None = None, *, splits: int = 2
 ) -> list[Capsule]:
-    """Return one capsule around points, or several where their volume is smaller.
+    """Return one capsule around points (N, 3), or several where their volume is smaller.
 
-    A mesh is cut in two across its longest direction; each triangle is inside one capsule.
-
-    Parameters
-    ----------
-    link : int
-    points : (N, 3)
-        In the link's frame, m.
-    faces : (F, 3), optional
-        Triangles of a mesh.
-    splits : int
-        How often a part may be cut again.
+    A mesh with faces (F, 3) is cut in two across its longest direction, and the parts again as
+    often as ``splits`` says; each triangle is inside one capsule.
     """
     whole = enclosing(link, points)
     if faces is None or splits == 0 or len(faces) < 8:
@@ -104,15 +330,8 @@ def enclosing(link: int, points: Array) -> Capsule:
     the smallest one.
     """
     points = np.asarray(points, dtype=float)
-    best: Capsule | None = None
-    centred = points - points.mean(axis=0)
-    _, _, directions = np.linalg.svd(centred, full_matrices=False)
-    for axis in directions:
-        capsule = _along(link, points, axis)
-        if best is None or _volume(capsule) < _volume(best):
-            best = capsule
-    assert best is not None
-    return best
+    directions = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    return min((_along(link, points, axis) for axis in directions), key=_volume)
 
 
 def _along(link: int, points: Array, axis: Array) -> Capsule:
@@ -126,7 +345,7 @@ def _along(link: int, points: Array, axis: Array) -> Capsule:
         low = high = 0.5 * (low + high)
     ends = centre + low * axis, centre + high * axis
     slack = segment_distance_to_points(points, *ends).max()
-    return Capsule(link, *ends, float(max(radius, slack)))
+    return Capsule(link, *ends, float(max(radius, slack)), "shape")
 
 
 def _enclosing_circle(points: Array) -> tuple[Array, float]:
@@ -144,145 +363,10 @@ def _volume(capsule: Capsule) -> float:
 
 
 def segment_distance_to_points(points: Array, start: Array, end: Array) -> Array:
-    """Return the distances (N,) of points from a segment.
-
-    Parameters
-    ----------
-    points : (N, 3)
-        m.
-    start, end : (3,)
-        Ends of the segment, m.
-    """
+    """Return the distances (N,) of points (N, 3) from the segment between two ends (3,), m."""
     direction = end - start
     squared = float(direction @ direction)
     share = np.zeros(len(points))
     if squared > 0.0:
         share = np.clip((points - start) @ direction / squared, 0.0, 1.0)
     return np.asarray(np.linalg.norm(points - start - share[:, None] * direction, axis=1))
-
-
-BUNDLED = {"panda": "panda.yaml", "panda_luo2024": "panda.yaml"}  # link frames are the same
-RIM_POINTS = 24  # on the rim of a cylinder, outside of it, so that their hull contains it
-
-
-def capsules_of(robot: Robot) -> tuple[Capsule, ...]:
-    """Return the links as capsules.
-
-    Bundled robots have bundled capsules. For a URDF they are fitted to the collision geometry, if
-    its meshes are found (``package://`` in ``ROS_PACKAGE_PATH`` or ``AMENT_PREFIX_PATH``).
-    Otherwise they follow the lines from joint to joint; designs list this as unchecked.
-    """
-    if robot.source is None or robot.source.kind != "urdf":
-        if robot.name in BUNDLED:
-            file = resources.files("lieid_casadi.excitation").joinpath("data", BUNDLED[robot.name])
-            return parse_capsules(file.read_text("utf-8"), robot, origin=BUNDLED[robot.name])
-    else:
-        fitted = fitted_to_urdf(robot)
-        if fitted:
-            return fitted
-    logger.info("%s: no collision geometry found; links follow the lines of joints", robot.name)
-    return skeleton(robot)
-
-
-def load_capsules(path: str | Path, robot: Robot) -> tuple[Capsule, ...]:
-    """Read capsules from YAML: ``capsules: [{link, start, end, radius}]``; link 0 is the base.
-
-    Raises
-    ------
-    RobotError
-        Not YAML, a missing key, a link that the robot does not have.
-    """
-    from lieid_casadi.robot.description import read_text
-
-    return parse_capsules(read_text(path), robot, origin=str(path))
-
-
-def parse_capsules(text: str, robot: Robot, *, origin: str) -> tuple[Capsule, ...]:
-    """Return capsules from YAML text; see `load_capsules`.
-
-    Parameters
-    ----------
-    text : str
-        YAML.
-    robot : Robot
-    origin : str
-        Name of the file, for error messages.
-    """
-    rows = Field.top(text, origin).mapping(("capsules",))["capsules"]
-    if not rows.items():
-        raise rows.error("at least one capsule")
-    return tuple(_capsule(row, robot) for row in rows.items())
-
-
-def _capsule(row: Field, robot: Robot) -> Capsule:
-    keys = row.mapping(("link", "start", "end", "radius"))
-    link = keys["link"].number()
-    if link not in range(robot.n + 1):
-        raise keys["link"].error(f"0 (base) to {robot.n}")
-    start, end = (keys[name].numbers(3, largest=FARTHEST) for name in ("start", "end"))
-    return Capsule(int(link), start, end, keys["radius"].positive())
-
-
-def fitted_to_urdf(robot: Robot) -> tuple[Capsule, ...]:
-    """Return capsules that contain the collision geometry of a URDF; () if it is not found."""
-    import pinocchio as pin
-
-    source = robot.source
-    if source is None or "<collision" not in source.text:
-        return ()
-    full = pin.buildModelFromXML(source.text)
-    try:
-        shapes = pin.buildGeomFromUrdfString(
-            full, source.text, pin.GeometryType.COLLISION, None, _package_folders()
-        )
-    except (ValueError, RuntimeError) as error:
-        logger.info("collision geometry of %s: %s", robot.name, " ".join(str(error).split()))
-        return ()
-    links = {joint.name: k + 1 for k, joint in enumerate(robot.joints)}
-    locked = [full.getJointId(name) for name in list(full.names)[1:] if name not in links]
-    reduced, [geometry] = pin.buildReducedModel(full, [shapes], locked, pin.neutral(full))
-    capsules: list[Capsule] = []
-    for shape in geometry.geometryObjects:
-        link = links.get(reduced.names[shape.parentJoint], 0)
-        capsules += _around(link, shape.geometry, shape.placement, shape.meshScale)
-    return tuple(capsules)
-
-
-def _package_folders() -> list[str]:
-    stated = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    stated += [
-        str(Path(prefix) / "share")
-        for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-        if prefix
-    ]
-    return [folder for folder in stated if folder]
-
-
-def _around(link: int, shape: Any, placement: Any, scale: Array) -> list[Capsule]:
-    """Return capsules that contain one collision shape."""
-    import coal
-
-    rotation, origin = np.array(placement.rotation), np.array(placement.translation)
-
-    def placed(points: Any) -> Array:
-        return np.asarray(np.asarray(points, dtype=float) @ rotation.T + origin)
-
-    along = np.array([0.0, 0.0, 1.0])
-    if isinstance(shape, coal.Sphere):
-        return [Capsule(link, origin, origin, float(shape.radius))]
-    if isinstance(shape, coal.Capsule):
-        ends = placed([shape.halfLength * along, -shape.halfLength * along])
-        return [Capsule(link, ends[0], ends[1], float(shape.radius))]
-    if isinstance(shape, coal.Box):
-        corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        return enclosing_all(link, placed(corners * np.ravel(shape.halfSide)))
-    if isinstance(shape, coal.Cylinder):
-        angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-        rim = shape.radius / np.cos(np.pi / RIM_POINTS) * np.stack([np.cos(angles), np.sin(angles)])
-        heights = np.repeat([shape.halfLength, -shape.halfLength], RIM_POINTS)
-        return enclosing_all(link, placed(np.column_stack([np.tile(rim, 2).T, heights])))
-    if hasattr(shape, "vertices"):
-        triangles = [shape.tri_indices(k) for k in range(shape.num_tris)]
-        faces = np.array([[triangle[corner] for corner in range(3)] for triangle in triangles])
-        return enclosing_all(link, placed(np.array(shape.vertices())), faces)
-    raise RobotError(f"collision shape {type(shape).__name__} is not supported; give --capsules")

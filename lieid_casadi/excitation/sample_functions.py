@@ -16,7 +16,6 @@ from lieid_casadi.compiled.batch_evaluation import CompiledEvaluation, Evaluatio
 from lieid_casadi.compiled.kernel_source import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.dynamics.lie import Motion
-from lieid_casadi.dynamics.lie import Motion as Symbols
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.expressions.model_functions import sparse_function
@@ -27,23 +26,16 @@ from lieid_casadi.robot.robot import Robot
 
 
 class SampleKernel:
-    """A sparse matrix function of q, dq, ddq (and further vectors) per sample.
+    """A sparse matrix function of q, dq, ddq per sample, compiled; by CasADi without a compiler.
 
-    Parameters
-    ----------
-    name : str
-        Of the function, unique in the problem.
-    symbols : Symbols
-        Symbols of the expression; sines and cosines of q are separate inputs.
-    matrix : SX
-    further : mapping, optional
-        Name → symbol (w,) of further inputs, given per sample as (N, w).
+    Sines and cosines of q are inputs of their own. Further inputs (w,) have names, and are given
+    per sample as (N, w). The function's name is unique in a problem.
     """
 
     def __init__(
         self,
         name: str,
-        symbols: Symbols,
+        symbols: Motion,
         matrix: ca.SX,
         further: Mapping[str, ca.SX] | None = None,
     ) -> None:
@@ -97,16 +89,8 @@ class SampleKernel:
         return MachineEvaluation([self._sparse], (0,), self._sparse.shape)
 
 
-def reverse_derivative(values: ca.SX, seed: ca.SX, symbols: Symbols) -> ca.SX:
-    """Return seedᵀ·∂values/∂(q, dq, ddq) (3 n, 1) by reverse differentiation.
-
-    Parameters
-    ----------
-    values : SX (k,)
-    seed : SX (k,)
-    symbols : Symbols
-        Sines and cosines are separate symbols; their part follows by the chain rule.
-    """
+def reverse_derivative(values: ca.SX, seed: ca.SX, symbols: Motion) -> ca.SX:
+    """Return seedᵀ·∂values/∂(q, dq, ddq) (3 n, 1) by reverse differentiation."""
     s = symbols
     inputs = ca.vertcat(s.q, s.sin, s.cos, s.dq, s.ddq)
     gradient = ca.jtimes(values, inputs, seed, True)
@@ -114,7 +98,7 @@ def reverse_derivative(values: ca.SX, seed: ca.SX, symbols: Symbols) -> ca.SX:
     return ca.vertcat(q + sine * s.cos - cosine * s.sin, dq, ddq)
 
 
-def motion_jacobian(values: ca.SX, symbols: Symbols) -> ca.SX:
+def motion_jacobian(values: ca.SX, symbols: Motion) -> ca.SX:
     """Return ∂values/∂(q, dq, ddq) (k, 3 n), sparse."""
     s = symbols
     q, sine, cosine = (ca.jacobian(values, x) for x in (s.q, s.sin, s.cos))
@@ -140,7 +124,6 @@ class FittedArm:
 
     Attributes
     ----------
-    model : Model
     link_parameters : (10 n,)
     effect_coefficients : (m,)
     shapes : (s,)
@@ -156,13 +139,7 @@ class FittedArm:
 
     @classmethod
     def of(cls, fit: IdentifiedModel) -> FittedArm:
-        """Return the numbers of a fit.
-
-        Raises
-        ------
-        ExcitationError
-            The covariance is not finite, so that the torque has no bound.
-        """
+        """Return the numbers of a fit."""
         if not np.isfinite(fit.covariance).all():
             raise ExcitationError(
                 "the covariance of the fit is not finite, so that its torque has no bound; "
@@ -178,20 +155,9 @@ class FittedArm:
         """Return the torque and its derivatives by base and shape parameters (n, 1 + p + s).
 
         It is the torque that the drives deliver: effects on the whole arm are in it, effects on
-        the measurement are not. The states of effects with memory are those of steady sliding;
-        effects of the temperature are at the mean temperature of the recordings.
-
-        Parameters
-        ----------
-        motion : Motion
-            Symbols q, q̇, q̈ (n,).
-        sign : (n,)
-            In place of sgn(q̇).
-        direction : SX
-            Of the sliding, −1 to 1, for effects with memory: after a reversal their states lie
-            between those of both directions.
-        time : SX
-            Symbol of the time, s.
+        the measurement are not. ``sign`` (n,) takes the place of sgn(q̇). States of effects with
+        memory are those of steady sliding in a ``direction`` from −1 to 1: after a reversal they
+        lie between those of both. Effects of the temperature are at its mean in the recordings.
         """
         numbers = Values.numbers(self.link_parameters, self.effect_coefficients, self.shapes)
         shapes = ca.SX.sym("shapes", len(self.shapes))
@@ -243,13 +209,7 @@ def load_parameters(model: Model, fit: FittedArm | None) -> Array:
 
 
 def model_and_fit(source: Model | Robot | IdentifiedModel) -> tuple[Model, FittedArm | None]:
-    """Return the model of a fit with the fit's numbers, or a model alone.
-
-    Raises
-    ------
-    ModelError
-        It is neither a model, nor a robot, nor a fit.
-    """
+    """Return the model of a fit with the fit's numbers, or a model alone."""
     if not isinstance(source, Model | Robot) and hasattr(source, "covariance"):
         return source.model, FittedArm.of(source)
     return as_model(cast(Model, source)), None

@@ -7,105 +7,29 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.criteria import (
-    Criterion,
-    CriterionStage,
-    ExpressionCriterion,
-    Hadamard,
-    LogDet,
-    stages,
-)
+from lieid_casadi.excitation.criteria import Criterion, LogDet, stages
 from lieid_casadi.excitation.design import (
     COARSE,
     DISTANCE,
     FINE,
     ExcitationDesign,
     ExcitationProblem,
-    random_start,
-    warm_start,
 )
-from lieid_casadi.excitation.ipopt import Ipopt, Iterate, Iteration
+from lieid_casadi.excitation.ipopt import Ipopt, Iterate
 
-OWN_FIRST_ITERATIONS = 15  # of −log det before a criterion of the user's
-FIRST_STAGE_ITERATIONS = 60  # of 1/∏ of the column norms, at most
-
-
-@dataclass(frozen=True, eq=False)
-class StagePlan:
-    """Stages of a criterion.
-
-    Attributes
-    ----------
-    stages : tuple of CriterionStage
-    rank : callable
-        Quantity by which iterates are compared; the smallest is kept.
-    bounded_from : CriterionStage, optional
-        Stage from which on −log det is bounded (Δ₂).
-    ceiling : float, optional
-        Δ₂ per parameter; from the stages before if left out.
-    goal : float, optional
-        Rank at which the search ends (Δ₁).
-    """
-
-    stages: tuple[CriterionStage, ...]
-    rank: Callable[[Iterate], float]
-    bounded_from: CriterionStage | None = None
-    ceiling: float | None = None
-    goal: float | None = None
-
-
-def make_plan(problem: ExcitationProblem) -> StagePlan:
-    """Return the stages of the design's criterion.
-
-    ``combined`` is the paper's C1 (Eq. 20): 1/∏ of the column norms first, then the condition
-    number while −log det stays below Δ₂, until it is at most Δ₁.
-    """
-    design = problem.design
-    unit_norm = design.column_scale is None
-
-    def by_condition(state: Iterate) -> float:
-        return problem.condition_number(state.outcome.gram)
-
-    if design.criterion == "combined":
-        first = CriterionStage(Hadamard(), FIRST_STAGE_ITERATIONS, 1e-5)
-        then = stages("condition", problem.metric, unit_norm=unit_norm)
-        bound, count = design.neg_log_det_threshold, design.model.base.count
-        return StagePlan(
-            (first, *then), by_condition, bounded_from=then[0],
-            ceiling=None if bound is None else bound / count, goal=design.condition_threshold,
-        )  # fmt: skip
-    if not isinstance(design.criterion, str):
-        own = ExpressionCriterion(design.criterion, design.model.base.count)
-        begin = CriterionStage(LogDet(), OWN_FIRST_ITERATIONS)
-        return StagePlan(
-            (begin, CriterionStage(own, 200, 1e-5)), lambda state: value_of(own, state)
-        )
-    named = stages(design.criterion, problem.metric, unit_norm=unit_norm)
-    if design.criterion == "condition":
-        return StagePlan(named, by_condition)
-    last = named[-1].criterion
-    return StagePlan(named, lambda state: value_of(last, state))
-
-
-def value_of(criterion: Criterion, state: Iterate) -> float:
-    """Return a criterion's value at a state that may come from another stage."""
-    return criterion.evaluate(state.outcome.gram)[0]
-
-
-def neg_log_det_per_parameter(state: Iterate) -> float:
-    """Return −log det G per parameter."""
-    return value_of(LogDet(), state)
-
-
-FEASIBLE = 0.5 * DISTANCE  # scaled excess, margin included, up to which an iterate is kept
 Progress = Callable[[str, float], None]
+FEASIBLE = 0.5 * DISTANCE  # scaled excess, margin included, up to which an iterate is kept
+FINE_ROUNDS = 4  # how often the problem is solved again on the fine grid
+FINE_ITERATIONS = 40  # of one round
+LEAST_DECREASE = 0.9  # of the violation in one round; rounds that gain less are the last
+NEG_LOG_DET_SLACK = 0.5  # per parameter: Δ₂ above what the first stage reached
 
 
 @dataclass(frozen=True)
@@ -132,72 +56,9 @@ class IterationRecord:
     violation: float
 
 
-class ThresholdReached(Exception):
-    """A feasible iterate meets the threshold of the search (Δ₁)."""
-
-
-@dataclass(eq=False)
-class Tracker:
-    """Records the history and the best iterate inside the limits.
-
-    ``kept`` are all iterates that were the best when they were found; the last of them may violate
-    a limit between the samples.
-    """
-
-    problem: ExcitationProblem
-    rank: Callable[[Iterate], float]
-    names: list[str]
-    progress: Progress
-    total: int
-    goal: float | None = None
-    best: Iterate | None = None
-    best_rank: float = np.inf
-    kept: list[Iterate] = field(default_factory=list)
-    last: Iterate | None = None
-    history: list[IterationRecord] = field(default_factory=list)
-    started: float = field(default_factory=time.monotonic)
-
-    def __call__(self, iteration: Iteration) -> None:
-        """Record an iteration.
-
-        Raises
-        ------
-        ThresholdReached
-        """
-        state = iteration.state
-        self.last = state
-        condition = self.problem.condition_number(state.outcome.gram)
-        name = self.names[min(iteration.stage, len(self.names) - 1)]
-        seconds, violation = time.monotonic() - self.started, max(state.violation, 0.0)
-        self.history.append(
-            IterationRecord(name, seconds, state.outcome.value, condition, violation)
-        )
-        if state.violation <= FEASIBLE and self.rank(state) < self.best_rank:
-            self.best, self.best_rank = state, self.rank(state)
-            self.kept.append(state)
-        text = f"{name} {iteration.number + 1}, cond {condition:.4g}"
-        if state.violation > FEASIBLE:
-            text += f", {state.violation:.1e} beyond a limit"
-        self.progress(text, min(1.0, len(self.history) / self.total))
-        if self.goal is not None and self.best_rank <= self.goal:
-            raise ThresholdReached
-
-    def forget_best(self) -> None:
-        """Discard the best iterate, because the problem changes."""
-        self.best, self.best_rank = None, np.inf
-
-
-FINE_ROUNDS = 4  # how often the problem is solved again on the fine grid
-FINE_ITERATIONS = 40  # of one round
-FINE_TOLERANCE = 1e-5
-LEAST_DECREASE = 0.9  # of the violation in one round; rounds that gain less are the last
-NEG_LOG_DET_SLACK = 0.5  # per parameter: Δ₂ above what the first stage reached
-WARM_START = -1  # in place of the seed of a random start
-
-
 @dataclass(frozen=True, eq=False)
 class OptimizedStart:
-    """The best trajectory that one random start led to.
+    """The best trajectory that one start led to.
 
     Attributes
     ----------
@@ -205,11 +66,6 @@ class OptimizedStart:
         Free variables.
     rank : float
         Quantity by which solutions are compared; the smaller, the better.
-    condition_number : float
-    neg_log_det : float
-    history : tuple of IterationRecord
-    seconds : float
-    seed : int
     interrupted : bool
         Whether the user interrupted the search.
     """
@@ -220,208 +76,197 @@ class OptimizedStart:
     neg_log_det: float
     history: tuple[IterationRecord, ...]
     seconds: float
-    seed: int
     interrupted: bool = False
 
 
-def solve(
-    problem: ExcitationProblem,
-    seed: int,
-    *,
-    progress: Progress = lambda stage, fraction: None,
-    max_iterations: int | None = None,
-) -> OptimizedStart:
-    """Optimize from one random start and verify on the fine grid.
+class _ThresholdReached(Exception):
+    """A feasible iterate meets the threshold of the search (Δ₁)."""
 
-    Parameters
+
+class Search:
+    """The search from one start; without a seed it begins at the trajectory of the design.
+
+    Attributes
     ----------
-    problem : ExcitationProblem
-    seed : int
-        Of the random start, or `WARM_START`.
-    progress : callable, optional
-        Called with the stage and the fraction that is done.
-    max_iterations : int, optional
-        Iterations of all stages together; without it each stage ends by its own tolerance.
-        Iterations that restore a limit on the fine grid come on top.
-
-    Raises
-    ------
-    NoSolution
-        Names the limit that could not be met, where and by how much, and what to relax.
+    best, last : Iterate or None
+        The best iterate inside the limits on the coarse grid, and the last one of all.
+    kept : list of Iterate
+        All that were the best when they were found; the last of them may violate a limit between
+        the samples.
     """
-    plan = make_plan(problem)
-    tracker = Tracker(
-        problem, plan.rank if plan.bounded_from is None else neg_log_det_per_parameter,
-        [stage.criterion.name for stage in plan.stages], progress,
-        sum(stage.iterations for stage in plan.stages),
-    )  # fmt: skip
-    solver = Ipopt(problem.constraints(COARSE), problem.parametrization.size, tracker)
-    interrupted = False
-    try:
-        start = first_variables(problem, seed)
-        ceiling = run_stages(problem, plan, solver, tracker, start, max_iterations)
-        best = verified(problem, plan, solver, tracker, ceiling)
-    except KeyboardInterrupt:
-        feasible = last_feasible(problem, tracker)
-        if feasible is None:
-            raise
-        best, interrupted = feasible, True
-    gram = problem.gram(best.z)
-    return OptimizedStart(
-        best.z, plan.rank(best), problem.condition_number(gram),
-        -float(np.linalg.slogdet(gram)[1]), tuple(tracker.history),
-        time.monotonic() - tracker.started, seed, interrupted,
-    )  # fmt: skip
 
+    def __init__(
+        self,
+        problem: ExcitationProblem,
+        seed: int | None,
+        *,
+        progress: Progress = lambda stage, fraction: None,
+        max_iterations: int | None = None,
+    ) -> None:
+        design = problem.design
+        self.problem, self.seed, self._progress = problem, seed, progress
+        self._left = max_iterations
+        self._stages = stages(design.criterion, problem.metric, unit_norm=design.unit_norm)
+        self._combined = design.criterion == "combined"
+        self._goal: float | None = None
+        self._ceiling: float | None = None  # Δ₂ per parameter
+        self._rank = neg_log_det_per_parameter if self._combined else self._final_rank
+        self.best: Iterate | None = None
+        self._best_rank = np.inf
+        self.last: Iterate | None = None
+        self.kept: list[Iterate] = []
+        self.history: list[IterationRecord] = []
+        self._began = time.monotonic()
+        self._solver = Ipopt(problem.constraints(COARSE), self._record)
 
-def first_variables(problem: ExcitationProblem, seed: int) -> Array:
-    """Return the free variables (m,) of a random start, or of the design's for `WARM_START`."""
-    if seed == WARM_START:
-        assert problem.design.start is not None
-        return warm_start(problem.parametrization, problem.design.start)
-    return random_start(problem, seed)
+    def solve(self) -> OptimizedStart:
+        """Run the stages and return the best trajectory within all limits.
 
-
-def run_stages(
-    problem: ExcitationProblem,
-    plan: StagePlan,
-    solver: Ipopt,
-    tracker: Tracker,
-    z: Array,
-    max_iterations: int | None,
-) -> float | None:
-    """Run the stages one after the other from z (m,) and return Δ₂ per parameter, if any.
-
-    Parameters
-    ----------
-    problem : ExcitationProblem
-    plan : StagePlan
-    solver : Ipopt
-    tracker : Tracker
-        Records the iterates.
-    z : (m,)
-        Start: coefficients of the trajectory.
-    max_iterations : int or None
-        Of all stages together.
-    """
-    ceiling: float | None = None
-    for stage in plan.stages:
-        iterations = stage.iterations
-        if max_iterations is not None:
-            iterations = min(iterations, max_iterations - len(tracker.history))
-        if iterations <= 0:
-            break
-        if stage is plan.bounded_from:
-            ceiling = reached_ceiling(tracker) if plan.ceiling is None else plan.ceiling
-            tracker.forget_best()  # the next iterates must meet Δ₂
-            tracker.rank, tracker.goal = plan.rank, plan.goal
-        objective = problem.objective(stage.criterion, ceiling)
+        Ctrl-C keeps the best so far. A `NoSolution` names the limit that could not be met, where
+        and by how much, and what to relax.
+        """
+        interrupted = False
         try:
-            z = solver.minimize(objective, z, iterations=iterations, tolerance=stage.tolerance)
-        except ThresholdReached:
-            break
-    return ceiling
+            self._run_stages(self._first_variables())
+            best = self._verified()
+        except KeyboardInterrupt:
+            inside = (s for s in reversed(self.kept) if self.problem.within_limits(s.z))
+            feasible = next(inside, None)
+            if feasible is None:
+                raise
+            best, interrupted = feasible, True
+        gram = self.problem.gram(best.z)
+        return OptimizedStart(
+            best.z, self._final_rank(best), self.problem.condition_number(gram),
+            -float(np.linalg.slogdet(gram)[1]), tuple(self.history),
+            time.monotonic() - self._began, interrupted,
+        )  # fmt: skip
 
+    def _first_variables(self) -> Array:
+        if self.seed is None:
+            assert self.problem.design.start is not None
+            return self.problem.parametrization.nearest(self.problem.design.start)
+        return self.problem.random_start(self.seed)
 
-def reached_ceiling(tracker: Tracker) -> float:
-    """Return Δ₂ per parameter: the value that the first stage reached, and a slack.
+    def _run_stages(self, z: Array) -> None:
+        """Run the stages from z (m,); after the first one of ``combined`` −log det is bounded."""
+        design = self.problem.design
+        for number, stage in enumerate(self._stages):
+            iterations = stage.iterations
+            if self._left is not None:
+                iterations = min(iterations, self._left - len(self.history))
+            if iterations <= 0:
+                return
+            if self._combined and number == 1:
+                self._ceiling = self._reached_ceiling()
+                self._forget_best()  # the next iterates must meet Δ₂
+                self._rank, self._goal = self._final_rank, design.condition_threshold
+            objective = self.problem.objective(stage.criterion, self._ceiling)
+            try:
+                z = self._solver.minimize(
+                    objective, z, iterations=iterations, tolerance=stage.tolerance
+                )
+            except _ThresholdReached:
+                return
 
-    At the exact value the feasible set nearly vanishes.
-    """
-    reached = tracker.best or tracker.last
-    assert reached is not None
-    return neg_log_det_per_parameter(reached) + NEG_LOG_DET_SLACK
+    def _reached_ceiling(self) -> float:
+        """Return Δ₂ per parameter: as given, or the value that the first stage reached and a slack.
 
+        At the exact value the feasible set nearly vanishes.
+        """
+        given = self.problem.design.neg_log_det_threshold
+        if given is not None:
+            return given / self.problem.design.model.base.count
+        reached = self.best or self.last
+        assert reached is not None
+        return neg_log_det_per_parameter(reached) + NEG_LOG_DET_SLACK
 
-def verified(
-    problem: ExcitationProblem,
-    plan: StagePlan,
-    solver: Ipopt,
-    tracker: Tracker,
-    ceiling: float | None,
-) -> Iterate:
-    """Return the best iterate that meets all limits on the fine grid.
+    def _final_rank(self, state: Iterate) -> float:
+        """Return what compares iterates: the condition number, or the criterion's value."""
+        if self.problem.design.criterion in ("combined", "condition"):
+            return self.problem.condition_number(state.outcome.gram)
+        return value_of(self._stages[-1].criterion, state)
 
-    Where the best iterate does not, the problem is solved again on the fine grid.
-
-    Parameters
-    ----------
-    problem : ExcitationProblem
-    plan : StagePlan
-    solver : Ipopt
-    tracker : Tracker
-        With the iterates so far.
-    ceiling : float or None
-        Δ₂ per parameter.
-
-    Raises
-    ------
-    NoSolution
-    """
-    exact = problem.constraints(FINE, margin=0.0)
-    objective = problem.objective(plan.stages[-1].criterion, ceiling)
-    for _ in range(FINE_ROUNDS):
-        reached = tracker.best or tracker.last
-        if reached is None:
-            break
-        excess = exact.excess(exact.sampled.motion(reached.z))
-        if tracker.best is not None and exact.largest(excess) <= 0.0:
-            return tracker.best
-        tracker.forget_best()
-        violation = reached.violation
-        solver.constraints = problem.constraints(FINE)
-        try:
-            solver.minimize(
-                objective, reached.z, iterations=FINE_ITERATIONS, tolerance=FINE_TOLERANCE
-            )
-        except ThresholdReached:
-            continue
-        ended = tracker.last or reached
-        if tracker.best is None and not ended.violation < LEAST_DECREASE * violation:
-            break
-    raise NoSolution(infeasibility_reason(problem, tracker))
-
-
-def last_feasible(problem: ExcitationProblem, tracker: Tracker) -> Iterate | None:
-    """Return the last of the best iterates so far that meets all limits on the fine grid."""
-    exact = problem.constraints(FINE, margin=0.0)
-    for state in reversed(tracker.kept):
-        if exact.largest(exact.excess(exact.sampled.motion(state.z))) <= 0.0:
-            return state
-    return None
-
-
-def infeasibility_reason(problem: ExcitationProblem, tracker: Tracker) -> str:
-    """Return which limit the last iterate violates most, where, by how much, what to relax."""
-    state = tracker.last
-    if state is None:
-        raise ExcitationError("no iteration was made; expected max_iterations of 1 at least")
-    exact = problem.constraints(FINE, margin=0.0)
-    motion = exact.sampled.motion(state.z)
-    worst, reason = -np.inf, ""
-    for limits in exact.sets:
-        excess = limits.excess(limits.values(motion))
-        scaled = excess / limits.scale[:, None]
-        k, sample = np.unravel_index(int(np.argmax(scaled)), scaled.shape)
-        if scaled[k, sample] > worst:
-            worst = float(scaled[k, sample])
-            reason = (
-                f"{limits.labels[k]} exceeds its limit by {excess[k, sample]:.3g} "
-                f"{limits.units[k]} at {motion.t[sample]:.3g} s; to relax it: {limits.remedy}"
-            )
-    if worst <= 0.0:
-        return (
-            "all limits can be met, but not together with the bound on −log det; "
-            "use the criterion condition, or a larger bound"
+    def _record(self, stage: int, number: int, state: Iterate) -> None:
+        self.last = state
+        condition = self.problem.condition_number(state.outcome.gram)
+        name = self._stages[min(stage, len(self._stages) - 1)].criterion.name
+        seconds, violation = time.monotonic() - self._began, max(state.violation, 0.0)
+        self.history.append(
+            IterationRecord(name, seconds, state.outcome.value, condition, violation)
         )
-    return f"no trajectory within all limits was found: {reason}"
+        feasible = state.violation <= FEASIBLE
+        if feasible and self._rank(state) < self._best_rank:
+            self.best, self._best_rank = state, self._rank(state)
+            self.kept.append(state)
+        text = f"{name} {number + 1}, cond {condition:.4g}"
+        if not feasible:
+            text += f", {state.violation:.1e} beyond a limit"
+        total = sum(one.iterations for one in self._stages)
+        self._progress(text, min(1.0, len(self.history) / total))
+        if self._goal is not None and self._best_rank <= self._goal:
+            raise _ThresholdReached
+
+    def _forget_best(self) -> None:
+        """Discard the best iterate, because the problem changes."""
+        self.best, self._best_rank = None, np.inf
+
+    def _verified(self) -> Iterate:
+        """Return the best iterate that meets all limits on the fine grid.
+
+        Where the best iterate does not, the problem is solved again on that grid.
+        """
+        objective = self.problem.objective(self._stages[-1].criterion, self._ceiling)
+        for _ in range(FINE_ROUNDS):
+            reached = self.best or self.last
+            if reached is None:
+                break
+            if self.best is not None and self.problem.within_limits(reached.z):
+                return self.best
+            self._forget_best()
+            self._solver.constraints = self.problem.constraints(FINE)
+            try:
+                self._solver.minimize(
+                    objective, reached.z, iterations=FINE_ITERATIONS, tolerance=1e-5
+                )
+            except _ThresholdReached:
+                continue
+            ended = self.last or reached
+            if self.best is None and not ended.violation < LEAST_DECREASE * reached.violation:
+                break
+        raise NoSolution(self._reason())
+
+    def _reason(self) -> str:
+        """Return which limit the last iterate violates most, where, by how much, what to relax."""
+        if self.last is None:
+            raise ExcitationError("no iteration was made; expected max_iterations of 1 at least")
+        worst = max(self.problem.excesses(self.last.z), key=lambda excess: excess.scaled)
+        if worst.value <= 0.0:
+            return (
+                "all limits can be met, but not together with the bound on −log det; "
+                "use the criterion condition, or a larger bound"
+            )
+        return (
+            f"no trajectory within all limits was found: {worst.label} exceeds its limit by "
+            f"{worst.value:.3g} {worst.unit} at {worst.time:.3g} s; to relax it: {worst.remedy}"
+        )
+
+
+def value_of(criterion: Criterion, state: Iterate) -> float:
+    """Return a criterion's value at a state that may come from another stage."""
+    return criterion.evaluate(state.outcome.gram)[0]
+
+
+def neg_log_det_per_parameter(state: Iterate) -> float:
+    """Return −log det G per parameter."""
+    return value_of(LogDet(), state)
 
 
 @dataclass(frozen=True, eq=False)
 class StartAttempt:
-    """Result of one random start: a solution, or the reason why there is none."""
+    """Result of one start: a solution, or the reason why there is none."""
 
-    seed: int
+    seed: int | None
     seconds: float
     solution: OptimizedStart | None = None
     reason: str = ""
@@ -430,7 +275,7 @@ class StartAttempt:
 
 def solve_all(
     problem: ExcitationProblem,
-    seeds: Sequence[int],
+    seeds: Sequence[int | None],
     *,
     progress: Progress = lambda stage, fraction: None,
     executor: Executor | None = None,
@@ -439,35 +284,17 @@ def solve_all(
     """Return one attempt per seed; the result does not depend on the executor.
 
     An interrupt (Ctrl-C) ends the search; complete attempts and the best iterate of the current
-    one are kept.
-
-    Parameters
-    ----------
-    problem : ExcitationProblem
-    seeds : sequence of int
-        One per start.
-    progress : callable, optional
-        Called with what is done and the fraction that is done.
-    executor : Executor, optional
-        Of `concurrent.futures`; without one the starts run one after the other.
-    max_iterations : int, optional
-        Of each start.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        Before a feasible trajectory was found.
+    one are kept. Before a feasible trajectory was found it is raised.
     """
+    attempts: list[StartAttempt] = []
     if executor is not None:
         jobs = [
             executor.submit(attempt_design, problem.design, seed, max_iterations) for seed in seeds
         ]
-        attempts = []
         for k, job in enumerate(jobs):
             attempts.append(job.result())
             progress(f"start {k + 1} of {len(jobs)}", (k + 1) / len(jobs))
         return attempts
-    attempts = []
     for k, seed in enumerate(seeds):
 
         def report(stage: str, fraction: float, k: int = k) -> None:
@@ -479,7 +306,6 @@ def solve_all(
             if not any(a.solution for a in attempts):
                 raise
             attempts[-1] = replace(attempts[-1], interrupted=True)
-            break
         if attempts[-1].interrupted:
             break
     return attempts
@@ -487,43 +313,26 @@ def solve_all(
 
 def attempt(
     problem: ExcitationProblem,
-    seed: int,
+    seed: int | None,
     *,
     progress: Progress = lambda stage, fraction: None,
     max_iterations: int | None = None,
 ) -> StartAttempt:
-    """Solve from one start; a start without a solution does not raise.
-
-    Parameters
-    ----------
-    problem : ExcitationProblem
-    seed : int
-        Of the start.
-    progress : callable
-        Called with a stage's name and the fraction done.
-    max_iterations : int, optional
-        Of the solver; no limit if left out.
-    """
+    """Solve from one start; a start without a solution does not raise."""
     began = time.monotonic()
     try:
-        solution = solve(problem, seed, progress=progress, max_iterations=max_iterations)
+        search = Search(problem, seed, progress=progress, max_iterations=max_iterations)
+        solution = search.solve()
     except NoSolution as failure:
         return StartAttempt(seed, time.monotonic() - began, reason=str(failure))
     return StartAttempt(seed, time.monotonic() - began, solution, interrupted=solution.interrupted)
 
 
 @blas_on_one_thread
-def attempt_design(design: ExcitationDesign, seed: int, max_iterations: int | None) -> StartAttempt:
-    """Solve from one start on an executor; compiled code comes from the cache there.
-
-    Parameters
-    ----------
-    design : ExcitationDesign
-    seed : int
-        Of the start.
-    max_iterations : int or None
-        Of the solver.
-    """
+def attempt_design(
+    design: ExcitationDesign, seed: int | None, max_iterations: int | None
+) -> StartAttempt:
+    """Solve from one start on an executor; compiled code comes from the cache there."""
     return attempt(_problem(design), seed, max_iterations=max_iterations)
 
 

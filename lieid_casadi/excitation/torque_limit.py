@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -62,7 +63,7 @@ class Torque:
         if not limited:
             raise ExcitationError(f"robot {robot.name!r} states no torque limits")
         if fit is not None:
-            return FittedTorqueSet(fit, limited, self.fraction * torque, self.deviations)
+            return FittedTorqueSet(self, fit, limited)
         if not 0.0 <= self.dry < self.fraction or self.viscous < 0.0:
             raise ExcitationError(
                 f"torque limit: {self.fraction:g} of the robot's, of which {self.dry:g} is the "
@@ -78,17 +79,20 @@ class Torque:
         bound = (self.fraction - self.dry) * torque[limited]
         slope = self.viscous * torque / np.where(np.isfinite(velocity), velocity, np.inf)
         # friction acts along the motion: the torque lies between that without and with it
-        parts = [rigid]
-        labels = [f"torque of joint {j + 1}" for j in limited]
+        parts, joints = [rigid], joint_names(limited)
+        labels = [f"torque of {joint}" for joint in joints]
         if self.viscous > 0.0:
             parts.append(rigid + ca.DM(slope[limited]) * symbols.dq[limited])
-            labels += [f"torque of joint {j + 1} with friction" for j in limited]
+            labels += [f"torque of {joint} with friction" for joint in joints]
         count = len(parts)
         return SymbolicSet(
-            "torque", symbols, ca.vertcat(*parts), labels=labels,
+            "torque", symbols, ca.vertcat(*parts), labels=tuple(labels), subjects=joints * count,
             units=_units(robot, limited) * count, lower=np.tile(-bound, count),
             upper=np.tile(bound, count), scale=np.tile(self.fraction * torque[limited], count),
-            remedy=REMEDY,
+            remedy=REMEDY, left_out=_without_limit(robot, limited),
+            title=f"torque within {self.fraction:g} of its limits, by the stated inertias, with "
+            f"{self.dry:g} of the limit for friction and up to {self.viscous:g} more in "
+            "proportion to the speed",
         )  # fmt: skip
 
 
@@ -108,23 +112,18 @@ class FittedTorqueSet(ConstraintSet):
     smooth function above sgn(q̇), and with one below it; each equals sgn(q̇) on one side, so that
     the exact torque is one of the two and their extremes are bounds. Friction with memory builds
     up after a reversal; there both directions are taken everywhere.
-
-    Parameters
-    ----------
-    fit : FittedArm
-    limited : list of int
-        Joints with a torque limit, from 0.
-    bound : (n,)
-        N·m.
-    deviations : float
-        Standard deviations that are added.
     """
 
     remedy = REMEDY
 
-    def __init__(self, fit: FittedArm, limited: list[int], bound: Array, deviations: float) -> None:
+    def __init__(self, limit: Torque, fit: FittedArm, limited: list[int]) -> None:
         robot = fit.model.robot
-        self._deviations, self._root = deviations, fit.covariance_root
+        self._deviations, self._root = limit.deviations, fit.covariance_root
+        self.title = (
+            f"torque within {limit.fraction:g} of its limits, by the fit with all effects, "
+            f"± {limit.deviations:g} standard deviations"
+        )
+        self.left_out = _without_limit(robot, limited)
         symbols = Motion.symbols(robot.n)
         shift, time = ca.SX.sym("shift"), ca.SX.sym("time")
         width = ca.SX(ca.DM(SIGN_WIDTH * robot.limit("velocity")))
@@ -145,11 +144,13 @@ class FittedTorqueSet(ConstraintSet):
         self._slopes = SampleKernel(
             "fitted_torque_slopes", symbols, ca.vertcat(*slopes), {"seeds": seeds, **inputs}
         )
-        edge, endless = bound[limited], np.full(len(limited), np.inf)
+        edge = limit.fraction * torque_limits(robot)[limited]
+        endless, joints = np.full(len(limited), np.inf), joint_names(limited)
         self.labels = tuple(
-            f"{side} torque of joint {j + 1}" for side in ("largest", "smallest") for j in limited
+            f"{side} torque of {joint}" for side in ("largest", "smallest") for joint in joints
         )
-        self.units = tuple(_units(robot, limited) * 2)
+        self.subjects = joints * 2
+        self.units = _units(robot, limited) * 2
         self.upper, self.lower = np.concatenate([edge, endless]), np.concatenate([-endless, -edge])
         self.scale = np.tile(edge, 2)
 
@@ -198,5 +199,15 @@ class FittedTorqueSet(ConstraintSet):
         return {"shift": np.full((len(motion), 1), shift), "time": motion.t[:, None]}
 
 
-def _units(robot: Robot, joints: list[int]) -> list[str]:
-    return ["N·m" if robot.joints[j].revolute else "N" for j in joints]
+def joint_names(joints: Iterable[int]) -> tuple[str, ...]:
+    """Return the names of joints, numbered from 1, in the lists of what was checked."""
+    return tuple(f"joint {j + 1}" for j in joints)
+
+
+def _without_limit(robot: Robot, limited: list[int]) -> dict[str, str]:
+    others = (j for j in range(robot.n) if j not in limited)
+    return dict.fromkeys(joint_names(others), "no torque limit is stated")
+
+
+def _units(robot: Robot, joints: list[int]) -> tuple[str, ...]:
+    return tuple("N·m" if robot.joints[j].revolute else "N" for j in joints)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.atomic_file import require_regular
 from lieid_casadi.errors import ExcitationError
 
 LONGEST = 3600.0  # s, of one period
 DEGREE = 5  # of the splines, and of the polynomial of the modified Fourier series
+DEPENDENT = 1e-9  # part of a row, beyond the rows before it, below which it adds no condition
 
 
 class Basis(Protocol):
@@ -162,48 +167,16 @@ BasisName = Literal["fourier", "modified_fourier", "bspline"]
 NAMES: tuple[BasisName, ...] = get_args(BasisName)
 
 
-def check_basis(basis: Basis) -> None:
-    """Refuse a basis without the properties that `Basis` states.
-
-    Raises
-    ------
-    ExcitationError
-        Names what was found.
-    """
-    if not 0.0 < basis.duration <= LONGEST:
-        raise ExcitationError(
-            f"basis {basis.name}: duration {basis.duration:g} s; expected a positive number of at "
-            f"most {LONGEST:g} s"
-        )
-    values = np.asarray(basis.evaluate(np.array([0.0, basis.duration])), dtype=float)
-    if values.shape != (4, 2, basis.size):
-        raise ExcitationError(
-            f"basis {basis.name}: evaluate at two times has shape {values.shape}; expected "
-            f"(4, 2, {basis.size}): functions and three derivatives, times, functions"
-        )
-    if not np.allclose(values[:, :, 0], np.array([[1.0], [0.0], [0.0], [0.0]])):
-        raise ExcitationError(f"basis {basis.name}: column 0 is not the constant 1")
-
-
 def make(
     name: str = "fourier",
     *,
     duration: float = 20.0,
     harmonics: int = 5,
-    intervals: int | None = None,
 ) -> Basis:
     """Return the basis of a name.
 
-    Parameters
-    ----------
-    name : str
-        ``fourier`` (Eq. 19), ``modified_fourier`` or ``bspline``.
-    duration : float
-        Of one period, s.
-    harmonics : int
-        Of the Fourier series.
-    intervals : int, optional
-        Of the B-spline; by default it has as many free coefficients as the Fourier series.
+    A B-spline has as many free coefficients as the Fourier series of ``harmonics``: it needs six
+    end conditions in place of three.
 
     Raises
     ------
@@ -221,12 +194,25 @@ def make(
     if name == "modified_fourier":
         return ModifiedFourier(harmonics, duration)
     if name == "bspline":
-        # six end conditions in place of three: the same number of free coefficients
-        return BSpline(2 * harmonics - 1 if intervals is None else intervals, duration)
+        return BSpline(2 * harmonics - 1, duration)
     raise ExcitationError(f"basis: {name!r}; expected one of {', '.join(NAMES)}")
 
 
-DEPENDENT = 1e-9  # part of a row, beyond the rows before it, below which it adds no condition
+def check_basis(basis: Basis) -> None:
+    """Refuse a basis without the properties that `Basis` states."""
+    if not 0.0 < basis.duration <= LONGEST:
+        raise ExcitationError(
+            f"basis {basis.name}: duration {basis.duration:g} s; expected a positive number of at "
+            f"most {LONGEST:g} s"
+        )
+    values = np.asarray(basis.evaluate(np.array([0.0, basis.duration])), dtype=float)
+    if values.shape != (4, 2, basis.size):
+        raise ExcitationError(
+            f"basis {basis.name}: evaluate at two times has shape {values.shape}; expected "
+            f"(4, 2, {basis.size}): functions and three derivatives, times, functions"
+        )
+    if not np.allclose(values[:, :, 0], np.array([[1.0], [0.0], [0.0], [0.0]])):
+        raise ExcitationError(f"basis {basis.name}: column 0 is not the constant 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +238,7 @@ class MotionSamples:
     def __len__(self) -> int:
         return len(self.t)
 
-    def at(self, index: NDArray[np.intp]) -> MotionSamples:
+    def at(self, index: NDArray[np.intp] | slice) -> MotionSamples:
         """Return some of the samples."""
         jerk = None if self.dddq is None else self.dddq[index]
         return MotionSamples(self.t[index], self.q[index], self.dq[index], self.ddq[index], jerk)
@@ -291,25 +277,21 @@ def period_grid(duration: float, samples: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Parametrization:
-    """Free variables z (n d,) of the trajectories that meet the end conditions.
+    """Free variables z (n d,) of the trajectories that start and end at rest at a pose (Eq. 20).
 
-    At both ends velocity and acceleration vanish (Eq. 20) and the positions are the same; with
-    ``fixed`` they are ``pose``, otherwise free. The conditions are linear: the coefficients are
-    those of the pose at rest plus null-space directions times z.
+    The conditions are linear: the coefficients are those of the pose at rest plus null-space
+    directions times z.
 
     Attributes
     ----------
-    basis : Basis
     pose : (n,)
-        Start pose, or the pose at z = 0; rad.
-    fixed : bool
+        rad.
     size_of_unit : (n, 3)
         Position, velocity and acceleration that the scaled directions reach at z = 1.
     """
 
     basis: Basis
     pose: Array
-    fixed: bool
     size_of_unit: Array
 
     @property
@@ -331,13 +313,8 @@ class Parametrization:
     def _directions(self) -> Array:
         """Orthonormal null space (m, d) of the end conditions."""
         ends = self.basis.evaluate(np.array([0.0, self.basis.duration]))
-        kinds = (0, 1, 2) if self.fixed else (1, 2)
         # a duration of one in place of seconds makes the conditions comparable
-        conditions = [ends[k] * self.basis.duration**k for k in kinds]
-        closing = ends[0, 1] - ends[0, 0]
-        if not self.fixed and np.abs(closing).max() > DEPENDENT:  # periodic bases close anyway
-            conditions.append(closing[None])
-        return null_space(np.vstack(conditions))
+        return null_space(np.vstack([ends[k] * self.basis.duration**k for k in (0, 1, 2)]))
 
     @cached_property
     def scales(self) -> Array:
@@ -352,22 +329,24 @@ class Parametrization:
         plain = self.basis.evaluate(t) @ self._directions
         return np.asarray(plain[None] * self.scales[:, None, None, :])
 
-    def coefficients(self, z: Array) -> Array:
-        """Return the coefficients (n, m) of free variables (n d,)."""
+    def trajectory(self, z: Array) -> Trajectory:
+        """Return the trajectory of free variables (n d,)."""
         free = np.reshape(z, (self.n, -1)) * self.scales
         coefficients = free @ self._directions.T
         coefficients[:, 0] += self.pose
-        return coefficients
+        return Trajectory(self.basis, coefficients)
 
-    def trajectory(self, z: Array) -> Trajectory:
-        """Return the trajectory of free variables (n d,)."""
-        return Trajectory(self.basis, self.coefficients(z))
+    def nearest(self, positions: Array) -> Array:
+        """Return the free variables (n d,) of the trajectory nearest to positions (N, n).
 
-    def variables(self, trajectory: Trajectory) -> Array:
-        """Return the free variables (n d,) of a trajectory of this basis (its projection)."""
-        coefficients = trajectory.coefficients.copy()
-        coefficients[:, 0] -= self.pose
-        return np.ravel((coefficients @ self._directions) / self.scales)
+        The positions are equidistant in time and taken as one period.
+        """
+        t = np.linspace(0.0, self.basis.duration, len(positions))
+        functions = self.functions(t)[:, 0]  # (n, N, d)
+        moved = positions - self.pose
+        return np.concatenate(
+            [np.linalg.lstsq(f, q, rcond=None)[0] for f, q in zip(functions, moved.T, strict=True)]
+        )
 
 
 def null_space(rows: Array) -> Array:
@@ -386,8 +365,7 @@ def null_space(rows: Array) -> Array:
             projector = projector - np.outer(unit, unit)
     free = round(float(np.trace(projector)))
     reference = np.random.default_rng(0).normal(size=(rows.shape[1], free))
-    near = projector @ reference
-    left, _, right = np.linalg.svd(near, full_matrices=False)
+    left, _, right = np.linalg.svd(projector @ reference, full_matrices=False)
     return np.asarray(left @ right)
 
 
@@ -423,34 +401,70 @@ class SampledBasis:
         return np.ravel(flat @ self._flat[:, : flat.shape[2]])
 
 
-PEAK_VELOCITY, PEAK_ACCELERATION = 1.875, 5.7736  # of the quintic from 0 to 1 in 1 s
+def load_positions(path: str | Path, n: int) -> Array:
+    """Return the positions (N, n) of a trajectory file, equidistant in time.
 
-
-@dataclass(frozen=True, eq=False)
-class RestToRest:
-    """A quintic motion from rest to rest.
-
-    Attributes
-    ----------
-    start, end : (n,)
-        Poses, rad.
-    duration : float
-        s.
+    The file is a CSV with the columns t, q1 … qn, as ``trajectory.csv``; lines with # precede the
+    header. An `ExcitationError` names what is missing.
     """
+    try:
+        require_regular(path)
+        lines = Path(path).read_text("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ExcitationError(f"start: {path} cannot be read: {error}") from None
+    rows = [line for line in lines if line.strip() and not line.startswith("#")]
+    header = rows[0].split(",") if rows else []
+    names = ["t", *(f"q{j + 1}" for j in range(n))]
+    missing = [name for name in names if name not in header]
+    if missing:
+        raise ExcitationError(f"start: {path} has no column {missing[0]}; expected t, q1 … q{n}")
+    try:
+        columns = [header.index(name) for name in names]
+        table = np.loadtxt(rows[1:], delimiter=",", usecols=columns, ndmin=2)
+    except ValueError as error:
+        raise ExcitationError(f"start: {path}: {error}") from None
+    t = table[:, 0]
+    if len(t) < 3 or not np.isfinite(table).all() or not np.all(np.diff(t) > 0.0):
+        raise ExcitationError(
+            f"start: {path}: expected 3 rows of finite numbers at least, with increasing times"
+        )
+    grid = np.linspace(t[0], t[-1], len(t))
+    return np.column_stack([np.interp(grid, t, q) for q in table[:, 1:].T])
 
-    start: Array
-    end: Array
-    duration: float
 
-    def at(self, t: Array) -> MotionSamples:
-        """Return the motion at times 0 … duration."""
-        if self.duration <= 0.0:
-            raise ValueError("a motion of zero duration has no samples")
-        u = np.clip(np.asarray(t) / self.duration, 0.0, 1.0)[:, None]
-        distance, rate = self.end - self.start, 1.0 / self.duration
-        shape = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-        first = 30.0 * u**2 * (1.0 - u) ** 2 * rate
-        second = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) * rate**2
-        third = 60.0 * (1.0 - 6.0 * u + 6.0 * u**2) * rate**3
-        parts = (kind * distance for kind in (first, second, third))
-        return MotionSamples(np.asarray(t), self.start + shape * distance, *parts)
+def csv_text(motion: MotionSamples, checked: Sequence[str], unchecked: Sequence[str]) -> str:
+    """Return t, q1 … qn, dq1 … dqn, ddq1 … ddqn, one row per sample; 12 digits.
+
+    What was checked, and what was not, precedes the header in lines that begin with ``#``.
+    """
+    n = motion.q.shape[1]
+    names = [f"{kind}{j + 1}" for kind in ("q", "dq", "ddq") for j in range(n)]
+    table = np.column_stack([motion.t, motion.q, motion.dq, motion.ddq])
+    row = ",".join(["%.12g"] * table.shape[1]) + "\n"
+    return (
+        "".join(f"# checked: {name}\n" for name in checked)
+        + "".join(f"# not checked: {name}\n" for name in unchecked)
+        + ",".join(["t", *names])
+        + "\n"
+        + "".join(row % tuple(values) for values in table.tolist())
+    )
+
+
+def joint_trajectory_yaml(motion: MotionSamples, names: Sequence[str]) -> str:
+    """Return a ``trajectory_msgs/msg/JointTrajectory`` as ``ros2 topic pub`` reads it."""
+    lines = ["joint_names: [" + ", ".join(json.dumps(name) for name in names) + "]", "points:"]
+    for k, t in enumerate(motion.t):
+        seconds = int(np.floor(t + 5e-10))
+        nanoseconds = max(0, round((t - seconds) * 1e9))
+        lines += [
+            f"- positions: {_numbers(motion.q[k])}",
+            f"  velocities: {_numbers(motion.dq[k])}",
+            f"  accelerations: {_numbers(motion.ddq[k])}",
+            f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(values: Array) -> str:
+    # "1e-05" is text in YAML 1.1; with a point it is a number
+    return "[" + ", ".join(f"{value:.9f}" for value in values.tolist()) + "]"

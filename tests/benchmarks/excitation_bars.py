@@ -15,9 +15,8 @@ from excitation_peer import Peer, first_time, run_slsqp
 import lieid_casadi as lieid
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation import CartesianSpeed, SelfCollision, Torque, capsules_of, floor
-from lieid_casadi.excitation.design import FINE, ExcitationProblem, make_design, random_start
-from lieid_casadi.excitation.excite import verification
-from lieid_casadi.excitation.search import solve
+from lieid_casadi.excitation.design import FINE, ExcitationProblem, make_design
+from lieid_casadi.excitation.search import Search
 from lieid_casadi.excitation.trajectory import make
 
 UR10E = Path(__file__).parents[3] / "shared" / "recordings" / "ur10e" / "ur10e.urdf"
@@ -26,10 +25,10 @@ LEVEL = 12.75
 
 
 def panda_problem():
-    """43 inertial columns, 5 harmonics at 0.05 Hz, 5 rad/s², free start, 100 samples."""
+    """43 inertial columns, 5 harmonics at 0.05 Hz, 5 rad/s², 100 samples."""
     design = make_design(
         lieid.Model(lieid.robots.panda()), basis=make(), criterion="condition", limits=(),
-        acceleration=5.0, free_start=True, margin=1.0,
+        acceleration=5.0, margin=1.0,
     )  # fmt: skip
     return ExcitationProblem(design)
 
@@ -40,8 +39,8 @@ def panda(starts=10, peers=4):
     say(f"panda: built in {time.perf_counter() - began:.2f} s")
     solutions, reached = [], []
     for seed in range(starts):
-        solution = solve(problem, seed)
-        violation, _ = verification(problem, solution.z)
+        solution = Search(problem, seed).solve()
+        violation = max(excess.value for excess in problem.excesses(solution.z))
         first = next(
             (
                 s.seconds
@@ -68,7 +67,7 @@ def panda(starts=10, peers=4):
     slsqp = []
     for seed in range(peers):
         for objective in ("log_condition", "surrogate"):
-            log = run_slsqp(peer, constraints, random_start(problem, seed), objective=objective)
+            log = run_slsqp(peer, constraints, problem.random_start(seed), objective=objective)
             slsqp.append(first_time(log, LEVEL))
             say(
                 f"  SLSQP seed {seed}, {objective}: cond {min(v for _, v, _ in log):.2f} after "
@@ -102,11 +101,11 @@ def limits(starts=10):
 def report(problem, starts):
     for seed in range(starts):
         try:
-            solution = solve(problem, seed)
+            solution = Search(problem, seed).solve()
         except NoSolution as reason:
             say(f"  seed {seed}: {reason}")
             continue
-        violation, _ = verification(problem, solution.z)
+        violation = max(excess.value for excess in problem.excesses(solution.z))
         say(
             f"  seed {seed}: cond {solution.condition_number:.2f} in {solution.seconds:.2f} s, "
             f"violation {violation:.1g}"
@@ -135,7 +134,7 @@ def ur10e(starts=5, seconds=20.0):
         report(problem, starts)
         log = run_slsqp(
             Peer(problem, friction=True), problem.constraints(1, margin=0.0),
-            random_start(problem, 0), seconds=seconds, nonlinear=True,
+            problem.random_start(0), seconds=seconds, nonlinear=True,
         )  # fmt: skip
         good = [v for _, v, violation in log if violation <= 1e-6]
         say(f"  SLSQP: cond {min(good, default=np.inf):.1f} after {log[-1][0]:.0f} s")

@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 import lieid_casadi as lieid
-from lieid_casadi.excitation.design import ExcitationProblem, make_design, random_start
-from lieid_casadi.excitation.search import solve
+from lieid_casadi.excitation.design import ExcitationProblem, make_design
+from lieid_casadi.excitation.search import Search
 from lieid_casadi.excitation.trajectory import make
 
 STARTS = 5
@@ -68,7 +68,7 @@ def run_graph(problem, hessian, starts=STARTS, iterations=ITERATIONS):
     numbers, seconds, counts = [], [], []
     for seed in range(starts):
         began = time.process_time()
-        result = solver(x0=random_start(problem, seed), lbg=lower, ubg=upper)
+        result = solver(x0=problem.random_start(seed), lbg=lower, ubg=upper)
         seconds.append(time.process_time() - began)
         counts.append(solver.stats()["iter_count"])
         numbers.append(float(result["f"]))
@@ -79,7 +79,7 @@ def run_own(problem):
     numbers, seconds, counts = [], [], []
     for seed in range(STARTS):
         began = time.process_time()
-        solution = solve(problem, seed)
+        solution = Search(problem, seed).solve()
         seconds.append(time.process_time() - began)
         counts.append(len(solution.history))
         numbers.append(solution.neg_log_det / problem.design.model.base.count)

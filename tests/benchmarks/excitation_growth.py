@@ -15,7 +15,7 @@ from arms import panda, six_joints, twelve_joints
 
 import lieid_casadi as lieid
 from lieid_casadi.excitation.design import ExcitationProblem, make_design
-from lieid_casadi.excitation.search import solve
+from lieid_casadi.excitation.search import Search
 from lieid_casadi.excitation.trajectory import make
 from lieid_casadi.robot import Limits
 
@@ -50,7 +50,7 @@ def row(label, robot, *, basis="fourier", harmonics=5, samples=100, duration=20.
     numbers, seconds, counts = [], [], []
     for seed in range(STARTS):
         began = time.process_time()
-        solution = solve(problem, seed)
+        solution = Search(problem, seed).solve()
         seconds.append(time.process_time() - began)
         numbers.append(solution.condition_number)
         counts.append(len(solution.history))

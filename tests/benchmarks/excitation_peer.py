@@ -98,7 +98,7 @@ def run_slsqp(peer, constraints, z, *, objective="log_condition", seconds=20.0, 
 
 def linear_rows(constraints, sets, z):
     """Return A, b of the linear limits A·z ≤ b at every sample."""
-    from lieid_casadi.excitation.limits import ConstraintRows
+    from lieid_casadi.excitation.ipopt import ConstraintRows
 
     motion = constraints.sampled.motion(0.0 * z)
     excess = constraints.excess(motion)

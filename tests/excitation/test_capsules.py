@@ -17,6 +17,7 @@ from lieid_casadi.excitation import (
 )
 from lieid_casadi.excitation.clearance import covering_balls
 from lieid_casadi.excitation.links import (
+    collision_shapes,
     enclosing_all,
     segment_distance_to_points,
     skeleton,
@@ -170,12 +171,11 @@ def test_capsules_contain_a_mesh_that_is_found(tmp_path, monkeypatch):
     assert outside(fore[0], corners + np.array([0.2, 0.0, 0.0])) <= 1e-6
 
 
-def test_missing_mesh_falls_back_to_lines_between_joints(tmp_path, caplog):
+def test_a_link_whose_mesh_is_missing_follows_the_line_between_its_joints(tmp_path):
     robot = robot_of(tmp_path, '<mesh filename="package://nowhere/fore.stl"/>')
-    with caplog.at_level("INFO", logger="lieid_casadi"):
-        links = capsules_of(robot)
-    assert [c.link for c in links] == [c.link for c in skeleton(robot)]
-    assert "no collision geometry found" in caplog.text
+    links = capsules_of(robot)
+    assert [(c.link, c.source) for c in links] == [(0, "shape"), (1, "shape"), (2, "line")]
+    assert collision_shapes(robot)[1] == ("fore",)
 
 
 ENDS = "start: [0,0,0], end: [0,0,1]"
@@ -207,12 +207,13 @@ def test_capsule_file(tmp_path):
     np.testing.assert_array_equal(capsule.end, [0.4, 0.0, 0.0])
 
 
-def test_a_forearm_that_folds_onto_the_base_is_checked(recordings):
-    """Base and link 3 of the TX40 touch in 41 % of random poses, and are three joints apart."""
+def test_links_of_zero_length_are_balls(recordings):
+    """The TX40's wrist; base and link 3 touch in 41 % of random poses, three joints apart."""
     robot = lieid.Robot.from_urdf(recordings / "staubli_tx40" / "tx40.urdf")
+    assert {c.link for c in skeleton(robot)} >= set(range(1, 7))
     limits = SelfCollision().on(robot)
-    assert limits.labels == ("distance of the base from link 3",)
-    assert limits.left_out == ()
+    assert "distance of the base from link 3" in limits.labels
+    assert "base – link 3" not in limits.left_out
 
 
 def test_links_that_cannot_be_checked_are_listed():
@@ -223,7 +224,7 @@ def test_links_that_cannot_be_checked_are_listed():
         lieid.Model(robot), duration=6.0, starts=1, max_iterations=10,
         limits=[SelfCollision(0.02, thick)],
     )  # fmt: skip
-    assert "distance of the base from link 2 (capsules too coarse)" in found.unchecked
+    assert "self-collision: base – link 2 (its capsules touch in 100 % of poses)" in found.unchecked
     plain = excite(
         lieid.Model(robot), duration=6.0, starts=1, max_iterations=10, limits=[SelfCollision()]
     )

@@ -98,7 +98,8 @@ def test_a_folder_with_content_needs_force(folder, capsys):
     [
         (["--start-pose", "0", "99"], 2, "joint 2"),
         (["--duration", "0.2"], 2, "too short for the acceleration limit"),
-        (["--wall", "0", "0", "1", "-5", "--max-iterations", "20"], 3, "no start pose"),
+        (["--wall", "0", "0", "1", "-5"], 3, "every pose violates a limit"),
+        (["--criterion", "best"], 2, "expected one of combined"),
         (["--margin", "1.5"], 2, "margin: 1.5; expected more than 0, at most 1"),
         (["--acceleration", "0"], 2, "acceleration"),
         (["--friction-sweep", "7"], 2, "no joint 7"),

@@ -151,14 +151,6 @@ def test_a_basis_of_the_users():
     assert found.condition_number < 50.0
 
 
-@pytest.mark.parametrize("basis", ["bspline", "modified_fourier"])
-def test_a_free_start_returns_to_it(basis):
-    """Also where the basis is not periodic: no jump between periods, nor before the return."""
-    found = excite(MODEL, basis=basis, free_start=True, periods=2, max_iterations=20, **QUICK)
-    motion = found.motion(500.0)
-    assert np.abs(np.diff(motion.q, axis=0)).max() < 1.01 * ROBOT.limit("velocity").max() / 500.0
-
-
 def test_a_criterion_of_the_users():
     """−log det as an expression: value, derivative, and the optimum of the built-in criterion."""
     rows = np.random.default_rng(3).normal(size=(30, 6))

@@ -8,10 +8,9 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.excitation import Torque, excite
-from lieid_casadi.excitation.criteria import ObjectiveValue
 from lieid_casadi.excitation.design import ExcitationProblem, make_design
-from lieid_casadi.excitation.ipopt import Ipopt, run_ipopt
-from lieid_casadi.excitation.search import solve
+from lieid_casadi.excitation.ipopt import Ipopt, ObjectiveValue, run_ipopt
+from lieid_casadi.excitation.search import Search
 from lieid_casadi.excitation.trajectory import make
 from lieid_casadi.plant.rigid import build_pinocchio
 
@@ -64,10 +63,10 @@ def test_the_solver_reads_no_clock(problem, monkeypatch):
     """Iterates of a machine on which every call of the clock takes an hour are the same."""
     import time
 
-    quick = solve(problem, 0)
+    quick = Search(problem, 0).solve()
     hours = iter(range(10**9))
     monkeypatch.setattr(time, "monotonic", lambda: 3600.0 * next(hours))
-    slow = solve(problem, 0)
+    slow = Search(problem, 0).solve()
     np.testing.assert_array_equal(quick.z, slow.z)
 
 
@@ -123,7 +122,7 @@ def test_a_quadratic_objective_within_linear_limits(problem):
         )
 
     constraints = problem.constraints(1)
-    made = Ipopt(constraints, size)
+    made = Ipopt(constraints)
     z = np.zeros(size)
     for _ in range(8):
         z = made.minimize(objective, z, iterations=200, tolerance=1e-9)
@@ -227,7 +226,7 @@ def test_a_run_stops_at_a_violated_limit_that_is_not_a_row(problem):
         )
 
     seen = []
-    solver = Ipopt(problem.constraints(2), size, lambda iteration: seen.append(iteration.state))
+    solver = Ipopt(problem.constraints(2), lambda stage, number, state: seen.append(state))
     z = solver.minimize(outwards, np.zeros(size), iterations=80, tolerance=1e-6)
     assert max(state.violation for state in seen) < 1.0
     constraints = problem.constraints(2)

@@ -57,7 +57,9 @@ def fit(robot, arm):
 
 def test_the_torque_on_the_arm_stays_within_the_limit(robot, arm, fit):
     """Rigid torque within the limit is not enough; the fit's torque with its uncertainty is."""
-    options = {"duration": 6.0, "starts": 1, "acceleration": 8.0, "margin": 1.0}
+    options = {
+        "duration": 6.0, "starts": 1, "acceleration": 8.0, "margin": 1.0, "start_pose": [0.0, 0.0],
+    }  # fmt: skip
     limit = robot.limit("torque")
     rigid = excite(fit.model, limits=[Torque(dry=0.0, viscous=0.0)], **options)
     safe = excite(fit, limits=[Torque()], **options)

@@ -91,13 +91,12 @@ def test_methods_and_criteria_have_literal_types():
     from lieid_casadi.identification.identify import Method
 
     assert set(get_args(Method)) == set(METHODS)
-    assert get_args(criteria.CriterionName) == criteria.NAMES == excite_command.CRITERIA
+    assert get_args(criteria.CriterionName) == criteria.NAMES
     assert get_args(trajectory.BasisName) == excite_command.BASES
     for function, name, annotation in (
         (lieid.identify, "method", "Method"),
         (lieid.diagnose, "method", "Method"),
-        (lieid.excite, "criterion", "CriterionName | CriterionExpression"),
-        (lieid.excite, "scaling", "ScalingName | Sequence[float] | Array"),
+        (lieid.excite, "criterion", "CriterionName | CriterionExpression | Criterion"),
         (lieid.excite, "basis", "BasisName | Basis"),
     ):
         assert signature(function).parameters[name].annotation == annotation

@@ -1,32 +1,32 @@
-"""Gradients and Jacobians of a design against finite differences."""
+"""Criteria, the information matrix, and the model that a design evaluates."""
 
 import numpy as np
 import pytest
 
 import lieid_casadi as lieid
-from lieid_casadi.errors import ExcitationError
+from lieid_casadi.errors import ExcitationError, NotCountedWarning
 from lieid_casadi.excitation import (
     CartesianSpeed,
+    Criterion,
     Obstacle,
     SelfCollision,
     Torque,
     Wall,
-    capsules_of,
+    excite,
 )
 from lieid_casadi.excitation.criteria import (
-    NAMES,
-    AOptimal,
     Condition,
-    EOptimal,
     Hadamard,
+    InformationMatrix,
     LogDet,
     UnitNormColumns,
-    stages,
+    design_model,
 )
-from lieid_casadi.excitation.design import ExcitationProblem, make_design, random_start
-from lieid_casadi.excitation.information import InformationMatrix
+from lieid_casadi.excitation.design import ExcitationProblem, make_design
 from lieid_casadi.excitation.trajectory import MotionSamples, make
 
+PANDA = lieid.robots.panda()
+ROBOT = lieid.robots.two_link()
 STEP = 1e-6
 
 
@@ -36,7 +36,7 @@ def gram(size, seed=0):
 
 
 CRITERIA = [
-    Hadamard(), LogDet(), AOptimal(np.eye(6)), EOptimal(np.eye(6), 3.0),
+    Hadamard(), LogDet(),
     Condition(np.eye(6), 1.0), Condition(np.tril(np.full((6, 6), 0.5)) + np.eye(6), 8.0),
     UnitNormColumns(Condition(np.eye(6), 4.0)), UnitNormColumns(LogDet()),
 ]  # fmt: skip
@@ -79,15 +79,6 @@ def test_values_of_criteria():
     g = np.diag([4.0, 9.0])
     assert np.isclose(LogDet().evaluate(g)[0], -0.5 * np.log(36.0))
     assert np.isclose(Hadamard().evaluate(g)[0], -0.5 * np.log(6.0))
-    assert np.isclose(AOptimal(np.eye(2)).evaluate(g)[0], np.log(1 / 4 + 1 / 9))
-    assert np.isclose(EOptimal(np.eye(2), 200.0).evaluate(g)[0], -np.log(4.0), atol=1e-3)
-
-
-def test_names_of_criteria():
-    for name in NAMES[1:]:
-        assert stages(name, np.eye(3))
-    with pytest.raises(ExcitationError, match="expected one of combined"):
-        stages("best", np.eye(3))
 
 
 @pytest.mark.parametrize(
@@ -101,7 +92,7 @@ def test_gradient_of_an_objective_in_the_free_variables(robot, effects):
     model = lieid.Model(lieid.Robot.load(robot), effects=effects)
     design = make_design(model, basis=make(harmonics=3), samples=40, limits=())
     problem = ExcitationProblem(design)
-    z = random_start(problem, 3)
+    z = problem.random_start(3)
     direction = np.random.default_rng(4).normal(size=z.size)
     for criterion in (LogDet(), Condition(problem.metric, 2.0)):
         near = LogDet().evaluate(problem.gram(z))[0] + 0.1
@@ -132,10 +123,6 @@ def test_information_matrix_uses_the_regressor_of_the_model():
 
 @pytest.mark.parametrize("effect", ["temperature_friction", "presliding", "bias_drift"])
 def test_effects_that_no_motion_excites_are_refused(effect):
-    from lieid_casadi.effects.registry import REGISTER
-
-    if effect not in REGISTER:
-        pytest.skip(f"no effect {effect}")
     model = lieid.Model(lieid.robots.two_link(), effects=[effect])
     with pytest.raises(ExcitationError, match=effect):
         InformationMatrix(model, sign_width=np.ones(2))
@@ -174,5 +161,114 @@ def test_jacobian_of_a_limit(limit):
             assert close.all()
 
 
-def test_bundled_capsules_of_the_panda_are_used():
-    assert len(capsules_of(lieid.robots.panda())) == 8
+def test_combined_criterion_improves_log_det():
+    """C1's bound on −log det: never much worse than C3's, better than C2's."""
+    options = {
+        "limits": (), "acceleration": 5.0, "starts": 1, "margin": 1.0,
+    }  # fmt: skip
+    model = lieid.Model(PANDA)
+    names = "combined", "condition", "hadamard"
+    c1, c2, c3 = (excite(model, criterion=name, **options) for name in names)
+    assert c1.neg_log_det < c2.neg_log_det
+    assert c1.condition_number < 2.0 * c2.condition_number < c3.condition_number
+
+
+def test_thresholds_of_the_combined_criterion_end_the_search():
+    """Eq. 20 as printed: below Δ₁ with −log det at most Δ₂, verified, in fewer iterations."""
+    options = {"duration": 6.0, "starts": 1, "criterion": "combined", "limits": ()}
+    model = lieid.Model(lieid.robots.two_link())
+    full = excite(model, **options)
+    threshold = 1.3 * full.condition_number
+    bound = full.neg_log_det + 0.5
+    early = excite(model, condition_threshold=threshold, neg_log_det_threshold=bound, **options)
+    assert full.condition_number < early.condition_number <= threshold
+    assert early.neg_log_det <= bound
+    assert early.max_violation == 0.0
+    assert len(early.history) < len(full.history)
+
+
+class EOptimal(Criterion):
+    """−log λ_min(G): the worst direction's variance, where it is a single one."""
+
+    name = "e_optimal"
+
+    def evaluate(self, gram):
+        sizes, vectors = np.linalg.eigh(gram)
+        return -float(np.log(sizes[0])), -np.outer(vectors[:, 0], vectors[:, 0]) / sizes[0]
+
+
+def test_a_criterion_with_a_derivative_of_its_own():
+    """The largest variance of a parameter direction falls below that of the other criteria."""
+    options = {"duration": 6.0, "starts": 1, "limits": ()}
+    own, other = (
+        excite(lieid.Model(ROBOT), criterion=c, **options) for c in (EOptimal(), "hadamard")
+    )
+
+    def smallest(found):
+        motion = found.trajectory.at(0.06 * np.arange(100))
+        base = lieid.compile(found.model).base_regressor(motion.q, motion.dq, motion.ddq)
+        return np.linalg.svd(base.reshape(200, -1), compute_uv=False)[-1]
+
+    assert own.criterion == "e_optimal"
+    assert smallest(own) > smallest(other)
+
+
+@pytest.mark.parametrize(
+    ("effects", "expected", "messages"),
+    [
+        ("coulomb,viscous", ["coulomb", "viscous"], []),
+        ("presliding,viscous", ["coulomb", "viscous"], ["replaced by coulomb in the regressor"]),
+        ("presliding/load:2", ["coulomb:2", "load_friction:2"], ["by coulomb and load_friction"]),
+        ("coulomb,presliding:1", ["coulomb"], ["presliding:1"]),
+        ("viscous,temperature_friction", ["viscous"], ["temperature_friction:1"]),
+        ("temperature_friction/exponential", ["viscous"], ["by viscous"]),
+        ("viscous,base_tilt,torque_delay:2", ["viscous"], ["base_tilt, torque_delay:2"]),
+        ("warm_up", ["warm_up"], []),
+    ],
+)
+def test_effects_of_the_design_model(effects, expected, messages):
+    reduced, warnings = design_model(lieid.Model(ROBOT, effects=effects))
+    assert reduced.effects == expected
+    assert len(warnings) == len(messages)
+    for warning, message in zip(warnings, messages, strict=True):
+        assert isinstance(warning, NotCountedWarning)
+        assert message in str(warning)
+
+
+def test_columns_that_depend_on_time():
+    """Columns of `warm_up` by their formula, and the gradient by differences."""
+    model = lieid.Model(ROBOT, effects="coulomb,viscous,warm_up")
+    information = InformationMatrix(model, sign_width=np.full(2, 0.05))
+    rng = np.random.default_rng(2)
+    t = np.linspace(0.0, 40.0, 12)
+    motion = MotionSamples(t, *(rng.normal(size=(12, 2)) for _ in range(3)))
+    rows = information.at(motion).rows.reshape(-1, 2, 12)
+    names = [model.base.names[k] for k in model.base.kept]
+    column = rows[names.index("warm_up.f_tv:2")]
+    np.testing.assert_allclose(column[0], 0.0)
+    np.testing.assert_allclose(column[1], (1.0 - np.exp(-t / 300.0)) * motion.dq[:, 1], rtol=1e-9)
+
+    weights = rng.normal(size=(len(names), len(names)))
+    weights = weights + weights.T
+    gradient = information.gradient(information.at(motion), weights)
+    step = 1e-6
+    for j, k in ((0, 3), (1, 11)):
+        values = []
+        for sign in (1.0, -1.0):
+            dq = motion.dq.copy()
+            dq[k, j] += sign * step
+            moved = information.at(MotionSamples(t, motion.q, dq, motion.ddq))
+            values.append(np.sum(weights * moved.gram()))
+        assert np.isclose(gradient[j, 1, k], (values[0] - values[1]) / (2 * step), rtol=1e-5)
+
+
+def test_a_design_warns_of_effects_that_it_leaves_out():
+    model = lieid.Model(ROBOT, effects="presliding,viscous,warm_up:1,temperature_friction:2")
+    options = {"duration": 8.0, "starts": 1, "max_iterations": 40, "limits": ()}
+    found = excite(model, **options)
+    plain = excite(lieid.Model(ROBOT, effects="coulomb,viscous,warm_up:1"), **options)
+    assert found.condition_number == pytest.approx(plain.condition_number)
+    assert found.to_dict()["effects"] == ["coulomb", "viscous", "warm_up:1"]
+    assert [w["name"] for w in found.to_dict()["warnings"]] == ["NotCountedWarning"] * 2
+    assert "temperature_friction:2" in found.summary()
+    assert plain.warnings == ()
