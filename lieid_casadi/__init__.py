@@ -170,11 +170,9 @@ if TYPE_CHECKING:
     from lieid_casadi.excitation.excite import Excitation, excite
     from lieid_casadi.exporters.export import Export, export
     from lieid_casadi.expressions.symbolic import SymbolicDynamics, symbolic
-    from lieid_casadi.friction_curves.friction import friction
-    from lieid_casadi.friction_curves.friction_fit import FrictionFit
+    from lieid_casadi.friction_curves.friction_fit import FrictionFit, friction
     from lieid_casadi.friction_curves.stages import StagedFit, identify_in_stages
-    from lieid_casadi.gains.estimate import DriveGains
-    from lieid_casadi.gains.identify import drive_gains
+    from lieid_casadi.gains.identify import DriveGains, drive_gains
     from lieid_casadi.identification.fit import Fit
     from lieid_casadi.identification.identify import identify
     from lieid_casadi.identification.prediction import predict
@@ -184,8 +182,7 @@ if TYPE_CHECKING:
     from lieid_casadi.payload.identify import identify_payload
     from lieid_casadi.recording import Processing, Recording
     from lieid_casadi.robot import Drive, Joint, Limits, Robot, servo_drive
-    from lieid_casadi.simulation.simulate import simulate
-    from lieid_casadi.simulation.simulation import Simulation
+    from lieid_casadi.simulation.simulate import Simulation, simulate
 
 
 def __getattr__(name: str) -> Any:

@@ -53,7 +53,7 @@ COMMANDS = (
 def print_comparison(comparison: Comparison, drift: WindowDrift | None = None) -> None:
     """Print torque errors per joint, the simulation error beside them, and the largest errors."""
     from lieid_casadi.comparison.comparison import error_table, largest_errors_table, verdict
-    from lieid_casadi.simulation.view import window_table
+    from lieid_casadi.simulation.simulate import window_table
 
     output.say(verdict(comparison))
     output.show(error_table(comparison))

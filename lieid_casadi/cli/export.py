@@ -1,4 +1,4 @@
-"""``lieid export FIT --to c|urdf|mjcf -o DIR``: a fit for controllers and simulators."""
+"""``lieid export FIT --to FORMAT -o DIR``: a fit for controllers and simulators."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lieid_casadi.cli.option_types import InputPath
 from lieid_casadi.cli.options import Command, option
 from lieid_casadi.errors import UsageError
 
-FORMATS = ("c", "urdf", "mjcf")
+FORMATS = ("c", "urdf", "mjcf", "isaaclab", "ur-friction")
 
 
 def run(args: argparse.Namespace) -> output.Outcome:
@@ -51,7 +51,12 @@ COMMANDS = (
         "Write a fit as C code for a controller, or as a URDF or a MuJoCo model for simulators.",
         (
             option("fit FIT", "fit to export", InputPath),
-            option("--to", "C99 code, URDF, MuJoCo model", choices=FORMATS, required=True),
+            option(
+                "--to",
+                "C99 code, URDF, MuJoCo model, Isaac Lab's actuators, friction of UR's driver",
+                choices=FORMATS,
+                required=True,
+            ),
             *options.output_folder(),
             option("--prefix NAME", "prefix of all C names; default: arm"),
             option(

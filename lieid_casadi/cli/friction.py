@@ -13,7 +13,7 @@ from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.friction_curves import FrictionAgreement, FrictionFit
-    from lieid_casadi.friction_curves.ranking import RankedFrictionModel
+    from lieid_casadi.friction_curves.friction_fit import RankedFrictionModel
     from lieid_casadi.identification import Fit
     from lieid_casadi.robot import Robot
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 def run(args: argparse.Namespace) -> output.Outcome:
     """Extract the curve and fit friction models."""
     from lieid_casadi.friction_curves import compare_friction, fit_friction, friction_curve
-    from lieid_casadi.friction_curves.ranking import rank_friction_models
-    from lieid_casadi.friction_curves.result_tables import (
-        curve_table,
+    from lieid_casadi.friction_curves.curve import curve_table
+    from lieid_casadi.friction_curves.friction_fit import (
         parameter_table,
+        rank_friction_models,
         ranking_table,
     )
     from lieid_casadi.recording import Processing

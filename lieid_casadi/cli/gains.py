@@ -75,7 +75,7 @@ COMMANDS = (
 
 def print_gains(gains: DriveGains) -> None:
     """Print the gains, those not identified, and the option for other commands."""
-    from lieid_casadi.gains.view import gain_table
+    from lieid_casadi.gains.identify import gain_table
 
     output.show(gain_table(gains))
     for part in gains.not_identified:

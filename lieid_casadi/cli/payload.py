@@ -81,11 +81,16 @@ def _percent(text: str | None) -> list[float]:
 
 def print_payload(payload: PayloadEstimate) -> None:
     """Print the verdict, the quantities, the errors, and what cannot be identified."""
-    from lieid_casadi.payload import view
+    from lieid_casadi.payload.estimate import (
+        error_table,
+        friction_table,
+        not_identified,
+        quantity_table,
+    )
 
     output.say(payload.sentence)
-    output.show(view.quantity_table(payload))
-    for names, reason in view.not_identified(payload):
+    output.show(quantity_table(payload))
+    for names, reason in not_identified(payload):
         output.say(f"  * not identified: {names}; {reason}.")
-    output.show(view.error_table(payload), view.friction_table(payload))
+    output.show(error_table(payload), friction_table(payload))
     output.show_warnings(payload.warnings)

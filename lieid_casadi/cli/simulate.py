@@ -15,7 +15,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     from dataclasses import replace
 
     from lieid_casadi.simulation import simulate
-    from lieid_casadi.simulation.view import drift_table, effects_table
+    from lieid_casadi.simulation.simulate import drift_table, effects_table
 
     if not args.window > 0.0:
         raise UsageError(f"--window {args.window:g}: expected seconds above 0")

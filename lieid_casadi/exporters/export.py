@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.c.export import c_files
+from lieid_casadi.exporters.isaaclab import isaaclab_files
 from lieid_casadi.exporters.mjcf import mjcf_files
+from lieid_casadi.exporters.ur_friction import ur_friction_files
 from lieid_casadi.exporters.urdf import urdf_files
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.output_folder import check_folder, write_folder
+
+Format = Literal["c", "urdf", "mjcf", "isaaclab", "ur-friction"]
 
 
 @dataclass(frozen=True)
@@ -34,12 +38,13 @@ class Export:
 def export(
     fit: Fit,
     folder: str | Path,
+    to: Format,
     *,
-    to: Literal["c", "urdf", "mjcf"],
     prefix: str | None = None,
     functions: Sequence[str] | None = None,
     runtime: Sequence[str] = (),
     float32: bool = False,
+    compensated: Fit | None = None,
     force: bool = False,
 ) -> Export:
     """Write a fit for a controller or a simulator.
@@ -50,9 +55,9 @@ def export(
         For ``urdf`` and ``mjcf`` of method ``feasible``.
     folder : str or Path
         Made if it does not exist; written as a whole or not at all.
-    to : {"c", "urdf", "mjcf"}
-        C99 code with its self-test, a URDF with a MuJoCo fragment of the joints, or a MuJoCo
-        model.
+    to : {"c", "urdf", "mjcf", "isaaclab", "ur-friction"}
+        C99 code with its self-test, a URDF with a MuJoCo fragment of the joints, a MuJoCo model,
+        Isaac Lab's actuators, or friction for Universal Robots' direct torque control.
     prefix : str, optional
         Of all C names, so that one program can contain several arms; ``arm`` if left out.
     functions : sequence of str, optional
@@ -65,6 +70,8 @@ def export(
         and shape parameters).
     float32 : bool
         C in single precision, and a self-test with the tolerance of such values.
+    compensated : Fit, optional
+        For ``ur-friction``: a fit of motion under direct torque with the default scales.
     force : bool
         Replace what an earlier export wrote into the folder; other files are kept.
 
@@ -79,19 +86,23 @@ def export(
     OutputError
         The folder has other content or cannot be written.
     """
-    check_folder(folder, force=force)
-    if to not in ("c", "urdf", "mjcf"):
-        raise ExportError(f"format {to!r}; expected 'c', 'urdf' or 'mjcf'")
-    if to == "c":
-        files, notes = c_files(
-            fit,
-            prefix="arm" if prefix is None else prefix,
-            functions=functions,
-            runtime=runtime,
-            float32=float32,
+    if to not in get_args(Format):
+        hint = (
+            f"; did you mean export(fit, …, {str(folder)!r})?" if folder in get_args(Format) else ""
         )
-    elif prefix is not None or functions is not None or runtime or float32:
+        raise ExportError(f"format {str(to)!r}; expected {', '.join(get_args(Format))}{hint}")
+    check_folder(folder, force=force)
+    if to != "c" and (prefix is not None or functions is not None or runtime or float32):
         raise ExportError("prefix, functions, runtime and float32 apply to C code; expected to='c'")
+    if to != "ur-friction" and compensated is not None:
+        raise ExportError("compensated applies to ur-friction; expected to='ur-friction'")
+    if to == "c":
+        names = "arm" if prefix is None else prefix
+        files, notes = c_files(
+            fit, prefix=names, functions=functions, runtime=runtime, float32=float32
+        )
+    elif to == "ur-friction":
+        files, notes = ur_friction_files(fit, compensated)
     else:
-        files, notes = mjcf_files(fit) if to == "mjcf" else urdf_files(fit)
+        files, notes = {"urdf": urdf_files, "mjcf": mjcf_files, "isaaclab": isaaclab_files}[to](fit)
     return Export(write_folder(folder, files, force=force), tuple(notes))

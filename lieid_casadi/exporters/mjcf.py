@@ -12,6 +12,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.simulator_joints import (
     LinearFriction,
+    beyond_linear_friction,
     check_possible,
     file_name,
     linear_friction,
@@ -55,16 +56,10 @@ def mjcf_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
 
 def notes_of(fit: Fit, friction: Sequence[LinearFriction]) -> list[str]:
     """Return notes on what the model approximates and leaves out, a sentence each."""
-    robot, notes = fit.model.robot, []
+    robot = fit.model.robot
+    notes: list[str] = []
     names = {p.effect.name for p in fit.model.placements}
-    for j, own in enumerate(friction):
-        if not own.exact:
-            notes.append(
-                f"joint {j + 1}: friction approximated by damping {own.damping:.4g} and "
-                f"frictionloss {own.loss:.4g}; RMS error {own.error:.3g} N·m, "
-                f"{100.0 * own.share:.0f} % of the friction (speeds of 2 to 50 % of the limit, "
-                "loads at rest over the position range)"
-            )
+    notes += beyond_linear_friction(friction)
     if not all(own.exact for own in friction):
         notes.append("lieid_casadi.simulation.mujoco_callback adds the exact torque of the fit")
     dry = {label.split(".")[0] for label in (c.name for c in fit.model.columns)}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
 
 from lieid_casadi.errors import ExportError
-from lieid_casadi.friction_curves.constant_speed import steady_columns
+from lieid_casadi.friction_curves.friction_fit import steady_columns
 from lieid_casadi.identification.fit import Fit
 
 SAMPLES = 400  # of speed, load and position, at which friction is evaluated
@@ -110,6 +111,18 @@ def linear_friction(fit: Fit) -> tuple[LinearFriction, ...]:
             LinearFriction(float(damping), float(loss), error, error / size if size else 0.0)
         )
     return tuple(found)
+
+
+def beyond_linear_friction(friction: Sequence[LinearFriction]) -> list[str]:
+    """Return a note on each joint whose friction has another form, with the error."""
+    return [
+        f"joint {j + 1}: friction approximated by damping {own.damping:.4g} and "
+        f"frictionloss {own.loss:.4g}; RMS error {own.error:.3g} N·m, "
+        f"{100.0 * own.share:.0f} % of the friction (speeds of 2 to 50 % of the limit, "
+        "loads at rest over the position range)"
+        for j, own in enumerate(friction)
+        if not own.exact
+    ]
 
 
 def check_possible(fit: Fit) -> None:

@@ -18,7 +18,12 @@ from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions import forward_dynamics
 from lieid_casadi.expressions.frames import Frame, frame_of
-from lieid_casadi.expressions.torque import TorqueExpressions, Values, geometry_inputs
+from lieid_casadi.expressions.torque import (
+    FreeGroup,
+    TorqueExpressions,
+    Values,
+    geometry_inputs,
+)
 from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
 
@@ -40,6 +45,8 @@ class SymbolicDynamics:
         Ten link parameters of a body at the tool, in the tool frame.
     ``parameters``, ``effects``, ``shapes``
         Link parameters (10 n,), coefficients (m,) and shape parameters (s,) of a model.
+    groups of parameters
+        Those of ``free``, such as ``friction_3`` for ``friction:3``.
     symbols of the geometry
         By their names, if the robot has some (`Robot.from_screws`).
 
@@ -59,6 +66,11 @@ class SymbolicDynamics:
     def model(self) -> Model:
         """The model behind the functions."""
         return self._torque.model
+
+    @property
+    def free(self) -> dict[str, FreeGroup]:
+        """Inputs of groups of parameters: labels and identified values (``nominal``) of each."""
+        return dict(self._torque.values.free)
 
     def _function(
         self,
@@ -310,7 +322,22 @@ class SymbolicDynamics:
             raise ModelError(f"{reason}, or pass allow_indefinite=True")
 
     def __repr__(self) -> str:
-        return f"SymbolicDynamics({self.model!r})"
+        """List the functions as their documentation states them, and the further inputs."""
+        n, further = self.model.n, self._torque.further_inputs()
+        lines = [f"SymbolicDynamics({self.model!r}), n = {n}"]
+        for name in self.names:
+            text = (getattr(type(self), name).__doc__ or "").strip().splitlines()[0]
+            lines.append(f"  {name}: {text.replace('``', '').rstrip('.')}")
+        if further:
+            named = ", ".join(f"{name}[{symbol.numel()}]" for name, symbol in further.items())
+            lines.append(f"  further inputs, where a function depends on them: {named}")
+        return "\n".join(lines)
+
+    def __getstate__(self) -> None:
+        raise ModelError(
+            "symbolic dynamics cannot be pickled; pickle the fit and call lieid.symbolic again, or "
+            "use save('arm.casadi')"
+        )
 
 
 def write_functions(path: Path, functions: Sequence[ca.Function]) -> None:
@@ -369,6 +396,7 @@ def symbolic(
     as_measured: bool = False,
     payload: bool = False,
     free_parameters: bool = False,
+    free: Sequence[str] = (),
     allow_indefinite: bool = False,
 ) -> SymbolicDynamics:
     """Return the dynamics of an arm as named CasADi functions.
@@ -392,6 +420,11 @@ def symbolic(
         Whether a body at the tool is a further input: its ten link parameters in the tool frame.
     free_parameters : bool
         With a fit: whether link parameters, coefficients and shapes are inputs, as with a model.
+    free : sequence of str
+        With a fit or a robot: groups of parameters that are inputs, each a vector of its own, such
+        as ``["friction:3", "payload", "link6"]``: effects of single joints without armature (of
+        joint 3, from 1), a body at the tool, the ten parameters of a link, or an effect by its
+        name. ``result.free`` has the labels and the identified values of each input.
     allow_indefinite : bool
         Whether forward dynamics are given although the mass matrix is not positive definite in
         some poses within the joint limits.
@@ -405,8 +438,9 @@ def symbolic(
     RobotError
         Naming the links of a robot whose inertia is not stated.
     ModelError
-        An effect cannot be evaluated at one instant (delay, elasticity) and ``as_measured`` asks
-        for it.
+        Neither a robot, a model nor a fit; a group of ``free`` that does not exist; a width of
+        another length; or ``as_measured`` asks for an effect that cannot be evaluated at one
+        instant (delay, elasticity).
 
     Examples
     --------
@@ -415,6 +449,15 @@ def symbolic(
     >>> arm.inverse_dynamics
     Function(inverse_dynamics:(q[2],dq[2],ddq[2])->(tau[2]) SXFunction)
     """
+    if not isinstance(source, Robot | Model) and not hasattr(source, "effect_coefficients"):
+        raise ModelError(
+            f"got {source!r:.60}; expected a Robot, a Model or a Fit, such as "
+            "lieid.Robot.load(path) or lieid.Fit.load(path)"
+        )
+    if isinstance(free, str):
+        free = free.split(",")
+    groups = [group.strip() for group in free if group.strip() != "payload"]
+    payload = payload or len(groups) < len(list(free))
     if isinstance(source, Robot):
         model = Model(source)
         values = Values.numbers(source.link_parameters, np.zeros(0), np.zeros(0))
@@ -432,9 +475,15 @@ def symbolic(
                 source.temperature_mean,
             )
         )
+    if groups and not values.numeric:
+        raise ModelError("free: all parameters are inputs already; expected a fit or a robot")
+    values = values.with_free(model, groups)
     width = None
     if smooth_velocity is not None:
-        width = np.broadcast_to(np.asarray(smooth_velocity, dtype=float), (model.n,))
+        width = np.asarray(smooth_velocity, dtype=float)
+        if width.shape not in ((), (model.n,)):
+            raise ModelError(f"smooth_velocity: shape {width.shape}; expected one or {model.n}")
+        width = np.broadcast_to(width, (model.n,))
         if not (np.isfinite(width).all() and (width > 0.0).all()):
             raise ModelError(f"smooth_velocity: got {smooth_velocity}; expected rad/s above zero")
     torque = TorqueExpressions(model, values, width, as_measured=as_measured, payload=payload)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics import closed_form, recursion
@@ -29,6 +33,8 @@ class Values:
     """Link parameters (10 n,), effect coefficients (m,) and shapes (s,): numbers or symbols.
 
     ``temperature_mean`` (n,) in °C is subtracted from the temperature; None: it is relative.
+    ``free`` are groups of parameters that are symbols while the others are numbers, by the name of
+    their input.
     """
 
     parameters: ca.SX
@@ -36,6 +42,7 @@ class Values:
     shapes: ca.SX
     numeric: bool
     temperature_mean: Array | None = None
+    free: dict[str, FreeGroup] = field(default_factory=dict)
 
     @classmethod
     def numbers(
@@ -62,13 +69,82 @@ class Values:
         shapes = ca.SX.sym("shapes", len(model.shapes))
         return cls(links, coefficients, shapes, False, temperature_mean)
 
+    def with_free(self, model: Model, groups: Sequence[str]) -> Values:
+        """Return numbers of which groups are symbols, such as ``friction:3`` or ``link6``.
+
+        Raises `ModelError`: an unknown or empty group, or a parameter in two of them.
+        """
+        numbers = ca.vertcat(self.parameters, self.effects, self.shapes)
+        labels = [p.label for p in (*model.link_parameters, *model.columns, *model.shapes)]
+        taken, free = np.full(len(labels), ""), {}
+        taken = taken.astype(object)
+        symbols = ca.SX(numbers)
+        for group in groups:
+            members = _members(model, group)
+            twice = [k for k in members if taken[k]]
+            if twice:
+                raise ModelError(f"free: {labels[twice[0]]} is in {taken[twice[0]]} and {group}")
+            taken[members] = group
+            name = re.sub(r"\W+", "_", group)
+            symbol = ca.SX.sym(name, len(members))
+            symbols[members] = symbol
+            values = np.array(ca.DM(numbers[members])).ravel()
+            free[name] = FreeGroup(symbol, tuple(labels[k] for k in members), values)
+        ends = np.cumsum([0, self.parameters.size1(), self.effects.size1(), self.shapes.size1()])
+        links, effects, shapes = ca.vertsplit(symbols, [int(end) for end in ends])
+        return Values(links, effects, shapes, not free, self.temperature_mean, free)
+
     @property
     def inputs(self) -> dict[str, ca.SX]:
         """The symbols among them by name, those of size 0 left out."""
         if self.numeric:
             return {}
+        if self.free:
+            return {name: group.symbol for name, group in self.free.items()}
         named = {"parameters": self.parameters, "effects": self.effects, "shapes": self.shapes}
         return {name: symbol for name, symbol in named.items() if symbol.size1()}
+
+
+@dataclass(frozen=True, eq=False)
+class FreeGroup:
+    """Parameters that are one input (k,): its symbol, their labels, and their identified values."""
+
+    symbol: ca.SX
+    labels: tuple[str, ...]
+    nominal: Array
+
+
+def _members(model: Model, group: str) -> list[int]:
+    """Return the places of a group among link parameters, coefficients and shapes."""
+    name, _, where = group.partition(":")
+    n, count = model.n, len(model.columns)
+    joints = set(range(n))
+    if where:
+        stated = [int(j) for j in where.split("+") if j.isdecimal()]
+        if len(stated) != len(where.split("+")) or not set(stated) <= set(range(1, n + 1)):
+            raise ModelError(f"free: {group!r} names no joints 1 to {n}; expected such as {name}:3")
+        joints = {j - 1 for j in stated}
+    links = [f"link{j + 1}" for j in range(n)]
+    if name in links and not where:
+        first = 10 * links.index(name)
+        return list(range(first, first + 10))
+    column, shape, found = 10 * n, 10 * n + count, []
+    for p in model.placements:
+        own = [*range(column, column + len(p.effect.coefficients))]
+        own += range(shape, shape + len(p.effect.shapes))
+        column, shape = column + len(p.effect.coefficients), shape + len(p.effect.shapes)
+        single = not p.whole_arm and not isinstance(p.effect, ArmEffect)
+        friction = name == "friction" and single and p.effect.name != "armature"
+        if (friction or name in (p.effect.name, p.effect.label)) and p.joint in joints:
+            found += own
+    if found:
+        return sorted(found)
+    known = ["friction", "payload", *links, *sorted({p.effect.name for p in model.placements})]
+    near = [] if name.startswith("link") else get_close_matches(name, known, 1)
+    hint = f"did you mean {near[0]}?" if near and near[0] != name else (
+        f"expected some of {', '.join(known)}, with joints as in friction:3"
+    )  # fmt: skip
+    raise ModelError(f"free: the model has no parameters {group!r}; {hint}")
 
 
 def geometry_inputs(robot: Robot) -> dict[str, ca.SX]:

@@ -1,14 +1,15 @@
 """Friction curves of single joints, friction models fitted to them, identification in stages."""
 
 from lieid_casadi.friction_curves.agreement import FrictionAgreement, compare_friction
-from lieid_casadi.friction_curves.combined_fit import combine_stages
-from lieid_casadi.friction_curves.curve import FrictionCurve
-from lieid_casadi.friction_curves.extraction import friction_curve
-from lieid_casadi.friction_curves.fit_curve import fit_friction
-from lieid_casadi.friction_curves.friction import friction
-from lieid_casadi.friction_curves.friction_fit import FrictionFit
-from lieid_casadi.friction_curves.ranking import RankedFrictionModel, rank_friction_models
-from lieid_casadi.friction_curves.stages import StagedFit, identify_in_stages
+from lieid_casadi.friction_curves.curve import FrictionCurve, friction_curve
+from lieid_casadi.friction_curves.friction_fit import (
+    FrictionFit,
+    RankedFrictionModel,
+    fit_friction,
+    friction,
+    rank_friction_models,
+)
+from lieid_casadi.friction_curves.stages import StagedFit, combine_stages, identify_in_stages
 
 __all__ = [
     "FrictionAgreement",

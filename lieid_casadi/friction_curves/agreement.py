@@ -11,9 +11,8 @@ from scipy.stats import chi2
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ModelError
-from lieid_casadi.friction_curves.constant_speed import steady_columns
 from lieid_casadi.friction_curves.curve import FrictionCurve
-from lieid_casadi.friction_curves.friction_fit import FrictionFit
+from lieid_casadi.friction_curves.friction_fit import FrictionFit, steady_columns
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.regression.variable_projection import ShapeRange
 
@@ -112,7 +111,11 @@ class FrictionAgreement:
         """Draw both determinations over speed and return the figure."""
         from lieid_casadi.friction_curves.plots import plot_agreement
 
-        return plot_agreement(self, ax)
+        verdict = (
+            f"{'agree' if self.agree else 'disagree'}, differ by {100.0 * self.relative:.1f} %"
+        )
+        title = f"joint {self.joint + 1}: {verdict}"
+        return plot_agreement(self.speed, self.first, self.second, self.std, title, ax)
 
 
 Determination = FrictionCurve | FrictionFit | Fit

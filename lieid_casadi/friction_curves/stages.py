@@ -13,21 +13,249 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from lieid_casadi.effects import Effect
-from lieid_casadi.errors import ModelError
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.compiled import Compiled
+from lieid_casadi.effects import Effect, Placement
+from lieid_casadi.errors import LieidWarning, ModelError, unique_warnings
 from lieid_casadi.friction_curves.agreement import FrictionAgreement, compare_friction
-from lieid_casadi.friction_curves.combined_fit import combine_stages
-from lieid_casadi.friction_curves.extraction import LoadSource, friction_curve
-from lieid_casadi.friction_curves.fit_curve import fit_friction
-from lieid_casadi.friction_curves.friction_fit import FrictionFit
+from lieid_casadi.friction_curves.curve import LoadSource, friction_curve
+from lieid_casadi.friction_curves.friction_fit import FrictionFit, fit_friction, steady_columns
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.identify import Method, identify
-from lieid_casadi.model import Model
-from lieid_casadi.recording import Processing, Recording
+from lieid_casadi.identification.prediction import relative_temperature, torque_along
+from lieid_casadi.identification.recording_checks import Source
+from lieid_casadi.model import Model, Parameter
+from lieid_casadi.recording import Processing, Recording, process
 from lieid_casadi.recording.recording import listed
+
+SPEEDS = np.array([0.03, 0.3, 1.0])  # rad/s at which the columns of friction are not all zero
+HIGH_SPEEDS = np.array([1e3, 1e4])  # rad/s, far above those at which dry friction changes
+GROWTH = 3.0  # ratio of a column at the high speeds above which it grows with speed
+REFITS = 2  # of the third stage: load friction changes with the links
+
+
+def combine_stages(
+    first_stage: Fit,
+    friction: Mapping[int, FrictionFit],
+    excitation: Sequence[Recording],
+    *,
+    refit: bool = True,
+) -> Fit:
+    """Combine a first stage and the friction of single joints into one model (Eq. 16).
+
+    This is the last step of `identify_in_stages`, for friction curves that were measured in
+    another way, for example with a known payload.
+
+    ``first_stage``: its friction is kept on joints that ``friction`` does not contain;
+    ``friction``: second stage, by joint from 0; ``excitation``: training recordings of the first
+    stage; ``refit``: whether links and friction that grows with speed are identified again from the
+    excitation (third stage).
+
+    Returns
+    -------
+    Fit
+        Its covariance treats the stages as independent. ``rms_cv`` is NaN.
+    """
+    placements = _kept_placements(first_stage, friction)
+    for own in friction.values():
+        placements += _determined_placements(own)
+    stages = [_values_of(first_stage), *map(_values_of_curve, friction.values())]
+    model = Model.of_placements(first_stage.model.robot, placements)
+    mean = _temperature_mean(first_stage, friction)
+    fit = _combined(replace(first_stage, temperature_mean=mean), model, stages)
+    if refit:
+        dry = _dry_friction(friction)
+        for _ in range(REFITS):
+            refitted = _refitted(fit, dry, excitation, first_stage.method)
+            refitted = replace(refitted, temperature_mean=mean)
+            fit = _combined(refitted, model, [*stages, _values_of(refitted)])
+    recordings = _sources(first_stage, friction)
+    fit = replace(
+        fit,
+        warnings=_warnings(first_stage, friction),
+        provenance=replace(first_stage.provenance, recordings=recordings),
+    )
+    return _with_training_errors(fit, excitation)
+
+
+@dataclass(frozen=True, eq=False)
+class _StageValues:
+    """Coefficients and shapes of one stage by label, and the covariance (k, k) of ``labels``."""
+
+    values: dict[str, float]
+    labels: tuple[str, ...]
+    covariance: Array
+
+
+def _values_of(fit: Fit) -> _StageValues:
+    parameters = (*fit.model.columns, *fit.model.shapes)
+    values = _by_label(parameters, [*fit.effect_coefficients, *fit.shapes])
+    return _StageValues(values, tuple(p.label for p in fit.fitted), fit.covariance)
+
+
+def _values_of_curve(own: FrictionFit) -> _StageValues:
+    determined = Model.of_placements(own.model.robot, _determined_placements(own))
+    labels = {p.label for p in (*determined.columns, *determined.shapes)}
+    kept = [k for k, p in enumerate(own.parameters) if p.label in labels]
+    parameters = [own.parameters[k] for k in kept]
+    values = _by_label(parameters, np.concatenate([own.coefficients, own.shapes])[kept])
+    return _StageValues(
+        values, tuple(p.label for p in parameters), own.covariance[np.ix_(kept, kept)]
+    )
+
+
+def _by_label(parameters: Sequence[Parameter], values: Iterable[float]) -> dict[str, float]:
+    return {p.label: float(value) for p, value in zip(parameters, values, strict=True)}
+
+
+def _combined(links: Fit, model: Model, stages: Sequence[_StageValues]) -> Fit:
+    """Return a model with the links of a fit and the effects of the latest stage with each."""
+    values: dict[str, float] = {}
+    for stage in stages:
+        values |= stage.values
+    coefficients = [values[c.label] for c in model.columns]
+    parameters = np.concatenate([links.link_parameters, coefficients])
+    return replace(
+        links,
+        model=model,
+        method="stages",
+        values=model.base.combination @ parameters,
+        shapes=np.array([values[s.label] for s in model.shapes]),
+        covariance=_covariance(model, stages),
+        parameters=parameters,
+        rms_cv=np.full(model.n, np.nan),
+        certificate=None,
+    )
+
+
+def _covariance(model: Model, stages: Sequence[_StageValues]) -> Array:
+    """Return the block-diagonal covariance (p + s, p + s), the latest stage for each label."""
+    labels = [p.label for p in (*model.base_columns, *model.shapes)]
+    covariance = np.zeros((len(labels), len(labels)))
+    latest = {label: k for k, stage in enumerate(stages) for label in stage.labels}
+    for k, stage in enumerate(stages):
+        own = [i for i, x in enumerate(stage.labels) if latest[x] == k and x in labels]
+        place = [labels.index(stage.labels[i]) for i in own]
+        covariance[np.ix_(place, place)] = stage.covariance[np.ix_(own, own)]
+    return covariance
+
+
+def _kept_placements(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> list[Placement]:
+    """Return the effects of the first stage that the second stage does not replace.
+
+    It replaces friction that is odd in velocity, on its own joints.
+    """
+    odd = {
+        joint: _odd_columns(first_stage.compiled, joint, first_stage.shapes) for joint in friction
+    }
+    return [
+        placement
+        for placement, columns in _with_columns(first_stage.model)
+        if placement.joint not in friction or not odd[placement.joint][columns].any()
+    ]
+
+
+def _determined_placements(own: FrictionFit) -> list[Placement]:
+    """Return the effects of a second stage that its curve determines: those odd in velocity."""
+    odd = _odd_columns(own.compiled, own.curve.joint, own.shapes)
+    return [placement for placement, columns in _with_columns(own.model) if odd[columns].any()]
+
+
+def _odd_columns(compiled: Compiled, joint: int, shapes: Array) -> NDArray[np.bool_]:
+    """Mark the columns (m,) whose torque on a joint changes sign with its velocity."""
+    columns = steady_columns(compiled, joint, SPEEDS, shapes, load=1.0, temperature=1.0)
+    return np.asarray(np.any(columns, axis=0))
+
+
+def _with_columns(model: Model) -> list[tuple[Placement, slice]]:
+    """Return each placement with its columns among the effect columns."""
+    found, first = [], 0
+    for placement in model.placements:
+        last = first + len(placement.effect.coefficients)
+        found.append((placement, slice(first, last)))
+        first = last
+    return found
+
+
+def _dry_friction(friction: Mapping[int, FrictionFit]) -> set[str]:
+    """Return the labels of second-stage effects that stay bounded at high speed."""
+    dry = set()
+    for own in friction.values():
+        slow, fast = np.abs(
+            steady_columns(
+                own.compiled, own.curve.joint, HIGH_SPEEDS, own.shapes, load=1.0, temperature=1.0
+            )
+        )
+        for placement, columns in _with_columns(own.model):
+            if not np.all(fast[columns] > GROWTH * slow[columns]):
+                dry.add(placement.label)
+    return dry
+
+
+def _refitted(fit: Fit, dry: set[str], excitation: Sequence[Recording], method: str) -> Fit:
+    """Identify all but the dry friction again, with the torque of the latter subtracted.
+
+    The robust method treats joints that stick at a reversal for an instant as outliers.
+    """
+    rest = [p for p in fit.model.placements if p.label not in dry]
+    held = np.zeros(len(fit.model.columns))
+    for placement, columns in _with_columns(fit.model):
+        held[columns] = placement.label in dry
+    with_dry, without = (
+        replace(fit, parameters=np.concatenate([fit.link_parameters, coefficients]))
+        for coefficients in (fit.effect_coefficients * held, np.zeros(len(held)))
+    )
+    remaining = []
+    for recording in excitation:
+        assert recording.tau is not None  # the first stage was identified from it
+        torque = with_dry.predict(recording) - without.predict(recording)
+        remaining.append(replace(recording, tau=recording.tau - torque))
+    return identify(
+        Model.of_placements(fit.model.robot, rest),
+        remaining,
+        method="feasible" if method == "feasible" else "robust",
+        processing=fit.processing,
+    )
+
+
+def _with_training_errors(fit: Fit, excitation: Sequence[Recording]) -> Fit:
+    filtered, raw = [], []
+    for segment in process(excitation, fit.processing):
+        centred = relative_temperature(segment, fit.temperature_mean)
+        assert centred.tau is not None  # the first stage was identified from it
+        raw.append(centred.tau - torque_along(fit.compiled, centred, fit.parameters, fit.shapes))
+        filtered.append(segment.filter(raw[-1]))
+    return replace(fit, rms_train=_rms(filtered), rms_train_raw=_rms(raw))
+
+
+def _temperature_mean(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> Array | None:
+    """Return the temperatures that effects refer to: the first stage's mean, if it has one."""
+    means = [own.curve.data.temperature_mean for own in friction.values()]
+    return next((m for m in (first_stage.temperature_mean, *means) if m is not None), None)
+
+
+def _sources(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> tuple[Source, ...]:
+    """Return the recordings of all stages."""
+    found = [*first_stage.provenance.recordings]
+    found += [source for own in friction.values() for source in own.curve.recordings]
+    return tuple(dict.fromkeys(found))
+
+
+def _warnings(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> tuple[LieidWarning, ...]:
+    found = [*first_stage.warnings]
+    for own in friction.values():
+        found += [*own.curve.warnings, *own.warnings]
+    return unique_warnings(found)
+
+
+def _rms(errors: Sequence[Array]) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,5 @@
 """Identification of drive gains in N·m/A from motor currents and a payload of known mass."""
 
-from lieid_casadi.gains.estimate import DriveGains, GainNotIdentified
-from lieid_casadi.gains.identify import drive_gains
+from lieid_casadi.gains.identify import DriveGains, GainNotIdentified, drive_gains
 
 __all__ = ["DriveGains", "GainNotIdentified", "drive_gains"]

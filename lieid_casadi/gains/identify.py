@@ -1,9 +1,10 @@
-"""Identify drive gains from currents with and without a payload of known mass."""
+"""Drive gains from currents with and without a payload of known mass, with standard deviations."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,22 +15,307 @@ from lieid_casadi.compiled import compile
 from lieid_casadi.effects import Effect
 from lieid_casadi.errors import (
     ConvergenceWarning,
+    EffectError,
     IdentificationError,
     LieidWarning,
+    ModelError,
     unique_warnings,
+    warning_list,
 )
-from lieid_casadi.gains.estimate import DriveGains, GainNotIdentified
-from lieid_casadi.gains.input_checks import check_input, known_payload, with_drive_signal
-from lieid_casadi.gains.regression import GainProblem, GainSolution
+from lieid_casadi.gains.regression import BODY, GainProblem, GainSolution
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
+from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.payload.identify import require_one_load
 from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.recording.recording import listed
-from lieid_casadi.robot import Robot
+from lieid_casadi.robot import Drive, Robot
+from lieid_casadi.tables import Table, html, make_table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+NORMAL = 1.959963984540054  # standard deviations on either side of a 95 % interval
+
+
+@dataclass(frozen=True)
+class GainNotIdentified:
+    """A joint (from 0) whose gain cannot be identified from the recordings, and the reason."""
+
+    joint: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class DriveGains:
+    """Result of :func:`lieid_casadi.drive_gains`; NaN for gains that cannot be identified.
+
+    Attributes
+    ----------
+    robot : Robot
+    effects : tuple of str
+        Friction effects that were identified with the gains.
+    gains, std : (n,)
+        Gains in N·m/A (N/A for a prismatic joint) and their standard deviations.
+    covariance : (n, n)
+        Covariance of the gains; the error of their common scale correlates them.
+    not_identified : tuple of GainNotIdentified
+        Gains without a value, or with a standard deviation above 10 % of the value.
+    mass : float
+        Mass of the payload as given, kg.
+    com, com_std : (3,)
+        Centre of mass of the payload in the tool frame, m; standard deviation 0 where given.
+    rms, rms_current : (n,)
+        RMS residual of joints in motion, N·m and A.
+    relative_rms : (n,)
+        RMS residual divided by the standard deviation of the torque.
+    cutoff : float
+        Cut-off frequency of the low-pass filter, Hz.
+    unloaded, loaded : tuple of Source
+        Recordings without and with the payload.
+    warnings : tuple of LieidWarning
+    per : {"A", "rad"}
+        Unit of the drives' signal: current, or position error (the gain is then a stiffness).
+    """
+
+    robot: Robot
+    effects: tuple[str, ...]
+    gains: Array
+    std: Array
+    covariance: Array
+    not_identified: tuple[GainNotIdentified, ...]
+    mass: float
+    com: Array
+    com_std: Array
+    rms: Array
+    rms_current: Array
+    relative_rms: Array
+    cutoff: float
+    unloaded: tuple[Source, ...]
+    loaded: tuple[Source, ...]
+    warnings: tuple[LieidWarning, ...]
+    per: str = "A"
+
+    @property
+    def interval(self) -> tuple[Array, Array]:
+        """Bounds (n,) of the 95 % confidence interval of each gain."""
+        return self.gains - NORMAL * self.std, self.gains + NORMAL * self.std
+
+    @property
+    def option(self) -> str | None:
+        """The gains as the option of other commands; None if a gain cannot be identified."""
+        if self.not_identified:
+            return None
+        option = "--torque-constants" if self.per == "A" else "--stiffness"
+        return f"{option} " + ",".join(f"{k:.5g}" for k in self.gains)
+
+    def robot_with_gains(self) -> Robot:
+        """Return the robot with these torque constants.
+
+        Raises
+        ------
+        IdentificationError
+            A gain cannot be identified.
+        """
+        if self.not_identified:
+            part = self.not_identified[0]
+            raise IdentificationError(
+                f"the gain of joint {part.joint + 1} cannot be identified ({part.reason}); a robot "
+                "needs the torque constants of all joints"
+            )
+        if self.per == "rad":
+            laws = [Drive(stiffness=float(k)) for k in self.gains]
+            return replace(self.robot.with_drives(laws), source=None)
+        joints = tuple(
+            replace(joint, torque_constant=float(k))
+            for joint, k in zip(self.robot.joints, self.gains, strict=True)
+        )
+        return replace(self.robot, joints=joints, source=None)
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one row per joint (from 1): gain, std, interval, unit, identified."""
+        weak = {part.joint for part in self.not_identified}
+        low, high = self.interval
+        return [
+            {
+                "joint": j + 1,
+                "name": joint.name,
+                "gain": number_or_none(self.gains[j]),
+                "std": number_or_none(self.std[j]),
+                "interval": None if np.isnan(self.gains[j]) else [float(low[j]), float(high[j])],
+                "unit": f"{'N·m' if joint.revolute else 'N'}/{self.per}",
+                "identified": j not in weak,
+            }
+            for j, joint in enumerate(self.robot.joints)
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``lieid gains --json`` writes."""
+        return {
+            "robot": self.robot.name,
+            "effects": list(self.effects),
+            "gains": numbers_or_none(self.gains),
+            "std": numbers_or_none(self.std),
+            "interval_95": [row["interval"] for row in self.table()],
+            "units": [row["unit"] for row in self.table()],
+            "option": self.option,
+            "not_identified": [
+                {"joint": part.joint + 1, "reason": part.reason} for part in self.not_identified
+            ],
+            "mass": self.mass,
+            "com": numbers_or_none(self.com),
+            "com_std": numbers_or_none(self.com_std),
+            "rms": numbers_or_none(self.rms),
+            "rms_current": numbers_or_none(self.rms_current),
+            "relative_rms": numbers_or_none(self.relative_rms),
+            "cutoff": self.cutoff,
+            "unloaded": [r.to_dict() for r in self.unloaded],
+            "loaded": [r.to_dict() for r in self.loaded],
+            "warnings": warning_list(self.warnings),
+        }
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the gains with their 95 % intervals and return the figure."""
+        from matplotlib.figure import Figure
+
+        if ax is None:
+            figure = Figure(figsize=(1.6 + 0.8 * self.robot.n, 3.2), layout="constrained")
+            ax = figure.subplots()
+        places = np.arange(1, self.robot.n + 1)
+        ax.errorbar(places, self.gains, NORMAL * self.std, fmt="o", capsize=4)
+        ax.set_xticks(places)
+        ax.set_xlabel("joint")
+        ax.set_ylabel(f"drive gain, N·m/{self.per}")
+        ax.set_ylim(bottom=min(0.0, float(np.nanmin(self.gains, initial=0.0))))
+        drawn = ax.get_figure(root=True)
+        assert drawn is not None
+        return drawn
+
+    def _repr_html_(self) -> str:
+        return html(gain_table(self))
+
+    def __repr__(self) -> str:
+        return f"<DriveGains of {self.robot.name}: {', '.join(f'{k:.4g}' for k in self.gains)}>"
+
+
+COLUMNS = ("joint", "gain", "std", "std %", "95 % from", "to", "unit")
+
+
+def gain_table(gains: DriveGains) -> Table:
+    """Return the gain of each joint; ``*`` marks what is not identified."""
+    rows = [
+        (
+            f"{row['joint']} {row['name']}{'' if row['identified'] else ' *'}",
+            row["gain"],
+            row["std"],
+            None if row["gain"] is None else 100.0 * row["std"] / abs(row["gain"]),
+            *(row["interval"] or (None, None)),
+            row["unit"],
+            float(gains.rms_current[j]),
+            float(gains.rms[j]),
+        )
+        for j, row in enumerate(gains.table())
+    ]
+    return make_table(
+        f"Drive gains from a payload of {gains.mass:g} kg (low-pass {gains.cutoff:.3g} Hz)",
+        (*COLUMNS, f"RMS error, {gains.per}", "N·m"),
+        rows,
+    )
+
+
+LARGEST_MASS, LARGEST_DISTANCE = 1e5, 100.0  # kg, m: larger payloads are errors of unit
+
+
+def known_payload(mass: float, com: ArrayLike | None) -> Array:
+    """Return the payload's parameters (10,), NaN where unknown.
+
+    Raises `IdentificationError`: the mass or the centre of mass is not plausible.
+    """
+    if not 0.0 < mass <= LARGEST_MASS:
+        raise IdentificationError(
+            f"mass of the payload is {mass:g} kg, expected more than 0 and at most "
+            f"{LARGEST_MASS:g} kg"
+        )
+    known = np.full(BODY, np.nan)
+    known[0] = mass
+    if com is not None:
+        centre = np.asarray(com, dtype=float)
+        if centre.shape != (3,) or not np.all(np.abs(centre) <= LARGEST_DISTANCE):
+            raise IdentificationError(
+                f"com is {com}, expected three numbers of at most {LARGEST_DISTANCE:g} m"
+            )
+        known[1:4] = mass * centre
+    return known
+
+
+def with_drive_signal(
+    empty: Sequence[Recording], full: Sequence[Recording]
+) -> tuple[list[Recording], list[Recording], str]:
+    """Return the recordings with the signal of the drives as currents, and its unit.
+
+    It is the position error q_cmd − q, in rad, if no recording has currents and all have commands.
+
+    ``empty``, ``full``: recordings without and with the payload.
+    """
+    every = (*empty, *full)
+    if not every or any(r.current is not None or r.command is None for r in every):
+        return list(empty), list(full), "A"
+    moved = [replace(r, current=r.command - r.q) for r in every if r.command is not None]
+    return moved[: len(empty)], moved[len(empty) :], "rad"
+
+
+def check_input(model: Model, empty: Sequence[Recording], full: Sequence[Recording]) -> None:
+    """Raise if effects or recordings are not suitable.
+
+    ``empty``, ``full``: recordings without and with the payload.
+    Raises `EffectError`: an effect has shape parameters. Raises `IdentificationError`: a recording
+    is missing, constant, or given as both. Raises `ModelError`: a recording has another number of
+    joints or no currents.
+    """
+    if model.shapes:
+        raise EffectError(
+            f"{model.shapes[0].label}: effects with shape parameters cannot be fitted with drive "
+            "gains; expected linear ones such as coulomb, viscous, offset, load_friction"
+        )
+    for part, recordings in (("unloaded", empty), ("loaded", full)):
+        if not recordings:
+            raise IdentificationError(f"no {part} recording given; expected at least one")
+    for recording in (*empty, *full):
+        name = recording.name or "recording"
+        if recording.n != model.n:
+            raise ModelError(
+                f"{name}: {recording.n} joints; robot {model.robot.name!r} has {model.n}"
+            )
+        if recording.current is None:
+            raise ModelError(
+                f"{name}: no motor currents; expected columns i1…i{model.n}, or in all recordings "
+                f"commanded positions qcmd1…qcmd{model.n}"
+            )
+        still = np.flatnonzero(np.ptp(recording.current, axis=0) == 0.0)
+        if len(still):
+            raise IdentificationError(
+                f"{name}: the current i{still[0] + 1} is the same in every row "
+                f"({recording.current[0, still[0]]:g} A); expected the measured motor current"
+            )
+    for one in empty:
+        for other in full:
+            if _overlap(one, other):
+                raise IdentificationError(
+                    f"{other.name or 'recording'}: given as unloaded and as loaded; expected "
+                    "different recordings"
+                )
+
+
+def _overlap(one: Recording, other: Recording) -> bool:
+    """Return whether two recordings share rows of one file."""
+    same = bool(one.source_hash) and one.source_hash == other.source_hash
+    return bool(same and one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1])
+
 
 WEAK = 0.1  # relative standard deviation above which a gain is reported as not identified
 NO_PAYLOAD = 0.3  # the same of every gain: the payload has no visible effect

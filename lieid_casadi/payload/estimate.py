@@ -13,6 +13,7 @@ from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning, warning_list
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.payload.body import NAMES, UNITS, FeasibleBody, physical_quantities
+from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -273,17 +274,96 @@ class PayloadEstimate:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the error of each joint with and without the payload and return the figure."""
-        from lieid_casadi.payload.view import plot
-
-        return plot(self, ax)
+        errors = self.rms_before, self.rms_after, self.rms_fit
+        return plot_errors(*errors, title=self.sentence, ax=ax)
 
     def _repr_html_(self) -> str:
-        from lieid_casadi.payload.view import html
-
-        return html(self)
+        reasons = [f"* {names}: {reason}." for names, reason in not_identified(self)]
+        return html(self.sentence, quantity_table(self), *reasons)
 
     def __repr__(self) -> str:
         return f"<PayloadEstimate: {self.sentence}>"
+
+
+def quantity_table(payload: PayloadEstimate) -> Table:
+    """Return mass, centre of mass and inertia; ``*`` marks what is not identified."""
+    rows = [
+        (
+            row["name"] + ("" if row["identified"] else " *"),
+            row["value"],
+            row["std"],
+            *(row["interval"] or (None, None)),
+            row["feasible"],
+            row["unit"],
+        )
+        for row in payload.table()
+    ]
+    return make_table(
+        "Payload in the tool frame; inertia about the centre of mass",
+        ("", "value", "std", "95 % from", "to", "feasible", "unit"),
+        rows,
+    )
+
+
+def error_table(payload: PayloadEstimate) -> Table:
+    """Return the RMS error of each joint with and without the payload."""
+    columns = (
+        payload.rms_before, payload.rms_after, payload.feasible.rms_after, payload.rms_fit,
+    )  # fmt: skip
+    return make_table(
+        f"RMS error in motion, N·m (low-pass {payload.cutoff:.3g} Hz)",
+        ("joint", "fit alone", "with the payload", "feasible", "held-out error of the fit"),
+        [
+            (f"{j + 1} {name}", *(float(column[j]) for column in columns))
+            for j, name in enumerate(payload.joint_names)
+        ],
+    )
+
+
+def friction_table(payload: PayloadEstimate) -> Table:
+    """Return the friction parameters that were identified again."""
+    return make_table(
+        "Friction in the loaded run",
+        ("parameter", "in the fit", "change", "std", "unit"),
+        [
+            (f"{part.name}:{part.joint + 1}", part.fitted, part.change, part.std, part.unit)
+            for part in payload.friction
+        ],
+    )
+
+
+def not_identified(payload: PayloadEstimate) -> list[tuple[str, str]]:
+    """Return the quantities that are not identified, by reason: (names, reason)."""
+    by_reason: dict[str, list[str]] = {}
+    for part in payload.not_identified:
+        by_reason.setdefault(part.reason, []).append(part.name)
+    return [(", ".join(names), reason) for reason, names in by_reason.items()]
+
+
+def plot_errors(
+    before: Array, after: Array, expected: Array, *, title: str, ax: Axes | None = None
+) -> Figure:
+    """Draw the RMS errors (n,) of the fit alone, with the payload, and those to expect."""
+    from matplotlib.figure import Figure
+
+    n = len(before)
+    if ax is None:
+        ax = Figure(figsize=(1.6 + 0.9 * n, 3.4), layout="constrained").subplots()
+    places = np.arange(n)
+    ax.bar(places - 0.2, before, 0.38, color="0.7", label="fit alone")
+    ax.bar(places + 0.2, after, 0.38, color="tab:blue", label="with the payload")
+    ax.hlines(
+        expected, places - 0.42, places + 0.42, colors="black", linestyles="--", linewidth=1.0,
+        label="the fit's own held-out error",
+    )  # fmt: skip
+    ax.set_xticks(places, [f"{j + 1}" for j in range(n)])
+    ax.set_xlabel("joint")
+    ax.set_ylabel("RMS error, N·m")
+    ax.set_title(title, fontsize=8, wrap=True)
+    ax.legend(fontsize=8)
+    drawn = ax.get_figure(root=True)
+    assert drawn is not None
+    return drawn
 
 
 def with_std(value: float, std: float) -> str:

@@ -19,9 +19,9 @@ from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.recording_checks import Source
-from lieid_casadi.payload.view import not_identified
+from lieid_casadi.payload.estimate import not_identified
 from lieid_casadi.report.page import Section, data_uri, picture_section, render, table_section
-from lieid_casadi.simulation.view import window_table
+from lieid_casadi.simulation.simulate import window_table
 from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:

@@ -1,8 +1,6 @@
 """Forward simulation of a fit, and its exact torque for MuJoCo."""
 
 from lieid_casadi.simulation.mujoco_callback import mujoco_callback
-from lieid_casadi.simulation.simulate import simulate
-from lieid_casadi.simulation.simulation import Simulation
-from lieid_casadi.simulation.window_drift import WindowDrift, window_drift
+from lieid_casadi.simulation.simulate import Simulation, WindowDrift, simulate, window_drift
 
 __all__ = ["Simulation", "WindowDrift", "mujoco_callback", "simulate", "window_drift"]

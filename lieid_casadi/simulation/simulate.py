@@ -1,33 +1,298 @@
-"""Forward simulation of a fit under the torques or commands of recordings."""
+"""Forward simulation of a fit under the torques or commands of recordings, and its result."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.effects.backlash import Backlash
 from lieid_casadi.effects.joint_elasticity import JointElasticity
 from lieid_casadi.errors import (
     IdentificationError,
+    LieidError,
     LieidWarning,
     ModelError,
     NoSolution,
     NotSimulatedWarning,
     RecordingError,
     unique_warnings,
+    warning_list,
 )
 from lieid_casadi.identification import identify
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
+from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
-from lieid_casadi.simulation.integrator import Integrator
 from lieid_casadi.simulation.play import LARGEST, plays_of
-from lieid_casadi.simulation.runs import Input, Run, input_of, require_positive_mass_matrix, runs_of
-from lieid_casadi.simulation.simulation import Drift, Simulation
+from lieid_casadi.simulation.runs import (
+    Input,
+    Integrator,
+    Run,
+    input_of,
+    require_positive_mass_matrix,
+    runs_of,
+)
+from lieid_casadi.tables import Table, html, make_table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Simulated minus measured position at the ends of windows: RMS and 95 % (n,), rad.
+
+    NaN where a simulation left every range, or where there is none.
+    """
+
+    rms: Array
+    p95: Array
+
+    @classmethod
+    def of(cls, errors: Array) -> Drift:
+        """Return the drift of errors (W, n)."""
+        return cls(np.sqrt(np.mean(errors**2, axis=0)), np.percentile(np.abs(errors), 95.0, axis=0))
+
+    @classmethod
+    def unknown(cls, n: int) -> Drift:
+        """Return the drift of n joints that were not simulated."""
+        return cls(np.full(n, np.nan), np.full(n, np.nan))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers as JSON holds them."""
+        return {"rms": numbers_or_none(self.rms), "p95": numbers_or_none(self.p95)}
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """Result of :func:`lieid_casadi.simulate`.
+
+    Attributes
+    ----------
+    joint_names : tuple of str
+    window : float
+        Length of the windows, s.
+    under : {"command", "torque"}
+        Input of the simulation.
+    drift : Drift
+        At the ends of the windows.
+    refitted : Drift or None
+        The same of the fit's model, identified again from ``refitted_to``.
+    without : tuple of (str, Drift)
+        The same of the models without one effect of the fit each, identified again.
+    rms_whole : (n,)
+        RMS error over whole segments that are simulated from their start, rad.
+    t : (K,)
+        Time of the instants in windows, s.
+    q, dq : (K, n)
+        Simulated motion, restarted from the measured one at the start of every window.
+    refitted_to : tuple of Source
+        Recordings from which these models were identified.
+    recordings : tuple of Source
+    warnings : tuple of LieidWarning
+    """
+
+    joint_names: tuple[str, ...]
+    window: float
+    under: str
+    drift: Drift
+    refitted: Drift | None
+    without: tuple[tuple[str, Drift], ...]
+    rms_whole: Array
+    t: Array
+    q: Array
+    dq: Array
+    refitted_to: tuple[Source, ...]
+    recordings: tuple[Source, ...]
+    warnings: tuple[LieidWarning, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``lieid simulate --json`` writes; angles in rad."""
+        return {
+            "window": self.window,
+            "under": self.under,
+            "joints": list(self.joint_names),
+            **self.drift.to_dict(),
+            "rms_whole": numbers_or_none(self.rms_whole),
+            "refitted": None if self.refitted is None else self.refitted.to_dict(),
+            "without": [{"effect": name, **drift.to_dict()} for name, drift in self.without],
+            "refitted_to": [r.to_dict() for r in self.refitted_to],
+            "recordings": [r.to_dict() for r in self.recordings],
+            "warnings": warning_list(self.warnings),
+        }
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the RMS drift per joint, with and without each effect, and return the figure."""
+        return _draw(self, ax)
+
+    def _repr_html_(self) -> str:
+        return html(drift_table(self))
+
+    def __repr__(self) -> str:
+        degrees = ", ".join(f"{x:.3g}" for x in np.degrees(self.drift.rms))
+        return f"<Simulation over {self.window:g} s windows: RMS drift {degrees} deg>"
+
+
+WINDOW = 1.0  # s
+MOST_WINDOWS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class WindowDrift:
+    """How far a simulation leaves the measured motion within short windows.
+
+    Attributes
+    ----------
+    joint_names : tuple of str
+    window : float
+        Length of the windows, s.
+    under : {"command", "torque", ""}
+        Input of the simulation; empty if there is none.
+    windows : int
+        Number of windows that were simulated.
+    drift : Drift
+        At the ends of the windows, rad; NaN if there is none.
+    reason : str
+        Why there is no simulation; empty if there is one.
+    """
+
+    joint_names: tuple[str, ...]
+    window: float
+    under: str
+    windows: int
+    drift: Drift
+    reason: str
+
+    @property
+    def degrees(self) -> NDArray[np.float64]:
+        """RMS of simulated minus measured position per joint (n,), deg."""
+        return np.degrees(self.drift.rms)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry ``simulation`` of ``lieid compare --json``; angles in rad."""
+        return {
+            "window": self.window,
+            "under": self.under,
+            "windows": self.windows,
+            **self.drift.to_dict(),
+            "reason": self.reason,
+        }
+
+
+def window_drift(
+    fit: Fit,
+    recordings: Recording | Sequence[Recording],
+    *,
+    window: float = WINDOW,
+    most: int = MOST_WINDOWS,
+) -> WindowDrift:
+    """Simulate a fit over short windows of recordings; a reason takes the place of an error.
+
+    The windows are those of `simulate`, of long recordings every k-th.
+
+    ``window``: length of the windows, s; ``most``: largest number of windows.
+    """
+    names = tuple(joint.name for joint in fit.model.robot.joints)
+    try:
+        given = listed(recordings)
+        under = input_of(fit, given, None)
+        runs = [run for recording in given for run in runs_of(fit, recording, window, under)]
+        total = sum(run.windows for run in runs)
+        if not total:
+            reason = f"no segment of the recordings has the length of a window of {window:g} s"
+            return WindowDrift(names, window, "", 0, Drift.unknown(len(names)), reason)
+        require_positive_mass_matrix(fit, runs)
+        integrator = Integrator(fit, under)
+    except LieidError as error:
+        return WindowDrift(names, window, "", 0, Drift.unknown(len(names)), str(error))
+    every = -(-total // most)
+    errors = np.concatenate([integrator.windows(run, every=every).end_errors for run in runs])
+    return WindowDrift(names, window, under, len(errors), Drift.of(errors), "")
+
+
+INPUTS = {"command": "commanded positions", "torque": "torques"}
+
+
+def drift_table(simulation: Simulation) -> Table:
+    """Return the drift of each joint, in degrees."""
+    s = simulation
+    columns = (s.drift.rms, s.drift.p95, s.rms_whole)
+    rows = [
+        (f"{j + 1} {name}", *(_degrees(column[j]) for column in columns))
+        for j, name in enumerate(s.joint_names)
+    ]
+    return make_table(
+        f"Simulated − measured position, deg, under the recorded {INPUTS[s.under]}",
+        ("joint", f"RMS after {s.window:g} s", "95 %", "RMS over whole segments"),
+        rows,
+        note="after a window from a measured state; whole segments from their first state",
+    )
+
+
+def window_table(drift: WindowDrift) -> Table:
+    """Return the drift of each joint within short windows, in degrees; empty if there is none."""
+    rows = [
+        (f"{j + 1} {name}", _degrees(rms), _degrees(p95))
+        for j, (name, rms, p95) in enumerate(
+            zip(drift.joint_names, drift.drift.rms, drift.drift.p95, strict=True)
+        )
+    ]
+    return make_table(
+        f"Simulated − measured position, deg, {drift.window:g} s after a measured state",
+        ("joint", "RMS", "95 %"),
+        () if drift.reason else rows,
+        note=f"{drift.windows} windows under the recorded {INPUTS.get(drift.under, '')}; more by "
+        "lieid simulate",
+    )
+
+
+def effects_table(simulation: Simulation) -> Table:
+    """Return the drift of each joint of the models without one effect of the fit, in degrees."""
+    s = simulation
+    trained = ", ".join(r.name or "recording" for r in s.refitted_to)
+    rows = [
+        (name, *(_degrees(angle) for angle in drift.rms))
+        for name, drift in (("none", s.refitted or s.drift), *s.without)
+    ]
+    return make_table(
+        f"RMS after {s.window:g} s, deg, of models without one effect, identified from {trained}",
+        ("without", *(f"joint {j + 1}" for j in range(len(s.joint_names)))),
+        rows if s.without else (),
+        note="–: no physically consistent model, or its motion left every range",
+    )
+
+
+def _degrees(angle: float) -> float | None:
+    return float(np.degrees(angle)) if np.isfinite(angle) else None
+
+
+def _draw(s: Simulation, ax: Axes | None) -> Figure:
+    from matplotlib.figure import Figure
+
+    if ax is None:
+        ax = Figure(figsize=(1.8 + 0.9 * len(s.joint_names), 3.4), layout="constrained").subplots()
+    places = np.arange(1, len(s.joint_names) + 1)
+    for k, (name, drift) in enumerate(s.without):
+        ax.plot(places, np.degrees(drift.rms), "o", mfc="none", color=f"C{k + 1}",
+                label=f"without {name}")  # fmt: skip
+    ax.plot(places, np.degrees(s.drift.rms), "D", color="black", label="model")
+    ax.set_yscale("log")
+    ax.set_xticks(places)
+    ax.set_xlabel("joint")
+    ax.set_ylabel(f"RMS drift after {s.window:g} s, deg")
+    ax.legend(fontsize="small")
+    drawn = ax.get_figure(root=True)
+    assert drawn is not None
+    return drawn
 
 
 def simulate(

@@ -53,7 +53,7 @@ def test_library_with_the_true_parameters_is_eq_8(scripts):
     """Both definitions agree where ε of the library's is small."""
     arm, lab = scripts("arm"), scripts("lab")
     from lieid_casadi import Model, compile
-    from lieid_casadi.friction_curves.constant_speed import steady_columns
+    from lieid_casadi.friction_curves.friction_fit import steady_columns
 
     model = Model(arm.ROBOT, effects=lab.EQ_18)
     numbers = {f"{k}:{j + 1}": x for k, row in lab.TRUE.items() for j, x in enumerate(row)}

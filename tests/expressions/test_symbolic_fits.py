@@ -1,6 +1,7 @@
 """`lieid.symbolic` of fits with every effect of the library, against `Fit.predict`."""
 
 import dataclasses
+import pickle
 
 import casadi as ca
 import numpy as np
@@ -315,3 +316,51 @@ def test_another_suffix_is_refused(tmp_path):
 def test_a_smooth_velocity_is_positive(width):
     with pytest.raises(ModelError, match="smooth_velocity"):
         symbolic(lieid.robots.two_link(), smooth_velocity=width)
+
+
+FIT = made_fit(PANDA, COMBINED)
+
+
+def test_free_groups_are_inputs_with_the_fits_values():
+    groups = ["friction:2", "payload", "link6", "stribeck:4"]
+    fixed, free = symbolic(FIT, payload=True), symbolic(FIT, free=groups)
+    assert list(free.free) == ["friction_2", "link6", "stribeck_4"]
+    assert free.free["link6"].labels[0] == "m6"
+    assert all(label.endswith(":2") for label in free.free["friction_2"].labels)
+    function = free.inverse_dynamics
+    given = {name: group.nominal for name, group in free.free.items()}
+    random = np.random.default_rng(0)
+    inputs = {name: random.normal(size=function.size_in(name)) for name in function.name_in()}
+    expected = fixed.inverse_dynamics(
+        **{name: inputs[name] for name in fixed.inverse_dynamics.name_in()}
+    )["tau"]
+    got = function(**(inputs | given))["tau"]
+    np.testing.assert_allclose(got.full(), expected.full(), rtol=1e-12)
+    heavier = given | {"link6": 1.5 * given["link6"]}
+    assert np.abs((function(**(inputs | heavier))["tau"] - expected).full()).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("groups", "words"),
+    [
+        (["fricton:3"], "did you mean friction"),
+        (["link99"], "expected some of friction, payload, link1"),
+        (["friction:99"], "names no joints 1 to 7"),
+        (["friction:4", "stribeck:4"], "is in friction:4 and stribeck:4"),
+    ],
+)
+def test_unknown_groups_are_refused(groups, words):
+    with pytest.raises(ModelError, match=words):
+        symbolic(FIT, free=groups)
+
+
+def test_misuse_states_what_is_expected():
+    with pytest.raises(ModelError, match="expected a Robot, a Model or a Fit"):
+        symbolic("panda")
+    with pytest.raises(ModelError, match="expected one or 7"):
+        symbolic(FIT, smooth_velocity=[0.1, 0.2])
+    with pytest.raises(ModelError, match="pickle the fit"):
+        pickle.dumps(symbolic(FIT))
+    shown = repr(symbolic(FIT))
+    assert "mass_matrix: q -> M (n, n)" in shown
+    assert "forward_dynamics: (q, dq, tau) -> ddq" in shown

@@ -35,7 +35,7 @@ from lieid_casadi.friction_curves import (
     fit_friction,
     friction_curve,
 )
-from lieid_casadi.friction_curves.ranking import rank_friction_models
+from lieid_casadi.friction_curves.friction_fit import rank_friction_models
 
 TRUTH = "coulomb,viscous,stribeck,load_friction"
 

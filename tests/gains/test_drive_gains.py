@@ -8,7 +8,7 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.errors import EffectError, IdentificationError, ModelError
-from lieid_casadi.gains.total_least_squares import null_vector
+from lieid_casadi.gains.regression import null_vector
 from lieid_casadi.identification.regression.least_squares import Factor
 
 PANDA = lieid.robots.panda()

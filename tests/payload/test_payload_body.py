@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from lieid_casadi.payload.body import (
     NAMES,
     identifiable_quantities,
+    nearest_feasible_body,
     physical_jacobian,
     physical_quantities,
 )
-from lieid_casadi.payload.feasible_body import nearest_feasible_body
 from lieid_casadi.robot.inertia import link_parameters, pseudo_inertia
 
 numbers = st.floats(-1.0, 1.0, allow_subnormal=False)

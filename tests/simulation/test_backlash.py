@@ -63,8 +63,7 @@ def test_motion_is_that_of_the_plant(joints):
 
 
 def test_a_link_stays_within_its_play():
-    from lieid_casadi.simulation.integrator import Integrator
-    from lieid_casadi.simulation.runs import runs_of
+    from lieid_casadi.simulation.runs import Integrator, runs_of
 
     arm, run = arm_and_run((1,), seconds=1.8)
     fit = true_fit(arm, [0.0, PLAY])
