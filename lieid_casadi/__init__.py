@@ -75,67 +75,33 @@ __all__ = [
 
 # where each name is defined; imported on first use, so that importing the package is quick
 _HOME = {
-    "BSpline": "lieid_casadi.excitation",
-    "Basis": "lieid_casadi.excitation",
-    "Bootstrap": "lieid_casadi.identification.uncertainty.bootstrap",
-    "CartesianSpeed": "lieid_casadi.excitation",
-    "Coefficient": "lieid_casadi.effects",
-    "Comparison": "lieid_casadi.comparison",
-    "Compiled": "lieid_casadi.compiled",
-    "Diagnosis": "lieid_casadi.diagnosis",
-    "Discrimination": "lieid_casadi.discrimination",
-    "Drive": "lieid_casadi.robot",
-    "DriveGains": "lieid_casadi.gains",
-    "Effect": "lieid_casadi.effects",
-    "Excitation": "lieid_casadi.excitation",
-    "Export": "lieid_casadi.exporters.export",
-    "ExpressionLimit": "lieid_casadi.excitation",
-    "Fit": "lieid_casadi.identification",
-    "Fourier": "lieid_casadi.excitation",
-    "FrictionFit": "lieid_casadi.friction_curves",
-    "Joint": "lieid_casadi.robot",
-    "LieidError": "lieid_casadi.errors",
-    "LieidWarning": "lieid_casadi.errors",
-    "Limits": "lieid_casadi.robot",
-    "Model": "lieid_casadi.model",
-    "ModifiedFourier": "lieid_casadi.excitation",
-    "Obstacle": "lieid_casadi.excitation",
-    "PayloadEstimate": "lieid_casadi.payload",
-    "Processing": "lieid_casadi.recording",
-    "Recording": "lieid_casadi.recording",
-    "Robot": "lieid_casadi.robot",
-    "SelfCollision": "lieid_casadi.excitation",
-    "Shape": "lieid_casadi.effects",
-    "Signals": "lieid_casadi.effects",
-    "Simulation": "lieid_casadi.simulation",
-    "StagedFit": "lieid_casadi.friction_curves",
-    "SymbolicDynamics": "lieid_casadi.expressions.symbolic",
-    "Symbols": "lieid_casadi.excitation",
-    "Torque": "lieid_casadi.excitation",
-    "Wall": "lieid_casadi.excitation",
-    "bootstrap": "lieid_casadi.identification.uncertainty.bootstrap",
-    "compare": "lieid_casadi.comparison",
-    "compile": "lieid_casadi.compiled",
-    "default_limits": "lieid_casadi.excitation",
-    "diagnose": "lieid_casadi.diagnosis",
-    "discriminate": "lieid_casadi.discrimination",
-    "drive_gains": "lieid_casadi.gains",
-    "effect": "lieid_casadi.effects",
-    "excite": "lieid_casadi.excitation",
-    "export": "lieid_casadi.exporters.export",
-    "extend": "lieid_casadi.diagnosis",
-    "floor": "lieid_casadi.excitation",
-    "friction": "lieid_casadi.friction_curves",
-    "identify": "lieid_casadi.identification",
-    "identify_in_stages": "lieid_casadi.friction_curves",
-    "identify_payload": "lieid_casadi.payload",
-    "jerk_limit": "lieid_casadi.excitation",
-    "predict": "lieid_casadi.identification.prediction",
-    "register": "lieid_casadi.effects",
-    "servo_drive": "lieid_casadi.robot",
-    "simulate": "lieid_casadi.simulation",
-    "symbolic": "lieid_casadi.expressions.symbolic",
-    "workspace_box": "lieid_casadi.excitation",
+    name: module
+    for module, names in {
+        "comparison": "Comparison compare",
+        "compiled": "Compiled compile",
+        "diagnosis": "Diagnosis diagnose extend",
+        "discrimination": "Discrimination discriminate",
+        "effects": "Coefficient Effect Shape Signals effect register",
+        "errors": "LieidError LieidWarning",
+        "excitation": (
+            "BSpline Basis CartesianSpeed Excitation ExpressionLimit Fourier "
+            "ModifiedFourier Obstacle SelfCollision Symbols Torque Wall default_limits "
+            "excite floor jerk_limit workspace_box"
+        ),
+        "exporters.export": "Export export",
+        "expressions.symbolic": "SymbolicDynamics symbolic",
+        "friction_curves": "FrictionFit StagedFit friction identify_in_stages",
+        "gains": "DriveGains drive_gains",
+        "identification": "Fit identify",
+        "identification.prediction": "predict",
+        "identification.uncertainty.bootstrap": "Bootstrap bootstrap",
+        "model": "Model",
+        "payload": "PayloadEstimate identify_payload",
+        "recording": "Processing Recording",
+        "robot": "Drive Joint Limits Robot servo_drive",
+        "simulation": "Simulation simulate",
+    }.items()
+    for name in names.split()
 }
 
 if TYPE_CHECKING:
@@ -190,7 +156,7 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("lieid_casadi.robots")
     if name not in _HOME:
         raise AttributeError(f"module 'lieid_casadi' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME[name]), name)
+    return getattr(importlib.import_module(f"lieid_casadi.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -11,23 +11,12 @@ MISSING = "–"  # of a number that does not exist
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a result.
-
-    Attributes
-    ----------
-    title : str
-    headings : tuple of str
-        One per column.
-    rows : tuple of tuple
-        Cells, one per column: text, numbers, or None where there is none.
-    note : str
-        Explanation of the columns, for reports.
-    """
+    """A table of a result."""
 
     title: str
-    headings: tuple[str, ...]
-    rows: tuple[tuple[object, ...], ...]
-    note: str = ""
+    headings: tuple[str, ...]  # one per column
+    rows: tuple[tuple[object, ...], ...]  # cells: text, numbers, or None
+    note: str = ""  # explanation of the columns, for reports
 
     @property
     def cells(self) -> list[list[str]]:

@@ -25,26 +25,15 @@ BLOCK_SECONDS = 0.04
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Means over B blocks; ``dq`` and ``ddq`` are differences of q, not the measured dq.
+    """Means over B blocks; ``dq`` and ``ddq`` are differences of q, not the measured dq."""
 
-    Attributes
-    ----------
-    q, dq, ddq
-        (B, n).
-    tau, nominal
-        (B, n) or None.
-    travelled, integrated
-        (B', n) change from one block's first row to the next one's: of q, and of the integral
-        of the measured dq (None without dq).
-    """
-
-    q: Array
+    q: Array  # (B, n)
     dq: Array
     ddq: Array
-    tau: Array | None
+    tau: Array | None  # (B, n)
     nominal: Array | None
-    travelled: Array
-    integrated: Array | None
+    travelled: Array  # (B', n) change of q from one block's first row to the next one's
+    integrated: Array | None  # the same of the integral of the measured dq
 
 
 def block_means(recording: Recording, nominal: Array | None = None) -> Blocks:

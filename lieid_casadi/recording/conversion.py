@@ -25,8 +25,7 @@ ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
 
 def unit_factors(units: str | Sequence[str]) -> tuple[float, float]:
     """Return the factors of time and of angles to seconds and radians."""
-    names = units.split(",") if isinstance(units, str) else list(units)
-    names = [name.strip() for name in names if name.strip()]
+    names = unit_names(units)
     for name in names:
         if name not in TIME_UNITS and name not in ANGLE_UNITS:
             known = ", ".join([*ANGLE_UNITS, *TIME_UNITS])
@@ -40,9 +39,9 @@ def unit_factors(units: str | Sequence[str]) -> tuple[float, float]:
 
 
 def unit_names(units: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the units other than rad and s."""
-    names = units.split(",") if isinstance(units, str) else list(units)
-    return tuple(n for name in names if (n := name.strip()) not in ("", "rad", "s"))
+    """Return the names of units, given separated by commas or as a sequence."""
+    names = units.split(",") if isinstance(units, str) else units
+    return tuple(name.strip() for name in names if name.strip())
 
 
 def convert_units(
@@ -77,7 +76,7 @@ def convert_units(
         dq=scaled(measurement.dq),
         ddq=scaled(measurement.ddq),
         command=scaled(measurement.command),
-        units=unit_names(units),
+        units=tuple(name for name in unit_names(units) if name not in ("rad", "s")),
     )
 
 

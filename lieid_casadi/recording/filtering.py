@@ -86,21 +86,11 @@ WINDOW = 8192
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of filtered rows and the instants from which they are computed.
+    """A stretch of filtered rows and the instants from which they are computed."""
 
-    Attributes
-    ----------
-    rows
-        Rows of the filtered signal.
-    instants
-        Instants of the signal on the grid, margins included.
-    inside
-        Positions of the rows among the instants of this window.
-    """
-
-    rows: slice
-    instants: slice
-    inside: slice
+    rows: slice  # of the filtered signal
+    instants: slice  # on the grid, margins included
+    inside: slice  # positions of the rows among the instants
 
 
 def filter_memory(rate: float, cutoff: float, order: int = 4) -> int:

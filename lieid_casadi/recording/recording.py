@@ -34,7 +34,6 @@ from lieid_casadi.recording.readers.columns import measurement_of_columns
 from lieid_casadi.recording.readers.registry import (
     INFLATE_LIMIT,
     ReadOptions,
-    limit_pairs,
     read_measurement,
     write_measurement,
 )
@@ -227,7 +226,7 @@ class Recording(Measurement):
             columns=parse_columns(columns),
             episodes=episodes,
             calibration=calibration,
-            position_limits=limit_pairs(position_limits),
+            position_limits=None if position_limits is None else read_only(position_limits),
             degrees=unit_factors(units)[1] != 1.0,
             inflate_limit=inflate_limit,
             part=_part_ends(start, end, unit_factors(units)[0]),
@@ -261,8 +260,8 @@ class Recording(Measurement):
         RecordingError
             Fewer than two rows are left.
         """
-        first, last = rows_of_part(self.t, start, end)
-        part = part_label(start, end)
+        first, last = np.searchsorted(self.t, _part_ends(start, end)).tolist()
+        part = "@" + ":".join("" if limit is None else f"{limit:g}" for limit in (start, end))
         if last - first < 2:
             raise RecordingError(
                 f"{self.title}{part}: {max(last - first, 0)} rows in that part, "
@@ -275,8 +274,8 @@ class Recording(Measurement):
 
         A gap is a step in time above five median steps and 0.05 s.
         """
-        edges = segment_edges(self.t, self.payload_label)
-        return [self.rows(first, last) for first, last in pairwise(edges)]
+        edges = pairwise(segment_edges(self.t, self.payload_label))
+        return [self.rows(first, last) for first, last in edges]
 
     def with_torque_constants(self, constants: ArrayLike) -> Self:
         """Return the recording with tau = constants · current; constants (n,), N·m/A.
@@ -410,17 +409,6 @@ def split_part(path: str | Path) -> tuple[Path, float | None, float | None]:
     if first is not None and last is not None and not first < last:
         raise RecordingError(f"{path}: found {first:g} to {last:g} s, expected T0 < T1")
     return Path(match["path"]), first, last
-
-
-def part_label(start: float | None, end: float | None) -> str:
-    """Return how a part is written behind a path: ``@T0:T1``, without the ends that are open."""
-    return "@" + ":".join("" if limit is None else format(limit, "g") for limit in (start, end))
-
-
-def rows_of_part(t: Array, start: float | None, end: float | None) -> tuple[int, int]:
-    """Return the first row with t ≥ start, and the first with t ≥ end, s; stamps t (N,) ascend."""
-    first, last = np.searchsorted(t, _part_ends(start, end), side="left")
-    return int(first), int(last)
 
 
 def _part_ends(start: float | None, end: float | None, second: float = 1.0) -> tuple[float, float]:

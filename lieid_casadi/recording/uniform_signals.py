@@ -138,20 +138,11 @@ def _moving(dq: Array, dead_zone: Array, rate: float) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class VelocitySource:
-    """Source of a segment's velocity, chosen once for the whole segment.
+    """Source of a segment's velocity, chosen once for the whole segment."""
 
-    Attributes
-    ----------
-    derived, accelerates
-        (n,) True where the velocity is the position's derivative; the same for the velocity
-        that the acceleration is derived from.
-    dead_zone
-        (n,) speed below which a joint counts as at rest, rad/s.
-    """
-
-    derived: Mask
-    accelerates: Mask
-    dead_zone: Array
+    derived: Mask  # (n,) where the velocity is the position's derivative
+    accelerates: Mask  # (n,) where the acceleration is derived from that
+    dead_zone: Array  # (n,) speed below which a joint counts as at rest, rad/s
 
 
 @dataclass(frozen=True, eq=False)

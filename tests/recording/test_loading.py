@@ -1,5 +1,6 @@
 import gzip
 import hashlib
+import json
 
 import numpy as np
 import pandas as pd
@@ -9,8 +10,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from recording.planar_arm import measured
 
-from lieid_casadi.errors import OutputError, RecordingError, UnknownColumnWarning
-from lieid_casadi.recording import Recording
+import lieid_casadi as lieid
+from lieid_casadi.cli.main import main
+from lieid_casadi.errors import LargeFileWarning, OutputError, RecordingError, UnknownColumnWarning
+from lieid_casadi.recording import Recording, join, process
+from lieid_casadi.recording.readers import parquet_file
 
 FORMATS = ["csv", "csv.gz", "npz", "parquet"]
 FIELDS = ["t", "q", "dq", "tau", "ddq", "temperature", "current"]
@@ -223,3 +227,219 @@ def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
         measured(duration=2).save(file)
     assert file.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["run.npz"]
+
+
+# -- Options of the command line for reading and processing recordings --
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """The same run in SI units and in degrees and milliseconds, gzipped."""
+    folder = tmp_path_factory.mktemp("runs")
+    run = measured(duration=6.0, rate=100.0)
+    run.save(folder / "si.csv.gz")
+    lieid.Recording.from_arrays(1e3 * run.t, np.rad2deg(run.q), np.rad2deg(run.dq), run.tau).save(
+        folder / "degrees.csv.gz"
+    )
+    return folder
+
+
+def identified(files, name, *options):
+    out = files / "fit.json"
+    status = main(["identify", "two_link", str(files / name), "-o", str(out), *options])
+    return status, json.loads(out.read_text()) if status == 0 else None
+
+
+def test_units_and_smoothing(files, capsys):
+    options = ["--cutoff", "5", "--smoothing", "rloess", "--effects", "coulomb"]
+    status, expected = identified(files, "si.csv.gz", *options)
+    assert status == 0
+    assert expected["processing"]["smoother"] == "rloess"
+    status, found = identified(files, "degrees.csv.gz", *options, "--units", "deg,ms")
+    assert status == 0
+    np.testing.assert_allclose(found["values"], expected["values"], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(("options", "unit"), [([], "ms"), (["--units", "ms"], "deg")])
+def test_a_prediction_from_other_units_is_refused(files, capsys, options, unit):
+    assert identified(files, "si.csv.gz", "--cutoff", "5", "--effects", "coulomb")[0] == 0
+    capsys.readouterr()
+    arguments = [str(files / "fit.json"), str(files / "degrees.csv.gz")]
+    assert main(["predict", *arguments, "-o", str(files / "p.csv"), *options]) == 2
+    assert f"convert with --units {unit}" in capsys.readouterr().err
+    assert not (files / "p.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("degrees.csv.gz", [], "look like milliseconds; if they are, convert with --units ms"),
+        ("degrees.csv.gz", ["--units", "ms"], "convert with --units deg"),
+        ("si.csv.gz", ["--units", "yards"], "found 'yards', expected some of rad, deg, s, ms"),
+        ("si.csv.gz", ["--inflate-limit", "0.01"], "limit of 0.01 MiB; if the file is what"),
+        ("si.csv.gz", ["--inflate-limit", "0"], "expected MiB above 0"),
+    ],
+)
+def test_refusals(files, capsys, name, options, message):
+    (files / "fit.json").unlink(missing_ok=True)
+    assert identified(files, name, *options)[0] == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (files / "fit.json").exists()
+
+
+@pytest.fixture
+def run(tmp_path):
+    file = tmp_path / "run.csv"
+    measured(duration=10, rate=100).save(file)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("part", "first", "last"),
+    [("@2:5", 2.0, 4.99), ("@:3", 0.0, 2.99), ("@4.5:", 4.5, 9.99), ("@:", 0, 9.99), ("", 0, 9.99)],
+)
+def test_part_of_a_file(run, part, first, last):
+    recording = Recording.load(f"{run}{part}")
+    assert recording.t[0] == pytest.approx(first)
+    assert recording.t[-1] == pytest.approx(last)
+    whole = Recording.load(run)
+    assert recording.source_hash == whole.source_hash
+    inside = (whole.t >= first) & (whole.t <= last)
+    np.testing.assert_array_equal(recording.tau, whole.tau[inside])
+
+
+@pytest.mark.parametrize(
+    ("part", "expected"),
+    [
+        ("@5:2", "expected T0 < T1"),
+        ("@a:2", "found 'a' after @"),
+        ("@nan:", "found 'nan' after @"),
+        ("@20:30", "0 rows in that part, expected some of 0 to 9.99 s"),
+        ("@1:1.005", "1 rows in that part"),
+    ],
+)
+def test_bad_part(run, part, expected):
+    with pytest.raises(RecordingError, match=expected):
+        Recording.load(f"{run}{part}")
+
+
+def test_a_file_whose_name_looks_like_a_part(tmp_path):
+    file = tmp_path / "run.csv@0:1.csv"
+    measured(duration=3, rate=100).save(file)
+    assert len(Recording.load(file)) == 300
+    assert len(Recording.load(f"{file}@0:1")) == 100
+
+
+def without(recording, low, high):
+    keep = (recording.t < low) | (recording.t >= high)
+    return Recording.from_arrays(
+        recording.t[keep], recording.q[keep], recording.dq[keep], recording.tau[keep]
+    )
+
+
+@given(st.floats(1.0, 8.0), st.floats(0.1, 1.0))
+def test_segments_end_at_gaps_and_lose_no_row(start, length):
+    recording = without(measured(duration=10, rate=100, noise=0), start, start + length)
+    segments = recording.segments()
+    assert len(segments) == 2
+    assert max(np.diff(s.t).max() for s in segments) < 0.0101
+    np.testing.assert_array_equal(np.concatenate([s.q for s in segments]), recording.q)
+
+
+def test_irregular_stamps_and_single_lost_samples_are_no_gaps():
+    assert len(measured(jitter=0.9).segments()) == 1
+    assert len(without(measured(rate=100), 3.0, 3.02).segments()) == 1
+
+
+def test_segments_end_where_the_payload_changes():
+    label = ["none"] * 1000 + ["2 kg"] * 1000
+    recording = measured(duration=10, rate=200, load=label)
+    assert [s.payload_label[0] for s in recording.segments()] == ["none", "2 kg"]
+    assert [p.payload_label for p in process(recording)] == ["none", "2 kg"]
+
+
+def test_joined_recordings_keep_their_segments():
+    one, two = measured(duration=5), measured(duration=6, seed=1)
+    both = join([one, two])
+    assert len(both) == len(one) + len(two)
+    first, second = both.segments()
+    np.testing.assert_array_equal(first.tau, one.tau)
+    np.testing.assert_array_equal(second.tau, two.tau)
+    np.testing.assert_allclose(np.diff(second.t), np.diff(two.t), atol=1e-12)
+
+
+def test_recordings_of_different_sources_are_never_one_segment():
+    one = measured(duration=5)
+    two = Recording.from_arrays(one.t + 5.0, one.q, one.dq, one.tau)  # its clock would fit
+    assert len(join([one, two]).segments()) == 2
+
+
+def test_parts_of_one_recording_join_into_the_whole():
+    whole = measured(duration=6)
+    again = join([whole.cut(None, 2.5), whole.cut(2.5, None)])
+    np.testing.assert_array_equal(again.t, whole.t)
+    assert len(again.segments()) == 1
+
+
+def test_join_keeps_what_all_have_and_labels():
+    one = measured(duration=2, load=["a"] * 400)
+    two = Recording.from_arrays(one.t, one.q, tau=one.tau)
+    both = join([one, two])
+    assert both.dq is None
+    assert both.tau is not None
+    assert both.payload_label == ("a",) * 400 + ("",) * 400
+
+
+def test_join_refuses_other_joints_and_nothing():
+    with pytest.raises(RecordingError, match="has 1 joints, expected 2"):
+        join([measured(), Recording.from_arrays([0, 1], [[0], [1]])])
+    with pytest.raises(RecordingError, match="no recordings"):
+        join([])
+
+
+# -- Parquet files larger than the memory: means of a few rows are read --
+
+
+pq = pytest.importorskip("pyarrow.parquet")
+ROWS, COLUMNS = 20_000, 7
+
+
+@pytest.fixture(params=[700, 1 << 20])
+def large(tmp_path, monkeypatch, request):
+    """A file eight times as large as what a recording may take, with its content."""
+    t = np.arange(ROWS) * 0.001
+    t[9000:] += 1.0
+    q = np.sin(np.outer(t, [1.0, 2.0]))
+    made = Recording.from_arrays(
+        t, q, np.cos(q), 3.0 * q, load=["a"] * 14_000 + ["b"] * (ROWS - 14_000)
+    )
+    path = tmp_path / "large.parquet"
+    made.save(path)
+    pq.write_table(pq.read_table(path), path, row_group_size=request.param)
+    monkeypatch.setattr(parquet_file, "memory_bytes", lambda: 8 * ROWS * (COLUMNS + 1))
+    return path, made
+
+
+def test_rows_are_means_that_span_no_gap_and_no_payload(large):
+    path, made = large
+    read = Recording.load(path)
+    assert 0.9 * ROWS / 8 < len(read) < 1.2 * ROWS / 8
+    assert [type(w) for w in read.warnings] == [LargeFileWarning]
+    assert "mean of 8 rows" in str(read.warnings[0])
+    assert [s.payload_label[0] for s in read.segments()] == ["a", "a", "b"]
+    # a block that spanned the gap or the change would have its mean time between the two
+    for start, end in [(0.0, 8.999), (10.0, 14.999), (15.0, 20.999)]:
+        inside = read.cut(start, end + 1e-9)
+        np.testing.assert_allclose(inside.q, np.sin(np.outer(inside.t, [1.0, 2.0])), atol=1e-4)
+        np.testing.assert_allclose(inside.tau, 3.0 * inside.q, atol=1e-12)
+    assert read.source_hash == made.source_hash or len(read.source_hash) == 64
+
+
+def test_a_part_is_read_at_its_full_rate(large):
+    path, made = large
+    part = Recording.load(f"{path}@2:3.5")
+    np.testing.assert_array_equal(part.t, made.cut(2.0, 3.5).t)
+    np.testing.assert_array_equal(part.tau, made.cut(2.0, 3.5).tau)
+    assert not part.warnings

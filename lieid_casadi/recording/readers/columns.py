@@ -24,25 +24,13 @@ _JOINT_COLUMN = re.compile(r"(q|dq|ddq|tau|temp|i|qcmd)([0-9]{1,6})")
 
 @dataclass(frozen=True)
 class ColumnLayout:
-    """Indices into a header: the column of each signal.
+    """Indices into a header: the column of each signal."""
 
-    Attributes
-    ----------
-    n
-        Number of joints.
-    time, label
-        Columns of t and of the payload's label (None without one).
-    fields
-        Field of a measurement -> its n columns, in the order of the joints.
-    unknown
-        Names of the columns that are not used.
-    """
-
-    n: int
+    n: int  # joints
     time: int
-    fields: dict[str, tuple[int, ...]]
-    label: int | None
-    unknown: tuple[str, ...]
+    fields: dict[str, tuple[int, ...]]  # field of a measurement -> its n columns
+    label: int | None  # of the payload
+    unknown: tuple[str, ...]  # names of the columns that are not used
 
     def used(self, header: Sequence[str]) -> list[str]:
         """Return the names, in the header, of the columns that hold signals."""

@@ -269,7 +269,8 @@ def _limits(
 ) -> tuple[Array, tuple[LieidWarning, ...]]:
     """Return the ends (n, 2), rad, at the joints' limits, and a warning that this is assumed."""
     needed = [motor for motor, used in zip(motors, per_cent, strict=True) if used]
-    limits = np.array(options.position_limits or np.full((len(motors), 2), np.nan))
+    limits = options.position_limits
+    limits = np.full((len(motors), 2), np.nan) if limits is None else limits
     if not np.all(np.isfinite(limits[per_cent])):
         raise RecordingError(
             f"{folder}: {names_text(needed)}: in per cent of their ranges, and the robot states no "
@@ -285,9 +286,7 @@ def _limits(
     )
 
 
-def _calibrated(
-    file: Path, motors: Sequence[str], limits: tuple[tuple[float, float], ...] | None
-) -> Array:
+def _calibrated(file: Path, motors: Sequence[str], limits: Array | None) -> Array:
     """Return the ends (n, 2), rad, from LeRobot's calibration file.
 
     The closed end of a gripper is at its lower limit.

@@ -12,8 +12,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import require_regular
 from lieid_casadi.errors import LieidError, RecordingError
 from lieid_casadi.messages import reason_of
@@ -25,69 +25,28 @@ INFLATE_LIMIT = 1 << 30
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """Options of every reader; a reader ignores those that its format has no use for.
+    """Options of every reader; a reader ignores those that its format has no use for."""
 
-    Attributes
-    ----------
-    n
-        Number of joints that is expected; None takes it from the file.
-    joint_names, topic
-        For bags: the joints in the robot's order, and the topic.
-    episodes
-        For datasets: first episode and end (excluded), None for all that follow.
-    calibration
-        For datasets: a calibration file, or ``limits``.
-    position_limits
-        For ``limits``: lower and upper limit of each joint, rad.
-    degrees
-        Whether angles are stated to be in degrees; the caller converts them.
-    inflate_limit
-        Bytes that a compressed file may inflate to.
-    part
-        First time and end (excluded) in the file's unit: a format may leave out other rows.
-    columns
-        Names of the file format and the columns that they stand for.
-    """
-
-    n: int | None = None
-    joint_names: tuple[str, ...] | None = None
-    topic: str | None = None
-    episodes: tuple[int, int | None] = (0, None)
-    calibration: str | None = None
-    position_limits: tuple[tuple[float, float], ...] | None = None
-    degrees: bool = False
-    inflate_limit: int = INFLATE_LIMIT
-    part: tuple[float, float] = (-np.inf, np.inf)
-    columns: tuple[tuple[str, str], ...] = ()
-
-
-def limit_pairs(limits: ArrayLike | None) -> tuple[tuple[float, float], ...] | None:
-    """Return limits (n, 2) as pairs."""
-    if limits is None:
-        return None
-    return tuple((float(low), float(high)) for low, high in np.asarray(limits, dtype=float))
+    n: int | None = None  # joints that are expected
+    joint_names: tuple[str, ...] | None = None  # of bags and datasets, in the robot's order
+    topic: str | None = None  # of bags
+    episodes: tuple[int, int | None] = (0, None)  # of datasets: the first, and the end (excluded)
+    calibration: str | None = None  # of datasets: a file, or limits
+    position_limits: Array | None = None  # (n, 2) for limits, rad
+    degrees: bool = False  # whether angles are stated to be in degrees; the caller converts
+    inflate_limit: int = INFLATE_LIMIT  # bytes
+    part: tuple[float, float] = (-np.inf, np.inf)  # in the file's unit of time
+    columns: tuple[tuple[str, str], ...] = ()  # names of the file format, and columns
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingFormat:
-    """A file format.
+    """A file format."""
 
-    Attributes
-    ----------
-    suffixes
-        Endings of file names, lower case.
-    read
-        Returns the measurement in a file.
-    folder
-        Whether a folder is in this format; None if folders never are.
-    write
-        Writes a measurement; None for formats that are only read.
-    """
-
-    suffixes: tuple[str, ...]
+    suffixes: tuple[str, ...]  # lower case
     read: Callable[[Path, ReadOptions], Measurement]
-    folder: Callable[[Path], bool] | None = None
-    write: Callable[[Measurement, Path], None] | None = None
+    folder: Callable[[Path], bool] | None = None  # whether a folder is in this format
+    write: Callable[[Measurement, Path], None] | None = None  # None for formats that are only read
 
 
 @cache
