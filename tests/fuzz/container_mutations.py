@@ -13,8 +13,7 @@ import zlib
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from fuzz.byte_mutations import INTEGERS, mutate_bytes
-from fuzz.text_mutations import mutate_csv
+from fuzz.text_mutations import INTEGERS, mutate_bytes, mutate_csv
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 from fuzz import container_mutations, seeds, text_mutations
-from fuzz.byte_mutations import mutate_bytes
 from fuzz.parquet_mutations import mutate_parquet
+from fuzz.text_mutations import mutate_bytes
 
 #: Bytes of the longest input.
 LONGEST = 4 << 20

@@ -9,7 +9,7 @@ import pyarrow
 import pyarrow.compute
 import pyarrow.parquet
 from fuzz import seeds
-from fuzz.byte_mutations import mutate_bytes
+from fuzz.text_mutations import mutate_bytes
 
 #: Types that a column is converted to.
 TYPES = (
