@@ -30,7 +30,7 @@ sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 from hidden_effects.case_setup import Case  # noqa: E402
 from hidden_effects.schedule import HALVES, KINDS, chosen, quick  # noqa: E402
 from hidden_effects.score import run_case  # noqa: E402
-from hidden_effects.table import confusion_picture, show  # noqa: E402
+from hidden_effects.table import confusion_picture, markdown, show  # noqa: E402
 
 #: Packages whose code determines the results.
 PACKAGES = (
@@ -85,8 +85,8 @@ def earlier_results(path: Path, code: str | None) -> dict[str, dict[str, Any]]:
     return {row["case"]: row for row in rows if code is None or row.get("code") == code}
 
 
-def main() -> int:
-    """Run the requested cases and print the table."""
+def arguments() -> argparse.Namespace:
+    """Return the options of the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
@@ -130,9 +130,15 @@ def main() -> int:
         "--no-true-model", action="store_true", help="do not fit the true model for comparison"
     )
     parser.add_argument("--by-command", action="store_true", help="through the command line")
+    parser.add_argument("--markdown", action="store_true", help="print the first table as Markdown")
     parser.add_argument("--json", type=Path, metavar="FILE", help="all results")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="confusion matrix")
-    args = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Run the requested cases and print the table."""
+    args = arguments()
     if args.quick:
         args.cache = args.cache or Path("build/hidden_effects_cases")
         wanted = quick()
@@ -154,7 +160,10 @@ def main() -> int:
     done |= _run(todo, args, code or fingerprint())
     rows = [done[case.name] for case in wanted if case.name in done]
     scored = [row for row in rows if "skipped" not in row]
-    show(scored)
+    if args.markdown:
+        sys.stdout.write(markdown(scored))
+    else:
+        show(scored)
     if len(scored) < len(rows):
         skipped = [row["case"] for row in rows if "skipped" in row]
         sys.stdout.write(f"{len(skipped)} cases could not be generated: {', '.join(skipped)}\n")

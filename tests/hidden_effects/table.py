@@ -72,7 +72,7 @@ class Goal:
     def cells(self) -> tuple[str, str, str, str]:
         sign = "≤" if self.at_most else "≥"
         met = {None: "", True: "yes", False: "NO"}[self.is_met]
-        required = f"{sign} {100 * self.required:.0f} %" if self.required else "–"
+        required = f"{sign} {100 * self.required:g} %" if self.required else "–"
         return self.description, str(self.rate), required, met
 
 
@@ -137,6 +137,13 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
         Goal("all: named wrongly", rate(every, "named_wrongly"), 0.02, True),
         Goal("all: failed", Rate.of(every, lambda r: not r["completed"]), 0.005, True),
     ]
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """Return the table of goals for the documentation."""
+    lines = ["| measure | measured [95 %] | goal | met |", "| --- | --- | --- | --- |"]
+    lines += [f"| {' | '.join(goal.cells())} |" for goal in goals(rows) if goal.rate.total]
+    return "\n".join(lines) + "\n"
 
 
 def show(rows: Sequence[Row], console: Console | None = None) -> None:
