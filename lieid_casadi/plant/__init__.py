@@ -4,12 +4,7 @@ It shares no dynamics and no effects with the rest of the package, so that it re
 """
 
 from lieid_casadi.plant.arm import Arm, JointFriction, Thermal, perturbed_inertias, with_payload
-from lieid_casadi.plant.demo_arm import (
-    HIDDEN_EFFECT_NAMES,
-    demo_arm,
-    demo_sensors,
-    hidden_effect,
-)
+from lieid_casadi.plant.demo_arm import HIDDEN_EFFECT_NAMES, demo_arm, demo_sensors, hidden_effect
 from lieid_casadi.plant.effects import (
     Armature,
     BaseTilt,

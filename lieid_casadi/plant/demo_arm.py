@@ -70,10 +70,7 @@ def hidden_effect(
 
     The joint is counted from 0; ``seed`` determines details (phase, harmonic, source).
 
-    Raises
-    ------
-    EffectError
-        Unknown name.
+    EffectError: unknown name.
     """
     if name not in _MAKERS:
         raise EffectError(f"hidden effect {name!r}; expected one of {', '.join(sorted(_MAKERS))}")

@@ -264,11 +264,7 @@ class JointOffset(JointEffect):
 
 @dataclass(frozen=True)
 class ForeignTorque(JointEffect):
-    """Any torque, for effects that are not in the library.
-
-    ``function`` takes the :class:`JointState` and returns the torque of this joint; it must work
-    on (n,) and on (N, n) arrays (index with ``[..., joint]``).
-    """
+    """Any torque; ``function`` must work on (n,) and on (N, n) arrays (index ``[..., joint]``)."""
 
     name: ClassVar[str] = "foreign"
     function: Callable[[JointState], Array] = lambda s: np.zeros(())

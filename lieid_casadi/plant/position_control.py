@@ -52,10 +52,7 @@ def simulate_commands(
     The commands are the trajectory at ``command_rate`` (Hz), held from one command to the next;
     there is one drive for each joint. Sensors are ideal at 200 Hz by default.
 
-    Raises
-    ------
-    EffectError
-        Backlash on a joint without armature.
+    EffectError: backlash on a joint without armature.
     """
     h = 1.0 / rate
     t = np.asarray(np.arange(round(duration * rate) + 1) * h)

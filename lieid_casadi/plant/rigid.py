@@ -24,10 +24,7 @@ def build_pinocchio(
     orientation, and inertias are transformed. Link parameters (10 n,), about the link
     frames' origins, and gravity (3,) in the base frame are the robot's own by default.
 
-    Raises
-    ------
-    RobotError
-        Parameters of the wrong size, or none at all; a geometry with symbols.
+    RobotError: parameters of the wrong size, or none at all; a geometry with symbols.
     """
     import pinocchio as pin
 

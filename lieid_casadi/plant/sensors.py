@@ -53,10 +53,7 @@ def measure(
 ) -> Recording:
     """Return the recording of a motion; the seed is that of the noise.
 
-    Raises
-    ------
-    RecordingError
-        The rate is above that of the motion.
+    RecordingError: the rate is above that of the motion.
     """
     random = [np.random.default_rng([seed, 2, stream]) for stream in range(5)]
     rows = sampled_rows(motion.t, sensors.rate)
@@ -104,10 +101,7 @@ def measure_along(
 def sampled_rows(t: Array, rate: float | None) -> NDArray[np.intp]:
     """Return the indices nearest to samples at ``rate`` Hz, or all of them for None.
 
-    Raises
-    ------
-    RecordingError
-        The rate is above that of t.
+    RecordingError: the rate is above that of t.
     """
     if rate is None:
         return np.arange(t.size)

@@ -61,12 +61,7 @@ def simulate(
     integration. Sensors are ideal at 200 Hz by default; the seed is that of their noise.
     ``progress`` is called with the fraction that is done, 0 to 1.
 
-    Raises
-    ------
-    EffectError
-        Presliding too stiff for this rate.
-    RecordingError
-        Sensors faster than the control.
+    EffectError: presliding too stiff for this rate; RecordingError: sensors faster than it.
     """
     motion = move(arm, trajectory, duration=duration, rate=rate, control=control, progress=progress)
     return measure(arm, motion, sensors or Sensors(), seed=seed, name=name)
@@ -91,10 +86,7 @@ def move(
     With elastic joints the links follow the path of the rigid arm, smoothed to 20 Hz; motion of the
     motors and torques follow from this path. Arguments are those of `simulate`.
 
-    Raises
-    ------
-    EffectError
-        Presliding too stiff for this rate.
+    EffectError: presliding too stiff for this rate.
     """
     span = trajectory.duration if duration is None else duration
     settling = round(SETTLING * rate)
@@ -135,7 +127,7 @@ class _Controller:
         for effect in arm.effects_of(EncoderOffset):  # the controller uses the encoders
             q[:, effect.joint] += effect.offset
         self.reference = q
-        self._goal, self._goal_velocity = _next(q), _next(dq)
+        self._goal, self._goal_velocity = (np.concatenate([x[1:], x[-1:]]) for x in (q, dq))
         self._model = build_pinocchio(arm.robot)
         self._data = self._model.createData()
         self._feedforward = rigid_torques(self._model, q, dq, ddq) if control.feedforward else None
@@ -163,11 +155,6 @@ class _Controller:
             + self._damping * (self._goal_velocity[k] - dq)
         )
         return DriveCommand(constant, self._gain, self._limit)
-
-
-def _next(rows: Array) -> Array:
-    """Return the next row for each row; the last is repeated."""
-    return np.concatenate([rows[1:], rows[-1:]])
 
 
 def _least_inertia(model: Any, path: Array) -> Array:

@@ -135,7 +135,9 @@ class Stepper:
         """Solve for the acceleration; sets ``state`` to the mean velocity of the step."""
         h, drive, dq = self._h, self._drive, self.dq
         inertia = self._pin.crba(self._model, self._data, state.q)
-        constant = self._tool_torque(state.q)
+        constant = np.zeros(dq.size)
+        if self._wrench.any():
+            constant = wrench_torque(self._model, self._data, state.q, self._wrench)
         free = drive.hysteretic
         sign = np.where(free, 0.0, np.sign(dq))
         changes = np.zeros(dq.size, dtype=int)
@@ -183,11 +185,6 @@ class Stepper:
             matrix[stuck] = np.eye(stuck.size)[stuck]
         step: Array = self._solve(matrix, residual)[2]
         return step
-
-    def _tool_torque(self, q: Array) -> Array:
-        if not self._wrench.any():
-            return np.zeros(q.size)
-        return wrench_torque(self._model, self._data, q, self._wrench)
 
 
 def _revised_signs(

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import BPoly
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
@@ -46,20 +47,17 @@ class Envelope:
         """Return the part ``margin`` of a robot's ranges and speeds."""
         revolute = [joint.revolute for joint in robot.joints]
         reach = np.array([DEFAULT_REACH[kind] for kind in revolute])
-        lower = _or(robot.limit("position_lower"), -reach)
-        upper = _or(robot.limit("position_upper"), reach)
+
+        def limit(name: str, default: Array | float) -> Array:
+            stated = robot.limit(name)
+            return np.where(np.isfinite(stated), stated, default)
+
+        lower, upper = limit("position_lower", -reach), limit("position_upper", reach)
         middle = 0.5 * (lower + upper)
         half = margin * np.minimum(0.5 * (upper - lower), reach)
-        velocity = _or(
-            robot.limit("velocity"), np.array([DEFAULT_VELOCITY[kind] for kind in revolute])
-        )
-        acceleration = _or(robot.limit("acceleration"), np.full(robot.n, np.inf))
-        return cls(
-            middle - half,
-            middle + half,
-            margin * velocity,
-            margin * np.minimum(acceleration, DEFAULT_ACCELERATION),
-        )
+        velocity = limit("velocity", np.array([DEFAULT_VELOCITY[kind] for kind in revolute]))
+        acceleration = np.minimum(limit("acceleration", np.inf), DEFAULT_ACCELERATION)
+        return cls(middle - half, middle + half, margin * velocity, margin * acceleration)
 
     @property
     def middle(self) -> Array:
@@ -185,53 +183,28 @@ def point_to_point(
     return Waypoints(stops, starts, moves, float(starts[-1] + moves[-1] + dwell))
 
 
-def _without(coefficients: Array, direction: Array) -> Array:
-    """Remove a direction (H,) from coefficients (H, n)."""
-    unit = direction / np.linalg.norm(direction)
-    return coefficients - np.outer(unit, unit @ coefficients)
-
-
-def _or(stated: Array, default: Array) -> Array:
-    return np.where(np.isfinite(stated), stated, default)
-
-
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """One joint forward and backward at constant speeds while the others hold their pose."""
 
     pose: Array  # (n,), of the other joints
     joint: int
-    lower: float  # where the moving joint starts
-    upper: float
-    speeds: tuple[float, ...]  # one run forward and one backward for each
-    acceleration: float
-    dwell: float
-
-    def _run(self, speed: float) -> tuple[float, float]:
-        """Ramp time and total time of one run."""
-        ramp = 1.5 * speed / self.acceleration  # its peak acceleration is 1.5 of the mean
-        return ramp, ramp + (self.upper - self.lower) / speed
+    path: BPoly  # of the moving joint
 
     @property
     def duration(self) -> float:
         """Time from start to end, s."""
-        return self.dwell + sum(2.0 * (self._run(speed)[1] + self.dwell) for speed in self.speeds)
+        return float(self.path.x[-1])
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
         """q, dq, ddq (N, n) at times (N,)."""
-        times = np.asarray(t, dtype=float)
+        times = np.clip(np.asarray(t, dtype=float), 0.0, self.duration)
+        inside = (times > 0.0) & (times < self.duration)
         q = np.tile(self.pose, (times.size, 1))
-        dq, ddq = np.zeros_like(q), np.zeros_like(q)
-        q[:, self.joint] = self.lower
-        begin = self.dwell
-        for speed in self.speeds:
-            ramp, total = self._run(speed)
-            for origin, sign in ((self.lower, 1.0), (self.upper, -1.0)):
-                on = times >= begin
-                distance, velocity, change = _run(times[on] - begin, speed, ramp, total)
-                q[on, self.joint] = origin + sign * distance
-                dq[on, self.joint], ddq[on, self.joint] = sign * velocity, sign * change
-                begin += total + self.dwell
+        q[:, self.joint] = self.path(times)
+        dq, ddq = np.zeros((2, *q.shape))
+        dq[inside, self.joint] = self.path(times[inside], 1)
+        ddq[inside, self.joint] = self.path(times[inside], 2)
         return q, dq, ddq
 
 
@@ -248,10 +221,7 @@ def sweep(
     Speeds (rad/s) are 5, 15 and 40 % of the joint's limit by default, the pose of the other joints
     the middle of their ranges; ``dwell`` (s) is at rest between two runs.
 
-    Raises
-    ------
-    RobotError
-        No such joint, or a speed that is not positive or for which the range is too short.
+    RobotError: no such joint, or a speed that is not positive or for which the range is too short.
     """
     if not 0 <= joint < robot.n:
         raise RobotError(f"sweep of joint {joint} (from 0); robot {robot.name!r} has {robot.n}")
@@ -265,26 +235,26 @@ def sweep(
             raise RobotError(
                 f"sweep of joint {joint} (from 0) at {speed:g} rad/s does not fit its range"
             )
+    knots = [(0.0, lower, 0.0)]  # time, position, speed; accelerations are zero there
+    for speed in chosen:
+        ramp = 1.5 * speed / acceleration  # its peak acceleration is 1.5 of the mean
+        total = ramp + (upper - lower) / speed
+        for start, end, v in ((lower, upper, speed), (upper, lower, -speed)):
+            begin = knots[-1][0] + dwell
+            knots += [
+                (begin, start, 0.0),
+                (begin + ramp, start + 0.5 * ramp * v, v),
+                (begin + total - ramp, end - 0.5 * ramp * v, v),
+                (begin + total, end, 0.0),
+            ]
+    knots.append((knots[-1][0] + dwell, lower, 0.0))
+    times, positions, velocities = np.array(knots).T
+    states = np.column_stack([positions, velocities, 0.0 * times])
     middle = envelope.middle if pose is None else np.asarray(pose, dtype=float)
-    return Sweep(middle, joint, lower, upper, chosen, acceleration, dwell)
+    return Sweep(middle, joint, BPoly.from_derivatives(times, states))
 
 
-def _run(t: Array, speed: float, ramp: float, total: float) -> tuple[Array, Array, Array]:
-    """Return distance, velocity and acceleration of a run from rest to rest with smooth ramps."""
-    up = np.clip(t / ramp, 0.0, 1.0)
-    down = np.clip((t - (total - ramp)) / ramp, 0.0, 1.0)
-    velocity = speed * (_smooth_step(up) - _smooth_step(down))
-    acceleration = speed / ramp * (6.0 * up * (1.0 - up) - 6.0 * down * (1.0 - down))
-    cruise = np.clip(t - ramp, 0.0, total - ramp)
-    distance = speed * (
-        ramp * _smooth_step_integral(up) + cruise - ramp * _smooth_step_integral(down)
-    )
-    return distance, velocity, acceleration
-
-
-def _smooth_step(s: Array) -> Array:
-    return s * s * (3.0 - 2.0 * s)
-
-
-def _smooth_step_integral(s: Array) -> Array:
-    return s**3 - 0.5 * s**4
+def _without(coefficients: Array, direction: Array) -> Array:
+    """Remove a direction (H,) from coefficients (H, n)."""
+    unit = direction / np.linalg.norm(direction)
+    return coefficients - np.outer(unit, unit @ coefficients)
