@@ -284,17 +284,13 @@ def _error_text(c: Comparison, joint: int) -> str:
     return text
 
 
-def verdict(
-    comparison: Comparison, *, remedy: str = "lieid diagnose searches for missing effects"
-) -> str:
-    """Return how large the error is, and whether it exceeds the noise of the measurement.
+def verdict(comparison: Comparison) -> str:
+    """Return how large the error is, and whether it exceeds the noise of the measurement."""
+    return " ".join(verdict_sentences(comparison, "lieid diagnose searches for missing effects"))
 
-    Parameters
-    ----------
-    comparison : Comparison
-    remedy : str
-        What to do about a systematic error.
-    """
+
+def verdict_sentences(comparison: Comparison, remedy: str) -> list[str]:
+    """Return the sentences of `verdict`; ``remedy`` is what to do about a systematic error."""
     c = comparison
     names = ", ".join(source.name or "the recording" for source in c.recordings)
     trained = any(isinstance(warning, SameRecordingWarning) for warning in c.warnings)
@@ -308,7 +304,7 @@ def verdict(
             f"On {joints_text(c.rest_dominates)} the error at rest, where friction is "
             f"undetermined, is larger (RMS {at_rest})."
         )
-    return " ".join(sentences)
+    return sentences
 
 
 def _size(c: Comparison) -> str:

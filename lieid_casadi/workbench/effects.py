@@ -261,7 +261,7 @@ class FindingsView(View):
         if found is not None and step is not None and found.effects == step.effects:
             self._verdict.text = _summary(found)
         elif evaluation is not None:
-            exact = "" if evaluation.exact else " Preliminary; the exact fit is computed."
+            exact = "" if evaluation.exact else "\nPreliminary; the exact fit is computed."
             self._verdict.text = evaluation.sentence + exact
         if evaluation is not None:  # for tests and the benchmark of the latency
             props = self._verdict.props

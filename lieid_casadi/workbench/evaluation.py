@@ -9,7 +9,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
-from lieid_casadi.comparison.comparison import verdict
+from lieid_casadi.comparison.comparison import verdict_sentences
 from lieid_casadi.comparison.series import effect_torques
 from lieid_casadi.diagnosis import Diagnosis, DiagnosisStep
 from lieid_casadi.effects import Effect, Placement
@@ -159,7 +159,7 @@ class Evaluation:
         With the recordings that were fitted, and with the others; ``test`` holds all recordings
         if the fit is kept. The series of a recording are named after it, see `recording_titles`.
     sentence : str
-        How large the error is, compared with the noise.
+        How large the error is, compared with the noise; one statement a line.
     shapes : dict
         Label of each shape parameter → its value, from which later fits start.
     cutoff : float
@@ -218,7 +218,7 @@ def evaluate_fit(
         errors=StepErrors(*(tuple(numbers_or_none(values)) for values in columns)),
         train=on_train,
         test=on_test,
-        sentence=verdict(shown, remedy=SEARCH_EFFECTS if train else SEARCH_CHANGES),
+        sentence="\n".join(verdict_sentences(shown, SEARCH_EFFECTS if train else SEARCH_CHANGES)),
         effects=_effect_rows(fit) + _change_rows(changes),
         warnings=tuple(dict.fromkeys(str(w) for w in notes)),
         shapes={s.label: float(v) for s, v in zip(fit.model.shapes, fit.shapes, strict=True)},

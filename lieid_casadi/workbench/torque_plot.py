@@ -363,6 +363,6 @@ def _joint_svg(series: list[Series], joint: int, floor: float | None, unit: str)
             parts.append(
                 f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="{width}"/>'
             )
-    ranges = f"torque ± {figures(size, digits=2)}, error ± {figures(error, digits=2)} {unit}"
-    parts.append(f'<text x="0" y="101" font-size="10" fill="#52606d">{escape(ranges)}</text>')
-    return f'<svg viewBox="0 0 200 104" width="100%" role="img">{"".join(parts)}</svg>'
+    ranges = f"±{figures(size, digits=2)}, error ±{figures(error, digits=2)} {unit}"
+    parts.append(f'<text x="0" y="102" font-size="13" fill="#52606d">{escape(ranges)}</text>')
+    return f'<svg viewBox="0 0 200 106" width="100%" role="img">{"".join(parts)}</svg>'
