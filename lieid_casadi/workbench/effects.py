@@ -122,7 +122,7 @@ class _EffectMenu:
                     row.props["role"], row.props["tabindex"] = "button", "0"
                     with row:
                         ui.label(name).classes("strong")
-                        text(line, "muted small grow")
+                        text(line, "muted small grow ellipsis")
 
     async def _add(self, name: str) -> None:
         """Add an effect of the library to the selected joint."""
@@ -140,7 +140,8 @@ class _EffectMenu:
 def _one_line(name: str) -> str:
     """Return the first line of the description of an effect, else its formula."""
     effect = make(name)
-    return ((type(effect).__doc__ or "").strip().split("\n")[0] or effect.formula).rstrip(".")
+    line = (type(effect).__doc__ or "").strip().split("\n")[0] or effect.formula
+    return line.replace("`", "").rstrip(".")
 
 
 def _effect_card(row: EffectRow, curve: EffectCurve | None, unit: str, *, removable: bool) -> None:

@@ -9,6 +9,7 @@ import zipfile
 import pytest
 
 import lieid_casadi as lieid
+from lieid_casadi.workbench.elements import figures
 
 pytestmark = pytest.mark.slow
 
@@ -224,24 +225,74 @@ def test_requests_without_the_token_or_of_another_host_get_nothing(start, two_li
     assert status(f"{base}etc/passwd?token={token}") == 404
 
 
-@pytest.mark.parametrize("width", [1300, 1920])
-def test_nothing_is_cut_off(start, browse, width):
+# Texts that are cut without a tooltip, and texts outside of the panel that they belong to.
+CUT = """
+const texts = [...document.querySelectorAll('.panel *, .toolbar *, .verdict-panel *')].filter(
+  (e) => e.offsetParent && [...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim()));
+const cut = (e) => getComputedStyle(e).overflowX !== 'visible'
+  && e.scrollWidth > e.clientWidth + 1 && !e.closest('[title]');
+const outside = (e) => {
+  const panel = e.closest('.panel, .toolbar, .verdict-panel').getBoundingClientRect();
+  const box = e.getBoundingClientRect();
+  return box.right > panel.right + 1 || box.left < panel.left - 1;
+};
+return texts.filter((e) => cut(e) || outside(e)).map((e) => e.textContent.trim().slice(0, 60));
+"""
+
+
+def test_nothing_is_cut_off(start, browse):
     server = start()
-    page = browse(server.url, width=width, height=1100)
+    page = browse(server.url, width=1300, height=900)
     opened(page, 2)
     page.wait(lambda: page.text("effect-coulomb-2"), "the effects of joint 2")
-    page.picture(f"layout_{width}")
-    wide = page.driver.execute_script("return document.documentElement.scrollWidth")
-    assert wide <= page.driver.execute_script("return window.innerWidth")
-    for name in (
-        "arm-view",
-        "torque-plot",
-        "residual-plot",
-        "waterfall",
-        "error-7",
-        "undo",
-        "redo",
-    ):
-        box = page.element(name).rect
-        assert box["width"] > 10
-        assert box["x"] + box["width"] <= width
+    page.wait(lambda: "% fit" in page.text("fit-percent-7"), "the fit of joint 7")
+    for width in (1024, 1300, 1920):
+        page.driver.set_window_size(width, 900)
+        inner = "return [document.documentElement.scrollWidth, window.innerWidth]"
+        page.wait(lambda: page.driver.execute_script(inner)[1] == width, "the new width")  # noqa: B023
+        page.wait(lambda: page.driver.execute_script(CUT) == [], "no text that is cut")
+        page.picture(f"layout_{width}")
+        wide, available = page.driver.execute_script(inner)
+        assert wide <= available
+        for name in (
+            "arm-view", "torque-plot", "residual-plot", "correlation-plot", "waterfall", "overview",
+            "error-7", "undo", "redo", "find-missing",
+        ):  # fmt: skip
+            box = page.element(name).rect
+            assert box["width"] > 10
+            assert box["x"] + box["width"] <= width
+
+
+def test_a_tab_that_is_closed_during_an_export(start, browse, two_link_files):
+    server = start("two_link", *map(str, two_link_files))
+    page, other = browse(server.url), browse(server.url)
+    opened(page)
+    opened(other)
+    page.click("add-effect", done=lambda: page.shown("search-effect"))
+    page.element("search-effect").send_keys("gravity rotated")
+    page.wait(lambda: not page.elements("library-viscous"), "the effects that match")
+    page.click("library-base_tilt", done=lambda: page.elements("effect-base_tilt-arm"))
+    page.click("export", done=lambda: page.shown("save-urdf"))
+    page.click("save-urdf")
+    page.wait(lambda: page.shown("progress"), "the progress")
+    page.driver.get("about:blank")
+    other.click("save-fit")
+    other.downloaded("fit.json")
+    assert server.stop() == (0, "")
+
+
+def test_a_group_and_all_effects_are_added_with_one_click(start, browse, two_link_files):
+    server = start("two_link", *map(str, two_link_files))
+    page = browse(server.url)
+    before = opened(page)
+    page.click("find-missing")
+    page.wait(lambda: page.shown("add-all"), "the findings")
+    assert page.text("status-load_friction-1") in ("named", "one of")
+    page.click("add-all", done=lambda: page.number("error-1") < 0.5 * before)
+    shown = page.text("error-1")
+    page.wait(lambda: page.elements("step-2"), "one step in the history")
+    assert not page.elements("step-3")
+    page.click("save-fit")
+    fit = lieid.Fit.load(page.downloaded("fit.json"))
+    saved = lieid.compare(fit, lieid.Recording.load(two_link_files[1]))
+    assert f"{figures(saved.rms_moving[0])} N·m" == shown  # the page and the file agree
