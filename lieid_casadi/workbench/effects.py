@@ -213,8 +213,8 @@ class FindingsView(View):
     def __init__(self, workbench: Workbench) -> None:
         super().__init__(workbench)
         with ui.row().classes("verdict-panel w-full no-wrap"):
-            with ui.column().classes("grow gap-0"):
-                self._verdict = named(ui.label(""), "verdict").classes("verdict")
+            with named(ui.column(), "verdict").classes("grow gap-0") as self._whole:
+                self._verdict = ui.label("").classes("verdict")
                 self._list = ui.column().classes("w-full gap-0 findings")
             self._all = button("", "add-all", self._add_all, "unelevated color=primary")
         on_action(self._list, self._add)
@@ -265,7 +265,7 @@ class FindingsView(View):
             exact = "" if evaluation.exact else "\nPreliminary; the exact fit is computed."
             self._verdict.text = evaluation.sentence + exact
         if evaluation is not None:  # for tests and the benchmark of the latency
-            props = self._verdict.props
+            props = self._whole.props
             props["data-complete"] = str(evaluation.complete).lower()
             props["data-seconds"] = f"{evaluation.seconds:.4f} {evaluation.cpu_seconds:.4f}"
 
@@ -292,12 +292,16 @@ def _summary(found: FoundEffects) -> str:
     if not found.proposed or not falls:
         return found.sentence
     count = len(found.proposed)
-    effects = "one effect" if count == 1 else f"{count} effects"
+    if found.model:
+        what = "One effect is missing" if count == 1 else f"{count} effects are missing"
+        where = "on unseen motion"
+    else:
+        what = "One change since the fit" if count == 1 else f"{count} changes since the fit"
+        where = "on the new recordings"
     least, most = max(min(falls), 0.0), max(falls)
-    changed = "changed" if not found.model else "missing"
     return (
-        f"{effects[0].upper()}{effects[1:]} {changed}: on unseen motion the error falls by "
-        f"{least:.0f} to {most:.0f} % of that of the first model, depending on the joint."
+        f"{what}: with {'it' if count == 1 else 'them'} the error {where} falls by {least:.0f} to "
+        f"{most:.0f} %, depending on the joint."
     )
 
 
