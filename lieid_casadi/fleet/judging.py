@@ -143,12 +143,12 @@ def _priors(
     without temperatures; slopes over arms with the same robot. Temperatures that are not recorded
     are expected to vary like those of the other arms, and to act like on their strongest joint.
     """
+    judged = [(arm.robot, _judged_series(arm)) for arm in arms]
     by_joint: dict[tuple[str, Quantity], list[NightSeries]] = defaultdict(list)
-    for arm in arms:
-        for quantity, series, _ in _judged_series(arm):
-            by_joint[arm.robot, quantity].append(series)
+    for robot, own in judged:
+        for quantity, series, _ in own:
+            by_joint[robot, quantity].append(series)
     warmth: dict[tuple[str, Quantity], TemperaturePrior] = {}
-    pools: dict[tuple[str, str, bool], list[NightSeries]] = defaultdict(list)
     slow: dict[tuple[str, str, bool], float] = defaultdict(lambda: EXPECTED_SLOW)
     for (robot, quantity), every in by_joint.items():
         prior = temperature_prior(every)
@@ -156,9 +156,11 @@ def _priors(
             warmth[robot, quantity] = prior
             unknown = robot, quantity.name, False
             slow[unknown] = max(slow[unknown], prior.variance(every))
-        for series in every:
-            known = prior is not None and series.has_temperature
-            corrected = series.at_mean_temperature(prior.slope) if known and prior else series
+    pools: dict[tuple[str, str, bool], list[NightSeries]] = defaultdict(list)
+    for robot, own in judged:  # the series of one arm beside each other: they share a matrix
+        for quantity, series, _ in own:
+            known = warmth.get((robot, quantity)) if series.has_temperature else None
+            corrected = series if known is None else series.at_mean_temperature(known.slope)
             pools[robot, quantity.name, series.has_temperature].append(corrected)
     scatter = {k: scatter_prior(each, expected_slow=slow[k]) for k, each in pools.items()}
     return scatter, warmth

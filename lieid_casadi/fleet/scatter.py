@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,8 +140,15 @@ def scatter_prior(
 
 def whitening(series: NightSeries, prior: ScatterPrior) -> Array:
     """Return the matrix (N, N) that makes nights, in nominal standard deviations, independent."""
-    covariance = np.eye(len(series)) + prior.between * (series.motions[:, None] == series.motions)
-    covariance += prior.slow * np.exp(-np.abs(series.days[:, None] - series.days) / SLOW_DAYS)
+    return _whitening(series.days.tobytes(), series.motions.tobytes(), prior.between, prior.slow)
+
+
+@lru_cache(maxsize=32)
+def _whitening(day_bytes: bytes, motion_bytes: bytes, between: float, slow: float) -> Array:
+    """Return the matrix of `whitening`; the quantities of one arm share it."""
+    days, motions = np.frombuffer(day_bytes), np.frombuffer(motion_bytes, dtype=np.intp)
+    covariance = np.eye(len(days)) + between * (motions[:, None] == motions)
+    covariance += slow * np.exp(-np.abs(days[:, None] - days) / SLOW_DAYS)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 

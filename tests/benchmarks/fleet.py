@@ -4,6 +4,7 @@
 ``null``: false alarms of fleets in which nothing changes, resampled from the runs of ``changes``.
 ``throughput``: arm-nights per hour against a loop over ``diagnose``, with one and two workers.
 ``faults``: worker, scheduler and client killed at random moments.
+``cost``: time and memory of judging a night, over the numbers of arms and of nights; drawn rows.
 """
 
 from __future__ import annotations
@@ -33,7 +34,13 @@ from lieid_casadi.fleet.run import run_fleet  # noqa: E402
 from lieid_casadi.fleet.scatter import NightSeries  # noqa: E402
 
 #: Arms and nights unless stated otherwise; ``null`` uses the history of ``changes``.
-SIZES = {"changes": (40, 30), "null": (40, 30), "throughput": (12, 12), "faults": (2, 4)}
+SIZES = {
+    "changes": (40, 30),
+    "null": (40, 30),
+    "throughput": (12, 12),
+    "faults": (2, 4),
+    "cost": (0, 0),
+}
 FOLDERS = {"null": "changes"}
 
 
@@ -223,6 +230,56 @@ def measured_run(fleet, folder: Path, workers: int) -> tuple[float, float, float
     return 1.0 / elapsed, worker, client, result.seconds
 
 
+#: Rows of a fleet of arms with six joints and three coefficients each, in which nothing changes.
+DRAWN = """
+CREATE TEMP TABLE drawn AS SELECT format('A{:05d}', a) AS serial,
+    DATE '2026-01-01' + n::INTEGER AS date,
+    a * 10000 + n AS run FROM range($arms) x(a), range($nights) y(n);
+INSERT INTO arms SELECT DISTINCT serial, 'robot', 6, 'f', '{}', NULL, NULL, NULL, '' FROM drawn;
+INSERT INTO runs SELECT run, serial, 'r' || run, '', 'f', '', now()::TIMESTAMP, 1, 'done', '', date,
+    '', '', '', 2 FROM drawn;
+INSERT INTO parameters SELECT run, serial, date, name, j, 2 + 0.01 * sqrt(-2 * ln(1 - random()))
+    * cos(2 * pi() * random()), 0.01, 'N·m' FROM drawn, range(1, 7) x(j),
+    (VALUES ('coulomb.f_c'), ('viscous.f_v'), ('offset.f_b')) y(name);
+INSERT INTO errors SELECT run, serial, date, j, 0.1 * (0.95 + 0.1 * random()), 0.08, 0.1, 3, 25,
+    -1, 1, 0, 0.5 FROM drawn, range(1, 7) x(j);
+INSERT INTO judged SELECT max(date) - 1, TIMESTAMP '2020-01-01' FROM drawn;
+DROP TABLE drawn;
+"""
+
+
+def cost(args: argparse.Namespace) -> None:
+    """Print processor time per arm and largest memory of judging a night, each in a process."""
+    import subprocess
+
+    if args.folder.suffix == ".duckdb":  # in the process of one point of the curve
+        import resource
+
+        from lieid_casadi.fleet.alarms import judge_new_nights
+
+        with History(args.folder) as history:
+            start = time.process_time()
+            alarms = judge_new_nights(history)
+            spent = time.process_time() - start
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        say(
+            f"{args.arms:6} arms, {args.nights:5} nights: {spent / args.arms:.4f} s per arm, "
+            f"{memory:.0f} MB, {len(alarms)} alarms"
+        )
+        return
+    args.folder.mkdir(parents=True, exist_ok=True)
+    for arms, nights in ((20, 30), (20, 90), (20, 365), (20, 1000), (200, 365), (2000, 30)):
+        path = args.folder / f"cost-{arms}-{nights}.duckdb"
+        for file in args.folder.glob(f"{path.stem}*"):
+            file.unlink()
+        with History(path) as history:
+            for statement in DRAWN.split(";\n")[:-1]:
+                values = {"arms": arms, "nights": nights} if "$arms" in statement else None
+                history.connection.execute(statement, values)
+        words = ["cost", "--folder", str(path), "--arms", str(arms), "--nights", str(nights)]
+        subprocess.run([sys.executable, __file__, *words], check=True)
+
+
 def faults(args: argparse.Namespace) -> None:
     """Kill worker, scheduler and client at random moments and print what was lost or repeated."""
     import random
@@ -255,7 +312,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("what", choices=("changes", "null", "throughput", "faults"))
+    parser.add_argument("what", choices=tuple(SIZES))
     parser.add_argument("--folder", type=Path, help="default: build/fleet/WHAT")
     parser.add_argument("--arms", type=int)
     parser.add_argument("--nights", type=int)
@@ -268,7 +325,10 @@ def main() -> int:
     arms, nights = SIZES[args.what]
     args.arms, args.nights = args.arms or arms, args.nights or nights
     args.folder = args.folder or Path("build/fleet") / FOLDERS.get(args.what, args.what)
-    {"changes": changes, "null": null, "throughput": throughput, "faults": faults}[args.what](args)
+    run = {
+        "changes": changes, "null": null, "throughput": throughput, "faults": faults, "cost": cost,
+    }  # fmt: skip
+    run[args.what](args)
     return 0
 
 
