@@ -158,7 +158,7 @@ class _Finding:
     """Excess (negative inside) of every subject of a limit that was evaluated.
 
     ``excused`` has subjects that the search did not restrict, with the reason: they are unchecked
-    where they violate the limit, or were not evaluated.
+    where they violate the limit, or were not evaluated. ``lines`` are those of unknown shape.
     """
 
     title: str
@@ -168,6 +168,7 @@ class _Finding:
     excess: dict[str, float] = field(default_factory=dict)
     times: dict[str, float] = field(default_factory=dict)
     excused: dict[str, str] = field(default_factory=dict)
+    lines: set[str] = field(default_factory=set)
     itemized: bool = True
 
     def add(self, subject: str, excess: float, time: float) -> None:
@@ -195,7 +196,8 @@ class _Finding:
         """The limit and its subjects; empty if there is none."""
         if not self.itemized:
             return self.title if len(self.kept) == len(self.excess) else ""
-        return f"{self.title}: {', '.join(self.kept)}" if self.kept else ""
+        names = [f"{name} (line)" if name in self.lines else name for name in self.kept]
+        return f"{self.title}: {', '.join(names)}" if names else ""
 
     @property
     def unchecked(self) -> list[str]:
@@ -280,7 +282,9 @@ def _rigid_torque(finding: _Finding, limit: Torque, along: ArmAlong) -> None:
 
 def _distances(finding: _Finding, limit: Wall | Obstacle | SelfCollision, along: ArmAlong) -> None:
     """Evaluate the distances of the links' shapes; links without one are excused."""
-    bodies, n = _bodies(along.robot, limit.capsules), along.robot.n
+    capsules, n = tuple(limit.capsules) or capsules_of(along.robot), along.robot.n
+    bodies = _bodies(along.robot, capsules)
+    lines = {capsule.link for capsule in capsules if capsule.source == "line"}
     if isinstance(limit, SelfCollision):
         finding.name = "self-collision"
         for a, b in combinations(range(n + 1), 2):
@@ -290,10 +294,11 @@ def _distances(finding: _Finding, limit: Wall | Obstacle | SelfCollision, along:
                 finding.excused[pair(a, b)] = "no shape"
             else:
                 near = bodies[a], bodies[b], limit.clearance, finding.tolerance
-                nearest = along.nearest(*near)
-                finding.add(pair(a, b), *nearest)
+                finding.add(pair(a, b), *along.nearest(*near))
+            finding.lines.update({pair(a, b)} if lines & {a, b} else ())
         return
     finding.excused[link_name(0)] = "does not move"
+    finding.lines.update(map(link_name, lines))
     for link in range(1, n + 1):
         if not bodies[link]:
             finding.excused[link_name(link)] = "no shape"
@@ -309,14 +314,13 @@ def _distances(finding: _Finding, limit: Wall | Obstacle | SelfCollision, along:
 
 def _bodies(robot: Robot, capsules: Sequence[Capsule]) -> list[list[Shape]]:
     """Return the shapes of every link, the base first: collision geometry, or given capsules."""
-    given = tuple(capsules) or capsules_of(robot)
     bodies: list[list[Shape]] = [[] for _ in range(robot.n + 1)]
-    enclosed = {c.link for c in given if c.source == "shape"}
+    enclosed = {c.link for c in capsules if c.source == "shape"}
     if enclosed:
         for shape in collision_shapes(robot)[0]:
             if shape.link in enclosed:
                 bodies[shape.link].append(shape)
-    for capsule in given:
+    for capsule in capsules:
         if capsule.source != "shape":
             bodies[capsule.link].append(capsule_shape(capsule))
     return bodies
@@ -350,8 +354,8 @@ def _general_remarks(robot: Robot, limits: Sequence[Limit], fit: FittedArm | Non
     lines = dict.fromkeys(link_name(c.link) for c in used if c.source == "line")
     if lines:
         yield (
-            f"shapes: {', '.join(lines)} (no collision geometry was found: capsules follow the "
-            "lines between joints; state capsules with --capsules)"
+            f"shapes: {', '.join(lines)} (no collision geometry was found: a capsule along the "
+            "line between joints was checked; state capsules with --capsules)"
         )
     unknown = collision_shapes(robot)[1] if any(c.source != "given" for c in used) else ()
     if unknown:

@@ -85,7 +85,7 @@ def capsules_of(robot: Robot) -> tuple[Capsule, ...]:
 def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...]:
     """Return capsules along the lines from joint to joint, for robots without geometry.
 
-    A moving link of zero length is a ball.
+    A moving link of zero length is a ball; the last one reaches to its farthest frame.
 
     Parameters
     ----------
@@ -99,6 +99,9 @@ def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...
     capsules = []
     for link in range(robot.n + 1):
         end = np.linalg.solve(homes[link], homes[link + 1])[:3, 3]
+        if link == robot.n:  # the tool, or a frame beyond it
+            beyond = [point for _, other, point in fixed_frames(robot) if other == link]
+            end = max([end, *beyond], key=lambda point: float(np.linalg.norm(point)))
         long = np.linalg.norm(end) > 1e-6
         if size > 0.0 and (long or link):
             end = end if long else np.zeros(3)

@@ -153,6 +153,12 @@ def _limits(element: Element, kind: str, where: str) -> Limits:
     lower, upper, velocity, effort = (
         _limit(limit, name, where) for name in ("lower", "upper", "velocity", "effort")
     )
+    stated = {"lower", "upper"} & set(limit.keys())
+    if stated == {"lower"}:
+        upper = 0.0  # the default of the format, where one of both is stated
+    elif stated == {"upper"}:
+        lower = 0.0
+    lower, upper = _within_soft_limits(element, lower, upper, where)
     if kind == "continuous":
         lower = upper = NOT_STATED
     if lower >= upper:
@@ -168,6 +174,19 @@ def _limits(element: Element, kind: str, where: str) -> Limits:
         velocity=velocity or NOT_STATED,
         torque=effort or NOT_STATED,
     )
+
+
+def _within_soft_limits(
+    element: Element, lower: float, upper: float, where: str
+) -> tuple[float, float]:
+    """Return position limits narrowed by those at which the joint's safety controller acts."""
+    safety = element.find("safety_controller")
+    if safety is None:
+        return lower, upper
+    first, last = (_limit(safety, f"soft_{name}_limit", where) for name in ("lower", "upper"))
+    if first == last:  # the default of the format: not stated
+        return lower, upper
+    return float(np.fmax(lower, first)), float(np.fmin(upper, last))
 
 
 def _limit(limit: Element, name: str, where: str) -> float:

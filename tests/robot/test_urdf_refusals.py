@@ -195,3 +195,22 @@ def test_a_pipe_and_a_name_with_a_null_character_are_refused(tmp_path, suffix):
         Robot.load(tmp_path / f"arm.{suffix}")
     with pytest.raises(RobotError, match="null character"):
         Robot.load(f"arm\0.{suffix}")
+
+
+def test_a_limit_with_one_bound_has_zero_as_the_other():
+    """The default of the format; without both bounds the joint has none."""
+    limits = Robot.parse_urdf(of_joint(' upper="1"', "")).joints[0].limits
+    assert (limits.position_lower, limits.position_upper) == (-1.0, 0.0)
+    limits = Robot.parse_urdf(of_joint('lower="-1" ', "")).joints[0].limits
+    assert (limits.position_lower, limits.position_upper) == (0.0, 1.0)
+    limits = Robot.parse_urdf(of_joint('lower="-1" upper="1" ', "")).joints[0].limits
+    assert np.isnan([limits.position_lower, limits.position_upper]).all()
+
+
+def test_soft_limits_of_a_safety_controller_narrow_the_range():
+    safety = '<safety_controller soft_lower_limit="-0.9" soft_upper_limit="5" k_velocity="1"/>'
+    limits = Robot.parse_urdf(of_joint("<limit ", f"{safety}<limit ")).joints[0].limits
+    assert (limits.position_lower, limits.position_upper) == (-0.9, 1.0)
+    unstated = '<safety_controller k_velocity="1"/>'
+    limits = Robot.parse_urdf(of_joint("<limit ", f"{unstated}<limit ")).joints[0].limits
+    assert (limits.position_lower, limits.position_upper) == (-1.0, 1.0)
