@@ -33,6 +33,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
         functions=None if args.functions is None else args.functions.split(","),
         runtime=() if args.runtime is None else args.runtime.split(","),
         float32=args.float32,
+        compensated=None if args.compensated is None else Fit.load(args.compensated),
         force=args.force,
     )
 
@@ -68,6 +69,11 @@ COMMANDS = (
                 "numbers that are arguments of the C functions: payload, parameters; default: none",
             ),
             option("--float32", "C in single precision"),
+            option(
+                "--compensated FIT2",
+                "for ur-friction: fit of motion under direct torque with the default scales",
+                InputPath,
+            ),
             options.EFFECTS_FILE,
         ),
         run,

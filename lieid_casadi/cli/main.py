@@ -23,7 +23,8 @@ from lieid_casadi.errors import LieidError, NoSolution, UsageError
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
 COMMANDS = (
     "demo", "show", "excite", "identify", "predict", "compare", "friction", "diagnose", "extend",
-    "discriminate", "payload", "gains", "simulate", "export", "effects", "workbench", "fleet",
+    "discriminate", "payload", "gains", "simulate", "sample", "export", "effects", "workbench",
+    "fleet",
 )  # fmt: skip
 
 

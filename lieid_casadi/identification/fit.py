@@ -186,6 +186,31 @@ class Fit:
 
         return predict_band(self, recording, level=level)
 
+    def sample(self, n: int, *, seed: int = 0) -> tuple[Fit, ...]:
+        """Return physically consistent fits drawn from the posterior of this one.
+
+        For ensembles and domain randomisation: masses and inertias are positive definite, friction
+        dissipates. The draws state the uncertainty of the parameters, given that the model's
+        effects are the right ones; they do not contain noise or errors of the model.
+
+        Parameters
+        ----------
+        n : int
+            How many.
+        seed : int
+            Of the random numbers.
+
+        Raises
+        ------
+        IdentificationError
+            The fit is not physically consistent (``method="feasible"``), or n is below 1.
+        NoSolution
+            The solver finds no consistent parameters near the draws.
+        """
+        from lieid_casadi.identification.uncertainty.posterior_samples import sample_fits
+
+        return sample_fits(self, n, seed=seed)
+
     def predict_processed(self, segment: Processed) -> Array:
         """Return the filtered torque (M, n) of a segment as `process` returns it."""
         segment = relative_temperature(segment, self.temperature_mean)
