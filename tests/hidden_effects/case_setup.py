@@ -37,21 +37,10 @@ SHORT = 0.4  # part of the later cases whose recordings have the shortest durati
 class Case:
     """One case of the benchmark, defined by its name.
 
-    Attributes
-    ----------
-    kind
-        ``none``, ``correlated`` (nothing hidden, correlated noise), ``single``, ``pair``,
-        ``triple``, ``foreign``, ``form``, ``world``.
-    draw
-        Even draws are for setting thresholds (``tune``), odd ones for the published table
-        (``sealed``). Draws from 100 on belong to the second series.
-    changed
-        Whether effects changed since a fit; otherwise the model lacks them.
-    effect
-        For single, foreign and form: the effect; for a world: its violated assumption; for
-        correlated: the correlation time, such as ``0.2s``; otherwise drawn.
-    size
-        For single, foreign and form; otherwise drawn from 5, 2, 1. In multiples of the noise.
+    Even draws are for setting thresholds (``tune``), odd ones for the published table (``sealed``).
+    ``changed``: effects changed since a fit; otherwise the model lacks them. ``effect`` is the
+    hidden one of single, foreign and form, the violated assumption of a world, and the correlation
+    time, such as ``0.2s``, of correlated (nothing hidden). Sizes that are not stated are drawn.
     """
 
     kind: str

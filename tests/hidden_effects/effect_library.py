@@ -59,37 +59,23 @@ class ReferenceMotion:
 
 @dataclass(frozen=True, eq=False)
 class ScalableEffect:
-    """One hidden effect.
+    """One hidden effect; name and joints (from 0) are those that a diagnosis should give.
 
-    Attributes
-    ----------
-    effect, joints
-        Name and joints (from 0) as a diagnosis should give them.
-    hide
-        Arm, strength, run (0 or 1: training and test, or before and after) → arm with the effect.
-    most, least
-        Largest realistic strength, and the smallest that a recording resolves. If both are equal,
-        the noise is scaled instead of the strength.
-    signals
-        For effects that no library has: the signals that the unexplained part depends on.
-    accepted
-        For forms that no library has: the effects of the same class, any of which is right.
-    simulated
-        Whether it can be simulated with a controller; not if it needs the whole path.
-    elastic
-        Whether it needs a smooth motion of the links that is tracked exactly.
+    ``hide`` takes the arm, a strength and the run (0 or 1: training and test, or before and after).
+    Strengths are between the smallest that a recording resolves and the largest realistic one; if
+    both are equal, the noise is scaled instead.
     """
 
     effect: str
     joints: tuple[int, ...]
     hide: Callable[[Arm, float, int], Arm]
     most: float
-    signals: tuple[str, ...] = ()
-    simulated: bool = True
+    signals: tuple[str, ...] = ()  # that an effect outside the library depends on; a|b: either
+    simulated: bool = True  # with a controller; not if it needs the whole path
     details: str = ""
     least: float = 0.0
-    elastic: bool = False
-    accepted: tuple[str, ...] = ()
+    elastic: bool = False  # needs a smooth motion of the links that is tracked exactly
+    accepted: tuple[str, ...] = ()  # effects of the class of a form, any of which is right
 
     @property
     def fixed(self) -> bool:

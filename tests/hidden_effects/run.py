@@ -16,9 +16,8 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -97,9 +96,6 @@ def arguments() -> argparse.Namespace:
         default="tune",
         help="thresholds are set on 'tune' only; 'sealed' is run once for the published table",
     )
-    parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="run on this Dask cluster, as lieid fleet does"
-    )
     parser.add_argument("--modes", nargs="+", choices=("missing", "changed"), default=[])
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=[])
     parser.add_argument("--effects", nargs="+", default=[], help="of single and foreign cases")
@@ -174,26 +170,6 @@ def main() -> int:
     return 0
 
 
-@contextmanager
-def executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
-    """Processes of this machine, or a Dask cluster that has the same folder of the repository."""
-    if scheduler is None:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            yield pool
-        return
-    from lieid_casadi.fleet.cluster import RunOptions, dask_client
-
-    with dask_client(RunOptions(scheduler=scheduler)) as client:
-        client.run_on_scheduler(find_modules, sys.path[:2])
-        client.run(find_modules, sys.path[:2])
-        yield client.get_executor(pure=False)
-
-
-def find_modules(folders: list[str]) -> None:
-    """Let a process of the cluster import the benchmark's modules."""
-    sys.path[:0] = [folder for folder in folders if folder not in sys.path]
-
-
 def _run(todo: list[Case], args: argparse.Namespace, code: str) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     if not todo:
@@ -201,7 +177,7 @@ def _run(todo: list[Case], args: argparse.Namespace, code: str) -> dict[str, dic
     args.results.parent.mkdir(parents=True, exist_ok=True)
     with (
         args.results.open("a", encoding="utf-8") as out,
-        executor(args.jobs, args.scheduler) as pool,
+        ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool,
     ):
         cache = args.cache and args.cache / fingerprint(GENERATING)
         jobs = [

@@ -46,25 +46,12 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A violated assumption; what is not stated is as assumed.
-
-    Attributes
-    ----------
-    name
-    allowed
-        Effects that may be named.
-    hide
-        Arm, run (from 0) → arm.
-    describe
-        Text of the true robot as YAML → the text that the diagnosis gets.
-    record
-        Run as measured → its recording.
-    """
+    """A violated assumption; what is not stated is as assumed."""
 
     name: str
-    allowed: tuple[Named, ...] = ()
-    hide: Callable[[Arm, int], Arm] = lambda arm, run: arm
-    describe: Callable[[str], str] = lambda text: text
+    allowed: tuple[Named, ...] = ()  # effects that may be named
+    hide: Callable[[Arm, int], Arm] = lambda arm, run: arm  # run: from 0
+    describe: Callable[[str], str] = lambda text: text  # of the robot as YAML, for the diagnosis
     record: Callable[[Measured], Recording] = lambda run: run.recording
 
 
