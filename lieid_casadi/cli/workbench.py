@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 #: Options that a page saves as text, and shows in its commands.
 OPTIONS = (
     "stiffness", "damping", "servo", "episodes", "calibration", "inflate-limit", "effects-file",
+    "columns",
 )  # fmt: skip
 
 

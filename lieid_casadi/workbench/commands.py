@@ -130,6 +130,8 @@ def _load_arguments(inputs: WorkbenchInputs) -> list[tuple[str, str]]:
         found.append(("calibration", repr(stated["calibration"])))
         limits = 'list(zip(robot.limit("position_lower"), robot.limit("position_upper")))'
         found.append(("position_limits", limits))
+    if "columns" in stated:
+        found.append(("columns", repr(stated["columns"])))
     if "inflate-limit" in stated:
         found.append(("inflate_limit", repr(int(float(stated["inflate-limit"]) * 2**20))))
     return found

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import gzip
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path, PurePath
 
+import numpy as np
 from nicegui import ui
 from nicegui.events import UploadEventArguments
 
+from lieid_casadi.recording.readers.column_names import COMMANDED, OTHERS, TIMES, WORDS
 from lieid_casadi.workbench.elements import View, button, icon_button, named, text
 from lieid_casadi.workbench.session import (
     RecordingInput,
@@ -30,7 +36,18 @@ OPTIONS = {
     "servo": "servo, such as sts3215",
     "episodes": "episodes A:B (LeRobot)",
     "calibration": "calibration file, or limits (LeRobot)",
+    "columns": "columns NAME=COLUMN,…, such as q=pos_*",
 }
+#: Signals that the dialog of columns assigns, with their meaning.
+SIGNALS = {
+    "t": "time [s]",
+    "q": "joint positions [rad]",
+    "dq": "joint velocities [rad/s]",
+    "tau": "joint torques [N·m]",
+    "i": "motor currents [A]",
+    "qcmd": "commanded positions [rad]",
+}
+HEADER_LINES, HEADER_LENGTH = 1000, 1 << 16
 _DROP = """<script>
 addEventListener('dragover', (event) => event.preventDefault());
 addEventListener('drop', (event) => {
@@ -132,6 +149,8 @@ class OpenPanel(View):
             self._path = ui.input("path, or FILE@T0:T1").props("dense").classes("grow")
             named(self._path, "open-recording").on("keydown.enter", self._add_path)
             button("Add", "add-recording", self._add_path)
+            columns = _ColumnsDialog(self._set_columns)
+            button("Columns", "map-columns", lambda: columns.show(self._recordings))
         upload = ui.upload(
             multiple=True, auto_upload=True, max_file_size=LARGEST_UPLOAD,
             label="or drop files of the robot and of recordings here", on_upload=self._uploaded,
@@ -209,6 +228,9 @@ class OpenPanel(View):
         self._recordings.append(RecordingInput(path, role))
         self._list_recordings()
 
+    def _set_columns(self, stated: str) -> None:
+        self._fields.options["columns"].value = stated
+
     def _set_role(self, k: int, role: Role) -> None:
         self._recordings[k] = replace(self._recordings[k], role=role)
 
@@ -260,3 +282,85 @@ class OpenPanel(View):
 
 def _field(label: str) -> ui.input:
     return ui.input(label).props("dense").classes("w-full")
+
+
+class _ColumnsDialog:
+    """Assigns the columns of the first recording to signals; ``done`` is called with the option."""
+
+    def __init__(self, done: Callable[[str], None]) -> None:
+        with ui.dialog().props("transition-duration=0") as self._dialog, ui.card():
+            self._title = ui.label("").classes("panel-title")
+            self._chosen = {
+                name: named(ui.select([], label=meaning, clearable=True), f"column-{name}")
+                .props("dense options-dense")
+                .classes("column-choice")
+                .on_value_change(self._preview)
+                for name, meaning in SIGNALS.items()
+            }
+            self._text = named(ui.label("").classes("code"), "columns-text")
+            with ui.row():
+                button("Use", "use-columns", lambda: self._use(done), "unelevated")
+                button("Close", "close-columns", self._dialog.close)
+
+    def show(self, recordings: list[RecordingInput]) -> None:
+        """Show the columns of the first recording, and propose their meaning."""
+        path = recordings[0].path.rpartition("@")[0] or recordings[0].path if recordings else ""
+        patterns = column_patterns(path)
+        name = PurePath(path).name or "no recording"
+        what = "columns (* is the number of the joint)" if patterns else "its columns are not known"
+        self._title.text = f"{name}: {what}"
+        proposed = proposed_columns(patterns)
+        for signal, choice in self._chosen.items():
+            choice.set_options(patterns, value=proposed.get(signal))
+        self._preview()
+        self._dialog.open()
+
+    def _stated(self) -> str:
+        chosen = {name: choice.value for name, choice in self._chosen.items()}
+        return ",".join(f"{name}={value}" for name, value in chosen.items() if value)
+
+    def _preview(self) -> None:
+        self._text.text = f"--columns {self._stated()}"
+
+    def _use(self, done: Callable[[str], None]) -> None:
+        done(self._stated())
+        self._dialog.close()
+
+
+def column_patterns(path: str) -> list[str]:
+    """Return the columns of a CSV or NPZ with ``*`` for numbers; none of other files."""
+    names: list[str] = []
+    with contextlib.suppress(OSError, ValueError, EOFError):
+        if path.lower().endswith(".npz"):
+            with np.load(path, allow_pickle=False) as arrays:
+                names = list(arrays.files)
+        elif path.lower().endswith((".csv", ".csv.gz")) and Path(path).is_file():
+            opened = gzip.open if path.lower().endswith(".gz") else open
+            with opened(path, "rt", encoding="utf-8", errors="replace") as file:
+                lines = (file.readline(HEADER_LENGTH) for _ in range(HEADER_LINES))
+                header = next((line for line in lines if not line.startswith("#")), "")
+                names = [name.strip() for name in header.split(",")]
+    return list(dict.fromkeys(re.sub(r"\d+", "*", name, count=1) for name in names if name))
+
+
+def proposed_columns(patterns: list[str]) -> dict[str, str]:
+    """Return the pattern of each signal whose name tells its meaning.
+
+    Examples
+    --------
+    >>> proposed_columns(["stamp", "pos_*", "vel_*", "target_pos_*", "effort_*", "effort_error_*"])
+    {'t': 'stamp', 'q': 'pos_*', 'dq': 'vel_*', 'qcmd': 'target_pos_*', 'tau': 'effort_*'}
+    """
+    found: dict[str, str] = {}
+    for pattern in patterns:
+        words = set(re.findall("[a-z]+", pattern.lower()))
+        prefixes = [prefix for prefix, known in WORDS.items() if words & known]
+        if pattern.lower() in TIMES:
+            found.setdefault("t", pattern)
+        elif len(prefixes) == 1 and not words & OTHERS:
+            name = prefixes[0]
+            if words & COMMANDED:
+                name = "qcmd" if name == "q" else ""
+            if name in SIGNALS:
+                found.setdefault(name, pattern)
+    return found

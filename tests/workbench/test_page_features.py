@@ -6,6 +6,7 @@ import urllib.error
 import urllib.request
 import zipfile
 
+import numpy as np
 import pytest
 
 import lieid_casadi as lieid
@@ -157,6 +158,34 @@ def test_files_are_opened_on_the_page_and_the_arm_replays(start, browse, two_lin
     page.click("play")
     page.wait(lambda: page.number("instant") > 0.0, "the replay")
     assert page.script_errors() == []
+
+
+def test_columns_are_assigned_on_the_page(start, browse, two_link_files, tmp_path):
+    for name, file in zip(("a.csv", "b.csv"), two_link_files, strict=True):
+        r = lieid.Recording.load(file)
+        rows = np.column_stack([r.t, r.q, r.dq, r.tau])
+        names = "stamp,my_angle1,my_angle2,my_vel1,my_vel2,load_cell1,load_cell2"
+        np.savetxt(tmp_path / name, rows, "%.9g", ",", header=names, comments="")
+    server = start("panda")
+    page = browse(server.url)
+    page.wait(lambda: page.shown("open-robot"), "the form")
+    page.element("open-robot").clear()
+    page.element("open-robot").send_keys("two_link")
+    for k, name in enumerate(("a.csv", "b.csv"), start=1):
+        page.element("open-recording").send_keys(str(tmp_path / name))
+        page.click("add-recording", done=lambda k=k: page.elements(f"role-{k}"))
+    page.click("map-columns", done=lambda: page.shown("columns-text"))
+    assert "--columns t=stamp,q=my_angle*,dq=my_vel*" in page.text("columns-text")
+    items = "//div[contains(@class, 'q-menu')]//*[text()='load_cell*']"
+    page.click("column-tau", done=lambda: page.driver.find_elements("xpath", items))
+    page.repeat(
+        lambda: page.driver.find_element("xpath", items).click(),
+        lambda: "tau=load_cell*" in page.text("columns-text"),
+        "the torque",
+    )
+    page.click("use-columns", done=lambda: not page.shown("columns-text"))
+    page.click("open")
+    opened(page)
 
 
 def test_what_has_changed_since_a_fit(start, browse, two_link_files, tmp_path):

@@ -98,6 +98,14 @@ def test_commands_parse_and_leave_out_what_is_excluded():
     ast.parse(python_lines(session))
 
 
+def test_columns_of_other_names_are_in_the_commands():
+    inputs = replace(INPUTS, options=(("columns", "t=stamp,q=pos_*"),))
+    session = Session().opened(inputs, ["coulomb:1"])
+    for line in shell_lines(session).splitlines():
+        assert build_parser().parse_args(shlex.split(line)[1:]).columns == "t=stamp,q=pos_*"
+    assert "columns='t=stamp,q=pos_*'" in python_lines(session)
+
+
 def test_commands_of_a_kept_fit():
     inputs = WorkbenchInputs(
         fit="fit.json", mode="changed", recordings=(RecordingInput("new.csv", "test"),)
