@@ -38,26 +38,15 @@ STARTS = 2  # of the search for the excitation
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """Results of the demo.
+    """Results of the demo."""
 
-    Attributes
-    ----------
-    excitation : Excitation
-        Executed by the plant for ``train``; ``test`` is another motion.
-    fit, comparison
-        Of the model without the hidden effect, on ``test``.
-    diagnosis : Diagnosis
-    better, better_comparison
-        Of the model with the effects that the diagnosis found, on ``test``.
-    """
-
-    excitation: Excitation
+    excitation: Excitation  # executed by the plant for ``train``; ``test`` is another motion
     train: Recording
     test: Recording
-    fit: Fit
+    fit: Fit  # of the model without the hidden effect
     comparison: Comparison
     diagnosis: Diagnosis
-    better: Fit
+    better: Fit  # of the model with the effects that the diagnosis found
     better_comparison: Comparison
 
 

@@ -12,19 +12,29 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import LieidWarning, RecordingError, ShortSegmentWarning
-from lieid_casadi.recording.filtering import HIGHEST_CUTOFF, Window, filter_memory, lowpass, windows
+from lieid_casadi.recording.filtering import (
+    HIGHEST_CUTOFF,
+    Window,
+    decimate,
+    filter_memory,
+    lowpass,
+    robust_loess,
+    straight_at,
+    uniform_time,
+    windows,
+)
 from lieid_casadi.recording.measurement import read_only
+from lieid_casadi.recording.motion import motion_at
 from lieid_casadi.recording.periods import mean_period
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.repairs import without_repeats
 from lieid_casadi.recording.sample_timing import require_plausible_rate, sample_rate
 from lieid_casadi.recording.spectrum import choose_cutoff
-from lieid_casadi.recording.uniform_signals import signals_on_grid
 
 #: Largest weight of samples at rest in a filtered sample that counts as moving.
 LARGEST_REST_WEIGHT = 0.1
-
-
+#: Least rate of the grid, in cut-offs and in Hz, so that steps of sgn(dq) stay sharp.
+GRID_OVER_CUTOFF, LEAST_GRID = 20.0, 120.0
 #: Highest order of the Butterworth filter: higher ones ring and are ill-conditioned.
 HIGHEST_ORDER = 16
 
@@ -70,51 +80,25 @@ class Processing:
 class Processed:
     """One segment on a uniform grid of K instants.
 
-    Attributes
-    ----------
-    t
-        (K,) s, on the recording's own clock.
-    q, dq, ddq
-        (K, n), low-passed well above the cut-off, zero-phase; dq is 0 where a joint rests.
-        dq and ddq are derived from q where that has clearly less noise than the measured dq.
-    tau
-        (K, n) or None; resampled, not low-passed: :meth:`filter` does that, as it does on
-        every regressor column.
-    temperature
-        (K, n) °C or None.
-    payload_label
-        Label of the whole segment, or None.
-    recording
-        The rows of this segment.
-    rate, cutoff
-        Hz.
-    dead_zone
-        (n,) speed below which a joint counts as at rest, rad/s.
-    moving
-        (K, n) False where a joint stays in its dead zone long enough for stiction to hold it.
-    options
-        The options, with the cut-off that was chosen.
-    warnings
-        Repeated rows and short segments that were removed.
-    command
-        (K, n) commanded position or None; resampled, not low-passed.
+    q, dq and ddq are low-passed well above the cut-off, zero-phase; dq and ddq are derived from q
+    where that has clearly less noise than the measured dq.
     """
 
-    t: Array
-    q: Array
-    dq: Array
+    t: Array  # (K,) s, on the recording's own clock
+    q: Array  # (K, n)
+    dq: Array  # 0 where a joint rests
     ddq: Array
-    tau: Array | None
-    temperature: Array | None
-    payload_label: str | None
-    recording: Recording
-    rate: float
-    cutoff: float
-    dead_zone: Array
-    moving: Mask
-    options: Processing
+    tau: Array | None  # resampled, not low-passed: `filter` does that
+    temperature: Array | None  # °C
+    payload_label: str | None  # of the whole segment
+    recording: Recording  # the rows of this segment
+    rate: float  # Hz
+    cutoff: float  # Hz
+    dead_zone: Array  # (n,) speed below which a joint counts as at rest, rad/s
+    moving: Mask  # (K, n) False where stiction may hold a joint
+    options: Processing  # with the cut-off that was chosen
     warnings: tuple[LieidWarning, ...] = ()
-    command: Array | None = None
+    command: Array | None = None  # (K, n) resampled, not low-passed
 
     @property
     def n(self) -> int:
@@ -232,21 +216,33 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
             f"{segment.title}: cutoff {cutoff:g} Hz, expected less than "
             f"{HIGHEST_CUTOFF * rate:.3g} Hz at a rate of {rate:.4g} Hz"
         )
-    signals = signals_on_grid(fresh, rate, cutoff, loess=options.smoother == "rloess")
+    t = fresh.t
+    times = uniform_time(t, rate)
+    rate = (times.size - 1) / float(t[-1] - t[0])
+    step = max(1, int(rate / max(GRID_OVER_CUTOFF * cutoff, LEAST_GRID)))
+    motion = motion_at(fresh, times, cutoff)
+    ddq, tau = motion.ddq, None if fresh.tau is None else straight_at(t, fresh.tau, times)
+    if options.smoother == "rloess":
+        ddq = robust_loess(times, ddq, cutoff)
+        tau = None if tau is None else robust_loess(times, tau, cutoff)
+
+    def straight(values: Array | None) -> Array | None:
+        return None if values is None else read_only(straight_at(t, values, times)[::step])
+
     return Processed(
-        t=signals.t,
-        q=signals.q,
-        dq=signals.dq,
-        ddq=signals.ddq,
-        tau=signals.tau,
-        temperature=signals.temperature,
-        command=signals.command,
+        t=read_only(times[::step]),
+        q=read_only(motion.q[::step]),
+        dq=read_only(motion.dq[::step]),
+        ddq=read_only(ddq[::step]),
+        tau=None if tau is None else read_only(decimate(tau, rate, step)),
+        temperature=straight(fresh.temperature),
+        command=straight(fresh.command),
         payload_label=None if segment.payload_label is None else segment.payload_label[0],
         recording=segment,
-        rate=signals.rate,
+        rate=rate / step,
         cutoff=cutoff,
-        dead_zone=read_only(signals.dead_zone),
-        moving=signals.moving,
+        dead_zone=read_only(motion.dead_zone),
+        moving=motion.moving[::step],
         options=options,
         warnings=() if repeated is None else (repeated,),
     )

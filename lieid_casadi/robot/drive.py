@@ -90,16 +90,7 @@ class Drive:
 
 
 def commanded_torque(drives: Sequence[Drive], error: Array, velocity: Array) -> Array:
-    """Return the torque (N, n) of the control laws of all joints, N·m.
-
-    Parameters
-    ----------
-    drives : sequence of Drive, length n
-    error : (N, n)
-        Commanded minus measured position, rad.
-    velocity : (N, n)
-        rad/s.
-    """
+    """Return the torque (N, n) of the control laws of all joints, N·m."""
     columns = [d.torque(error[:, j], velocity[:, j]) for j, d in enumerate(drives)]
     return np.stack(columns, axis=1)
 

@@ -50,22 +50,6 @@ def read_mjcf(
     without actuator on the axis of the joint before, in the same body) are not read: they are
     what an identification finds. Springs, gravity compensation and the dynamics of actuators are
     not read either, and named in the warnings. Meshes that are missing are left out.
-
-    Parameters
-    ----------
-    path : str or Path
-        MJCF or a URDF that MuJoCo reads, with its assets beside it.
-    tip : str, optional
-        Body at which the chain ends; needed where the model branches.
-    lock : sequence of str
-        Joints to lock.
-
-    Raises
-    ------
-    MissingDependency
-        mujoco is not installed.
-    RobotError
-        Not a model, no chain of hinges and slides, or several chains and no tip.
     """
     try:
         import mujoco

@@ -76,44 +76,19 @@ class Robot(RobotDescription):
     def from_urdf(
         cls, path: str | Path, *, tip: str | None = None, lock: Sequence[str] = ()
     ) -> Robot:
-        """Read a URDF file; see :func:`lieid_casadi.robot.urdf.read_urdf`. Raises as `load`.
-
-        Parameters
-        ----------
-        path : str or Path
-        tip : str, optional
-            Last link of the chain.
-        lock : sequence of str
-            Joints to lock at zero.
-        """
+        """See `load`; the file is a URDF, whatever its name."""
         return cls.parse_urdf(read_text(path), tip=tip, lock=lock, origin=str(path))
 
     @classmethod
     def from_mjcf(
         cls, path: str | Path, *, tip: str | None = None, lock: Sequence[str] = ()
     ) -> Robot:
-        """Read a MuJoCo model (extra ``mujoco``); see :func:`lieid_casadi.robot.mjcf.read_mjcf`.
-
-        Parameters
-        ----------
-        path : str or Path
-        tip : str, optional
-            Body at which the chain ends.
-        lock : sequence of str
-            Joints to lock at the first keyframe.
-
-        Raises
-        ------
-        RobotError
-            Not a model of MuJoCo, or not a serial arm.
-        MissingDependency
-            MuJoCo is not installed.
-        """
+        """See `load`; the file is a MuJoCo model (extra ``mujoco``), whatever its name."""
         return cls._of(read_mjcf(path, tip=tip, lock=lock))
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Robot:
-        """Read a YAML file; see :mod:`lieid_casadi.robot.yaml_file`. Raises as `load`."""
+        """See `load`; the file is YAML, whatever its name."""
         return cls.parse_yaml(read_text(path), origin=str(path))
 
     @classmethod

@@ -36,23 +36,6 @@ def read_urdf(
     The chain runs from the root link to ``tip``. Joints in ``lock``, and joints on branches
     off the chain, are locked at zero and their links lumped into the link that carries them,
     as in Pinocchio's reduced model. Meshes are not read.
-
-    Parameters
-    ----------
-    text : str
-        The URDF.
-    tip : str, optional
-        Last link. Without it the movable joints that are not locked must form one chain.
-    lock : sequence of str
-        Joints to lock at zero.
-    origin : str
-        Named in errors, such as the file's path.
-
-    Raises
-    ------
-    RobotError
-        Not XML, a loop, a floating or planar joint, an ambiguous chain, unknown names, or a
-        number that cannot be used, with the name of its link or joint.
     """
     root = _xml(text, origin)
     links, joints = read_elements(root, origin)

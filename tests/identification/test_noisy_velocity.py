@@ -4,7 +4,8 @@ import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.recording import Processing, uniform_signals
+from lieid_casadi.recording import Processing
+from lieid_casadi.recording import motion as choice
 
 COUNTS, VELOCITY_NOISE = 2**18, 0.028  # per turn; rad/s
 ROBOT = lieid.robots.two_link()
@@ -33,8 +34,8 @@ def errors():
 
 def test_a_noisy_velocity_is_replaced_by_the_derivative(monkeypatch):
     standard, error = errors()
-    monkeypatch.setattr(uniform_signals, "MUCH_LESS_NOISE", np.inf)  # use dq
-    monkeypatch.setattr(uniform_signals, "LESS_NOISE", np.inf)
+    monkeypatch.setattr(choice, "MUCH_LESS_NOISE", np.inf)  # use dq
+    monkeypatch.setattr(choice, "LESS_NOISE", np.inf)
     biased, worse = errors()
     assert standard.max() < 4.0
     assert biased.max() > 2.0 * standard.max()

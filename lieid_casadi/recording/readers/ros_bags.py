@@ -36,21 +36,6 @@ def read_bag(file: Path, options: ReadOptions) -> Measurement:
     Time is that of the messages' headers (of their arrival where headers are unstamped),
     from 0 at the first message. Messages with none of the joints, such as a gripper's, are
     ignored.
-
-    Parameters
-    ----------
-    file
-        A ``.mcap``, ``.bag`` or ``.db3`` file, or the folder of a ROS 2 bag.
-    options
-        ``joint_names``: the joints in the robot's order (None: the order of the first
-        message). ``topic``: needed where the bag has several JointState topics.
-
-    Raises
-    ------
-    RecordingError
-        No bag, no such topic, several topics and none chosen, a joint missing.
-    MissingDependency
-        rosbags is not installed.
     """
     rows = _JointRows(options.joint_names)
     for message in _messages(file, options):
