@@ -140,6 +140,12 @@ def test_what_cannot_be_assigned_is_refused(run, tmp_path, stated, message):
         Recording.load(tmp_path / "run.csv", columns=stated)
 
 
+def test_a_bag_has_no_columns(tmp_path):
+    (tmp_path / "run.mcap").write_bytes(b"")
+    with pytest.raises(RecordingError, match="CSV, NPZ and Parquet only"):
+        Recording.load(tmp_path / "run.mcap", columns="q1=a")
+
+
 def test_an_npz_has_the_names_of_a_csv_or_whole_arrays(run, tmp_path):
     written(run, tmp_path, {"t": run.t, "q{j}": run.q, "dq{j}": run.dq, "tau{j}": run.tau}, "npz")
     read = Recording.load(tmp_path / "run.npz")

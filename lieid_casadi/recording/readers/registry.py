@@ -86,6 +86,8 @@ def read_measurement(file: Path, options: ReadOptions) -> Measurement:
     made = format_of(file)
     if not file.exists():
         raise RecordingError(f"{file}: no such file, expected a recording")
+    if options.columns and made.write is None:
+        raise RecordingError(f"{file}: columns can be stated for CSV, NPZ and Parquet only")
     try:
         for part in file.rglob("*") if file.is_dir() else [file]:
             if not part.is_dir():
