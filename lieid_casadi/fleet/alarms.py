@@ -253,10 +253,7 @@ def _of_coefficient(
     )  # fmt: skip
     if change.kind == "drift":
         alarm = replace(
-            alarm,
-            slope=change.slope,
-            slope_low=change.slope_low,
-            slope_high=change.slope_high,
+            alarm, slope=change.slope, slope_low=change.slope_low, slope_high=change.slope_high
         )
     return replace(alarm, limit_date=limit_date)
 

@@ -79,34 +79,18 @@ class FoundEffect:
 
 @dataclass(frozen=True, eq=False)
 class ArmHistory:
-    """Nights of one arm with its present fit.
-
-    Attributes
-    ----------
-    dates : tuple of date
-        One per night, increasing.
-    series : mapping
-        Quantity → values of all nights; errors are logarithms relative to the expected error.
-    found : tuple of mapping
-        For each night: (effect, joint) → what the diagnosis found.
-    shares : (N,)
-        Largest part, over the joints, of the torque that the fit no longer predicts.
-    starts : mapping
-        Joint → first night of its baseline after an acknowledgement (None: of all joints).
-    limits : mapping
-        Effect or parameter → largest permitted values.
-    """
+    """Nights of one arm with its present fit."""
 
     serial: str
     robot: str
     joints: int
-    dates: tuple[date, ...]
-    series: Mapping[Quantity, NightSeries]
+    dates: tuple[date, ...]  # one per night, increasing
+    series: Mapping[Quantity, NightSeries]  # errors are logarithms relative to the expected error
     units: Mapping[Quantity, str]
-    found: tuple[Mapping[tuple[str, int | None], FoundEffect], ...]
-    shares: Array
-    starts: Mapping[int | None, date]
-    limits: Mapping[str, list[float]]
+    found: tuple[Mapping[tuple[str, int | None], FoundEffect], ...]  # by effect and joint
+    shares: Array  # (N,) largest part of a joint's torque that the fit no longer predicts
+    starts: Mapping[int | None, date]  # joint → first night of its baseline; None: of all joints
+    limits: Mapping[str, list[float]]  # effect or parameter → largest permitted values
 
     def until(self, last: date) -> ArmHistory:
         """Return the nights up to a date that a judgement uses."""
@@ -130,12 +114,7 @@ class ArmHistory:
 def read_arms(history: History, *, waiting: int | None = None) -> Iterator[ArmHistory]:
     """Yield the histories of all arms that have nights, in the order of their serial numbers.
 
-    Parameters
-    ----------
-    history : History
-    waiting : int, optional
-        Number of nights that are to be judged: what their judgement needs is read. None: all
-        nights.
+    If a number of nights is waiting to be judged, only what that needs is read.
     """
     latest = 10**9 if waiting is None else LATEST_NIGHTS + waiting
     starts = _starts(history)
@@ -222,15 +201,10 @@ def _arm(
 
 
 def motions_of(labels: Sequence[str], positions: Array) -> NDArray[np.intp]:
-    """Return the number of each night's motion (N,), from 0.
+    """Return the number of each night's motion (N,), from 0, by payload and positions.
 
-    Parameters
-    ----------
-    labels : sequence of str
-        Of the payload.
-    positions : (N, 4, n)
-        Lowest, highest and mean position and its standard deviation of each joint; nights without
-        positions (NaN) have one motion.
+    Positions (N, 4, n) are the lowest, highest and mean one and the standard deviation of each
+    joint; nights without positions (NaN) have one motion.
     """
     known: list[int] = []  # first night of each motion
     numbers = []

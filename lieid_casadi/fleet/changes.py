@@ -165,10 +165,7 @@ def _known_columns(
     warmer = white @ (series.temperature - series.temperature.mean()) * typical
     weight = np.sqrt(prior.variance) / temperature.spread
     columns = np.column_stack([level, warmer])
-    return (
-        np.vstack([columns, [0.0, weight]]),
-        np.append(target, weight * temperature.slope),
-    )
+    return (np.vstack([columns, [0.0, weight]]), np.append(target, weight * temperature.slope))
 
 
 def _shapes(days: Array) -> tuple[Array, NDArray[np.intp], Array]:
@@ -191,14 +188,7 @@ def repeated_finding(found: NDArray[np.bool_], rate: float) -> tuple[float, int]
     The rate of an arm has a beta distribution around that of the other arms, which the nights
     before update; the number of findings since then has a beta-binomial distribution. The larger
     p-value of a narrow and of a wide beta distribution is taken. It is corrected for the number of
-    beginnings.
-
-    Parameters
-    ----------
-    found : (N,) bool
-        Whether a diagnosis found the effect, night by night.
-    rate : float
-        Part of the nights of the other arms on which it was found, above 0.
+    beginnings. ``rate`` (above 0) is the part of the other arms' nights on which it was found.
     """
     best, first = 1.0, len(found) - 1
     for k in np.flatnonzero(found):

@@ -130,17 +130,8 @@ def run_on_cluster(
     """Run arm-nights; each result is passed on as soon as it is there.
 
     A worker that is lost fails its arm-night only after ``options.losses`` further attempts. An
-    arm-night that exceeds the timeout has failed, and its worker is started again.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    nights : sequence of ArmNight
-    fits : mapping
-        ``fit_sha256`` → content of the fit's file.
-    options : RunOptions
-    finished : callable
-        Called in this thread with an arm-night and its result.
+    arm-night that exceeds the timeout has failed, and its worker is started again. ``fits`` maps
+    ``fit_sha256`` to the content of the fit's file.
 
     Raises
     ------

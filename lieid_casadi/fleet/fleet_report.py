@@ -28,16 +28,7 @@ MOST_EFFECTS = 3  # panels of coefficients
 
 
 def plot_trends(arm: ArmHistory, alarms: Sequence[Alarm], since: date | None = None) -> Figure:
-    """Draw each effect's first coefficient, the errors, and the temperature over the nights.
-
-    Parameters
-    ----------
-    arm : ArmHistory
-    alarms : sequence of Alarm
-        Of the arm: the first night of each is marked.
-    since : date, optional
-        First night that is drawn.
-    """
+    """Draw each effect's first coefficient, the errors, the temperature and the alarms' nights."""
     names = _first_coefficients(arm)[:MOST_EFFECTS]
     warm = any(s.has_temperature for s in arm.series.values())
     figure = new_figure(9.5, 1.7 * (len(names) + 1 + warm) + 0.4)
@@ -134,14 +125,7 @@ ORDINARY_CHECKS = (
 
 
 def fleet_report(history: History, *, since: date | None = None) -> str:
-    """Return the report as one self-contained HTML page.
-
-    Parameters
-    ----------
-    history : History
-    since : date, optional
-        First night of trends, and of recordings that are listed.
-    """
+    """Return the report as one self-contained HTML page, of nights since a first one."""
     arms, alarms = list(read_arms(history)), read_alarms(history)
     links = {arm.serial: f"section-{k}" for k, arm in enumerate(arms, start=ARM_SECTIONS_FROM)}
     active = [alarm for alarm in alarms if alarm.closed is None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, date, datetime, time
 
@@ -19,13 +20,14 @@ def prometheus_text(history: History) -> str:
     """Return the state of a fleet in the text exposition format of Prometheus, as gauges."""
     arms = list(read_arms(history, waiting=1))
     alarms = read_alarms(history, open_only=True)
+    counts = Counter(alarm.serial for alarm in alarms)
     nights = history.rows(
         "SELECT serial, max(date) FILTER (status = 'done'), count(*) FILTER (status = 'missing'), "
         "arg_max(status, date) FROM nights GROUP BY serial ORDER BY serial"
     )
     runs = history.rows("SELECT status, count(*) FROM runs GROUP BY status ORDER BY status")
     call = history.rows("SELECT epoch(finished), seconds, counts FROM calls ORDER BY finished")
-    finished, seconds, counts = call[-1] if call else (0.0, 0.0, "{}")
+    finished, seconds, last = call[-1] if call else (0.0, 0.0, "{}")
     gauges: list[tuple[str, str, Samples]] = [
         (
             "alarm",
@@ -35,7 +37,7 @@ def prometheus_text(history: History) -> str:
         (
             "alarms",
             "Number of open alarms of the arm.",
-            [({"serial": arm.serial}, _count(alarms, arm)) for arm in arms],
+            [({"serial": arm.serial}, float(counts[arm.serial])) for arm in arms],
         ),
         (
             "last_night_timestamp_seconds",
@@ -45,7 +47,7 @@ def prometheus_text(history: History) -> str:
         (
             "last_success_timestamp",
             "Date (UTC) of the newest night that was diagnosed, of every arm of the file; or 0.",
-            [({"serial": x}, _start_of_day(last) if last else 0.0) for x, last, *_ in nights],
+            [({"serial": x}, _start_of_day(day) if day else 0.0) for x, day, *_ in nights],
         ),
         (
             "nights_missing",
@@ -62,11 +64,7 @@ def prometheus_text(history: History) -> str:
             "Error in motion of the last night over the held-out error of the fit.",
             _error_ratios(arms),
         ),
-        (
-            "parameter",
-            "Coefficient of an effect on the last night, SI units.",
-            _coefficients(arms),
-        ),
+        ("parameter", "Coefficient of an effect on the last night, SI units.", _coefficients(arms)),
         (
             "runs",
             "Arm-nights in the history by status.",
@@ -75,7 +73,7 @@ def prometheus_text(history: History) -> str:
         (
             "last_run",
             "Arm-nights of the last call of lieid fleet by status.",
-            [({"status": x}, float(count)) for x, count in sorted(json.loads(counts).items())],
+            [({"status": x}, float(count)) for x, count in sorted(json.loads(last).items())],
         ),
         ("last_run_timestamp", "When the last call ended.", [({}, float(finished))]),
         ("last_run_seconds", "Duration of the last call.", [({}, float(seconds))]),
@@ -87,10 +85,6 @@ def _severities(alarms: Sequence[Alarm]) -> Samples:
     for a in alarms:
         labels = {"serial": a.serial, "joint": str(a.joint or ""), "quantity": a.quantity}
         yield labels | {"since": str(a.since)}, a.severity
-
-
-def _count(alarms: Sequence[Alarm], arm: ArmHistory) -> float:
-    return float(sum(alarm.serial == arm.serial for alarm in alarms))
 
 
 def _start_of_day(day: date) -> float:
