@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
     from lieid_casadi.identification.uncertainty.prediction_band import PredictionBand
 
+NORMAL_95 = 1.96  # standard deviations of a normal distribution within 95 %
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -73,6 +75,9 @@ class Fit:
     provenance : Provenance
     temperature_mean : (n,) or None
         Mean temperatures of the training recordings, °C, to which temperature effects refer.
+    shape_intervals : (s, 2) or None
+        Bounds of each shape with a probability of 95 %, from the profile of the weighted error;
+        NaN for shapes that the recordings give. None if the shapes were held.
     certificate : Certificate or None
         Of the method ``feasible``: checks of physical consistency, and the increase in error.
     """
@@ -94,6 +99,7 @@ class Fit:
     provenance: Provenance
     temperature_mean: Array | None = None
     certificate: Certificate | None = None
+    shape_intervals: Array | None = None
 
     @cached_property
     def compiled(self) -> Compiled:
@@ -102,8 +108,15 @@ class Fit:
 
     @property
     def std(self) -> Array:
-        """Standard deviations of values and shapes (p + s,)."""
-        return np.sqrt(np.diag(self.covariance))
+        """Standard deviations of values and shapes (p + s,).
+
+        That of a shape is the half width of its interval over 1.96, where the fit has one.
+        """
+        std = np.sqrt(np.diag(self.covariance))
+        if self.shape_intervals is not None:
+            half = 0.5 * np.diff(self.shape_intervals, axis=1)[:, 0] / NORMAL_95
+            std[len(self.values) :] = np.where(np.isfinite(half), half, std[len(self.values) :])
+        return std
 
     @property
     def link_parameters(self) -> Array:

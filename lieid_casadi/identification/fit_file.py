@@ -78,6 +78,11 @@ def content_of(fit: Fit) -> bytes:
         warnings=msgspec.convert(warning_list(fit.warnings), list[WarningFile]),
         provenance=msgspec.convert(asdict(fit.provenance), ProvenanceFile),
         temperature_mean=None if fit.temperature_mean is None else fit.temperature_mean.tolist(),
+        shape_intervals=(
+            None
+            if fit.shape_intervals is None
+            else [numbers_or_none(ends) for ends in fit.shape_intervals]
+        ),
         certificate=(
             None
             if fit.certificate is None
@@ -126,6 +131,11 @@ def read_fields(path: str | Path) -> dict[str, Any]:
         "temperature_mean": (
             None if content.temperature_mean is None else np.array(content.temperature_mean)
         ),
+        "shape_intervals": (
+            None
+            if content.shape_intervals is None
+            else np.array([_with_nan(ends) for ends in content.shape_intervals]).reshape(-1, 2)
+        ),
         "certificate": (
             None
             if content.certificate is None
@@ -156,6 +166,11 @@ def _check_sizes(model: Model, content: Content) -> None:
         lists[f"covariance[{k}]"], sizes[f"covariance[{k}]"] = row, total
     if content.temperature_mean is not None:
         lists["temperature_mean"], sizes["temperature_mean"] = content.temperature_mean, n
+    if content.shape_intervals is not None:
+        lists["shape_intervals"], sizes["shape_intervals"] = (
+            content.shape_intervals,
+            len(model.shapes),
+        )
     if content.certificate is not None:
         for name in ("pseudo_inertia_eigenvalue", "divergence", "rms", "rms_wls"):
             lists[f"certificate.{name}"] = getattr(content.certificate, name)
@@ -218,7 +233,7 @@ def _with_nan(row: list[float | None]) -> Array:
     return np.array([np.nan if x is None else x for x in row])
 
 
-SCHEMA = 3
+SCHEMA = 4
 KIND = "lieid-fit"
 LARGEST_FILE = 64 << 20  # bytes; a fit of ten joints with all effects has less than 1 MB
 
@@ -337,6 +352,7 @@ class Content(Struct, forbid_unknown_fields=True):
     warnings: list[WarningFile]
     provenance: ProvenanceFile
     temperature_mean: list[Number] | None
+    shape_intervals: list[Annotated[list[Number | None], Meta(min_length=2, max_length=2)]] | None
     certificate: CertificateFile | None = None
 
 
@@ -436,7 +452,13 @@ def _with_reading(raw: dict[str, Any]) -> dict[str, Any]:
     return raw | {"schema": 3, "provenance": provenance}
 
 
+def _with_intervals(raw: dict[str, Any]) -> dict[str, Any]:
+    """Schema 3 stored no intervals of shape parameters."""
+    return raw | {"schema": 4, "shape_intervals": None}
+
+
 MIGRATIONS: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {
     1: _with_residual_noise,
     2: _with_reading,
+    3: _with_intervals,
 }

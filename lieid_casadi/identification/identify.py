@@ -44,6 +44,10 @@ from lieid_casadi.identification.regression.least_squares import (
 )
 from lieid_casadi.identification.uncertainty.covariance import fit_covariance
 from lieid_casadi.identification.uncertainty.noise_model import Noise, residual_noise
+from lieid_casadi.identification.uncertainty.shape_intervals import (
+    open_intervals,
+    shape_intervals,
+)
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.recording import Processed, Processing, Recording, process
 from lieid_casadi.recording.recording import listed
@@ -187,7 +191,7 @@ def identify_segments(
     report("regress", 0.3)
     design = Design(compiled, segments, known=known)
     state, settled = fixed_point(design, "wls" if method == "feasible" else method, report, start)
-    folds = _folds(segments, state)
+    least, folds = state, _folds(segments, state)
     unweighted = combine(joint_factors(state.rows), np.ones(model.n))
     found += fit_warnings.of_regression(model, segments, state, unweighted, settled=settled)
     rms, rms_raw = _training_rms(compiled, segments, state)
@@ -201,8 +205,13 @@ def identify_segments(
         found += consistent.warnings
     found += fit_warnings.bounds(model, state)
     report("evaluate", 0.9)
+    ends = None
     if uncertainty:
         covariance, noise = fit_covariance(design, state), residual_noise(compiled, segments, state)
+        if least.scan is not None:
+            intervals = shape_intervals(design, least, covariance)
+            found += open_intervals(model, least, intervals)
+            ends = np.column_stack([intervals.low, intervals.high])
     else:
         covariance = np.full((len(state.solution.values) + len(state.shapes),) * 2, np.nan)
         noise = tuple(Noise.white(float(spread)) for spread in state.weighting.noise)
@@ -212,6 +221,7 @@ def identify_segments(
         values=state.solution.values,
         shapes=state.shapes,
         covariance=covariance,
+        shape_intervals=ends,
         parameters=state.parameters,
         noise=state.weighting.noise,
         residual_noise=noise,

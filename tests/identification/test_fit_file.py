@@ -94,7 +94,7 @@ def test_schema_2_is_migrated(fit, text, tmp_path):
         (b"[]", "not a fit file"),
         (b'{"kind": "lieid-fit"}', "no schema number"),
         (b'{"kind": "lieid-fit", "schema": true}', "no schema number"),
-        (b'{"kind": "lieid-fit", "schema": 4}', "newer than 3"),
+        (b'{"kind": "lieid-fit", "schema": 5}', "newer than 4"),
         (b'{"kind": "lieid-fit", "schema": -1}', "unknown"),
         (b'{"kind": "lieid-fit", "schema": 1, "noise": 5}', "not a usable fit"),
         (b'{"kind": "lieid-fit", "schema": 1, "noise": [[[]]]}', "not a usable fit"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,8 @@ class FitState:
     solution : LeastSquaresSolution
     parameters : (10 n + m,)
         Link parameters and effect coefficients that give ``solution.values``.
+    scan : ShapeScan, optional
+        By which the shapes were found; None if they were held.
     """
 
     shapes: Array
@@ -47,6 +49,7 @@ class FitState:
     weighting: Weighting
     solution: LeastSquaresSolution
     parameters: Array
+    scan: ShapeScan | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +115,8 @@ def fixed_point(
         predicted = state.rows.predicted(state.solution.values)
         settled = before is not None and has_settled(predicted, before)
         if settled and (search is None or search.confirms(state, links)):
-            return state, state.weighting.converged
+            scan = None if search is None else search.scan
+            return replace(state, scan=scan), state.weighting.converged
         before, links = predicted, state.parameters
         state = _state(design, ESTIMATORS[method], state.shapes, links)
         report("regress", 0.3 + 0.6 * (round_ + 1) / ROUNDS)
@@ -124,7 +128,7 @@ class _Search:
 
     def __init__(self, design: Design) -> None:
         self._design = design
-        self._scan = ShapeScan(design, resolved_range(design))
+        self.scan = ShapeScan(design, resolved_range(design))
         self._start: Array | None = None
         self._scans = 0
 
@@ -134,7 +138,7 @@ class _Search:
         """Return the state at better shapes."""
         noise, shapes = state.weighting.noise, self._start
         if not self._scans:
-            shapes = self._scan.found(state.rows, state.shapes, links, noise, afresh=True)
+            shapes = self.scan.found(state.rows, state.shapes, links, noise, afresh=True)
             self._scans = 1
         self._start = None
         shapes = refine_shapes(
@@ -147,7 +151,7 @@ class _Search:
         if self._scans > MOST_SCANS:
             return True
         noise = state.weighting.noise
-        shapes = self._scan.found(state.rows, state.shapes, links, noise, afresh=False)
+        shapes = self.scan.found(state.rows, state.shapes, links, noise, afresh=False)
         self._scans += 1
         if np.array_equal(shapes, state.shapes):
             return True

@@ -57,7 +57,7 @@ Columns = dict[int, Array]
 
 
 @dataclass(frozen=True, eq=False)
-class _Member:
+class Member:
     """An effect with fitted shapes, and the values (G, s) that are tried.
 
     ``shapes`` and ``columns`` are its numbers among the model's shapes and base columns; ``kept``
@@ -73,12 +73,13 @@ class _Member:
 
     @property
     def uses_load(self) -> bool:
+        """Whether its columns depend on the fitted model."""
         effect = self.placement.effect
         return "load" in effect.signals or isinstance(effect, ArmEffect)
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
+class Trial:
     """Columns of an effect at G values, and their weighted inner products.
 
     ``along`` (G, c, f) are those with the basis of the fixed columns, ``square`` (G, c, c) and
@@ -90,11 +91,11 @@ class _Trial:
     square: Array
     target: Array
 
-    def at(self, k: int) -> _Trial:
+    def at(self, k: int) -> Trial:
         """Return the trial of value k alone."""
         part = slice(k, k + 1)
         columns = {j: values[part] for j, values in self.columns.items()}
-        return _Trial(columns, self.along[part], self.square[part], self.target[part])
+        return Trial(columns, self.along[part], self.square[part], self.target[part])
 
 
 class ShapeScan:
@@ -115,11 +116,11 @@ class ShapeScan:
         ``afresh`` starts without the effects, otherwise at the given shapes. Rows are those of
         the design at these shapes and links; ``noise`` (n,) weights them.
         """
-        fixed = _Fixed(rows, np.concatenate([m.columns for m in self.members]), noise)
+        fixed = WeightedProjection(rows, np.concatenate([m.columns for m in self.members]), noise)
         here = _Here(self, fixed, shapes, links)
-        shapes, current = shapes.copy(), dict[int, _Trial]()
+        shapes, current = shapes.copy(), dict[int, Trial]()
         if not afresh:
-            current = {k: here.present(m, rows) for k, m in enumerate(self.members)}
+            current = {k: fixed.present(m, rows) for k, m in enumerate(self.members)}
         while len(current) < len(self.members):
             moves = [here.best(k, current) for k in range(len(self.members)) if k not in current]
             self._move(max(moves, key=lambda move: move.fall), shapes, current)
@@ -132,7 +133,7 @@ class ShapeScan:
             self._move(moves[k], shapes, current)
         return shapes
 
-    def _move(self, move: _Move, shapes: Array, current: dict[int, _Trial]) -> None:
+    def _move(self, move: _Move, shapes: Array, current: dict[int, Trial]) -> None:
         shapes[self.members[move.member].shapes] = move.values
         current[move.member] = move.trial
 
@@ -161,7 +162,7 @@ class ShapeScan:
         return self._kept[k][1]
 
     def _joint_columns(
-        self, members: Sequence[_Member], values: Array, links: Array | None
+        self, members: Sequence[Member], values: Array, links: Array | None
     ) -> list[Columns]:
         """Return the columns of one effect on several joints, all at the same values."""
         design, label = self.design, members[0].placement.effect.label
@@ -192,7 +193,7 @@ class ShapeScan:
         return found
 
     def _arm_columns(
-        self, member: _Member, values: Array, shapes: Array, links: Array | None
+        self, member: Member, values: Array, shapes: Array, links: Array | None
     ) -> Columns:
         effect = member.placement.effect
         assert isinstance(effect, ArmEffect)
@@ -226,11 +227,11 @@ class _Move:
 
     member: int
     values: Array
-    trial: _Trial
+    trial: Trial
     fall: float
 
 
-class _Fixed:
+class WeightedProjection:
     """The weighted regression on the columns that depend on no fitted shape."""
 
     def __init__(self, rows: Rows, varying: NDArray[np.intp], noise: Array) -> None:
@@ -251,7 +252,7 @@ class _Fixed:
             self.bases.append(weight * (joint.matrix @ basis[joint.columns]))
         self.cost = float(sum(np.sum(e**2) for e in self.residuals))
 
-    def trial(self, columns: Columns) -> _Trial:
+    def trial(self, columns: Columns) -> Trial:
         """Return a trial of columns."""
         count, width, _ = next(iter(columns.values())).shape
         along = np.zeros((count, width, self.bases[0].shape[1]))
@@ -261,9 +262,18 @@ class _Fixed:
             along += self.weights[j] * (flat @ self.bases[j]).reshape(along.shape)
             target += self.weights[j] * (flat @ self.residuals[j]).reshape(target.shape)
             square += self.weights[j] ** 2 * (values @ values.swapaxes(1, 2))
-        return _Trial(columns, along, square - along @ along.swapaxes(1, 2), target)
+        return Trial(columns, along, square - along @ along.swapaxes(1, 2), target)
 
-    def cross(self, trial: _Trial, other: _Trial) -> Array:
+    def present(self, member: Member, rows: Rows) -> Trial:
+        """Return the trial of a member at the shapes of the rows."""
+        columns = {}
+        for j, joint in enumerate(rows.joints):
+            if np.isin(member.columns, joint.columns).all():
+                at = np.searchsorted(joint.columns, member.columns)
+                columns[j] = np.ascontiguousarray(joint.matrix[:, at].T)[None]
+        return self.trial(columns)
+
+    def cross(self, trial: Trial, other: Trial) -> Array:
         """Return the inner products (G, c, d) of columns with those of another effect."""
         count, width, size = trial.along.shape
         result = -trial.along.reshape(-1, size) @ other.along[0].T
@@ -273,7 +283,7 @@ class _Fixed:
                 result += self.weights[j] ** 2 * (flat @ other.columns[j][0].T)
         return np.asarray(result.reshape(count, width, -1))
 
-    def falls(self, trial: _Trial, others: Sequence[_Trial]) -> Array:
+    def falls(self, trial: Trial, others: Sequence[Trial]) -> Array:
         """Return the fall (G,) of the cost by columns beside the fixed ones and others."""
         square, target = trial.square, trial.target
         if others:
@@ -298,21 +308,14 @@ class _Fixed:
 class _Here:
     """The trials of all members at one load and one weighting."""
 
-    def __init__(self, scan: ShapeScan, fixed: _Fixed, shapes: Array, links: Array | None) -> None:
+    def __init__(
+        self, scan: ShapeScan, fixed: WeightedProjection, shapes: Array, links: Array | None
+    ) -> None:
         self._scan, self._fixed, self._shapes, self._links = scan, fixed, shapes, links
-        self._grids: dict[int, _Trial] = {}
-        self._peaks: dict[tuple[int, int], tuple[Array, _Trial]] = {}
+        self._grids: dict[int, Trial] = {}
+        self._peaks: dict[tuple[int, int], tuple[Array, Trial]] = {}
 
-    def present(self, member: _Member, rows: Rows) -> _Trial:
-        """Return the trial of a member at the shapes of the rows."""
-        columns = {}
-        for j, joint in enumerate(rows.joints):
-            if np.isin(member.columns, joint.columns).all():
-                at = np.searchsorted(joint.columns, member.columns)
-                columns[j] = np.ascontiguousarray(joint.matrix[:, at].T)[None]
-        return self._fixed.trial(columns)
-
-    def best(self, k: int, current: dict[int, _Trial]) -> _Move:
+    def best(self, k: int, current: dict[int, Trial]) -> _Move:
         """Return the best values of member k beside the other members that are in the model."""
         member, others = self._scan.members[k], [c for i, c in current.items() if i != k]
         if k not in self._grids:
@@ -330,12 +333,12 @@ class _Here:
                 best = _Move(k, values[at], fine.at(at), float(falls[at]))
         return best
 
-    def fall(self, k: int, current: dict[int, _Trial]) -> float:
+    def fall(self, k: int, current: dict[int, Trial]) -> float:
         """Return the fall of the cost that member k brings at its present values."""
         others = [c for i, c in current.items() if i != k]
         return float(self._fixed.falls(current[k], others)[0])
 
-    def _around(self, k: int, peak: int) -> tuple[Array, _Trial]:
+    def _around(self, k: int, peak: int) -> tuple[Array, Trial]:
         """Return finer values (G, 1) around one of the grid, and their trial."""
         if (k, peak) not in self._peaks:
             grid = self._scan.members[k].grid
@@ -359,7 +362,7 @@ def _filtered(segment: Processed, values: Array) -> Array:
     return segment.filter(values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
 
 
-def _members(design: Design, ranges: ShapeRange) -> list[_Member]:
+def _members(design: Design, ranges: ShapeRange) -> list[Member]:
     """Return the effects with fitted shapes, ordered by their labels."""
     model = design.model
     position = {int(k): i for i, k in enumerate(model.base.kept)}
@@ -375,7 +378,7 @@ def _members(design: Design, ranges: ShapeRange) -> list[_Member]:
         waves = len(numbers) == 1 and p.effect.shapes[0].scan is not None
         own_range = ShapeRange(ranges.lower[numbers], ranges.upper[numbers])
         grid = _waves(design, p, own_range) if waves else _grid(p, own_range)
-        found.append(_Member(p, numbers, columns, kept, grid, waves))
+        found.append(Member(p, numbers, columns, kept, grid, waves))
     return sorted(found, key=lambda member: member.placement.label)
 
 

@@ -364,13 +364,13 @@ def fit_covariance(design: Design, state: FitState) -> Array:
     unit = state.solution.unit_covariance
     if len(state.shapes):
         slopes = shape_columns(design, values, state.shapes, state.parameters)
-        rows = _with_columns(rows, slopes)
+        rows = with_columns(rows, slopes)
         weighted = combine(joint_factors(rows, state.weighting.rows), np.ones(design.model.n))
         unit = solve(weighted).unit_covariance
     return hac_covariance(rows, state.weighting.rows, residuals, unit)
 
 
-def _with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
+def with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
     """Return rows with further columns after the p base columns."""
     count = rows.count + further[0].shape[1]
     joints = tuple(
