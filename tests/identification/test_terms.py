@@ -1,0 +1,124 @@
+"""Single terms of formulas that whole fits hardly depend on, each against something independent."""
+
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+
+import lieid_casadi as lieid
+from lieid_casadi.effects import Signals, make
+from lieid_casadi.identification.regression.least_squares import robust, solve
+from lieid_casadi.identification.regression.rows import JointRows, Rows
+from lieid_casadi.identification.uncertainty.covariance import hac_covariance
+from lieid_casadi.recording.filtering import central_difference
+
+ROBOT = lieid.robots.two_link()
+
+
+def rows_of(matrix, torque):
+    count = len(torque)
+    columns, instants = np.arange(matrix.shape[1]), np.arange(count)
+    return Rows([JointRows(columns, matrix, torque, instants)], len(columns), np.array([0, count]))
+
+
+@pytest.mark.parametrize("dq", [-0.7, 0.7])
+@pytest.mark.parametrize("load", [-3.0, 3.0])
+def test_a_motor_drives_its_load_or_is_driven_by_it(dq, load):
+    """The drive delivers power against friction and load when both have the same sign."""
+    model = lieid.Model(ROBOT, "load_friction/motoring:1")
+    sizes = {"f_motor": 0.1, "f_generator": 0.02}
+    coefficients = [sizes[c.name.rpartition(".")[2]] for c in model.columns]
+    zero, speed, torque = np.zeros((1, 2)), np.array([[dq, 0.0]]), np.array([[load, 0.0]])
+    arm = lieid.compile(model)
+    columns = arm.effect_columns(zero, speed, zero, load=torque)[0, 0]
+    used = sizes["f_motor"] if load * dq > 0 else sizes["f_generator"]
+    assert columns @ coefficients == pytest.approx(used * abs(load) * np.sign(dq))
+
+
+def test_the_shared_rotor_is_accelerated_by_the_other_joint():
+    arm = lieid.compile(lieid.Model(ROBOT, "transmission_coupling/rotor:1<2"))
+    zero = np.zeros((1, 2))
+    columns = arm.effect_columns(zero, zero, np.array([[5.0, 0.3]]))[0, 0]
+    np.testing.assert_allclose(columns, [0.0, 0.0, 0.3])
+
+
+def bristle(step):
+    """The bristle of LuGre after a motion whose speed rises through its Stribeck velocity."""
+    effect = make("presliding/lugre")
+    names = ("q", "dq", "time")
+    zero = ca.SX(0)
+    symbols = {who: {k: ca.SX.sym(f"{who}_{k}") for k in names} for who in ("before", "now")}
+    z = ca.SX.sym("z")
+    shape = {"w": ca.SX(0.05), "r": ca.SX(2.0), "v_s": ca.SX(0.1)}
+    before, now = (
+        Signals(**own, ddq=zero, sign=zero, load=zero, temperature=zero, state={"z": z})
+        for own in symbols.values()
+    )
+    after = ca.Function(
+        "after",
+        [z, *symbols["before"].values(), *symbols["now"].values()],
+        effect.advance(before, now, shape),
+    )
+    t = np.arange(0.0, 0.4 + 1e-9, step)
+    state = 0.0
+    for a, b in pairwise(t):
+        state = float(after(state, *motion(a), a, *motion(b), b))
+    return state
+
+
+def motion(t):
+    return 0.25 * t**2, 0.5 * t
+
+
+def test_the_width_of_lugre_is_that_of_the_middle_of_a_step():
+    """Its error falls with the square of the step, as that of a width at either end does not."""
+
+    def rate(t, z):
+        dq = motion(t)[1]
+        return dq - abs(dq) * z / (0.05 * (1 + 2.0 * np.exp(-((dq / 0.1) ** 2))))
+
+    exact = solve_ivp(rate, (0.0, 0.4), [0.0], rtol=1e-11, atol=1e-14).y[0, -1]
+    coarse, fine = abs(bristle(0.04) - exact), abs(bristle(0.02) - exact)
+    assert coarse > 1e-7
+    assert fine < coarse / 3.3
+
+
+def test_the_robust_fit_minimizes_hubers_loss():
+    """Against SciPy's minimization of the loss, with the noise that the fit found."""
+    random = np.random.default_rng(0)
+    matrix = random.normal(size=(300, 3))
+    torque = matrix @ [1.0, -2.0, 0.5] + 0.1 * random.normal(size=300)
+    torque[::7] += random.uniform(0.2, 3.0, size=len(torque[::7]))
+    found = robust(rows_of(matrix, torque))
+    threshold = 1.345 * found.noise[0]
+    expected = least_squares(
+        lambda beta: matrix @ beta - torque, np.zeros(3), loss="huber", f_scale=threshold,
+        xtol=1e-12, ftol=1e-12, gtol=1e-12,
+    ).x  # fmt: skip
+    np.testing.assert_allclose(solve(found.factor).values, expected, atol=3e-4)
+
+
+def test_the_covariance_counts_the_noise_that_the_fit_absorbed():
+    """White noise of a stated size, and one parameter for every ten rows."""
+    random = np.random.default_rng(1)
+    count, width, sigma = 200, 20, 0.3
+    matrix = random.normal(size=(count, width))
+    unit = np.linalg.inv(matrix.T @ matrix)
+    ratios = []
+    for _ in range(60):
+        torque = sigma * random.normal(size=count)
+        residual = torque - matrix @ (unit @ (matrix.T @ torque))
+        covariance = hac_covariance(rows_of(matrix, torque), [np.ones(count)], [residual], unit)
+        ratios.append(np.median(np.diag(covariance) / (sigma**2 * np.diag(unit))))
+    assert 0.97 < np.mean(ratios) < 1.2  # 0.9 without what was absorbed
+
+
+@pytest.mark.parametrize("rate", [20.0, 1000.0])
+def test_a_numerical_velocity_is_per_second(rate):
+    """Exact for a parabola, at the ends too."""
+    t = np.arange(0.0, 1.0, 1.0 / rate)
+    velocity = central_difference((3.0 * t**2 - t)[:, None], rate)
+    np.testing.assert_allclose(velocity[:, 0], 6.0 * t - 1.0, atol=1e-9)
