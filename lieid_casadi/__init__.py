@@ -34,6 +34,7 @@ __all__ = [
     "ModifiedFourier",
     "Obstacle",
     "PayloadEstimate",
+    "PremiseCheck",
     "Processing",
     "Recording",
     "Robot",
@@ -48,6 +49,7 @@ __all__ = [
     "Wall",
     "__version__",
     "bootstrap",
+    "check",
     "compare",
     "compile",
     "default_limits",
@@ -97,6 +99,7 @@ _HOME = {
         "identification.uncertainty.bootstrap": "Bootstrap bootstrap",
         "model": "Model",
         "payload": "PayloadEstimate identify_payload",
+        "premises": "PremiseCheck check",
         "recording": "Processing Recording",
         "robot": "Drive Joint Limits Robot servo_drive",
         "simulation": "Simulation simulate",
@@ -146,6 +149,8 @@ if TYPE_CHECKING:
     from lieid_casadi.model import Model
     from lieid_casadi.payload.estimate import PayloadEstimate
     from lieid_casadi.payload.identify import identify_payload
+    from lieid_casadi.premises.check import check
+    from lieid_casadi.premises.findings import PremiseCheck
     from lieid_casadi.recording import Processing, Recording
     from lieid_casadi.robot import Drive, Joint, Limits, Robot, servo_drive
     from lieid_casadi.simulation.simulate import Simulation, simulate

@@ -65,6 +65,10 @@ class MissingDependency(LieidError):
     """An optional package is needed; the message names the extra to install."""
 
 
+class PremiseError(LieidError):
+    """Robot and recording do not belong together (exit status 4)."""
+
+
 class NoSolution(LieidError):
     """The problem was well posed but no solution was found (exit status 3)."""
 

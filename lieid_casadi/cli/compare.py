@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli.check import DESPITE_CHECK, premises_of
 from lieid_casadi.cli.option_types import InputPath
 from lieid_casadi.cli.options import Command, option, several
 
@@ -21,11 +22,12 @@ def run(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.simulation import window_drift
 
     fit, recordings = inputs.fit_and_recordings(args)
+    premises = premises_of(args, fit, recordings)
     comparison = compare(fit, recordings)
     drift = window_drift(fit, recordings)
     return output.Outcome(
         lambda: print_comparison(comparison, drift),
-        json=comparison.to_dict() | {"simulation": drift.to_dict()},
+        json=comparison.to_dict() | {"simulation": drift.to_dict(), "premises": premises},
         html=lambda: comparison_report(fit, comparison, drift),
         plot=comparison.plot,
     )
@@ -42,6 +44,7 @@ COMMANDS = (
             several("recordings REC", "recordings to compare it with"),
             options.plot("draw measured, predicted and residual torque"),
             *options.RECORDING,
+            DESPITE_CHECK,
             options.JSON,
             options.HTML,
         ),

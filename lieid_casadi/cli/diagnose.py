@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli.check import DESPITE_CHECK, premises_of
 from lieid_casadi.cli.option_types import part
 from lieid_casadi.cli.options import Command, option, several
 from lieid_casadi.errors import UsageError
@@ -25,11 +26,12 @@ def run(args: argparse.Namespace) -> output.Outcome:
             f"{args.recordings[0]}: expected all recordings after --train and --test (effects that "
             "the model lacks), or none (what has changed since a FIT)"
         )
-    diagnosis = _changed(args) if inputs.is_fit(args) and not args.train else _missing(args)
+    changed = inputs.is_fit(args) and not args.train
+    diagnosis, premises = _changed(args) if changed else _missing(args)
     return output.Outcome(
         lambda: print_diagnosis(diagnosis),
         fit=diagnosis.fit,
-        json=diagnosis.to_dict(),
+        json=diagnosis.to_dict() | {"premises": premises},
         html=lambda: diagnosis_report(diagnosis),
         plot=diagnosis.plot,
     )
@@ -76,6 +78,7 @@ COMMANDS = (
             options.plot("draw the error after each step"),
             *ONLY_WITH_TRAIN,
             *options.RECORDING,
+            DESPITE_CHECK,
             options.JSON,
             options.HTML,
         ),
@@ -85,7 +88,8 @@ COMMANDS = (
 )
 
 
-def _missing(args: argparse.Namespace) -> Diagnosis:
+def _missing(args: argparse.Namespace) -> tuple[Diagnosis, list[dict[str, Any]]]:
+    """Return the diagnosis and the findings of the check before it."""
     from lieid_casadi.diagnosis import diagnose
     from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
@@ -101,12 +105,13 @@ def _missing(args: argparse.Namespace) -> Diagnosis:
     fit = Fit.load(args.robot) if inputs.is_fit(args) else None
     train = inputs.recordings_of(args.train, args, fit or robot)
     test = inputs.recordings_of(args.test, args, fit or robot)
+    premises = premises_of(args, robot, train, test)
     if fit is not None and args.effects is None:
         model = Model(robot, fit.model.effects)
     else:
         model = inputs.model_for(args, robot, train)
     with output.progress("diagnose") as report:
-        return diagnose(
+        found = diagnose(
             model,
             train,
             test or None,
@@ -117,9 +122,11 @@ def _missing(args: argparse.Namespace) -> Diagnosis:
             ask=_asker() if args.interactive else None,
             progress=None if args.interactive else report,
         )
+    return found, premises
 
 
-def _changed(args: argparse.Namespace) -> Diagnosis:
+def _changed(args: argparse.Namespace) -> tuple[Diagnosis, list[dict[str, Any]]]:
+    """Return the diagnosis and the findings of the check before it."""
     from lieid_casadi.diagnosis import diagnose
     from lieid_casadi.identification import Fit
 
@@ -136,8 +143,10 @@ def _changed(args: argparse.Namespace) -> Diagnosis:
         )
     fit = Fit.load(args.robot)
     recordings = inputs.recordings_of(args.recordings, args, fit)
+    premises = premises_of(args, fit, recordings)
     with output.progress("diagnose") as report:
-        return diagnose(fit, recordings, options=_options(args), seed=args.seed, progress=report)
+        found = diagnose(fit, recordings, options=_options(args), seed=args.seed, progress=report)
+    return found, premises
 
 
 def _options(args: argparse.Namespace) -> DiagnosisOptions:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli.check import DESPITE_CHECK, premises_of
 from lieid_casadi.cli.option_types import FrictionRun, known_mass
 from lieid_casadi.cli.options import Command, Group, option, several
 from lieid_casadi.errors import UsageError
@@ -30,8 +31,9 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
     robot = inputs.robot_of(args)
     train = inputs.recordings_of(args.train, args, robot)
-    model = inputs.model_for(args, robot, train)
     test = inputs.recordings_of(args.test, args, robot)
+    premises = premises_of(args, robot, train, test)
+    model = inputs.model_for(args, robot, train)
     stages = _in_stages(model, train, args) if args.friction_runs else None
     if stages is not None:
         fit = stages.fit
@@ -49,7 +51,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
                 progress=report,
             )
     comparison = compare(fit, test) if test else None
-    content = result(fit, comparison)
+    content = result(fit, comparison) | {"premises": premises}
     if stages is not None:
         content["stages"] = {"refit": not args.no_refit, **stages.to_dict()}
 
@@ -118,6 +120,7 @@ COMMANDS = (
                 known_mass,
             ),
             *options.PROCESSING,
+            DESPITE_CHECK,
             options.JSON,
             options.HTML,
         ),

@@ -15,6 +15,7 @@ from lieid_casadi.errors import UsageError
 if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
+    from lieid_casadi.premises import Correction
     from lieid_casadi.recording import Processing, Recording
     from lieid_casadi.robot import Drive, Robot
 
@@ -36,8 +37,29 @@ def robot_of(args: argparse.Namespace) -> Robot:
         robot = Fit.load(args.robot).model.robot
     else:
         robot = Robot.load(args.robot, tip=args.tip, lock=args.lock)
+    robot = correction_of(args, robot.n).of_robot(robot)
     drives = drives_of(args, robot)
     return robot if drives is None else robot.with_drives(drives)
+
+
+def correction_of(
+    args: argparse.Namespace, n: int, source: Robot | Fit | None = None
+) -> Correction:
+    """Return what the options correct; without any, what a fit's recordings were corrected by."""
+    from lieid_casadi.identification import Fit
+    from lieid_casadi.premises.correction import OPTIONS, correction_of
+
+    texts = []
+    for name in OPTIONS:
+        value = getattr(args, name.removeprefix("--").replace("-", "_"), None)
+        if value:
+            values = [] if value is True else [value] if isinstance(value, str) else value
+            texts.append(" ".join([name, *values]))
+    if isinstance(source, Fit):
+        if getattr(args, "base_rpy", None) and not getattr(args, "train", None):
+            raise UsageError("--base-rpy: the mounting is that of the fit; expected a ROBOT")
+        texts = texts or list(source.provenance.corrections)
+    return correction_of(texts, n)
 
 
 def model_of(args: argparse.Namespace) -> Model:
@@ -91,7 +113,8 @@ def recordings_of(
     options = _reading_options(args, robot) | _torque_options(args, robot)
     if isinstance(source, Fit):
         options |= _as_in_training(args, source)
-    recordings = [Recording.load(path, **options) for path in paths]
+    correction = correction_of(args, robot.n, source)
+    recordings = [correction.of_recording(Recording.load(path, **options)) for path in paths]
     for recording in recordings:
         _require_drive_law(recording)
         require_plausible_units(recording, robot)
@@ -102,7 +125,9 @@ def currents_of(paths: Sequence[str], args: argparse.Namespace, robot: Robot) ->
     """Load recordings whose currents stay currents."""
     from lieid_casadi.recording import Recording
 
-    return [Recording.load(path, **_reading_options(args, robot)) for path in paths]
+    correction = correction_of(args, robot.n)
+    options = _reading_options(args, robot)
+    return [correction.of_recording(Recording.load(path, **options)) for path in paths]
 
 
 def processing_of(args: argparse.Namespace) -> Processing:

@@ -18,12 +18,13 @@ from lieid_casadi.cli import effects_file
 from lieid_casadi.cli.option_types import check_paths, writes_to_stdout
 from lieid_casadi.cli.options import Command
 from lieid_casadi.cli.output import Outcome, visible
-from lieid_casadi.errors import LieidError, NoSolution, UsageError
+from lieid_casadi.errors import LieidError, NoSolution, PremiseError, UsageError
 
-DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, INTERRUPTED = 0, 1, 2, 3, 130
+DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, WRONG_PREMISE, INTERRUPTED = 0, 1, 2, 3, 4, 130
 COMMANDS = (
-    "demo", "show", "excite", "identify", "predict", "compare", "friction", "diagnose", "extend",
-    "discriminate", "payload", "gains", "simulate", "sample", "export", "effects", "workbench",
+    "demo", "show", "excite", "check", "identify", "predict", "compare", "friction", "diagnose",
+    "extend", "discriminate", "payload", "gains", "simulate", "sample", "export", "effects",
+    "workbench",
     "fleet",
 )  # fmt: skip
 
@@ -58,7 +59,7 @@ def _commands() -> list[Command]:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run ``lieid`` and return its exit status (DESIGN: 0, 1, 2, 3 or 130)."""
+    """Run ``lieid`` and return its exit status (0, 1, 2, 3, 4 or 130)."""
     if words is None:
         _open_streams()
     try:
@@ -155,6 +156,9 @@ def _status(args: argparse.Namespace, error: Exception) -> int:
     if isinstance(error, NoSolution):
         _say(f"lieid {command}: {text}")
         return NO_SOLUTION
+    if isinstance(error, PremiseError):
+        _say(f"lieid {command}: {text}")
+        return WRONG_PREMISE
     if isinstance(error, LieidError):
         _say(f"lieid {command}: {text}")
         return BAD_INPUT

@@ -149,6 +149,21 @@ DATASETS = Group(
         ),
     ),
 )
+CORRECTIONS = Group(
+    "what corrects a recording or the mounting",
+    (
+        option("--base-rpy X", "mounting of the base: roll, pitch, yaw, rad", nargs=3),
+        option("--joint-order J", "the recorded joint at the place of each joint", nargs="+"),
+        option("--joint-sign S", "1 or -1 per joint: direction of its axis", nargs="+"),
+        option("--joint-coupling I+J", "angle I is that of a motor, plus or minus J", nargs="+"),
+        option("--joint-zero X", "rad per joint, added to its angle", nargs="+"),
+        option("--torque-sign S", "1 or -1 per torque of the recording", nargs="+"),
+        option("--time-offset S", "time by which the torque is late, s"),
+        option("--derive-velocity", "take velocities from the positions, not from the recording"),
+    ),
+    "`lieid check` tests what these options correct, and prints them. They are stored in a fit and "
+    "used for recordings that are compared with it, unless others are given.",
+)
 #: What every command that reads recordings accepts, whatever it takes as torque.
 READING = (
     option(
@@ -166,6 +181,7 @@ READING = (
         number,
     ),
     DATASETS,
+    CORRECTIONS,
 )
 EFFECTS_FILE = option(
     "--effects-file F.py", "Python file that registers your own effects; it is executed", InputPath

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli.check import DESPITE_CHECK, premises_of
 from lieid_casadi.cli.option_types import InputPath, number
 from lieid_casadi.cli.options import Command, option, several
 from lieid_casadi.errors import UsageError
@@ -20,6 +21,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.report import payload_report
 
     fit, recordings = inputs.fit_and_recordings(args)
+    premises = premises_of(args, fit, recordings)
     with output.progress("payload") as report:
         payload = identify_payload(
             fit,
@@ -31,7 +33,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
         )
     return output.Outcome(
         lambda: print_payload(payload),
-        json=payload.to_dict(),
+        json=payload.to_dict() | {"premises": premises},
         html=lambda: payload_report(fit, payload),
         plot=payload.plot,
     )
@@ -63,6 +65,7 @@ COMMANDS = (
                 "joints share, or one per joint; default: 0",
             ),
             *options.RECORDING,
+            DESPITE_CHECK,
             options.JSON,
             options.HTML,
         ),

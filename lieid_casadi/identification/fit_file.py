@@ -11,7 +11,7 @@ import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,6 +37,7 @@ from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.messages import reason_of
 from lieid_casadi.model import Model
 from lieid_casadi.recording.processed import Processing
+from lieid_casadi.robot.description import STANDARD_GRAVITY
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.robot import Robot
 from lieid_casadi.robot.yaml_file import write_yaml
@@ -127,6 +128,7 @@ def read_fields(path: str | Path) -> dict[str, Any]:
             tuple(Source(r.name, r.sha256) for r in provenance.recordings),
             None if provenance.torque_constants is None else tuple(provenance.torque_constants),
             tuple(provenance.units),
+            tuple(provenance.corrections),
         ),
         "temperature_mean": (
             None if content.temperature_mean is None else np.array(content.temperature_mean)
@@ -194,7 +196,9 @@ def _robot_text(robot: Robot) -> RobotText:
     drives = [] if robot.drives is None else [_drive_file(drive) for drive in robot.drives]
     if robot.source is not None:
         s = robot.source
-        return RobotText(s.kind, s.text, s.tip, list(s.lock), drives)
+        turned = s.kind == "urdf" and not np.array_equal(robot.gravity, STANDARD_GRAVITY)
+        gravity = [float(x) for x in robot.gravity] if turned else None
+        return RobotText(s.kind, s.text, s.tip, list(s.lock), drives, gravity)
     return RobotText("yaml", write_yaml(robot), None, [], drives)
 
 
@@ -209,6 +213,10 @@ def _finite(fields: dict[str, Any], old: Any, new: Any) -> dict[str, Any]:
 
 def _robot(file: RobotText) -> Robot:
     robot = _described(file)
+    if file.gravity is not None:
+        if len(file.gravity) != 3:
+            raise FitFileError(f"gravity has {len(file.gravity)} entries; expected 3, fit again")
+        robot = replace(robot, gravity=np.array(file.gravity))
     drives = [Drive(**_finite(msgspec.to_builtins(d), None, math.inf)) for d in file.drives]
     return robot.with_drives(drives) if drives else robot
 
@@ -255,13 +263,17 @@ class DriveFile(Struct, forbid_unknown_fields=True):
 
 
 class RobotText(Struct, forbid_unknown_fields=True, omit_defaults=True):
-    """The robot's own file, and the control laws of its drives, if it has any."""
+    """The robot's own file, and what it does not state: the drives' laws, and the mounting.
+
+    ``gravity`` (3,) is left out where it is that of the file.
+    """
 
     kind: str
     text: str
     tip: str | None
     lock: list[str]
     drives: list[DriveFile] = []
+    gravity: list[Number] | None = None
 
 
 class NoiseFile(Struct, forbid_unknown_fields=True):
@@ -305,13 +317,14 @@ class SourceFile(Struct, forbid_unknown_fields=True):
     sha256: str
 
 
-class ProvenanceFile(Struct, forbid_unknown_fields=True):
-    """Package version and training recordings, and how their torque and units were read."""
+class ProvenanceFile(Struct, forbid_unknown_fields=True, omit_defaults=True):
+    """Package version and training recordings, and how they were read."""
 
     version: str
     recordings: list[SourceFile]
     torque_constants: list[Number] | None
     units: list[Annotated[str, Meta(max_length=10)]]
+    corrections: list[Annotated[str, Meta(max_length=1000)]] = []
 
 
 class CertificateFile(Struct, forbid_unknown_fields=True):

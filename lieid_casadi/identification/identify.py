@@ -295,6 +295,7 @@ def _provenance(recordings: Sequence[Recording]) -> Provenance:
         tuple(Source.of(r) for r in recordings),
         first.torque_constants if len({r.torque_constants for r in recordings}) == 1 else None,
         first.units if len({r.units for r in recordings}) == 1 else (),
+        first.corrections if len({r.corrections for r in recordings}) == 1 else (),
     )
 
 

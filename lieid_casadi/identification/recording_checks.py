@@ -134,9 +134,12 @@ class Provenance:
         (n) N·m/A, of recordings of motor currents; None if torque was recorded.
     units : tuple of str
         Units of the recordings' files other than SI: ``deg``, and ``ms``, ``us`` or ``ns``.
+    corrections : tuple of str
+        Options that corrected the recordings, such as ``--joint-order 1 3 2``.
     """
 
     version: str
     recordings: tuple[Source, ...]
     torque_constants: tuple[float, ...] | None = None
     units: tuple[str, ...] = ()
+    corrections: tuple[str, ...] = ()

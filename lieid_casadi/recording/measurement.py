@@ -74,6 +74,7 @@ class Measurement:
     payload_label: tuple[str, ...] | None = None
     torque_constants: tuple[float, ...] | None = None
     units: tuple[str, ...] = ()
+    corrections: tuple[str, ...] = ()
     pauses: tuple[float, ...] = ()
     name: str = ""
     source_hash: str = ""

@@ -9,13 +9,13 @@ PUBLIC = {
     "BSpline", "Basis", "Bootstrap", "CartesianSpeed", "Coefficient", "Comparison", "Compiled",
     "Diagnosis", "Discrimination", "Drive", "DriveGains", "Effect", "Excitation", "Export",
     "ExpressionLimit", "Fit", "Fourier", "FrictionFit", "Joint", "LieidError", "LieidWarning",
-    "Limits", "Model", "ModifiedFourier", "Obstacle", "PayloadEstimate", "Processing",
-    "Recording", "Robot", "SelfCollision", "Shape", "Signals", "Simulation", "StagedFit",
-    "SymbolicDynamics", "Symbols", "Torque", "Wall", "__version__", "bootstrap", "compare",
-    "compile", "default_limits", "diagnose", "discriminate", "drive_gains", "effect", "excite",
-    "export", "extend", "floor", "friction", "identify", "identify_in_stages", "identify_payload",
-    "jerk_limit", "predict", "register", "robots", "servo_drive", "simulate", "symbolic",
-    "workspace_box",
+    "Limits", "Model", "ModifiedFourier", "Obstacle", "PayloadEstimate", "PremiseCheck",
+    "Processing", "Recording", "Robot", "SelfCollision", "Shape", "Signals", "Simulation",
+    "StagedFit", "SymbolicDynamics", "Symbols", "Torque", "Wall", "__version__", "bootstrap",
+    "check", "compare", "compile", "default_limits", "diagnose", "discriminate", "drive_gains",
+    "effect", "excite", "export", "extend", "floor", "friction", "identify", "identify_in_stages",
+    "identify_payload", "jerk_limit", "predict", "register", "robots", "servo_drive", "simulate",
+    "symbolic", "workspace_box",
 }  # fmt: skip
 
 

@@ -1,0 +1,122 @@
+"""What a check of the premises found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from lieid_casadi.tables import Table, html, make_table
+
+Verdict = Literal["sound", "doubtful", "wrong"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A premise that the recording contradicts.
+
+    Attributes
+    ----------
+    premise : str
+        Name, such as ``gravity_direction``.
+    joints : tuple of int
+        From 0; at most three.
+    value : mapping
+        Its keys depend on the premise.
+    error_before, error_after : tuple of float or None
+        (n) RMS error of the plain fit without and with the correction, N·m.
+    ratio : float or None
+        Of the error after to that before, on the joints that show it.
+    certain : bool
+        Whether the correction lowers the error enough for the verdict ``wrong``.
+    sentence : str
+    remedy : str
+        The option or edit that corrects it.
+    """
+
+    premise: str
+    joints: tuple[int, ...]
+    value: Mapping[str, Any]
+    error_before: tuple[float, ...] | None
+    error_after: tuple[float, ...] | None
+    ratio: float | None
+    certain: bool
+    sentence: str
+    remedy: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the finding for JSON; joints from 1."""
+        return {
+            "premise": self.premise,
+            "joints": [j + 1 for j in self.joints],
+            "value": dict(self.value),
+            "error_before": None if self.error_before is None else list(self.error_before),
+            "error_after": None if self.error_after is None else list(self.error_after),
+            "ratio": self.ratio,
+            "sentence": self.sentence,
+            "remedy": self.remedy,
+        }
+
+
+@dataclass(frozen=True)
+class PremiseCheck:
+    """Whether robot and recording belong together.
+
+    Attributes
+    ----------
+    findings : tuple of Finding
+        Strongest first.
+    checked : tuple of str
+        Premises that were tested.
+    not_checkable : tuple of (str, str)
+        Premises that this recording cannot test, and why.
+    """
+
+    findings: tuple[Finding, ...]
+    checked: tuple[str, ...]
+    not_checkable: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """``wrong`` if a finding is certain, ``doubtful`` with any other, else ``sound``."""
+        if any(finding.certain for finding in self.findings):
+            return "wrong"
+        return "doubtful" if self.findings else "sound"
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        return {
+            "wrong": "Robot and recording do not belong together as they are given.",
+            "doubtful": "Robot and recording are consistent, with doubts.",
+            "sound": "Robot and recording belong together: no premise was found to be wrong.",
+        }[self.verdict]
+
+    @property
+    def table(self) -> Table:
+        """Errors without and with each correction."""
+        rows = []
+        for finding in self.findings:
+            before, after = finding.error_before, finding.error_after
+            if before is not None:
+                rows.append((finding.premise, "as recorded", *before))
+            if after is not None:
+                rows.append(("", "corrected", *after))
+        n = max((len(row) for row in rows), default=2) - 2
+        return make_table(
+            "Error of a plain fit, N·m",
+            ("premise", "", *(f"joint {j + 1}" for j in range(n))),
+            rows,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result for JSON."""
+        return {
+            "verdict": self.verdict,
+            "findings": [finding.to_dict() for finding in self.findings],
+            "checked": list(self.checked),
+            "not_checkable": [{"premise": p, "why": why} for p, why in self.not_checkable],
+        }
+
+    def _repr_html_(self) -> str:
+        return html(self.sentence, *(f.sentence for f in self.findings), self.table)

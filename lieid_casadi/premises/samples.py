@@ -1,0 +1,109 @@
+"""Premises on single samples: angles not wrapped, no outliers, no held values, no clipping.
+
+Wrapped angles and outliers are repaired on reading (`lieid_casadi.recording.repairs`) and reported
+here; recordings made from arrays are repaired for the test.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from lieid_casadi.errors import LieidWarning, OutlierWarning, RepairWarning, WrappedAngleWarning
+from lieid_casadi.messages import joints_text
+from lieid_casadi.recording import Recording
+from lieid_casadi.recording.repairs import repaired
+from lieid_casadi.robot import Robot
+
+#: Positions that repeat while the arm moves count as held from this part of the rows, and this
+#: many; an arm moves if it covers this angle within a quarter of a second, rad.
+HELD, FEWEST_HELD, MOVES, WITHIN = 0.3, 20, 0.005, 0.25
+#: Part of the torques at their largest value, and their number, from which they are clipped.
+CLIPPED, FEWEST_CLIPPED = 0.005, 8
+#: Different values from which a torque is no coarse signal.
+FINE = 200
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Damaged samples: premise, joints from 0 (at most three), count, sentence and remedy."""
+
+    premise: str
+    joints: tuple[int, ...]
+    samples: int
+    sentence: str
+    remedy: str
+
+
+def repaired_recording(recording: Recording, robot: Robot) -> Recording:
+    """Return the recording with continuous angles and without outliers, and its warnings."""
+    turning = np.array([joint.revolute for joint in robot.joints])
+    return Recording.of_measurement(repaired(recording, turning))
+
+
+def damages(recording: Recording) -> list[Damage]:
+    """Return the damages of a repaired recording."""
+    found = [d for warning in recording.warnings if (d := _repair(warning)) is not None]
+    return [*found, *_held(recording), *_clipped(recording)]
+
+
+def _repair(warning: LieidWarning) -> Damage | None:
+    if not isinstance(warning, WrappedAngleWarning | OutlierWarning):
+        return None
+    wrapped = isinstance(warning, WrappedAngleWarning)
+    assert isinstance(warning, RepairWarning)
+    return Damage(
+        "angle_wrapped" if wrapped else "spikes",
+        tuple(j - 1 for j in warning.joints[:3]),
+        warning.samples,
+        f"{warning}.",
+        "record continuous angles" if wrapped else "look at the sensor that gave these samples",
+    )
+
+
+def _held(recording: Recording) -> list[Damage]:
+    """Return positions that repeat although the arm moves before and after."""
+    q = np.asarray(recording.q)
+    width = max(3, int(WITHIN * recording.rate))
+    if len(q) < 4 * width:
+        return []
+    reach = maximum_filter1d(q, width, axis=0) - minimum_filter1d(q, width, axis=0)
+    moving = np.any(reach > MOVES, axis=1)[1:]
+    held = np.all(np.diff(q, axis=0) == 0.0, axis=1) & moving
+    count, rows = int(held.sum()), int(moving.sum())
+    if count < max(HELD * rows, FEWEST_HELD):
+        return []
+    rate = recording.rate * (1.0 - count / rows)
+    return [
+        Damage(
+            "held_samples", (), count,
+            f"{recording.title}: {count} rows repeat the positions of the row before although the "
+            f"arm moves: the positions have a rate of about {rate:.3g} Hz.",
+            "record at the rate of the positions, or leave the repeated rows out",
+        )
+    ]  # fmt: skip
+
+
+def _clipped(recording: Recording) -> list[Damage]:
+    """Return torques that stay at their largest value while the joint moves."""
+    assert recording.tau is not None
+    tau = np.abs(np.asarray(recording.tau))
+    level = tau.max(axis=0)
+    counts = np.sum(tau >= level * (1.0 - 1e-9), axis=0)
+    fine = np.array([len(np.unique(column)) > FINE for column in tau.T])
+    moves = np.ptp(np.asarray(recording.q), axis=0) > 0.05
+    clipped = fine & moves & (counts > max(CLIPPED * len(tau), FEWEST_CLIPPED))
+    if not clipped.any():
+        return []
+    joints, count = np.flatnonzero(clipped), int(counts[clipped].sum())
+    levels = ", ".join(f"{level[j]:.3g}" for j in joints)
+    return [
+        Damage(
+            "clipped", tuple(int(j) for j in joints[:3]), count,
+            f"{recording.title}: the torque of {joints_text(clipped)} stays at its largest value "
+            f"({levels} N·m) in {count} samples.",
+            "move with less acceleration or load, or leave these samples out",
+        )
+    ]  # fmt: skip

@@ -1,0 +1,173 @@
+"""Premises on time: the unit of the stamps, torque against position, recorded velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.signal import lfilter
+
+from lieid_casadi.premises.correction import Correction, shifted
+from lieid_casadi.premises.plain_fit import Index, Samples
+from lieid_casadi.premises.screen import Alternative, Screen, best_on
+from lieid_casadi.recording import Recording
+from lieid_casadi.recording.sample_timing import gap_limit, mean_rate
+
+UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+#: Rates of recorders, Hz; a rate up to the third is that of none.
+SLOWEST, FASTEST, LEAST_RATE = 5.0, 5e4, 1.0 + 1e-6
+#: Mean speed below which no arm is recorded to identify it, rad/s.
+SLOWEST_ARM = 2e-3
+#: Delays that are tried, s, and the least one that is reported.
+DELAYS = np.array([-0.2, -0.1, -0.05, -0.025, 0.0, 0.025, 0.05, 0.1, 0.2])
+LEAST_DELAY = 0.008
+#: A delay up to this is what the effect `torque_delay` describes, s: a doubt at most.
+SMALL_DELAY = 0.02
+#: Time constants of a velocity filter that are tried, s.
+CONSTANTS = np.geomspace(0.01, 1.0, 25)
+#: Relative error of a recorded velocity from which it is not the derivative of the position, and
+#: ratio to which a filter must lower it to be named.
+NOT_DERIVATIVE, BY_FILTER = 0.15, 0.5
+#: Relative size of a recorded velocity that counts as zero.
+ZERO_VELOCITY = 1e-3
+
+
+def delays(screen: Screen) -> Iterator[Alternative]:
+    """Yield the time by which the torque is late."""
+    n = screen.n
+
+    def score(late: float) -> float:
+        return 0.0 if abs(late) < 1e-6 else screen.score(replace(Correction.none(n), late=late))
+
+    values = np.array([score(float(x)) for x in DELAYS])
+    k = int(np.argmin(values))
+    if values[k] > -0.02 * n and k == len(DELAYS) // 2:
+        around = DELAYS[k - 1 : k + 2]
+    else:
+        around = DELAYS[max(k - 1, 0) : k + 2]
+    late = best_on(score, np.sort(np.r_[around, 0.5 * (around[1:] + around[:-1])]), rounds=3)
+    if abs(late) < LEAST_DELAY:
+        return
+    words = "late" if late > 0.0 else "early"
+    yield Alternative(
+        "time_offset", (), {"seconds": round(late, 4)},
+        f"The torque is {abs(1e3 * late):.0f} ms {words} against the positions: with "
+        f"--time-offset {late:.4g}",
+        f"--time-offset {late:.4g}",
+        replace(Correction.none(n), late=late),
+        cost=0.3,
+        small=abs(late) < SMALL_DELAY,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """A unit of the stamps other than s, and why it is suspected."""
+
+    unit: str
+    factor: float
+    why: str
+    certain: bool
+
+
+def suspected_unit(recording: Recording) -> Stamps | None:
+    """Return the unit of time that the rate or the velocities show, or None.
+
+    Certain if the rate is that of no recorder, or if recorded velocities are a thousand times those
+    of the positions (a million, a milliard). Otherwise, suspected if every joint would move slower
+    than an arm does, and the rate fits.
+    """
+    rate = mean_rate(recording.t)
+    possible = {u: f for u, f in UNITS.items() if SLOWEST <= rate / f <= FASTEST}
+    if rate <= LEAST_RATE and possible:
+        unit = next(iter(possible))
+        return Stamps(unit, possible[unit], f"a mean rate of {rate:.3g} Hz", True)
+    q = np.asarray(recording.q)
+    steps = np.diff(recording.t)
+    inside = steps <= gap_limit(recording.t)
+    speed = np.abs(np.diff(q, axis=0))[inside].sum(axis=0) / max(float(steps[inside].sum()), 1e-12)
+    if recording.dq is not None:
+        recorded = np.mean(np.abs(np.asarray(recording.dq)), axis=0)
+        ratio = float(recorded.sum() / max(float(speed.sum()), 1e-300))
+        for unit, factor in UNITS.items():
+            if abs(np.log(ratio * factor)) < np.log(1.5):
+                return Stamps(unit, factor, f"velocities {ratio:.3g} times too large", True)
+        return None
+    if possible and float(speed.max()) < SLOWEST_ARM and np.ptp(q, axis=0).max() > 0.1:
+        unit = next(iter(possible))
+        return Stamps(unit, possible[unit], f"no joint moves faster than {speed.max():.2g} rad/s "
+                      "on average", False)  # fmt: skip
+    return None
+
+
+def with_measured_velocity(s: Samples) -> Samples:
+    """Return samples whose velocity is the recorded one, and whose acceleration follows from it."""
+    ddq = np.empty_like(s.dq)
+    for stretch in np.unique(s.segment):
+        at = np.flatnonzero(s.segment == stretch)
+        ddq[at] = np.gradient(s.measured[at], s.t[at], axis=0) if len(at) > 2 else 0.0
+    return replace(s, dq=s.measured, ddq=ddq)
+
+
+def velocity(s: Samples) -> Alternative | None:
+    """Return what is wrong with the recorded velocity, or None."""
+    if not np.all(np.isfinite(s.measured)):
+        return None
+    size = np.sqrt(np.mean(s.dq**2, axis=0))
+    moved = size > 1e-3 * size.max()
+    error = np.sqrt(np.mean((s.measured - s.dq) ** 2, axis=0)) / np.maximum(size, 1e-12)
+    wrong = moved & (error > NOT_DERIVATIVE)
+    if not wrong.any():
+        return None
+    joints = np.flatnonzero(wrong)
+    what, seconds = "is not the derivative of the position", 0.0
+    ratio = np.sqrt(np.mean(s.measured**2, axis=0)) / np.maximum(size, 1e-12)
+    if np.all(ratio[joints] < ZERO_VELOCITY):
+        what = "is zero although the joints move"
+    else:
+        kind, constant, left = _lag(s, joints)
+        if left < BY_FILTER * float(np.sqrt(np.mean(error[joints] ** 2))):
+            seconds = constant
+            what = f"is {kind} by {constant:.3g} s"
+    names = ", ".join(str(j + 1) for j in joints[:3])
+    return Alternative(
+        "velocity_signal", tuple(joints[:3].tolist()), {"seconds": round(seconds, 4)},
+        f"The recorded velocity of joint{'s' if len(joints) > 1 else ''} {names} {what}: with "
+        "--derive-velocity (velocities from the positions)",
+        "--derive-velocity",
+        Correction.none(s.n),
+    )  # fmt: skip
+
+
+def _lag(s: Samples, joints: Index) -> tuple[str, float, float]:
+    """Return ``filtered`` or ``delayed``, its time and the relative error that it leaves."""
+    best = []
+    for kind, first_order in (("low-pass filtered", True), ("delayed", False)):
+        logs = np.log(CONSTANTS)
+        error = partial(_error_of_lag, s, joints, first_order)
+        x = np.exp(best_on(error, logs, rounds=3))
+        best.append((error(float(np.log(x))), kind, float(x)))
+    left, kind, seconds = min(best)
+    return kind, seconds, left
+
+
+def _error_of_lag(s: Samples, joints: Index, first_order: bool, log_seconds: float) -> float:
+    """Return the relative error of the recorded velocity as the lagged true one."""
+    seconds, rest, size = float(np.exp(log_seconds)), 0.0, 0.0
+    for stretch in np.unique(s.segment):
+        at = np.flatnonzero(s.segment == stretch)
+        if len(at) < 8:
+            continue
+        true, found = s.dq[at][:, joints], s.measured[at][:, joints]
+        if first_order:
+            keep = float(np.exp(-float(np.median(np.diff(s.t[at]))) / seconds))
+            middle = 0.5 * (true + np.concatenate([true[:1], true[:-1]]))
+            start = keep * found[:1]
+            lagged = lfilter([1.0 - keep], [1.0, -keep], middle, axis=0, zi=start)[0]
+        else:
+            lagged = shifted(s.t[at], true, -seconds)
+        rest += float(np.sum((found - lagged) ** 2))
+        size += float(np.sum(true**2))
+    return float(np.sqrt(rest / max(size, 1e-300)))

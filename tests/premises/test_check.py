@@ -1,0 +1,224 @@
+"""Premises that a recording contradicts are found, on simulated arms; sound ones are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects.arms import load_arm
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.cli.main import main
+from lieid_casadi.premises.correction import correction_of, gravity_of, shifted
+from lieid_casadi.robot.yaml_file import write_yaml
+
+ROBOT = load_arm("ur10e")
+N = ROBOT.n
+
+
+def measured(seed, rate=100.0):
+    t = np.arange(0.0, 20.0, 1.0 / rate)
+    motion = plant.FourierTrajectory(ROBOT, base_frequency=0.05, seed=seed).at(t)
+    sensors = replace(plant.demo_sensors(ROBOT), rate=rate)
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    return plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed, name=f"run{seed}")
+
+
+@pytest.fixture(scope="module")
+def run():
+    return measured(1)
+
+
+def corrected(run, *options):
+    return correction_of(options, N).of_recording(run)
+
+
+def without_velocity(run):
+    return replace(run, dq=None)
+
+
+def late(run):
+    return replace(run, tau=shifted(run.t, run.tau, -0.04))
+
+
+def amperes(run):
+    return replace(run, tau=run.tau / [15.0, 13.0, 11.0, 10.5, 11.0, 11.5])
+
+
+def compensated(run):
+    gravity = lieid.compile(ROBOT).gravity(run.q, ROBOT.link_parameters)
+    return replace(run, tau=run.tau - gravity)
+
+
+def filtered(run):
+    dq = np.zeros_like(run.q)
+    for k in range(1, len(dq)):
+        dq[k] = dq[k - 1] + (run.dq[k] - dq[k - 1]) * 0.01 / 0.2
+    return replace(run, dq=dq)
+
+
+def test_a_sound_arm(run):
+    found = lieid.check(ROBOT, run)
+    assert found.verdict == "sound", found
+    assert found.findings == ()
+    assert "gravity_direction" in found.checked
+    assert dict(found.not_checkable)["same_motion"]
+
+
+@pytest.mark.parametrize(
+    ("change", "premise", "joints", "value", "remedy"),
+    [
+        (lambda r: corrected(r, "--joint-order 1 3 2 4 5 6"), "joint_order", (1, 2),
+         {"order": [1, 3, 2, 4, 5, 6], "signals": "all"}, "--joint-order 1 3 2 4 5 6"),
+        (lambda r: replace(r, tau=r.tau[:, [0, 2, 1, 3, 4, 5]]), "joint_order", (1, 2),
+         {"signals": "torque"}, "--columns tau2=tau3,tau3=tau2"),
+        (lambda r: corrected(r, "--torque-sign 1 -1 1 1 1 1"), "torque_sign", (1,), {},
+         "--torque-sign 1 -1 1 1 1 1"),
+        (lambda r: replace(r, tau=-r.tau), "torque_sign", None, {},
+         "--torque-sign -1 -1 -1 -1 -1 -1"),
+        (lambda r: corrected(r, "--joint-sign 1 1 -1 1 1 1"), "joint_sign", (2,), {},
+         "--joint-sign 1 1 -1 1 1 1"),
+        (lambda r: corrected(r, "--joint-zero 0 1.5708 0 0 0 0"), "joint_zero", (1,),
+         {"rad": -1.5708}, "--joint-zero 0 -1.5"),
+        (lambda r: corrected(r, "--joint-coupling 3-2"), "joint_coupling", (1, 2), {},
+         "--joint-coupling 3+2"),
+        (amperes, "torque_unit", None, {"factor": 12.0, "unit": "A"}, "--columns i1=tau1"),
+        (compensated, "torque_gravity_compensated", None, {}, "record"),
+        (lambda r: replace(r, t=1e3 * r.t), "time_unit", (), {"unit": "ms"}, "--units ms"),
+    ],
+)  # fmt: skip
+def test_wrong_premises(run, change, premise, joints, value, remedy):
+    found = lieid.check(ROBOT, change(run))
+    first = found.findings[0]
+    assert (found.verdict, first.premise) == ("wrong", premise), found
+    assert joints in (None, first.joints)
+    assert first.remedy.startswith(remedy)
+    for key, expected in value.items():
+        if not isinstance(expected, float):
+            assert first.value[key] == expected
+        else:
+            assert first.value[key] == pytest.approx(expected, rel=0.15, abs=0.05)
+    assert first.remedy.split(" -")[0] in first.sentence or premise.startswith("torque_g")
+
+
+def test_delays_and_velocities(run):
+    first = lieid.check(ROBOT, late(run)).findings[0]
+    assert first.premise == "time_offset"
+    assert first.value["seconds"] == pytest.approx(0.04, abs=0.01)
+    first = lieid.check(ROBOT, filtered(run)).findings[0]
+    assert first.premise == "velocity_signal"
+    assert first.value["seconds"] == pytest.approx(0.2, abs=0.02)
+
+
+@pytest.mark.parametrize("rpy", [(0.0, np.pi / 2, 0.0), (np.pi, 0.0, 0.0), (0.0, -0.35, 0.0)])
+def test_mounting(run, rpy):
+    turned = replace(ROBOT, gravity=gravity_of(rpy))
+    found = lieid.check(turned, run)  # it was measured upright
+    first = found.findings[0]
+    assert (found.verdict, first.premise) == ("wrong", "gravity_direction")
+    np.testing.assert_allclose(first.value["gravity"], [0.0, 0.0, -9.81], atol=0.4)
+    assert first.error_after[1] < first.error_before[1] / 3.0
+
+
+def test_a_small_tilt_is_no_more_than_a_doubt(run):
+    found = lieid.check(replace(ROBOT, gravity=gravity_of((0.1, 0.0, 0.0))), run)
+    assert found.verdict == "doubtful"
+    assert found.findings[0].premise == "gravity_direction"
+
+
+def test_premises_combine(run):
+    both = corrected(run, "--torque-sign 1 1 -1 1 1 1")
+    found = lieid.check(replace(ROBOT, gravity=gravity_of((0.0, np.pi / 2, 0.0))), both)
+    assert {f.premise for f in found.findings} == {"gravity_direction", "torque_sign"}
+
+
+def test_a_recording_of_another_arm(run):
+    found = lieid.check(load_arm("rail"), run)
+    assert found.verdict == "wrong"
+    assert found.findings[0].premise == "robot_mismatch"
+
+
+def test_without_stated_masses(run):
+    bare = replace(ROBOT, joints=tuple(replace(j, link=None) for j in ROBOT.joints))
+    found = lieid.check(bare, run)
+    assert found.verdict == "sound"
+    assert "masses" in dict(found.not_checkable)["torque_unit"]
+    swapped = lieid.check(bare, corrected(run, "--joint-order 1 3 2 4 5 6"))
+    assert swapped.findings[0].premise == "joint_order"
+
+
+def test_a_test_that_repeats_the_training(run):
+    other = lieid.check(ROBOT, run, test=measured(2))
+    assert other.verdict == "sound"
+    again = replace(run, t=run.t + 100.0, source_hash="other")
+    found = lieid.check(ROBOT, run, test=again)
+    assert [f.premise for f in found.findings] == ["same_motion"]
+    assert found.findings[0].value["fraction"] > 0.95
+
+
+def test_damaged_samples(run):
+    tau = run.tau.copy()
+    tau[500, 2] += 300.0
+    q = (run.q + np.pi) % (2.0 * np.pi) - np.pi + np.where(np.arange(N) == 1, 2.0 * np.pi, 0.0)
+    q[:, 0] = (run.q[:, 0] - run.q[700, 0]) % (2.0 * np.pi)
+    found = lieid.check(ROBOT, replace(run, tau=tau, q=q))
+    premises = {f.premise for f in found.findings}
+    assert {"spikes", "angle_wrapped"} <= premises
+
+
+def test_what_a_check_needs(run):
+    with pytest.raises(lieid.LieidError, match="no torque"):
+        lieid.check(ROBOT, replace(run, tau=None))
+    with pytest.raises(lieid.LieidError, match="6 joints"):
+        lieid.check(lieid.robots.two_link(), run)
+    with pytest.raises(lieid.LieidError, match="no recordings"):
+        lieid.check(ROBOT, [])
+
+
+@pytest.fixture(scope="module")
+def folder(run, tmp_path_factory):
+    path = tmp_path_factory.mktemp("premises")
+    (path / "arm.yaml").write_text(write_yaml(ROBOT))
+    corrected(run, "--joint-order 1 3 2 4 5 6").save(path / "swapped.csv")
+    run.save(path / "good.csv")
+    return path
+
+
+def test_commands_stop_with_status_4(folder, capsys):
+    arm, recording = str(folder / "arm.yaml"), str(folder / "swapped.csv")
+    fit, result = folder / "fit.json", folder / "result.json"
+    assert main(["check", arm, recording, "--json", str(result)]) == 4
+    assert '"verdict": "wrong"' in result.read_text()
+    assert main(["identify", arm, recording, "-o", str(fit)]) == 4
+    assert not fit.exists()
+    captured = capsys.readouterr()
+    assert "--joint-order 1 3 2 4 5 6" in captured.out
+    assert len(captured.err.strip().splitlines()) == 1
+    options = ["--despite-check", "-o", str(fit), "--json", str(result)]
+    assert main(["identify", arm, recording, *options]) == 0
+    assert '"premise": "joint_order"' in result.read_text()
+
+
+def test_a_fit_remembers_what_corrected_its_recordings(folder, capsys):
+    arm, swapped, good = (str(folder / x) for x in ("arm.yaml", "swapped.csv", "good.csv"))
+    fit = str(folder / "corrected.json")
+    options = ["--joint-order", "1", "3", "2", "4", "5", "6", "--base-rpy", "0", "0", "1"]
+    assert main(["identify", arm, swapped, *options, "-o", fit]) == 0
+    assert lieid.Fit.load(fit).provenance.corrections == ("--joint-order 1 3 2 4 5 6",)
+    assert main(["compare", fit, swapped]) == 0
+    identity = ["--joint-order", "1", "2", "3", "4", "5", "6"]
+    assert main(["check", fit, good, *identity]) == 0
+    assert main(["check", fit, good]) == 4
+    assert main(["compare", fit, good, "--base-rpy", "0", "0", "0"]) == 2
+    assert "mounting" in capsys.readouterr().err
+
+
+def test_the_mounting_of_a_urdf_is_in_the_fit(tmp_path, run):
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(ROBOT.source.text)
+    gravity = gravity_of((0.0, 0.5, 0.0))
+    tilted = replace(lieid.Robot.from_urdf(urdf), gravity=gravity)
+    lieid.identify(lieid.Model(tilted, ["coulomb"]), run).save(tmp_path / "fit.json")
+    loaded = lieid.Fit.load(tmp_path / "fit.json").model.robot
+    np.testing.assert_array_equal(loaded.gravity, gravity)
+    assert loaded.source is not None

@@ -1,0 +1,98 @@
+"""What corrects a premise: the same for recordings and for samples, composed, and from options."""
+
+import numpy as np
+import pytest
+from hidden_effects.arms import load_arm
+from scipy.interpolate import CubicSpline
+
+import lieid_casadi as lieid
+from lieid_casadi.premises.correction import base_rpy, correction_of, gravity_of
+from lieid_casadi.premises.plain_fit import samples_of
+from lieid_casadi.premises.rigid_columns import rigid_columns
+from lieid_casadi.robot.geometry import pose
+
+RANDOM = np.random.default_rng(3)
+OPTIONS = (
+    "--torque-sign 1 -1 1",
+    "--joint-order 3 1 2",
+    "--joint-sign 1 1 -1",
+    "--joint-coupling 3+2",
+    "--joint-zero 0.1 0 -1.5",
+)
+
+
+def recording(n=3, rows=400):
+    t = np.arange(rows) / 100.0
+    phase = np.outer(t, 1.0 + 0.3 * np.arange(n))
+    return lieid.Recording.from_arrays(t, np.sin(phase), tau=10.0 * np.cos(2.0 * phase))
+
+
+@pytest.mark.parametrize("name", ["panda", "rail"])
+def test_columns_are_those_of_the_compiled_regressor(name):
+    robot = load_arm(name)
+    q, dq, ddq = RANDOM.standard_normal((3, 40, robot.n))
+    gravity = np.array([1.0, -2.0, 9.0])
+    own = rigid_columns(robot, q, dq, ddq).columns(gravity)
+    turned = lieid.compile(lieid.Robot(robot.name, robot.joints, gravity))
+    np.testing.assert_allclose(own.transpose(2, 0, 1), turned.regressor(q, dq, ddq), atol=1e-12)
+
+
+@pytest.mark.parametrize("rpy", RANDOM.uniform(-1.4, 1.4, (5, 3)))
+def test_gravity_of_a_mounting(rpy):
+    down = pose([0, 0, 0], rpy)[:3, :3].T @ [0.0, 0.0, -9.81]
+    np.testing.assert_allclose(gravity_of(tuple(rpy)), down, atol=1e-12)
+    np.testing.assert_allclose(gravity_of(base_rpy(down)), down, atol=1e-12)
+
+
+def test_options_one_after_the_other_and_together():
+    given = recording()
+    together = correction_of(OPTIONS[::-1], 3).of_recording(given)
+    for text in OPTIONS:
+        given = correction_of([text], 3).of_recording(given)
+    np.testing.assert_allclose(together.q, given.q, atol=1e-12)
+    np.testing.assert_allclose(together.tau, given.tau, atol=1e-12)
+    assert together.corrections == given.corrections == OPTIONS
+
+
+def test_recordings_and_samples_are_corrected_alike():
+    correction = correction_of([*OPTIONS, "--time-offset 0.02"], 3)
+    samples = correction.of_samples(samples_of([recording()]))
+    corrected = samples_of([correction.of_recording(recording())])
+    inside = (samples.t > corrected.t[3]) & (samples.t < corrected.t[-4])
+    for name, tolerance in (("q", 0.02), ("tau", 0.3)):
+        expected = CubicSpline(corrected.t, getattr(corrected, name))(samples.t[inside])
+        np.testing.assert_allclose(getattr(samples, name)[inside], expected, atol=tolerance)
+
+
+def test_power_stays_the_same():
+    given = recording()
+    speed = np.gradient(given.q, given.t, axis=0)
+    made = correction_of(OPTIONS[1:], 3).of_recording(given)
+    corrected = np.gradient(made.q, made.t, axis=0)
+    np.testing.assert_allclose(
+        np.sum(made.tau * corrected, axis=1), np.sum(given.tau * speed, axis=1), atol=1e-9
+    )
+
+
+def test_velocities_can_be_left_out():
+    given = lieid.Recording.from_arrays([0.0, 1.0], [[0.0], [1.0]], dq=[[5.0], [5.0]])
+    assert correction_of(["--derive-velocity"], 1).of_recording(given).dq is None
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("--joint-order 1 1 3", "numbers 1 to 3"),
+        ("--joint-order 1 2", "numbers 1 to 3"),
+        ("--joint-sign 1 2 1", "3 times 1 or -1"),
+        ("--joint-zero 0 0 nan", "3 angles"),
+        ("--joint-coupling 3*2", "couplings such as"),
+        ("--joint-coupling 9+2", "couplings such as"),
+        ("--time-offset x", "late, s"),
+        ("--base-rpy 0 0", "roll, pitch and yaw"),
+        ("--upside-down", "unknown correction"),
+    ],
+)
+def test_values_that_an_option_does_not_take(text, expected):
+    with pytest.raises(lieid.LieidError, match=expected):
+        correction_of([text], 3)
