@@ -29,8 +29,9 @@ DEPTH = 3
 WRONG = 1.0 / 3.0
 #: A joint shows a premise if the correction lowers its error to this part.
 SHOWS = 0.7
-#: The same where the free fit does not show it: stated inertias are never exact.
-SHOWS_STATED = 0.4
+#: The same for stated inertias, and the least error without the correction, as part of the torque:
+#: they are never exact, and a tool that they do not contain changes the last joints' torque.
+SHOWS_STATED, LEAST_STATED = 0.4, 0.5
 #: A finding needs a joint that shows it, and this decrease of the score.
 LEAST_SCORE = -0.6
 #: Least error without the correction on one of these joints, as part of its torque: less is the
@@ -234,12 +235,12 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
     if after.score(before) + alternative.cost > LEAST_SCORE:
         return None
     ratios = after.relative / before.relative
-    large = before.relative > LEAST_BEFORE
-    if not np.any(large[0] & (ratios[0] < SHOWS)) and not np.any(
-        large[1:] & (ratios[1:] < SHOWS_STATED)
-    ):
+    shown_free = (ratios[0] < SHOWS) & (before.relative[0] > LEAST_BEFORE)
+    shown_stated = (ratios[1:] < SHOWS_STATED) & (before.relative[1:] > LEAST_STATED)
+    if not shown_free.any() and not shown_stated.any():
         return None
-    kind = 0 if _ratio(ratios[0]) <= WRONG else int(np.argmin([_ratio(row) for row in ratios]))
+    by_stated = shown_stated.any() and _ratio(ratios[0]) > max(WRONG, _ratio(ratios[-1]))
+    kind = 1 if by_stated else 0
     ratio = _ratio(ratios[kind])
     certain = ratio <= WRONG and bool(np.all(ratios[kind] < WORSE))
     certain = certain and not alternative.small

@@ -22,6 +22,8 @@ from lieid_casadi.robot import Robot
 HELD, FEWEST_HELD, MOVES, WITHIN = 0.3, 20, 0.005, 0.25
 #: Part of the torques at their largest value, and their number, from which they are clipped.
 CLIPPED, FEWEST_CLIPPED = 0.005, 8
+#: Outliers, which are left out on reading, from which the sensors are in doubt.
+FEWEST_OUTLIERS = 3
 #: Different values from which a torque is no coarse signal.
 FINE = 200
 
@@ -53,6 +55,8 @@ def _repair(warning: LieidWarning) -> Damage | None:
     if not isinstance(warning, WrappedAngleWarning | OutlierWarning):
         return None
     wrapped = isinstance(warning, WrappedAngleWarning)
+    if not wrapped and warning.samples < FEWEST_OUTLIERS:
+        return None
     assert isinstance(warning, RepairWarning)
     return Damage(
         "angle_wrapped" if wrapped else "spikes",

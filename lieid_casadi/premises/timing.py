@@ -162,10 +162,12 @@ def _error_of_lag(s: Samples, joints: Index, first_order: bool, log_seconds: flo
             continue
         true, found = s.dq[at][:, joints], s.measured[at][:, joints]
         if first_order:
-            keep = float(np.exp(-float(np.median(np.diff(s.t[at]))) / seconds))
-            middle = 0.5 * (true + np.concatenate([true[:1], true[:-1]]))
-            start = keep * found[:1]
-            lagged = lfilter([1.0 - keep], [1.0, -keep], middle, axis=0, zi=start)[0]
+            step = float(np.median(np.diff(s.t[at])))
+            keep = float(np.exp(-step / seconds))
+            new = 1.0 - seconds / step * (1.0 - keep)  # exact for a velocity linear in between
+            numerator = np.array([new, 1.0 - keep - new])
+            start = found[:1] - new * true[:1]
+            lagged = lfilter(numerator, [1.0, -keep], true, axis=0, zi=start)[0]
         else:
             lagged = shifted(s.t[at], true, -seconds)
         rest += float(np.sum((found - lagged) ** 2))

@@ -174,9 +174,9 @@ def velocity_filtered(robot, recording, random):
     parts = []
     for s in recording.segments():
         dq = s.dq if s.dq is not None else np.gradient(s.q, s.t, axis=0)
-        keep = np.exp(-1.0 / (0.2 * s.rate))
+        keep = np.exp(-s.duration / (len(s) - 1) / 0.2)
         parts.append(lfilter([1.0 - keep], [1.0, -keep], dq, axis=0))
-    right = lambda f: abs(f.value["seconds"] - 0.2) < 2.0 * SECONDS  # noqa: E731
+    right = lambda f: abs(f.value["seconds"] - 0.2) < SECONDS  # noqa: E731
     return robot, replace(recording, dq=np.concatenate(parts)), ("velocity_signal", right)
 
 

@@ -158,7 +158,7 @@ def test_a_test_that_repeats_the_training(run):
 
 def test_damaged_samples(run):
     tau = run.tau.copy()
-    tau[500, 2] += 300.0
+    tau[500:1500:200, 2] += 300.0
     q = (run.q + np.pi) % (2.0 * np.pi) - np.pi + np.where(np.arange(N) == 1, 2.0 * np.pi, 0.0)
     q[:, 0] = (run.q[:, 0] - run.q[700, 0]) % (2.0 * np.pi)
     found = lieid.check(ROBOT, replace(run, tau=tau, q=q))
