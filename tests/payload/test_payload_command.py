@@ -102,7 +102,7 @@ def _reversed(files):
     [
         (_panda, [], "found 7 joints"),
         (_without_torque, [], "no torque"),
-        (_reversed, [], "no payload explains this run"),
+        (_reversed, ["--despite-check"], "no payload explains this run"),
         (None, ["--cutoff", "-1"], "cutoff"),
         (None, ["--cutoff", "fast"], "expected a number"),
         (None, ["--torque-constants", "1,2,3"], "3 numbers; expected 2"),
