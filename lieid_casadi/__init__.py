@@ -113,8 +113,8 @@ if TYPE_CHECKING:
     from lieid_casadi.comparison.comparison import Comparison
     from lieid_casadi.compiled import Compiled, compile
     from lieid_casadi.diagnosis.diagnose import diagnose
-    from lieid_casadi.diagnosis.diagnosis import Diagnosis
     from lieid_casadi.diagnosis.extend import extend
+    from lieid_casadi.diagnosis.result import Diagnosis
     from lieid_casadi.discrimination.discriminate import discriminate
     from lieid_casadi.discrimination.discrimination import Discrimination
     from lieid_casadi.effects import Coefficient, Effect, Shape, Signals, effect, register

@@ -155,7 +155,7 @@ def _options(args: argparse.Namespace) -> DiagnosisOptions:
 
     if args.worth is None:
         return DiagnosisOptions()
-    return DiagnosisOptions(worth=args.worth, least_change_improvement=args.worth)
+    return DiagnosisOptions(worth=args.worth, worth_of_change=args.worth)
 
 
 def _asker() -> Callable[[Proposal], bool]:
@@ -177,38 +177,20 @@ def _asker() -> Callable[[Proposal], bool]:
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """Print the verdict, the errors of all models, rivals, and rejected candidates."""
-    from lieid_casadi.diagnosis.text_summary import (
-        error_table,
+    from lieid_casadi.diagnosis.summary import (
+        alias_sentence,
         evidence_table,
         rejected_table,
-        sentences,
     )
 
-    for line in sentences(diagnosis):
+    for line in diagnosis.sentences:
         output.say(line)
-    output.show(error_table(diagnosis), evidence_table(diagnosis))
+    output.show(diagnosis.error_table(), evidence_table(diagnosis))
     if diagnosis.steps:
         output.say("lieid effects NAME describes an effect and what it is confused with.")
         if diagnosis.mode == "missing":
             effects = ",".join(diagnosis.fit.model.effects)
             output.say(f"The model with these effects: --effects '{effects}'")
-    _print_unexplained(diagnosis)
     output.show(rejected_table(diagnosis))
-    output.say(f"{diagnosis.tried} candidates were tried. {diagnosis.aliases.sentence}".rstrip())
+    output.say(f"{diagnosis.tried} candidates were tried. {alias_sentence(diagnosis)}".rstrip())
     output.show_warnings(diagnosis.warnings)
-
-
-def _print_unexplained(diagnosis: Diagnosis) -> None:
-    """Print the unexplained residual as code of a user-defined effect."""
-    from lieid_casadi.diagnosis.residual.user_effect_code import own_effects
-    from lieid_casadi.diagnosis.text_summary import rerun_options
-
-    own = own_effects(diagnosis.unexplained)
-    if own.labels:
-        output.say(
-            "The unexplained residual as a user-defined effect, which reduced the error of "
-            "training data that its fit left out. Save these lines as F.py and run again with the "
-            f"options {rerun_options(diagnosis, own.labels)}\n"
-        )
-        lines = ["    " + line if line else "" for line in own.code.splitlines()]
-        output.say("\n".join([*lines, ""]))

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import compare
-from lieid_casadi.diagnosis.options import DiagnosisOptions
-from lieid_casadi.diagnosis.search.parameter_checks import unresolved_shape
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.gates import unresolved_shape
+from lieid_casadi.diagnosis.steps import fitted_values
 from lieid_casadi.effects import Placement, parse_effects
 from lieid_casadi.errors import BoundWarning, EffectError, LieidWarning
 from lieid_casadi.identification import Fit, identify
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 SIGNIFICANT = 2.0  # standard deviations
 
 
@@ -93,16 +93,12 @@ class Extension:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the errors of both models per joint; not shown."""
-        from lieid_casadi.diagnosis.waterfall_plot import draw_errors
+        from lieid_casadi.diagnosis.plots import draw_errors
 
         recordings = "held-out training data" if self.rms_test_moving is None else "test"
-        return draw_errors(
-            list(self.held_out),
-            ["before", f"+ {', '.join(self.added)}"],
-            reference=None,
-            recordings=f"{recordings}, joints in motion",
-            ax=ax,
-        )
+        names = ["before", f"+ {', '.join(self.added)}"]
+        where = f"{recordings}, joints in motion"
+        return draw_errors(list(self.held_out), names, None, where, ax)
 
 
 def extend(
@@ -199,13 +195,18 @@ def _unresolved(
     fit: Fit, added: Sequence[Placement], train: Recording | Sequence[Recording]
 ) -> list[LieidWarning]:
     """Return a warning of each added effect with a shape parameter that the motion cannot show."""
-    segments, options = process(listed(train), fit.processing), DiagnosisOptions()
-    texts = [unresolved_shape(fit, placement, segments, options) for placement in added]
-    return [
-        BoundWarning(f"{text}: the effect is probably not present on this joint")
-        for text in texts
-        if text
-    ]
+    segments = process(listed(train), fit.processing)
+    found: list[LieidWarning] = []
+    for placement in added:
+        values, shapes, _ = fitted_values(fit, placement)
+        reason = unresolved_shape(Candidate(placement, shapes[None]), shapes, values, segments)
+        if reason is not None:
+            found.append(
+                BoundWarning(
+                    f"{placement.label}: {reason}: the effect is probably not present on this joint"
+                )
+            )
+    return found
 
 
 def _check_motion(wanted: Sequence[Placement], train: Recording | Sequence[Recording]) -> None:

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import casadi as ca
+
+
+class SignalsOfJoints(Protocol):
+    """The signals of several joints."""
+
+    def of(self, joint: int) -> Signals:
+        """Return the signals of a joint, from 0."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +52,7 @@ class Signals:
     other: Signals | None = None
     state: Mapping[str, ca.SX] = field(default_factory=dict)
     command_error: ca.SX = field(default_factory=lambda: ca.SX(0))
-    every: EffectSignals | None = None
+    every: SignalsOfJoints | None = None
 
     def joint(self, number: int) -> Signals:
         """Return the signals of another joint (from 0), one of `Effect.joints`."""

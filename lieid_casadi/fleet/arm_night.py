@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.diagnosis import Diagnosis, DiagnosisStep, diagnose
+from lieid_casadi.diagnosis import Diagnosis, Step, diagnose
 from lieid_casadi.errors import FleetError, LieidError, MissingDependency, RecordingError
 from lieid_casadi.fleet.night_result import (
     ArmNight,
@@ -177,8 +177,7 @@ def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
     return NightResult(
         "done",
         payload=(recording.payload_label or ("",))[0],
-        findings=tuple(_finding(diagnosis, step) for step in diagnosis.steps)
-        + _unexplained(diagnosis),
+        findings=tuple(_finding(step) for step in diagnosis.steps) + _unexplained(diagnosis),
         parameters=tuple(
             ParameterEstimate(p.name, p.joint + 1, float(value), float(std), p.unit)
             for p, value, std in zip(
@@ -244,26 +243,21 @@ def _require_same_arm(fit: Fit, recording: Recording, estimate: NightEstimate) -
         )
 
 
-def _finding(diagnosis: Diagnosis, step: DiagnosisStep) -> Finding:
-    """Return a step as a row; its change is that of the parameters in the first one's unit.
-
-    The standard deviation follows from the size of the effect over the error that remains on
-    the joint where the error falls most, and the number of independent rows.
-    """
+def _finding(step: Step) -> Finding:
+    """Return a step as a row; its change is that of the parameters in the first one's unit."""
     first, unit = next(iter(step.units.items()), ("", ""))
-    same = [v for name, v in step.parameters.items() if step.units[name] == unit]
-    change = same[0] if len(same) == 1 else float(np.linalg.norm(same))
-    evidence = step.evidence
-    ratio = evidence.effect_size / max(evidence.held_out_after, 1e-300)
-    rows = max(evidence.significance.rows / len(diagnosis.joint_names), 1.0)
-    std = abs(change) / (ratio * np.sqrt(rows)) if ratio > 0.0 else float("nan")
-    rivals = ", ".join(candidate.placement.label for candidate, _ in step.indistinguishable)
+    same = [name for name in step.parameters if step.units[name] == unit]
+    values = np.array([step.parameters[name] for name in same])
+    deviations = np.array([step.std[name] for name in same])
+    change = float(values[0]) if len(same) == 1 else float(np.linalg.norm(values))
+    spread = deviations @ np.abs(values) / max(float(np.linalg.norm(values)), 1e-300)
+    rivals = ", ".join(rival.label for rival in step.rivals)
     sentence = f"{step.label}: {first} = {step.parameters[first]:.4g} {unit}" if first else ""
     return Finding(
         step.effect,
         step.joints[0] + 1 if step.joints else None,
-        float(change),
-        number_or_none(std),
+        change,
+        number_or_none(float(spread)),
         unit,
         float(np.nan_to_num(step.share)),
         sentence + (f"; fits as well: {rivals}" if rivals else ""),
@@ -272,10 +266,11 @@ def _finding(diagnosis: Diagnosis, step: DiagnosisStep) -> Finding:
 
 def _unexplained(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     """Return the unexplained parts of the residual as rows; their change is in N·m RMS."""
-    assert diagnosis.baseline_moving is not None
+    moving = diagnosis.baseline["rms_test_moving"]
+    assert moving is not None
     rows = []
     for part in diagnosis.unexplained:
-        size = float(diagnosis.baseline_moving[part.joint]) * float(np.sqrt(part.fraction))
+        size = float(moving[part.joint]) * float(np.sqrt(part.fraction))
         rows.append(
             Finding(
                 "unexplained", part.joint + 1, size, None, "N·m", 0.0, part.relation,
@@ -287,7 +282,7 @@ def _unexplained(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def _errors(
     diagnosis: Diagnosis, estimate: NightEstimate, recording: Recording
 ) -> tuple[JointError, ...]:
-    moving = diagnosis.baseline_moving
+    moving = diagnosis.baseline["rms_test_moving"]
     expected = diagnosis.expected
     assert moving is not None
     assert expected is not None

@@ -12,7 +12,7 @@ import numpy as np
 
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.comparison.comparison import digits, error_table, largest_errors_table, verdict
-from lieid_casadi.diagnosis import text_summary
+from lieid_casadi.diagnosis import summary
 from lieid_casadi.effects import make
 from lieid_casadi.effects.description import describe
 from lieid_casadi.effects.registry import REGISTER
@@ -20,7 +20,7 @@ from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.payload.estimate import not_identified
-from lieid_casadi.report.page import Section, data_uri, picture_section, render, table_section
+from lieid_casadi.report.page import Section, picture_section, render, table_section
 from lieid_casadi.simulation.simulate import window_table
 from lieid_casadi.tables import make_table
 
@@ -69,25 +69,24 @@ def fit_report(fit: Fit) -> str:
 
 def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None) -> str:
     """Return the HTML report of a diagnosis; with a comparison of its last fit, that too."""
-    fit, sentences = diagnosis.fit, text_summary.sentences(diagnosis)
-    errors = text_summary.error_table(diagnosis)
+    fit, sentences = diagnosis.fit, diagnosis.sentences
+    errors = diagnosis.error_table()
     evidence = table_section(
         "Evidence",
-        text_summary.evidence_table(diagnosis),
-        text_summary.unexplained_table(diagnosis),
-        text_summary.rejected_table(diagnosis),
+        summary.evidence_table(diagnosis),
+        summary.unexplained_table(diagnosis),
+        summary.rejected_table(diagnosis),
         titles=True,
-        links=anchors(step.effect for step in diagnosis.steps),
+        links=anchors(step.label.partition(":")[0] for step in diagnosis.steps),
     )
-    named = [step.effect for step in diagnosis.steps]
-    named += [c.placement.effect.label for s in diagnosis.steps for c, _ in s.indistinguishable]
+    named = [step.label.partition(":")[0] for step in diagnosis.steps]
+    named += [rival.effect for step in diagnosis.steps for rival in step.rivals]
     return render(
         f"{fit.model.robot.name}: diagnosis",
         [
             table_section("Verdict", errors, sentences=sentences, titles=True),
             picture_section("From the first model to the last", diagnosis.plot()),
             evidence,
-            *([_unexplained(diagnosis)] if diagnosis.unexplained else []),
             _warnings(diagnosis.warnings),
             *([] if comparison is None else _pictures(comparison)),
             *fit_sections(fit, named=named),
@@ -242,20 +241,6 @@ def _descriptions(labels: Iterable[str]) -> Section:
         for label, anchor in anchors(dict.fromkeys(labels)).items()
     ]
     return Section("Effects in this report", "effects.html", {"effects": effects}, folded=True)
-
-
-def _unexplained(diagnosis: Diagnosis) -> Section:
-    """Return the shape of the unexplained residual, and its code as a user-defined effect."""
-    from lieid_casadi.diagnosis.residual.user_effect_code import own_effects
-
-    own = own_effects(diagnosis.unexplained)
-    drawn = any(part.shapes for part in diagnosis.unexplained)
-    data = {
-        "uri": data_uri(diagnosis.plot_unexplained()) if drawn else "",
-        "code": own.code,
-        "options": text_summary.rerun_options(diagnosis, own.labels) if own.labels else "",
-    }
-    return Section("Unexplained residual", "unexplained.html", data)
 
 
 def _payload(payload: PayloadEstimate) -> Section:

@@ -11,7 +11,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.comparison.comparison import verdict_sentences
 from lieid_casadi.comparison.series import effect_torques
-from lieid_casadi.diagnosis import Diagnosis, DiagnosisStep
+from lieid_casadi.diagnosis import Diagnosis, Step
 from lieid_casadi.effects import Effect, Placement
 from lieid_casadi.effects.registry import make
 from lieid_casadi.identification import Fit
@@ -342,12 +342,11 @@ def found_effects(diagnosis: Diagnosis, effects: tuple[str, ...]) -> FoundEffect
     """Return what a diagnosis of a model with these effects found."""
     model = diagnosis.fit.model
     shapes = zip(model.shapes, diagnosis.fit.shapes, strict=True)
-    steps = zip(diagnosis.steps, diagnosis.groups, strict=True)
     changed = diagnosis.mode == "changed"
     return FoundEffects(
         verdict=diagnosis.verdict,
         sentence=diagnosis.sentence,
-        proposed=tuple(_proposed(step, group) for step, group in steps),
+        proposed=tuple(_proposed(step) for step in diagnosis.steps),
         effects=effects,
         unexplained=tuple(
             f"joint {part.joint + 1}: {part.relation}" for part in diagnosis.unexplained
@@ -358,22 +357,22 @@ def found_effects(diagnosis: Diagnosis, effects: tuple[str, ...]) -> FoundEffect
     )
 
 
-def _proposed(step: DiagnosisStep, group: int) -> ProposedEffect:
+def _proposed(step: Step) -> ProposedEffect:
     return ProposedEffect(
         label=step.label,
         effect=step.effect,
         joints=tuple(j + 1 for j in step.joints),
         joint=step.joints[0] if step.joints else 0,
-        before=number_or_none(step.evidence.held_out_before),
-        after=number_or_none(step.evidence.held_out_after),
-        selected=step.to_dict().get("selected"),
-        confirmed=step.evidence.confirmed,
-        rivals=tuple((c.placement.label, kind) for c, kind in step.indistinguishable),
+        before=number_or_none(step.before),
+        after=number_or_none(step.after),
+        selected=step.evidence.selected,
+        confirmed=step.confirmed,
+        rivals=tuple((rival.label, rival.kind) for rival in step.rivals),
         value=", ".join(
             value_text(name, value, None, step.units[name])
             for name, value in step.parameters.items()
         ),
         parameters=tuple(step.parameters.items()),
-        status="one_of" if step.indistinguishable else "named",
-        group=group,
+        status=step.status,
+        group=step.group,
     )

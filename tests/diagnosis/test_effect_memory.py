@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from lieid_casadi.diagnosis.screening.effect_memory import OWN, signals_of, states_along
+from lieid_casadi.diagnosis.effect_columns import OWN, signals_of, states_along
 from lieid_casadi.effects.presliding import Presliding
 from lieid_casadi.effects.registry import make
 

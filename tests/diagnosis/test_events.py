@@ -7,9 +7,8 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.diagnosis import DiagnosisOptions
-from lieid_casadi.diagnosis.events.leave_out import leave_out_events
-from lieid_casadi.diagnosis.events.residual_signals import ResidualSignals
+from lieid_casadi.diagnosis.events import leave_out_events
+from lieid_casadi.diagnosis.transients import ResidualSignals
 from lieid_casadi.recording import process
 
 ROBOT = lieid.robots.panda()
@@ -101,7 +100,7 @@ def test_an_arm_at_rest_that_is_pushed_has_an_event_and_no_change(fit):
 
 def test_a_push_in_motion_is_left_out(fit):
     run = recording(seed=3)
-    (kept,), (event,) = leave_out_events(fit, [pushed(run, 5.0, 5.8)], DiagnosisOptions())
+    (kept,), (event,) = leave_out_events(fit, [pushed(run, 5.0, 5.8)])
     assert event.kind == "contact"
     assert 4.7 < event.start < event.end < 6.1
     np.testing.assert_allclose(event.force, FORCE, atol=0.25 * np.linalg.norm(FORCE))
@@ -134,7 +133,7 @@ def test_a_fault_of_the_recorder_is_named(fit, fault):
         tau[rows] = tau[rows[0]]
     else:
         tau[rows[:2], 1] += 2000.0
-    _, (event,) = leave_out_events(fit, [replace(run, tau=tau)], DiagnosisOptions())
+    _, (event,) = leave_out_events(fit, [replace(run, tau=tau)])
     assert event.kind == "fault"
     assert 5.7 < event.start < event.end < 6.6
 
@@ -142,7 +141,7 @@ def test_a_fault_of_the_recorder_is_named(fit, fault):
 @pytest.mark.parametrize("hidden", [("load_friction", 1, 2.0), ("presliding", 3, 2.0)])
 def test_an_effect_of_the_arm_is_no_event(fit, hidden):
     run = recording(seed=3, hidden=hidden)
-    assert leave_out_events(fit, [run], DiagnosisOptions()) == ([run], ())
+    assert leave_out_events(fit, [run]) == ([run], ())
 
 
 @pytest.mark.parametrize("name", ["torque_delay", "torque_lowpass"])
@@ -175,7 +174,7 @@ def test_torque_of_the_columns_is_no_event_where_the_fit_has_no_error(fit):
 )
 def test_an_error_at_one_position_is_no_contact(fit, torque):
     run = recording(duration=30.0, seed=3, foreign=torque)
-    assert leave_out_events(fit, [run], DiagnosisOptions())[1] == ()
+    assert leave_out_events(fit, [run])[1] == ()
 
 
 def test_effects_on_joints_that_hardly_move_are_no_candidates(fit):
@@ -183,5 +182,5 @@ def test_effects_on_joints_that_hardly_move_are_no_candidates(fit):
     q, dq = run.q.copy(), run.dq.copy()
     q[:, 4] = 0.4 + 1e-3 * np.sin(run.t)
     dq[:, 4] = 1e-3 * np.cos(run.t)
-    _, (event,) = leave_out_events(fit, [replace(run, q=q, dq=dq)], DiagnosisOptions())
+    _, (event,) = leave_out_events(fit, [replace(run, q=q, dq=dq)])
     assert (event.kind, event.joints) == ("standstill", (4,))

@@ -7,7 +7,7 @@ import pytest
 from drives.commanded import LAWS, TWO_LINK
 
 import lieid_casadi as lieid
-from lieid_casadi.diagnosis.events.held_joints import held_joints
+from lieid_casadi.diagnosis.events import held_joints
 
 ROBOT = replace(TWO_LINK, gravity=np.zeros(3)).with_drives(LAWS)
 

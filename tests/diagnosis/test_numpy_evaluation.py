@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
-from lieid_casadi.diagnosis.screening.numpy_evaluation import ArrayFunction
+from lieid_casadi.diagnosis.array_function import ArrayFunction
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.registry import REGISTER, make
 
@@ -42,7 +42,7 @@ def test_constant_results():
 )
 def test_every_effect_has_the_columns_of_the_compiled_model(label):
     from lieid_casadi import plant
-    from lieid_casadi.diagnosis.screening.effect_columns import EffectFunction, SegmentSignals
+    from lieid_casadi.diagnosis.effect_columns import EffectFunction, SegmentSignals
     from lieid_casadi.recording import Processing, process
 
     robot = lieid.robots.two_link()

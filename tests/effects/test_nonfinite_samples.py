@@ -75,7 +75,7 @@ def test_exported_c_holds_the_state(tmp_path):
 
 def test_held_states_in_a_diagnosis():
     """The NumPy evaluation of candidates uses the same rule."""
-    from lieid_casadi.diagnosis.screening.effect_memory import OWN, states_along
+    from lieid_casadi.diagnosis.effect_columns import OWN, states_along
     from lieid_casadi.effects import make
 
     motion = signals("q", np.nan)

@@ -1,0 +1,269 @@
+"""Candidates: every effect of the library on every joint, or pair of joints for couplings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.events import moves_enough
+from lieid_casadi.diagnosis.incremental import incremental
+from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
+from lieid_casadi.effects.registry import REGISTER, make
+from lieid_casadi.identification.regression.shape_fit import command_error_range
+from lieid_casadi.identification.regression.variable_projection import ShapeRange
+from lieid_casadi.model import Model
+from lieid_casadi.recording import Processed
+from lieid_casadi.recording.conversion import is_torque_of_laws
+from lieid_casadi.robot import Robot
+
+LEAST_TEMPERATURE_RANGE = 0.5  # °C, of a joint: less is the resolution of a sensor
+GRID = 25  # values of one shape parameter; its square root for each of two
+#: Time constants, relative to the longest segment: a shorter one is over before the first
+#: reversal, a longer one is a straight line in time.
+TIME_CONSTANTS = (0.05, 2.0)
+#: Least velocity scale in dead zones, in which the sign of the velocity is uncertain, and the
+#: largest relative to the top speed, beyond which a column is close to a polynomial.
+VELOCITY_SCALES = (3.0, 0.35)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One effect in one place, with its shape parameters on a grid.
+
+    Attributes
+    ----------
+    placement : Placement
+    grid : (G, s)
+        Values of the shape parameters to try, (1, 0) without any. For effects computed along a
+        whole segment without shape parameters, coefficients at which their columns are evaluated.
+    recording : int or None
+        The one recording (from 0) in which it acts; None for all of them.
+    """
+
+    placement: Placement
+    grid: Array
+    recording: int | None = None
+
+    def refined(self, points: Sequence[int], positions: Sequence[float]) -> Candidate:
+        """Return the candidate with further grid points around some of its points.
+
+        Parameters
+        ----------
+        points : sequence of int
+            Indices of grid points.
+        positions : sequence of float
+            Of the new points, relative to the distance to the neighbouring point, 0 to 1.
+        """
+        if not self.effect.shapes:
+            return self
+        ranges = ShapeRange.of(self.effect.shapes)
+        places = ranges.place(self.grid)
+        more = [self.grid]
+        for point, axis in product(points, range(places.shape[1])):
+            at = np.unique(places[:, axis])
+            here = places[point, axis]
+            below, above = at[at < here - 1e-9], at[at > here + 1e-9]
+            ends = [below.max() if len(below) else 0.0, above.min() if len(above) else 1.0]
+            for end, part in product(ends, positions):
+                place = places[point].copy()
+                place[axis] = here + part * (end - here)
+                more.append(ranges.shapes(place)[None])
+        grid = np.unique(np.concatenate(more), axis=0)
+        return replace(self, grid=grid)
+
+    @property
+    def effect(self) -> Effect:
+        """The effect."""
+        return self.placement.effect
+
+    @property
+    def name(self) -> str:
+        """The effect's name, without option."""
+        return self.placement.effect.name
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Joints (from 0) as listed in results: one, or target and source."""
+        return joints_of(self.placement)
+
+    @property
+    def joint(self) -> int:
+        """The joint (from 0) whose rows it acts on first."""
+        return self.placement.joint
+
+    @property
+    def reaches_all(self) -> bool:
+        """Whether it acts on joints other than those listed in results."""
+        return isinstance(self.effect, ArmEffect) and self.effect.reach != "joint"
+
+    @property
+    def label(self) -> str:
+        """The effect as written on the command line: ``stribeck:4``."""
+        return self.placement.label
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters that it adds to a model."""
+        fitted = [shape for shape in self.effect.shapes if shape.data is None]
+        return len(self.effect.coefficients) + len(fitted)
+
+
+def joints_of(placement: Placement) -> tuple[int, ...]:
+    """Return the joints (from 0) that results list for a placement; none for the whole arm."""
+    if placement.whole_arm:
+        return ()
+    if placement.source is None:
+        return (placement.joint,)
+    return (placement.joint, placement.source)
+
+
+def list_candidates(
+    model: Model,
+    segments: Sequence[Processed],
+    scan: Callable[[Effect, int], Array],
+    *,
+    model_fixed: bool = False,
+) -> tuple[Candidate, ...]:
+    """Return the candidates for which the recordings have motion and signals.
+
+    Parameters
+    ----------
+    model : Model
+    segments : sequence of Processed
+    scan : callable
+        Of an effect and a joint (from 0): the grid (G, 1) of a shape parameter that is scanned.
+    options : DiagnosisOptions
+    model_fixed : bool
+        Whether the model is not fitted again, so that effects of the model are candidates too,
+        as changes.
+    """
+    commanded = follows_commands(model.robot, segments)
+    have = set() if model_fixed else {p.label for p in model.placements}
+    moves = moves_enough(model.robot, segments)
+    found: list[Candidate] = []
+    if not moves.any():
+        return ()
+    for label in REGISTER:
+        effect = make(label)
+        if effect.option and not effect.whole_arm:  # of variants, only those of the whole arm
+            continue
+        if not effect.candidate or not _has_signals(effect, segments, commanded=commanded):
+            continue
+        if model_fixed:
+            effect = incremental(effect, [p.effect.name for p in model.placements])
+        scanned = any(shape.scan for shape in effect.shapes)
+        for placement in _placements(effect, model.n):
+            if placement.label in have or not moves[list(joints_of(placement))].all():
+                continue
+            j = placement.joint
+            grid = scan(effect, j) if scanned else shape_grid(effect, segments, j)
+            if len(grid):
+                found.append(Candidate(placement, grid))
+    return tuple(found)
+
+
+def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Array:
+    """Return shape parameters to try on a joint, within what its motion resolves.
+
+    Parameters
+    ----------
+    effect : Effect
+    segments : sequence of Processed
+    joint : int
+        From 0.
+    options : DiagnosisOptions
+
+    Returns
+    -------
+    (G, s) array
+        For effects computed along a whole segment without shape parameters, coefficients (G, c).
+    """
+    if isinstance(effect, ArmEffect) and not effect.shapes:
+        return np.array([(0.0,) * len(effect.coefficients), *effect.trial_values])
+    if not effect.shapes:
+        return np.zeros((1, 0))
+    size = GRID
+    count = size if len(effect.shapes) == 1 else int(np.ceil(np.sqrt(size)))
+    axes = []
+    for shape in effect.shapes:
+        lower, upper = shape_limits(shape, segments, joint)
+        limited = replace(shape, lower=lower, upper=upper)
+        places = np.linspace(0.0, 1.0, count + 2)[1:-1]
+        axes.append(ShapeRange.of([limited]).shapes(places[:, None])[:, 0])
+    return np.array(list(product(*axes)))
+
+
+def shape_limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tuple[float, float]:
+    """Return the bounds of a shape parameter that a joint's motion resolves.
+
+    Parameters
+    ----------
+    shape : Shape
+    segments : sequence of Processed
+    joint : int
+        From 0.
+    options : DiagnosisOptions
+
+    Returns
+    -------
+    lower, upper : float
+        In the unit of the shape parameter.
+    """
+    if shape.resolved_by == "duration":
+        longest = max(float(segment.t[-1] - segment.t[0]) for segment in segments)
+        low, high = (part * longest for part in TIME_CONSTANTS)
+    elif shape.resolved_by == "speed":
+        top = max(float(np.percentile(np.abs(s.dq[:, joint]), 99.0)) for s in segments)
+        low = VELOCITY_SCALES[0] * max(float(s.dead_zone[joint]) for s in segments)
+        high = VELOCITY_SCALES[1] * top
+    elif shape.resolved_by == "command_error":
+        low, high = command_error_range(segments, joint)
+    else:
+        return shape.lower, shape.upper
+    low = min(max(low, shape.lower), 0.5 * shape.upper)
+    return low, min(max(high, 2.0 * low), shape.upper)
+
+
+def _has_signals(effect: Effect, segments: Sequence[Processed], *, commanded: bool) -> bool:
+    """Return whether the recordings have what an effect acts on.
+
+    Parameters
+    ----------
+    effect : Effect
+    segments : sequence of Processed
+    commanded : bool
+        Whether their torque is that of a control law: effects of such drives act then, and none of
+        a torque signal.
+    """
+    if effect.commanded or effect.on_torque_signal:
+        return commanded != effect.on_torque_signal
+    measured = all(segment.temperature is not None for segment in segments)
+    if effect.unless_measured == "temperature":
+        return not (measured and _temperature_range(segments) > LEAST_TEMPERATURE_RANGE)
+    return "temperature" not in effect.signals or measured
+
+
+def _temperature_range(segments: Sequence[Processed]) -> float:
+    """Return the largest range of a joint's temperature in the recordings, °C."""
+    values = [s.temperature for s in segments if s.temperature is not None]
+    return float(np.ptp(np.concatenate(values), axis=0).max())
+
+
+def follows_commands(robot: Robot, segments: Sequence[Processed]) -> bool:
+    """Return whether the torque of the recordings is that of the robot's control laws."""
+    drives = robot.drives
+    if drives is None:
+        return False
+    return all(is_torque_of_laws(segment.recording, drives) for segment in segments)
+
+
+def _placements(effect: Effect, n: int) -> list[Placement]:
+    if effect.whole_arm:
+        return [Placement(effect, 0)]
+    if effect.couples:
+        return [Placement(effect, i, j) for i in range(n) for j in range(n) if i != j]
+    return [Placement(effect, j) for j in range(n)]

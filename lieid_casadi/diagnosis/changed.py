@@ -1,0 +1,303 @@
+"""What has changed since a fit: its model is kept, and new recordings are explained by additions.
+
+The search is that for missing effects, with three differences: the fit's parameters may move
+within their uncertainty only (rows of a prior), so that an uncertain parameter is not taken for a
+change; the noise is that of the fit on held-out data; and effects are searched for on joints whose
+error is larger than it was on other motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.comparison import compare
+from lieid_casadi.diagnosis.folds import redundancy
+from lieid_casadi.diagnosis.gates import reason_against
+from lieid_casadi.diagnosis.nested import Slot, solved
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.result import Diagnosis
+from lieid_casadi.diagnosis.rows import Rows
+from lieid_casadi.diagnosis.search import Round, search
+from lieid_casadi.diagnosis.step import Fall, Step, Unexplained
+from lieid_casadi.diagnosis.steps import Accepted, absorbed_and_weak, groups_of, signals_of
+from lieid_casadi.errors import UnidentifiableWarning, unique_warnings
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.prediction import center_temperature
+from lieid_casadi.identification.uncertainty.noise_model import Noise
+from lieid_casadi.model import Model
+from lieid_casadi.recording import Recording, process
+
+#: Relative to the largest variance: below it a parameter counts as exactly known.
+LEAST_VARIANCE = 1e-12
+
+
+def diagnose_changed(
+    fit: Fit,
+    recordings: Sequence[Recording],
+    *,
+    options: DiagnosisOptions,
+    report: Callable[[str, float], None],
+) -> Diagnosis:
+    """Return what has changed since a fit; see `lieid_casadi.diagnose`."""
+    report("compare", 0.0)
+    before = compare(fit, recordings)
+    segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
+    report("search for changes", 0.2)
+    noise = held_out_noise(fit)
+    expected = np.array([each.spread for each in noise])
+    rows = Rows.of(fit, segments, model_fixed=True)
+    rises = np.array([each.motion_ratio for each in noise])
+    first = _misfit(rows, expected, [])
+    raised = first > options.least_misfit * rises
+    found = search(rows, options, prior=_prior(fit), spread=expected, joints=raised)
+    changes, rejected = _changes(found, raised, options)
+    report("describe the changes", 0.8)
+    after, beyond = _errors(found, changes)
+    steps = _steps(found, changes, first * expected, noise, options)
+    ratio = np.where(np.isfinite(beyond), beyond, 0.0)
+    parts = tuple(
+        Unexplained(int(j), float(1.0 - ratio[j] ** -2), float(ratio[j]))
+        for j in np.argsort(-ratio)
+        if ratio[j] > options.largest_change
+    )
+    uncertain = (after > options.largest_change) & (ratio <= options.largest_change)
+    absorbed, weak = absorbed_and_weak(found)
+    report("done", 1.0)
+    return Diagnosis(
+        mode="changed",
+        verdict="unexplained" if parts else "effect_found" if steps else "sufficient",
+        joint_names=before.joint_names,
+        fit=fit,
+        steps=steps,
+        unexplained=parts,
+        differing=(),
+        rejected=tuple(rejected.items()),
+        noise_floor=before.noise_floor,
+        noise_source=before.noise_source,
+        baseline_effects=tuple(fit.model.effects),
+        baseline={
+            "rms_train": None,
+            "rms_test": before.rms,
+            "rms_test_moving": first * expected,
+            "rms_cv": None,
+        },
+        expected=expected,
+        tried=len(found.columns.owners),
+        absorbed=absorbed,
+        weak=weak,
+        warnings=unique_warnings([*before.warnings, *_warnings(after, expected, uncertain)]),
+        train=fit.provenance.recordings,
+        test=before.recordings,
+        limits_reached=("most_steps",) if len(found.slots) >= options.most_steps else (),
+    )
+
+
+def held_out_noise(fit: Fit) -> tuple[Noise, ...]:
+    """Return the noise of each joint's residual, scaled to the fit's held-out error.
+
+    It is not estimated from the new recording, where a slow change would be attributed to the
+    correlation of the noise.
+    """
+    ratio = np.nan_to_num(fit.rms_cv / np.maximum(fit.noise, 1e-300), nan=1.0)
+    return tuple(
+        n.times(max(float(r), 1.0)) for n, r in zip(fit.residual_noise, ratio, strict=True)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """An accepted change: its coefficients beside the others, and the joint where it counts."""
+
+    slot: Slot
+    values: Array
+    std: Array
+    joint: int
+
+
+def _prior(fit: Fit) -> Array:
+    """Return rows that state the uncertainty of a fit's parameters."""
+    count = len(fit.values) + len(fit.shapes)
+    sizes, axes = np.linalg.eigh(fit.covariance[:count, :count])
+    least = LEAST_VARIANCE * max(float(sizes.max(initial=0.0)), 1e-300)
+    return np.asarray((axes / np.sqrt(np.maximum(sizes, least))).T)
+
+
+def _changes(
+    found: Round, raised: NDArray[np.bool_], options: DiagnosisOptions
+) -> tuple[list[_Change], dict[str, str]]:
+    """Return the changes that pass, and the reasons against the others.
+
+    They are examined together, the weakest is left out, and the others are examined again.
+    """
+    rejected: dict[str, str] = {}
+    slots = list(found.slots)
+    while True:
+        changes = _fitted(found, slots)
+        reasons = []
+        for change in changes:
+            candidate = found.columns.candidate(change.slot.group)
+            fall = _falls(found, changes, change)
+            relative = float(np.where(raised, fall, -np.inf).max(initial=-np.inf))
+            shapes = found.columns.shapes(change.slot.group)
+            reason = reason_against(candidate, shapes, change.values, found.rows.segments)
+            if reason is None and relative < options.worth_of_change:
+                reason = f"the error of a raised joint falls by only {100 * relative:.1f} %"
+            if reason is None and change.slot.deviations < options.gain_deviations:
+                reason = change.slot.reason(options)
+            if reason is not None:
+                reasons.append((change.slot.deviations, change.slot, reason))
+        if not reasons:
+            return changes, rejected
+        _, worst, reason = min(reasons, key=lambda each: each[0])
+        rejected[found.columns.candidate(worst.group).label] = reason
+        slots = [slot for slot in slots if slot is not worst]
+
+
+def _fitted(found: Round, slots: Sequence[Slot]) -> list[_Change]:
+    """Return changes with coefficients fitted together, within the fit's uncertainty."""
+    if not slots:
+        return []
+    columns = [found.span.outside(found.columns.stacked(slot.group)) for slot in slots]
+    together = np.hstack(columns)
+    gram = together.T @ together
+    values = solved(gram, together.T @ found.span.residual)
+    variance = np.diag(np.linalg.pinv(gram, hermitian=True))
+    ends = np.cumsum([c.shape[1] for c in columns])[:-1]
+    return [
+        _Change(slot, own, np.sqrt(np.clip(var, 0.0, None)), slot.joint)
+        for slot, own, var in zip(
+            slots, np.split(values, ends), np.split(variance, ends), strict=True
+        )
+    ]
+
+
+def _falls(found: Round, changes: Sequence[_Change], one: _Change) -> Array:
+    """Return the relative fall (n,) of each joint's error that the torque of a change causes.
+
+    Of the model within its uncertainty and with all changes, the error is compared with what it
+    is without the torque of the one. So neither an error that the uncertain parameters explain
+    hides a change, nor do these parameters take the place of its torque.
+    """
+    span = found.span
+    rest = span.residual - sum(
+        span.outside(found.columns.stacked(c.slot.group)) @ c.values for c in changes
+    )
+    torque = np.zeros(len(rest))
+    own = found.columns.stacked(one.slot.group) @ one.values
+    torque[: len(own)] = own
+    after, before = (_by_joint(found, x) for x in (rest, rest + torque))
+    return 1.0 - np.divide(after, before, out=np.ones(len(after)), where=before > 0.0)
+
+
+def _by_joint(found: Round, rest: Array) -> Array:
+    """Return the weighted RMS of each joint (n,); 0 without rows."""
+    rows = [rest[found.span.joint(j)] for j in range(len(found.span.ends) - 1)]
+    return np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in rows])
+
+
+def _misfit(rows: Rows, expected: Array, torques: Sequence[Array]) -> Array:
+    """Return each joint's error relative to the expected one (n,); NaN without rows."""
+    weights = rows.weights(expected)
+    residual = np.concatenate([r * w for r, w in zip(rows.residual, weights, strict=True)])
+    for torque in torques:
+        residual = residual - torque
+    ends = np.cumsum([run.count for run in rows.runs])[:-1]
+    parts = np.split(residual, ends)
+    return np.array([np.sqrt(np.mean(p**2)) if len(p) else np.nan for p in parts])
+
+
+def _errors(found: Round, changes: Sequence[_Change]) -> tuple[Array, Array]:
+    """Return each joint's error (n,) relative to the expected one with all changes.
+
+    First of the kept model, then without what the uncertainty of its parameters explains.
+    """
+    torques = [found.columns.stacked(c.slot.group) @ c.values for c in changes]
+    rest = found.span.residual - sum(
+        (found.span.outside(found.columns.stacked(c.slot.group)) @ c.values for c in changes),
+        start=np.zeros(len(found.span.residual)),
+    )
+    return _misfit(found.rows, found.spread, torques), _by_joint(found, rest)
+
+
+def _steps(
+    found: Round,
+    changes: Sequence[_Change],
+    first: Array,
+    noise: Sequence[Noise],
+    options: DiagnosisOptions,
+) -> tuple[Step, ...]:
+    groups = [c.slot.group for c in changes]
+    accepted = [Accepted.of(found, c.slot, groups, options) for c in changes]
+    torques = [found.columns.stacked(c.slot.group) @ c.values for c in changes]
+    complete = _misfit(found.rows, found.spread, torques) * found.spread
+    numbers = groups_of(accepted)
+    size = np.array([np.sqrt(np.mean(t**2)) if len(t) else np.nan for t in found.rows.torque])
+    steps = []
+    for k, (change, own) in enumerate(zip(changes, accepted, strict=True)):
+        j = change.joint
+        without = _misfit(found.rows, found.spread, torques[:k] + torques[k + 1 :]) * found.spread
+        so_far = _misfit(found.rows, found.spread, torques[: k + 1]) * found.spread
+        values = _numbers(found, change, float(np.sqrt(redundancy(noise[j]))))
+        alone = Model.of_placements(found.rows.fit.model.robot, (own.placement,))
+        units = {p.name.rpartition(".")[2]: p.unit for p in (*alone.columns, *alone.shapes)}
+        before, after = float(without[j]), float(complete[j])
+        steps.append(
+            Step(
+                label=own.placement.label,
+                effect=own.candidate.name,
+                joints=own.candidate.joints,
+                joint=j,
+                status=own.status,
+                parameters={name: value for name, (value, _) in values.items()},
+                std={name: std for name, (_, std) in values.items()},
+                units={name: units.get(name, "") for name in values},
+                before=before,
+                after=after,
+                fall=Fall(None, None, before - after),
+                share=float(np.sqrt(max(before**2 - after**2, 0.0)) / size[j]),
+                confirmed=None,
+                evidence=own.evidence,
+                rivals=own.rivals,
+                group=numbers[k],
+                depends_on=signals_of(own.placement),
+                errors={
+                    "rms_train": None,
+                    "rms_test": so_far,
+                    "rms_test_moving": so_far,
+                    "rms_cv": None,
+                },
+            )
+        )
+    return tuple(steps)
+
+
+def _numbers(found: Round, change: _Change, factor: float) -> dict[str, tuple[float, float]]:
+    """Return value and standard deviation of each parameter of a change by name."""
+    effect = found.columns.candidate(change.slot.group).effect
+    shapes = found.columns.shapes(change.slot.group)[: len(effect.shapes)]
+    values = {
+        c.name: (float(v), factor * float(s))
+        for c, v, s in zip(effect.coefficients, change.values, change.std, strict=True)
+    }
+    return values | {
+        s.name: (float(v), float("nan")) for s, v in zip(effect.shapes, shapes, strict=True)
+    }
+
+
+def _warnings(
+    after: Array, expected: Array, uncertain: NDArray[np.bool_]
+) -> list[UnidentifiableWarning]:
+    """Return a warning of each joint (n,) whose large error uncertain parameters explain."""
+    return [
+        UnidentifiableWarning(
+            f"joint {j + 1}: the error is {after[j] * expected[j]:.3g} N·m, expected "
+            f"{expected[j]:.3g} N·m; the uncertainty of the fit's parameters explains it. "
+            "Fit recordings of larger motion to find smaller changes"
+        )
+        for j in np.flatnonzero(uncertain)
+    ]

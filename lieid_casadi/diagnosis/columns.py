@@ -1,0 +1,352 @@
+"""Columns of candidates on the rows of the joints, in groups: a candidate at one grid point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.effect_columns import (
+    OWN,
+    EffectFunction,
+    SegmentSignals,
+    columns_along,
+)
+from lieid_casadi.effects import ArmEffect, Effect
+from lieid_casadi.identification.uncertainty.noise_model import Runs
+
+Indices = NDArray[np.intp]
+#: Columns (N_j, c) by joint, of one candidate at one grid point.
+PointColumns = Mapping[int, Array]
+#: Values of a shape parameter that a scan evaluates at once: bounds the memory.
+CHUNK = 128
+PHASE_STEP = 0.35  # of a scan, in turns over the range of motion: half a turn would miss peaks
+SLOW_PERCENTILE = 25.0  # of the speeds at which the highest harmonic must pass the low-pass filter
+SCAN_PEAKS = 8  # that become grid points
+
+
+@dataclass(frozen=True, eq=False)
+class JointColumns:
+    """The columns, by their indices (m,), that act on one joint, on its rows (R_j, m)."""
+
+    columns: Indices
+    matrix: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of candidates, in groups: one group is a candidate at one point of its grid.
+
+    Attributes
+    ----------
+    owners : tuple of Candidate
+    owner, point, start, size : (G,) int
+        Of each group: its candidate, its grid point, its first column, its number of columns.
+    joints : tuple of JointColumns
+        One per joint.
+    """
+
+    owners: tuple[Candidate, ...]
+    owner: Indices
+    point: Indices
+    start: Indices
+    size: Indices
+    joints: tuple[JointColumns, ...]
+
+    @cached_property
+    def count(self) -> int:
+        """Number of columns of all groups."""
+        return int(self.size.sum())
+
+    def candidate(self, group: int) -> Candidate:
+        """Return the candidate of a group."""
+        return self.owners[int(self.owner[group])]
+
+    def shapes(self, group: int) -> Array:
+        """Return the grid point of a group."""
+        return np.asarray(self.candidate(group).grid[int(self.point[group])])
+
+    def of_group(self, group: int) -> Indices:
+        """Return the indices of a group's columns."""
+        first = int(self.start[group])
+        return np.arange(first, first + int(self.size[group]))
+
+    @cached_property
+    def parameters(self) -> Array:
+        """Number of parameters that each group adds to a model (G,)."""
+        each = np.array([c.parameters for c in self.owners], dtype=float)
+        return np.asarray(each[self.owner])
+
+    @cached_property
+    def by_size(self) -> tuple[tuple[Indices, Indices], ...]:
+        """The groups of each size, and their columns (g, k)."""
+        found = []
+        for size in np.unique(self.size):
+            groups = np.flatnonzero(self.size == size)
+            found.append((groups, self.start[groups][:, None] + np.arange(size)))
+        return tuple(found)
+
+    @cached_property
+    def support(self) -> Array:
+        """Effective number of rows (Σc²)²/Σc⁴ of the least supported column of each group (G,)."""
+        squares, fourth = np.zeros(self.count), np.zeros(self.count)
+        for own in self.joints:
+            square = own.matrix**2
+            squares[own.columns] += square.sum(axis=0)
+            fourth[own.columns] += np.einsum("rc,rc->c", square, square)
+        # a column of zeros, as on a planar arm, does not disqualify the others of its group
+        each = np.divide(squares**2, fourth, out=np.full_like(squares, np.inf), where=fourth > 0.0)
+        least = np.minimum.reduceat(each, self.start) if self.count else np.zeros(0)
+        return np.where(np.isfinite(least), least, 0.0)
+
+    def dense(self, group: int) -> list[Array]:
+        """Return a group's columns on the rows of each joint: (R_j, k) each."""
+        wanted, found = self.of_group(group), []
+        for own in self.joints:
+            dense = np.zeros((len(own.matrix), len(wanted)))
+            at = np.searchsorted(own.columns, wanted)
+            here = at < len(own.columns)
+            here[here] = own.columns[at[here]] == wanted[here]
+            dense[:, here] = own.matrix[:, at[here]]
+            found.append(dense)
+        return found
+
+    def stacked(self, group: int) -> Array:
+        """Return a group's columns on the rows of all joints (R, k)."""
+        return np.concatenate(self.dense(group))
+
+    def weighted(self, weights: Sequence[Array]) -> Columns:
+        """Return the columns with the rows of each joint multiplied by weights (R_j,)."""
+        joints = tuple(
+            JointColumns(own.columns, own.matrix * w[:, None])
+            for own, w in zip(self.joints, weights, strict=True)
+        )
+        return replace(self, joints=joints)
+
+    def with_only(self, recordings: Sequence[Indices], wanted: Sequence[int]) -> Columns:
+        """Return the columns, and copies of some groups that act in one recording only.
+
+        Parameters
+        ----------
+        recordings : sequence of (R_j,) int
+            Of each joint: the recording of each row.
+        wanted : sequence of int
+            Groups that are copied, once for each recording.
+        """
+        count = 1 + max((int(r.max(initial=0)) for r in recordings), default=0)
+        if count < 2 or not len(wanted):
+            return self
+        owners, owner, point, size = list(self.owners), [], [], []
+        pieces: list[list[tuple[int, Array]]] = [[] for _ in recordings]
+        first = self.count
+        for g in wanted:
+            dense = self.dense(g)
+            for k in range(count):
+                owner.append(len(owners))
+                point.append(int(self.point[g]))
+                size.append(int(self.size[g]))
+                owners.append(replace(self.candidate(g), recording=k))
+                for j, (values, rows) in enumerate(zip(dense, recordings, strict=True)):
+                    if values.any():
+                        pieces[j].append((first, values * (rows == k)[:, None]))
+                first += size[-1]
+        more = assemble(owners, owner, point, size, pieces, [len(r) for r in recordings])
+        joints = tuple(
+            JointColumns(np.append(a.columns, b.columns), np.hstack([a.matrix, b.matrix]))
+            for a, b in zip(self.joints, more.joints, strict=True)
+        )
+        return Columns(
+            tuple(owners),
+            np.append(self.owner, more.owner),
+            np.append(self.point, more.point),
+            np.append(self.start, self.count + more.start),
+            np.append(self.size, more.size),
+            joints,
+        )
+
+
+def assemble(
+    owners: Sequence[Candidate],
+    owner: Sequence[int],
+    point: Sequence[int],
+    size: Sequence[int],
+    pieces: Sequence[Sequence[tuple[int, Array]]],
+    rows: Sequence[int],
+) -> Columns:
+    """Assemble columns from pieces of each joint: first column, and columns (R_j, k)."""
+    sizes = np.array(size, dtype=np.intp)
+    start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)[:-1]
+    joints = []
+    for own, count in zip(pieces, rows, strict=True):
+        at = [np.arange(first, first + m.shape[1]) for first, m in own]
+        joints.append(
+            JointColumns(
+                np.concatenate([np.zeros(0, dtype=np.intp), *at]),
+                np.concatenate([np.zeros((count, 0)), *(m for _, m in own)], axis=1),
+            )
+        )
+    of_groups = np.array(owner, dtype=np.intp), np.array(point, dtype=np.intp)
+    return Columns(tuple(owners), *of_groups, start, sizes, tuple(joints))
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnStore:
+    """Columns that were evaluated, by label and grid point, so that none is evaluated twice.
+
+    ``lasting`` depend on the measured signals alone and are shared by all fits on the same rows;
+    ``of_fit`` depend on the fit.
+    """
+
+    lasting: dict[str, PointColumns] = field(default_factory=dict)
+    of_fit: dict[str, PointColumns] = field(default_factory=dict)
+    scans: dict[tuple[str, int], Array] = field(default_factory=dict)
+
+    def for_another_fit(self) -> ColumnStore:
+        """Return the store without the columns that depend on the fit."""
+        return ColumnStore(self.lasting, scans=self.scans)
+
+    def of(self, effect: Effect) -> dict[str, PointColumns]:
+        """Return the part in which an effect's columns are kept."""
+        depends = isinstance(effect, ArmEffect) or "load" in effect.signals
+        return self.of_fit if depends else self.lasting
+
+
+def evaluate(
+    wanted: Sequence[Candidate],
+    signals: Sequence[SegmentSignals],
+    runs: Sequence[Runs],
+    store: ColumnStore,
+) -> Columns:
+    """Evaluate and filter the columns of all candidates on the runs of each joint.
+
+    Grid points that are in ``store`` are not evaluated again; the others are added to it.
+    """
+    _evaluate_missing(wanted, signals, runs, store)
+    owner: list[int] = []
+    point: list[int] = []
+    size: list[int] = []
+    pieces: list[list[tuple[int, Array]]] = [[] for _ in runs]
+    first = 0
+    for k, candidate in enumerate(wanted):
+        found = store.of(candidate.effect)
+        for number, row in enumerate(candidate.grid):
+            columns = found[_key(candidate, row)]
+            for joint, matrix in columns.items():
+                pieces[joint].append((first, matrix))
+            owner.append(k)
+            point.append(number)
+            size.append(len(candidate.effect.coefficients))
+            first += size[-1]
+    return assemble(wanted, owner, point, size, pieces, [r.count for r in runs])
+
+
+def _key(candidate: Candidate, row: Array) -> str:
+    return f"{candidate.placement.label} {row.tobytes().hex()}"
+
+
+def _evaluate_missing(
+    wanted: Sequence[Candidate],
+    signals: Sequence[SegmentSignals],
+    runs: Sequence[Runs],
+    store: ColumnStore,
+) -> None:
+    """Evaluate the grid points that are not in the store, those of one effect together."""
+    together: dict[str, list[Candidate]] = {}
+    for candidate in wanted:
+        found = store.of(candidate.effect)
+        missing = [row for row in candidate.grid if _key(candidate, row) not in found]
+        if missing:
+            new = replace(candidate, grid=np.array(missing))
+            together.setdefault(f"{new.effect.label} {new.grid.tobytes().hex()}", []).append(new)
+    for group in together.values():
+        effect, grid = group[0].effect, group[0].grid
+        arm = isinstance(effect, ArmEffect)
+        columns = (_of_arm_effect if arm else _of_joint_effect)(group, signals, runs)
+        width = len(effect.coefficients)
+        for candidate, own in zip(group, columns, strict=True):
+            for k, row in enumerate(grid):
+                store.of(effect)[_key(candidate, row)] = {
+                    j: matrix[:, k * width : (k + 1) * width] for j, matrix in own.items()
+                }
+
+
+def _of_joint_effect(
+    group: Sequence[Candidate], signals: Sequence[SegmentSignals], runs: Sequence[Runs]
+) -> list[PointColumns]:
+    """Return the columns (N_j, G·c) of the candidates of one effect by joint."""
+    function, places = EffectFunction(group[0].effect), [c.placement for c in group]
+    values = np.concatenate([columns_along(function, s, places, group[0].grid) for s in signals])
+    return [
+        {c.joint: values[runs[c.joint].all, k].reshape(runs[c.joint].count, -1)}
+        for k, c in enumerate(group)
+    ]
+
+
+def _of_arm_effect(
+    group: Sequence[Candidate], signals: Sequence[SegmentSignals], runs: Sequence[Runs]
+) -> list[PointColumns]:
+    """Return the columns of effects that are computed along a whole segment."""
+    found: list[PointColumns] = []
+    for c in group:
+        assert isinstance(c.effect, ArmEffect)
+        grid = c.grid
+        if c.effect.shapes:
+            grid = np.hstack([np.zeros((len(grid), len(c.effect.coefficients))), grid])
+        own = [c.joint] if c.effect.reach == "joint" else list(range(len(runs)))
+        parts = []
+        for s in signals:
+            raw = [c.effect.segment_columns(s.arm, c.joint, x)[:, own] for x in grid]
+            parts.append(s.segment.filter(np.concatenate(raw, axis=2)))
+        values = np.concatenate(parts)
+        found.append({j: values[runs[j].all, k] for k, j in enumerate(own)})
+    return found
+
+
+def scan_peaks(
+    effect: Effect,
+    joint: int,
+    signals: Sequence[SegmentSignals],
+    runs: Runs,
+    residual: Array,
+    store: ColumnStore,
+) -> Array:
+    """Return the values (P, 1) of a scanned shape parameter with the largest gains, and neighbours.
+
+    The columns are correlated with the residual (N,) without being filtered, which is accurate
+    enough to find candidates for a grid.
+    """
+    (shape,) = effect.shapes
+    assert shape.scan is not None
+    values = {
+        name: np.concatenate([s.values[name][s.segment.kept, joint] for s in signals])[runs.all]
+        for name in OWN
+    }
+    reach = max(float(np.ptp(values["q"])), 1e-3)
+    speed = max(float(np.percentile(np.abs(values["dq"]), SLOW_PERCENTILE)), 1e-3)
+    highest = min(shape.upper, 2.0 * np.pi * signals[0].segment.cutoff / speed)
+    step = max(shape.scan, PHASE_STEP * 2.0 * np.pi / reach)
+    grid = np.arange(shape.lower, max(highest, shape.lower + 1e-9), step)
+    gains = np.concatenate(list(_scan_gains(effect, values, grid, residual)))
+    padded = np.concatenate([[-np.inf], gains, [-np.inf]])
+    peaks = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]))
+    best = peaks[np.argsort(-gains[peaks])[:SCAN_PEAKS]]
+    around = np.unique(np.clip(best[:, None] + np.arange(-1, 2), 0, len(grid) - 1))
+    return np.asarray(grid[around][:, None])
+
+
+def _scan_gains(
+    effect: Effect, values: Mapping[str, Array], grid: Array, residual: Array
+) -> Iterator[Array]:
+    """Yield the falls of the sum of squares at parts of a grid."""
+    function = EffectFunction(effect)
+    for k in range(0, len(grid), CHUNK):
+        columns = function.at(values, grid[k : k + CHUNK])
+        grams = np.einsum("ang,bng->gab", columns, columns)
+        grams += 1e-9 * np.trace(grams, axis1=1, axis2=2)[:, None, None] * np.eye(len(columns))
+        products = np.einsum("cng,n->gc", columns, residual)
+        yield np.einsum("gc,gc->g", np.linalg.solve(grams, products[..., None])[..., 0], products)

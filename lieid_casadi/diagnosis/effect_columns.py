@@ -1,0 +1,281 @@
+"""Columns of effects along processed segments, evaluated on arrays without compiling a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+
+import casadi as ca
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.array_function import ArrayFunction
+from lieid_casadi.effects import Effect, Placement, Signals
+from lieid_casadi.expressions.model_functions import ramp
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.regression.segment_columns import ModelAlongSegment, model_along
+from lieid_casadi.recording import Processed
+
+OWN = ("q", "dq", "ddq", "sign", "load", "temperature", "time", "command_error")
+
+
+def signals_of(own: Mapping[str, ca.SX]) -> Signals:
+    """Return the signals of one joint from their symbols by name (`OWN`)."""
+    q, dq, ddq, sign, load, temperature, time, error = (own[name] for name in OWN)
+    return Signals(q, dq, ddq, sign, load, temperature, time, command_error=error)
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentSignals:
+    """The signals that effects depend on, along one segment.
+
+    Attributes
+    ----------
+    segment : Processed
+        Of K instants.
+    values : dict
+        Signal → (K, n).
+    arm : ModelAlongSegment
+        The model along the segment, for effects that are computed along the whole of it.
+    """
+
+    segment: Processed
+    values: dict[str, Array]
+    arm: ModelAlongSegment
+
+    @classmethod
+    def of(cls, fit: Fit, segment: Processed, *, model_fixed: bool = False) -> SegmentSignals:
+        """Return the signals of a segment; the load is that of the fit.
+
+        Parameters
+        ----------
+        fit : Fit
+        segment : Processed
+        model_fixed : bool
+            Whether the model is not fitted again. Its friction at starts and stops then does not
+            adapt to the segment, and friction at rest counts as unknown.
+        """
+        arm = model_along(fit.compiled, segment, fit.shapes, fit.parameters)
+        arm = replace(arm, unknown_at_rest=model_fixed)
+        load = arm.load
+        shape = segment.q.shape
+        temperature, error = segment.temperature, segment.command_error
+        time = np.broadcast_to((segment.t - segment.t[0])[:, None], shape)
+        return cls(
+            segment,
+            {
+                "q": segment.q,
+                "dq": segment.dq,
+                "ddq": segment.ddq,
+                "sign": _sign()(segment.dq, segment.dead_zone)[0],
+                "load": load,
+                "temperature": np.zeros(shape) if temperature is None else temperature,
+                "time": np.array(time),
+                "command_error": np.zeros(shape) if error is None else error,
+            },
+            arm,
+        )
+
+
+@cache
+def _sign() -> ArrayFunction:
+    dq, width = ca.SX.sym("dq"), ca.SX.sym("width")
+    return ArrayFunction([dq, width], [ramp(dq, width)])
+
+
+@dataclass(frozen=True)
+class _Further:
+    """Signals of further joints, by their numbers from 0."""
+
+    joints: Mapping[int, Signals]
+
+    def of(self, joint: int) -> Signals:
+        """Return the signals of a joint."""
+        return self.joints[joint]
+
+
+class EffectFunction:
+    """One effect as a function of the signals of one joint (two, for couplings)."""
+
+    def __init__(self, effect: Effect) -> None:
+        self.effect = effect
+        self._own = {name: ca.SX.sym(name) for name in OWN}
+        self._other = {name: ca.SX.sym(f"other_{name}") for name in OWN}
+        self._further = [{name: ca.SX.sym(f"{name}_{j}") for name in OWN} for j in effect.joints]
+        self._shapes = [ca.SX.sym(shape.name) for shape in effect.shapes]
+        self._states = [ca.SX.sym(state.name) for state in effect.states]
+
+    @cached_property
+    def _columns(self) -> ArrayFunction:
+        further = [symbol for joint in self._further for symbol in joint.values()]
+        inputs = [
+            *self._own.values(), *self._other.values(), *further, *self._shapes, *self._states
+        ]  # fmt: skip
+        return ArrayFunction(inputs, self.effect.columns(self._signals(), self._shape))
+
+    @property
+    def _shape(self) -> dict[str, ca.SX]:
+        return {s.name: x for s, x in zip(self.effect.shapes, self._shapes, strict=True)}
+
+    def _signals(self) -> Signals:
+        state = {s.name: x for s, x in zip(self.effect.states, self._states, strict=True)}
+        other = signals_of(self._other) if self.effect.couples else None
+        further = {j: signals_of(f) for j, f in zip(self.effect.joints, self._further, strict=True)}
+        return replace(signals_of(self._own), other=other, state=state, every=_Further(further))
+
+    def at(self, values: Mapping[str, Array], grid: Array) -> Array:
+        """Return the columns (c, N, G) of an effect with one shape parameter.
+
+        Parameters
+        ----------
+        values : mapping
+            Signal → (N,).
+        grid : (G,)
+            Values of the shape parameter.
+        """
+        own = [values[name][:, None] for name in OWN]
+        results = self._columns(*own, *own, grid)
+        shape = (len(own[0]), len(grid))
+        return np.array([np.broadcast_to(x, shape) for x in results])
+
+    def columns(
+        self, signals: SegmentSignals, places: Sequence[tuple[int, int | None]], grid: Array
+    ) -> Array:
+        """Return the columns (K, places, G, c), not filtered.
+
+        Parameters
+        ----------
+        signals : SegmentSignals
+            Of K instants.
+        places : sequence of (joint, source)
+            From 0; the source is None except for couplings.
+        grid : (G, s)
+            Shape parameters.
+        """
+        own = [signals.values[name][:, [j for j, _ in places], None] for name in OWN]
+        other = own
+        if self.effect.couples:
+            other = [signals.values[name][:, [s or 0 for _, s in places], None] for name in OWN]
+        states = states_along(self.effect, own, grid) if self.effect.states else []
+        further = [signals.values[name][:, [j], None] for j in self.effect.joints for name in OWN]
+        results = self._columns(*own, *other, *further, *grid.T, *states)
+        shape = (len(signals.segment), len(places), len(grid))
+        return np.stack([np.broadcast_to(x, shape) for x in results], axis=-1)
+
+
+def columns_along(
+    function: EffectFunction, signals: SegmentSignals, placements: Sequence[Placement], grid: Array
+) -> Array:
+    """Return filtered columns of one effect in several places.
+
+    Parameters
+    ----------
+    function : EffectFunction
+    signals : SegmentSignals
+    placements : sequence of Placement
+    grid : (G, s)
+        Shape parameters.
+
+    Returns
+    -------
+    (M, places, G, c) array
+        At the M filtered instants of the segment.
+    """
+    places = [(p.joint, p.source) for p in placements]
+    raw = function.columns(signals, places, grid)
+    return signals.segment.filter(raw.reshape(len(raw), -1)).reshape(-1, *raw.shape[1:])
+
+
+def states_along(effect: Effect, own: Sequence[Array], grid: Array) -> list[Array]:
+    """Return each state along a segment (K, places, G).
+
+    A step x ← a·x + b, of one state that does not depend on the others, is evaluated for all
+    samples at once; any other step sample by sample.
+
+    Parameters
+    ----------
+    effect : Effect
+    own : sequence of (K, places, 1)
+        Signals of the places, as `OWN`.
+    grid : (G, s)
+        Shape parameters.
+    """
+    before, now, states = (_symbols(names) for names in (OWN, OWN, [s.name for s in effect.states]))
+    shapes = _symbols([shape.name for shape in effect.shapes])
+    inputs = [*before.values(), *now.values(), *shapes.values()]
+    signals = replace(signals_of(before), state=states), signals_of(now)
+    values = [*(x[:-1] for x in own), *(x[1:] for x in own), *grid.T]
+    size = (len(own[0]), own[0].shape[1], len(grid))
+    initial = [np.full(size[1:], s.initial) for s in effect.states]
+    after = ca.vertcat(*effect.advance(*signals, shapes))
+    every = ca.vertcat(*states.values())
+    factors = ca.jacobian(after, every)
+    apart = (factors - ca.diag(ca.diag(factors))).is_zero()
+    if not apart or ca.depends_on(factors, every):
+        step = ArrayFunction([*states.values(), *inputs], effect.next_states(*signals, shapes))
+        return _step_by_step(step, values, initial, len(own[0]))
+    added = ca.substitute(after, every, ca.DM.zeros(every.shape))
+    found = ArrayFunction(inputs, [*ca.vertsplit(ca.diag(factors)), *ca.vertsplit(added)])(*values)
+    used = [x for symbol, x in zip(inputs, values, strict=True) if ca.depends_on(after, symbol)]
+    finite = np.full((size[0] - 1, *size[1:]), True)
+    for x in (*used, *found):  # as `Effect.next_states`
+        finite &= np.isfinite(x)
+    count = len(initial)
+    return [
+        _recurrence(np.where(finite, a, 1.0), np.where(finite, b, 0.0), x)
+        for a, b, x in zip(found[:count], found[count:], initial, strict=True)
+    ]
+
+
+def _symbols(names: Sequence[str]) -> dict[str, ca.SX]:
+    return {name: ca.SX.sym(name) for name in names}
+
+
+def _recurrence(a: Array, b: Array, initial: Array) -> Array:
+    """Return x (K + 1, …) with x[k + 1] = a[k]·x[k] + b[k], for a and b (K, …).
+
+    The steps are composed within blocks of √K samples, in all blocks at once; then the blocks are
+    linked.
+    """
+    steps = len(a)
+    block = max(int(np.sqrt(steps)), 1)
+    blocks = -(-steps // block)
+    padding = ((0, blocks * block - steps), *[(0, 0)] * (a.ndim - 1))
+    shape = (blocks, block, *a.shape[1:])
+    factor = np.pad(a, padding, constant_values=1.0).reshape(shape)
+    added = np.pad(b, padding).reshape(shape)
+    for k in range(1, block):
+        added[:, k] += factor[:, k] * added[:, k - 1]
+        factor[:, k] *= factor[:, k - 1]
+    first = np.empty((blocks, *a.shape[1:]))
+    last = initial
+    for k in range(blocks):
+        first[k], last = last, factor[k, -1] * last + added[k, -1]
+    x = (factor * first[:, None] + added).reshape(-1, *a.shape[1:])
+    return np.concatenate([initial[None], x[:steps]])
+
+
+def _step_by_step(
+    step: ArrayFunction, values: Sequence[Array], initial: Sequence[Array], samples: int
+) -> list[Array]:
+    """Return each state (K, places, G), from a function of the states and the inputs of a step.
+
+    Parameters
+    ----------
+    step : ArrayFunction
+    values : sequence of (K − 1, places, 1) or (G,)
+        Signals before and after each step, and shape parameters.
+    initial : sequence of (places, G)
+    samples : int
+        K.
+    """
+    states = [np.empty((samples, *x.shape)) for x in initial]
+    for state, x in zip(states, initial, strict=True):
+        state[0] = x
+    for k in range(samples - 1):
+        inputs = [x[k] if x.ndim == 3 else x for x in values]
+        after = step(*(state[k] for state in states), *inputs)
+        for state, x in zip(states, after, strict=True):
+            state[k + 1] = x
+    return states

@@ -1,0 +1,216 @@
+"""Stretches of recordings that say nothing about the arm: they are found and left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.diagnosis.event import Event
+from lieid_casadi.diagnosis.transients import transient_events
+from lieid_casadi.effects.backlash import Backlash
+from lieid_casadi.errors import HeldJointWarning, IdentificationError, RecordingError
+from lieid_casadi.identification import Fit, identify
+from lieid_casadi.identification.identify import Method
+from lieid_casadi.identification.prediction import relative_temperature, torque_along
+from lieid_casadi.identification.recording_checks import Source, check_recordings
+from lieid_casadi.messages import joints_text
+from lieid_casadi.recording import Processed, Recording, process
+from lieid_casadi.recording.conversion import is_torque_of_laws
+from lieid_casadi.recording.measurement import OPTIONAL_SIGNALS
+from lieid_casadi.recording.sample_timing import gap_limit
+from lieid_casadi.robot import Robot
+
+MARGIN = 0.1  # s on both sides of an event
+#: Range of positions (rad, a tenth of it in m) that a joint must cover for effects on it: less is
+#: compliance of a held joint.
+LEAST_MOTION = 0.05
+PRISMATIC = 0.1  # m of a prismatic joint that count as 1 rad
+EXCESS = 3.0  # times dry friction and the error in motion, above which something holds a joint
+LEAST_TIME = 0.5  # s in all, a shorter rest is a reversal
+
+
+def leave_out_events(
+    fit: Fit,
+    recordings: Sequence[Recording],
+) -> tuple[list[Recording], tuple[Event, ...]]:
+    """Return recordings without contact and faults, and these events and joints at rest.
+
+    Parameters
+    ----------
+    fit : Fit
+        Whose errors are examined.
+    recordings : sequence of Recording
+
+    Raises
+    ------
+    RecordingError, ModelError, EffectError
+        A recording that the fit cannot be compared with; nothing remains.
+    """
+    check_recordings(fit.model, recordings)
+    events = transient_events(fit, recordings)
+    kept = without_events(recordings, events)
+    segments = process(kept, fit.processing)
+    still = standstill_events(fit.model.robot, segments)
+    return kept, (*events, *still)
+
+
+def without_events(recordings: Sequence[Recording], events: Sequence[Event]) -> list[Recording]:
+    """Return the recordings without the stretches of contact and faults.
+
+    The gap that remains divides a recording into segments, which are never joined.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    events : sequence of Event
+        Those of other recordings are ignored; standstill is kept.
+
+    Raises
+    ------
+    RecordingError
+        Nothing remains.
+    """
+    kept = [_without(recording, events) for recording in recordings]
+    if not any(len(recording) for recording in kept):
+        raise RecordingError("the whole recording is contact or faults; nothing can be judged")
+    return [recording for recording in kept if len(recording)]
+
+
+def _without(recording: Recording, events: Sequence[Event]) -> Recording:
+    keep = np.ones(len(recording), dtype=bool)
+    margin = max(MARGIN, gap_limit(recording.t))
+    for event in events:
+        if event.kind != "standstill" and event.recording.sha256 == recording.source_hash:
+            keep &= (recording.t < event.start - margin) | (recording.t > event.end + margin)
+    if keep.all():
+        return recording
+    signals: dict[str, Any] = {
+        field: None if values is None else values[keep]
+        for field in OPTIONAL_SIGNALS
+        for values in [getattr(recording, field)]
+    }
+    labels = recording.payload_label
+    if labels is not None:
+        labels = tuple(label for label, use in zip(labels, keep, strict=True) if use)
+    return replace(
+        recording, t=recording.t[keep], q=recording.q[keep], payload_label=labels, **signals
+    )
+
+
+def moves_enough(robot: Robot, segments: Sequence[Processed]) -> NDArray[np.bool_]:
+    """Return whether each joint (n,) covers enough positions in at least one segment.
+
+    Parameters
+    ----------
+    robot : Robot
+    segments : sequence of Processed
+    """
+    ranges = np.max([np.ptp(segment.q, axis=0) for segment in segments], axis=0)
+    unit = np.array([1.0 if joint.revolute else PRISMATIC for joint in robot.joints])
+    moving = np.any([segment.moving.any(axis=0) for segment in segments], axis=0)
+    return np.asarray(moving & (ranges > unit * LEAST_MOTION))
+
+
+def standstill_events(robot: Robot, segments: Sequence[Processed]) -> tuple[Event, ...]:
+    """Return one event that names the joints that do not move enough, if there are any.
+
+    Parameters
+    ----------
+    robot : Robot
+    segments : sequence of Processed
+    """
+    still = ~moves_enough(robot, segments)
+    if not still.any():
+        return ()
+    first, last = segments[0], segments[-1]
+    name = first.recording.name or "recording"
+    if still.all():
+        consequence = "no effect can be identified; record a motion of the joints"
+    else:
+        consequence = "effects on them cannot be identified and are not searched for"
+    verb = "moves" if still.sum() == 1 else "move"
+    sentence = (
+        f"{joints_text(still).capitalize()} {verb} less than {LEAST_MOTION:g} rad: {consequence}."
+    )
+    return (
+        Event(
+            "standstill",
+            Source(name, first.recording.source_hash),
+            float(first.t[0]),
+            float(last.t[-1]),
+            tuple(map(int, np.flatnonzero(still))),
+            0.0,
+            sentence,
+        ),
+    )
+
+
+def with_brief_effects(
+    fit: Fit,
+    recordings: Sequence[Recording],
+    method: Method,
+) -> Fit:
+    """Return a fit whose transient errors are not those of effects that act for short times.
+
+    The link of a joint with backlash hits the side of its play whenever its load changes its sign.
+    That is not a contact to be left out: it is what shows the play. If a fit of a drive under
+    position control has transient errors, they are therefore judged with backlash on every joint.
+
+    Parameters
+    ----------
+    fit : Fit
+    recordings : sequence of Recording
+        To which it was fitted.
+    method : {"ols", "wls", "robust", "feasible"}
+        Of the fit.
+    """
+    drives = fit.model.robot.drives
+    if drives is None or not all(is_torque_of_laws(r, drives) for r in recordings):
+        return fit
+    if not any(e.kind == "contact" for e in transient_events(fit, recordings)):
+        return fit
+    model = fit.model.with_effect(Backlash.name)
+    try:
+        return identify(model, recordings, method=method, processing=fit.processing)
+    except IdentificationError:
+        return fit
+
+
+def held_joints(fit: Fit, recordings: Sequence[Recording]) -> list[HeldJointWarning]:
+    """Return a warning for each joint that something outside the arm holds: an object, a stop.
+
+    Parameters
+    ----------
+    fit : Fit
+    recordings : sequence of Recording
+    """
+    robot = fit.model.robot
+    if robot.drives is None or any(r.command is None or r.tau is None for r in recordings):
+        return []
+    dry = np.zeros(robot.n)
+    for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True):
+        if column.name == "coulomb.f_c":
+            dry[column.joint] = max(value, 0.0)
+    limit = EXCESS * (dry + fit.rms_cv)
+    time, peak = np.zeros(robot.n), np.zeros(robot.n)
+    for raw in process(list(recordings), fit.processing):
+        segment = relative_temperature(raw, fit.temperature_mean)
+        torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes)
+        assert segment.tau is not None  # that of the recording
+        excess = np.where(segment.moving, 0.0, np.abs(segment.tau - torque))
+        time += (excess > limit).sum(axis=0) / segment.rate
+        peak = np.maximum(peak, excess.max(axis=0))
+    return [
+        HeldJointWarning(
+            f"joint {j + 1} rests for {time[j]:.2g} s although its drive's law states up to "
+            f"{peak[j]:.2g} N·m more than gravity needs (dry friction: {dry[j]:.2g} N·m): an "
+            "object or a stop holds it, or the drive delivers less than its law states. Commands "
+            "and positions do not distinguish these, and do not determine the torque of a contact; "
+            "record this joint in free motion"
+        )
+        for j in np.flatnonzero(time > LEAST_TIME)
+    ]

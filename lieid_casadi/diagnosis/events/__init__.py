@@ -1,1 +1,0 @@
-"""Stretches of recordings that say nothing about the arm: contact, faults, joints at rest."""

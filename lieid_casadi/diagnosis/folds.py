@@ -1,0 +1,110 @@
+"""Held-out parts of the rows: contiguous stretches of time, with gaps around them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.rows import Rows
+from lieid_casadi.identification.uncertainty.noise_model import (
+    RATE_OVER_CUTOFF,
+    Noise,
+    noise_of,
+)
+from lieid_casadi.recording.periods import detect_period
+
+Mask = NDArray[np.bool_]
+LARGEST_GAP = 0.25  # of the length of a part
+
+
+@dataclass(frozen=True, eq=False)
+class Folds:
+    """K held-out parts of the rows of all joints.
+
+    Attributes
+    ----------
+    held : (K, R) bool
+        Rows of each part.
+    out : (K, R) bool
+        These, and the rows within ``gap`` seconds of them, whose noise is correlated with theirs.
+    gap : float
+    independent : int
+        Stretches of the recordings, as long as the correlation of the residual, in motion.
+    """
+
+    held: Mask
+    out: Mask
+    gap: float
+    independent: int
+
+    @property
+    def count(self) -> int:
+        """Number of parts."""
+        return len(self.held)
+
+
+def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:
+    """Return the held-out parts of rows.
+
+    A part is one stretch of the whole recording time; of periodic motion it is a stretch of the
+    period, in all periods, so that no motion is on both sides.
+
+    Parameters
+    ----------
+    rows : Rows
+    residual : sequence of (R_j,)
+        Of each joint, from whose correlation the gap between parts follows, N·m.
+    count : int
+        K.
+    """
+    noise = [noise_of(r, run) for r, run in zip(residual, rows.runs, strict=True)]
+    lasting = max(redundancy(each) for each in noise)
+    correlated = lasting / (RATE_OVER_CUTOFF * rows.segments[0].cutoff)
+    place, near = _places(rows, count)
+    whole = sum(float(s.filtered_time[-1] - s.filtered_time[0]) for s in rows.segments)
+    gap = min(correlated, LARGEST_GAP * whole / count)
+    held, out = [], []
+    for k in range(count):
+        own = place == k
+        held.append(own)
+        out.append(own | (_distance(near, near[own]) < gap))
+    at = np.concatenate([run.all for run in rows.runs])
+    return Folds(
+        np.array(held)[:, at], np.array(out)[:, at], gap, int(whole / max(correlated, 1e-9))
+    )
+
+
+def redundancy(noise: Noise) -> float:
+    """Return the rows per independent sample: long-run variance of a noise over its variance."""
+    long_run = (noise.sigma / max(abs(float(noise.filter.sum())), 1e-3)) ** 2
+    return max(long_run / noise.spread**2, 1.0)
+
+
+def _places(rows: Rows, count: int) -> tuple[NDArray[np.intp], Array]:
+    """Return the part of each instant of the common time line, and its time, s."""
+    parts, passed = [], 0.0
+    lengths = [float(s.filtered_time[-1] - s.filtered_time[0]) for s in rows.segments]
+    whole = max(sum(lengths), 1e-9)
+    for segment, length in zip(rows.segments, lengths, strict=True):
+        time = segment.filtered_time - segment.filtered_time[0]
+        period = detect_period(segment.recording)
+        if period is None:
+            place = (passed + time) / (whole * (1.0 + 1e-9))
+        else:
+            place = (time % period) / period
+        parts.append(np.minimum((count * place).astype(np.intp), count - 1))
+        passed += length
+    return np.concatenate(parts), rows.times
+
+
+def _distance(times: Array, others: Array) -> Array:
+    """Return the distance of each time to the nearest of other sorted times."""
+    if not len(others):
+        return np.full(len(times), np.inf)
+    after = np.searchsorted(others, times).clip(0, len(others) - 1)
+    before = (after - 1).clip(0)
+    return np.asarray(np.minimum(np.abs(times - others[after]), np.abs(times - others[before])))

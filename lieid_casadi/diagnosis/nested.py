@@ -1,0 +1,230 @@
+"""Nested selection: paths inside each held-out part decide which effects lower unseen errors.
+
+The path on all rows proposes the effects. A path on the rows outside each held-out part, which
+does not see that part, is then examined: what does the error of the part gain by the effect, or by
+a rival that this path has in its place? An effect is worth adding if the mean of this gain over
+the parts exceeds a number of its standard errors. An effect that a path does not contain gains
+nothing there, so that the figures contain the uncertainty of the choice itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.folds import Folds
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.path import LEAST_INFORMATION, Paths, Span
+
+DEPENDENT = 1e-8  # of a largest eigenvalue
+SMALLEST = 1e-12  # part of an error below which it counts as zero
+ALIKE = 0.5  # part of an effect's torque that a group must be able to replace to count as a rival
+
+
+@dataclass(frozen=True, eq=False)
+class Slot:
+    """One effect of the path on all rows, as the held-out parts judge it.
+
+    Attributes
+    ----------
+    group : int
+    gains : (K,)
+        ln of the error of each held-out part without it over that with it, on the joints on which
+        it acts.
+    before, after : (n,)
+        Weighted held-out sum of squares of each joint without it and with it.
+    selected, selected_any : float
+        Fraction of the paths that contain it, and that contain it or a rival.
+    instead : tuple of int
+        Groups that are in its place in paths without it.
+    values : (k,)
+        Coefficients beside the whole path.
+    joint : int
+        Its joint; of an effect on all joints that whose error falls most.
+    """
+
+    group: int
+    gains: Array
+    before: Array
+    after: Array
+    selected: float
+    selected_any: float
+    instead: tuple[int, ...]
+    values: Array
+    joint: int
+
+    @property
+    def deviations(self) -> float:
+        """The mean gain in its standard errors."""
+        error = float(np.std(self.gains, ddof=1) / np.sqrt(len(self.gains)))
+        return float(np.mean(self.gains)) / max(error, 1e-12)
+
+    @property
+    def fall(self) -> float:
+        """Relative fall of the held-out error of its joint."""
+        before, after = self.before[self.joint], self.after[self.joint]
+        return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else 0.0
+
+    def reason(self, options: DiagnosisOptions) -> str | None:
+        """Return why the held-out parts do not support the effect, or None."""
+        if self.fall < options.worth:
+            falls = f"falls by only {100 * self.fall:.1f} %" if self.fall > 0 else "does not fall"
+            return f"the held-out error of joint {self.joint + 1} {falls}"
+        if self.deviations < options.gain_deviations:
+            return (
+                f"the gain on held-out parts is {self.deviations:.1f} of its standard errors "
+                f"(limit {options.gain_deviations:g})"
+            )
+        return None
+
+
+def judge(
+    paths: Paths, folds: Folds, whole: Sequence[int], parts: Sequence[Sequence[int]]
+) -> tuple[Slot, ...]:
+    """Return the effects of the path on all rows with their gains on the held-out parts.
+
+    Parameters
+    ----------
+    paths : Paths
+    folds : Folds
+    whole : sequence of int
+        Groups of the path on all rows.
+    parts : sequence of sequence of int
+        Groups of the path that does not use each part.
+    """
+    if not whole:
+        return ()
+    columns, span = paths.columns, paths.span
+    every = list(dict.fromkeys([*whole, *(g for path in parts for g in path)]))
+    outside = {g: span.outside(columns.stacked(g)) for g in every}
+    n = len(span.ends) - 1
+    together = np.hstack([outside[g] for g in whole])
+    both = solved(together.T @ together, together.T @ span.residual)
+    ends = np.cumsum([outside[g].shape[1] for g in whole])[:-1]
+    values = dict(zip(whole, np.split(both, ends), strict=True))
+    torque = {g: outside[g] @ values[g] for g in whole}
+    members = [_members(whole, path, outside, torque, columns.owner) for path in parts]
+    gains = np.zeros((len(whole), folds.count))
+    before, after = np.zeros((2, len(whole), n))
+    for k, path in enumerate(parts):
+        held = HeldOut(span, folds, k, {g: outside[g] for g in path})
+        complete = held.squares(path)
+        for e, group in enumerate(whole):
+            mine = members[k][group]
+            without = held.squares([g for g in path if g not in mine]) if mine else complete
+            own = _joints_of(columns.candidate(group), n)
+            if without[own].sum() > 0.0:
+                least = SMALLEST * without[own].sum()
+                gains[e, k] = 0.5 * np.log(without[own].sum() / max(complete[own].sum(), least))
+            before[e] += without
+            after[e] += complete
+    found = []
+    for e, group in enumerate(whole):
+        own = [columns.owner[group] in columns.owner[list(m[group])] for m in members]
+        instead = [g for m in members for g in m[group] if columns.owner[g] != columns.owner[group]]
+        found.append(
+            Slot(
+                group,
+                gains[e],
+                before[e],
+                after[e],
+                float(np.mean(own)),
+                float(np.mean([bool(m[group]) for m in members])),
+                tuple(dict.fromkeys(instead)),
+                values[group],
+                _joint_of(columns.candidate(group), before[e], after[e]),
+            )
+        )
+    return tuple(found)
+
+
+class HeldOut:
+    """Errors on one held-out part of models with further columns, fitted to the rows outside it."""
+
+    def __init__(self, span: Span, folds: Folds, part: int, columns: Mapping[int, Array]) -> None:
+        q, further = span.basis, len(span.basis) - folds.held.shape[1]
+        held, out = (np.pad(m[part], (0, further)) for m in (folds.held, folds.out))
+        outside = q[out]
+        sizes, directions = np.linalg.eigh(np.eye(q.shape[1]) - outside.T @ outside)
+        seen = sizes > LEAST_INFORMATION
+        axes = directions[:, seen] / np.sqrt(sizes[seen])
+        every = np.column_stack([span.residual, *columns.values()])
+        # on all rows together, residual and columns are orthogonal to the basis
+        along = -axes @ (axes.T @ (outside.T @ every[out]))
+        whole, lost = every.T @ every, every[out].T @ every[out]
+        qe = -outside.T @ every[out]
+        self._gram = whole - lost - qe.T @ along
+        self._held = every[held] - q[held] @ along
+        self._joint, self._n = span.joint_of[folds.held[part]], len(span.ends) - 1
+        widths = [c.shape[1] for c in columns.values()]
+        starts = 1 + np.concatenate([[0], np.cumsum(widths)]).astype(int)
+        self._at = {
+            g: np.arange(a, a + w) for g, a, w in zip(columns, starts, widths, strict=False)
+        }
+
+    def squares(self, groups: Sequence[int]) -> Array:
+        """Return the sum of squared errors of each joint (n,) of the model with some groups."""
+        error = self._held[:, 0]
+        if groups:
+            own = np.concatenate([self._at[g] for g in groups])
+            error = error - self._held[:, own] @ solved(
+                self._gram[np.ix_(own, own)], self._gram[own, 0]
+            )
+        return np.asarray(np.bincount(self._joint, weights=error**2, minlength=self._n), float)
+
+
+def solved(gram: Array, products: Array) -> Array:
+    """Return the solution of normal equations; dependent directions stay at zero."""
+    size = np.sqrt(np.diag(gram))
+    size[size == 0.0] = 1.0
+    sizes, axes = np.linalg.eigh(gram / size / size[:, None])
+    seen = sizes > DEPENDENT * max(float(sizes.max(initial=0.0)), 1e-300)
+    return np.asarray(axes[:, seen] @ (axes[:, seen].T @ (products / size) / sizes[seen]) / size)
+
+
+def _joints_of(candidate: Candidate, n: int) -> list[int]:
+    return list(range(n)) if candidate.reaches_all else [candidate.joint]
+
+
+def _joint_of(candidate: Candidate, before: Array, after: Array) -> int:
+    """Return the joint of an effect; without one, that whose error falls most."""
+    if candidate.joints:
+        return candidate.joint
+    return int(np.argmax(1.0 - after / np.maximum(before, 1e-300)))
+
+
+def _members(
+    whole: Sequence[int],
+    path: Sequence[int],
+    outside: dict[int, Array],
+    torque: dict[int, Array],
+    owner: NDArray[np.intp],
+) -> dict[int, tuple[int, ...]]:
+    """Return the groups of a path that stand for each effect: itself, or else the most alike.
+
+    A group that is itself an effect of the path on all rows stands for no other.
+    """
+    owners = {int(owner[g]) for g in whole}
+    found = {}
+    for group in whole:
+        same = [g for g in path if owner[g] == owner[group]]
+        if not same:
+            free = [g for g in path if int(owner[g]) not in owners]
+            parts = {g: part_of(torque[group], outside[g]) for g in free}
+            best = max(parts, key=lambda g: parts[g], default=-1)
+            same = [best] if best >= 0 and parts[best] > ALIKE else []
+        found[group] = tuple(same)
+    return found
+
+
+def part_of(torque: Array, columns: Array) -> float:
+    """Return the part of a torque's square (R,) that columns (R, k) can replace."""
+    total = float(torque @ torque)
+    if total == 0.0:
+        return 0.0
+    return float(torque @ columns @ solved(columns.T @ columns, columns.T @ torque)) / total

@@ -1,0 +1,458 @@
+"""A greedy forward path over groups of columns, on all rows or on those outside a held-out part.
+
+The model's columns are projected out of the candidates once; a set of rows that is left out is a
+subtraction of inner products, so that a path costs a few products per step whatever the number
+of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.columns import Columns
+
+Mask = NDArray[np.bool_]
+#: Part of the information on a direction of the model that the rows of a path must contain. With
+#: less the direction keeps its value of the whole fit.
+LEAST_INFORMATION = 0.3
+LEAST_OWN_PART = 0.03  # of a column outside the span of model and path: with less its gain is noise
+RIDGE = 1e-4  # of a column's square, for groups of nearly dependent columns
+#: Part of what a smooth function explains that effects of the library must explain in its place.
+LEAST_PART = 0.9
+EXCHANGED = 6  # length of a path up to which every addition is followed by an exchange
+MARGIN = 0.01  # relative gain by which a group must exceed the one in whose place it comes
+RANK = 1e-9  # of a model's pivot, relative to the largest
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """The span of a model's columns on all rows, and the residual outside it.
+
+    Attributes
+    ----------
+    basis : (R + k, p)
+        Orthonormal. The last k rows are those of a prior, which every set of rows contains.
+    residual : (R + k,)
+    ends : (n + 1,) int
+        Joint j has rows ends[j] to ends[j + 1]; R rows in all.
+    """
+
+    basis: Array
+    residual: Array
+    ends: NDArray[np.intp]
+
+    @classmethod
+    def of(
+        cls, model: Sequence[Array], residual: Sequence[Array], prior: Array | None = None
+    ) -> Span:
+        """Return the span of weighted columns (R_j, p) and what it leaves of residuals (R_j,).
+
+        ``prior`` (k, p) are rows that state the uncertainty of parameters: a root of the inverse
+        of their covariance.
+        """
+        matrix, r = np.concatenate(model), np.concatenate(residual)
+        if prior is not None:
+            matrix, r = np.concatenate([matrix, prior]), np.append(r, np.zeros(len(prior)))
+        size = np.linalg.norm(matrix, axis=0)
+        u, sizes, _ = np.linalg.svd(matrix / np.where(size > 0.0, size, 1.0), full_matrices=False)
+        q = u[:, sizes > RANK * sizes.max(initial=0.0)]
+        r = r - q @ (q.T @ r)
+        ends = np.concatenate([[0], np.cumsum([len(own) for own in residual])]).astype(np.intp)
+        return cls(q, r, ends)
+
+    def joint(self, j: int) -> slice:
+        """Return the rows of joint j."""
+        return slice(int(self.ends[j]), int(self.ends[j + 1]))
+
+    @property
+    def joint_of(self) -> NDArray[np.intp]:
+        """Joint of each row (R,)."""
+        return np.repeat(np.arange(len(self.ends) - 1), np.diff(self.ends))
+
+    def outside(self, columns: Array) -> Array:
+        """Return the part (R + k, c) of columns (R, c) outside the span.
+
+        They are projected twice: a column that is nearly in the span loses accuracy.
+        """
+        columns = np.pad(columns, ((0, len(self.basis) - len(columns)), (0, 0)))
+        for _ in range(2):
+            columns = columns - self.basis @ (self.basis.T @ columns)
+        return columns
+
+
+class Grams:
+    """Products within groups: (G, k, k) for the groups of each size, as ``Columns.by_size``."""
+
+    def __init__(self, parts: Sequence[Array]) -> None:
+        self.parts = tuple(parts)
+
+    def __add__(self, other: Grams) -> Grams:
+        return Grams([a + b for a, b in zip(self.parts, other.parts, strict=True)])
+
+    def __sub__(self, other: Grams) -> Grams:
+        return Grams([a - b for a, b in zip(self.parts, other.parts, strict=True)])
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Inner products on a set of rows of basis Q (p), residual r, and columns Z outside the span.
+
+    ``inner`` has the products within groups.
+    """
+
+    qq: Array
+    qr: Array
+    qz: Array
+    zr: Array
+    inner: Grams
+
+    def __sub__(self, other: Products) -> Products:
+        return Products(
+            self.qq - other.qq,
+            self.qr - other.qr,
+            self.qz - other.qz,
+            self.zr - other.zr,
+            self.inner - other.inner,
+        )
+
+
+class Paths:
+    """All that forward paths on different rows share.
+
+    Parameters
+    ----------
+    span : Span
+    columns : Columns
+        Weighted as the span is.
+    left_out : (K, R) bool
+        Rows that each of K paths does not use; a path on all rows is number −1.
+    """
+
+    def __init__(self, span: Span, columns: Columns, left_out: Mask) -> None:
+        self.span, self.columns, self.left_out = span, columns, left_out
+        count = columns.count
+        self._along = np.zeros((span.basis.shape[1], count))
+        for j, own in enumerate(columns.joints):
+            self._along[:, own.columns] += span.basis[span.joint(j)].T @ own.matrix
+        self._matrices = [
+            [own.matrix[out[span.joint(j)]] for j, own in enumerate(columns.joints)]
+            for out in left_out
+        ]
+        raw = self._raw(-1)
+        self.norms = np.zeros(count)  # squares of the columns themselves
+        for gram, (_, places) in zip(raw.inner.parts, columns.by_size, strict=True):
+            self.norms[places] = np.einsum("gkk->gk", gram)
+        self.whole = self._outside(raw, np.eye(span.basis.shape[1]), np.zeros(len(self._along)))
+        self.parts: list[Products] = []
+        self._raw_qz: list[Array] = []  # basis and columns themselves on the rows of each part
+        for k, out in enumerate(left_out):
+            q, r = span.basis[: out.size][out], span.residual[: out.size][out]
+            of_part = self._raw(k)
+            self._raw_qz.append(of_part.qz)
+            self.parts.append(self._outside(of_part, q.T @ q, q.T @ r))
+        self._cross: dict[int, list[Array]] = {}
+
+    def grams(self, a: Array, b: Array) -> Grams:
+        """Return the products within groups of columns of a (p, m) with those of b."""
+        found = []
+        for _, own in self.columns.by_size:
+            left = np.moveaxis(a[:, own], 0, 1)
+            found.append(np.swapaxes(left, 1, 2) @ np.moveaxis(b[:, own], 0, 1))
+        return Grams(found)
+
+    def _rows(self, part: int, j: int) -> tuple[slice | Mask, Array]:
+        """Return the rows of joint j that a path leaves out, and the columns there; −1 for all."""
+        if part < 0:
+            return slice(None), self.columns.joints[j].matrix
+        return self.left_out[part][self.span.joint(j)], self._matrices[part][j]
+
+    def _raw(self, part: int) -> Products:
+        """Return the products of the columns themselves on the rows that a path leaves out."""
+        span, columns = self.span, self.columns
+        qz, zr = np.zeros((span.basis.shape[1], columns.count)), np.zeros(columns.count)
+        inner = Grams(
+            [np.zeros((len(g), own.shape[1], own.shape[1])) for g, own in columns.by_size]
+        )
+        for j, own in enumerate(columns.joints):
+            use, matrix = self._rows(part, j)
+            qz[:, own.columns] += span.basis[span.joint(j)][use].T @ matrix
+            zr[own.columns] += matrix.T @ span.residual[span.joint(j)][use]
+            place = np.full(columns.count, -1)
+            place[own.columns] = np.arange(len(own.columns))
+            for gram, (_, of_size) in zip(inner.parts, columns.by_size, strict=True):
+                here = np.flatnonzero((place[of_size] >= 0).all(axis=1))
+                if len(here):
+                    values = np.moveaxis(matrix[:, place[of_size[here]]], 0, 1)
+                    gram[here] += np.swapaxes(values, 1, 2) @ values
+        return Products(np.zeros((0, 0)), np.zeros(0), qz, zr, inner)
+
+    def _outside(self, raw: Products, qq: Array, qr: Array) -> Products:
+        """Return the products of the columns outside the span from those of the columns."""
+        along = self._along
+        inner = raw.inner - self.grams(along, raw.qz) - self.grams(raw.qz, along)
+        inner = inner + self.grams(along, qq @ along)
+        return Products(qq, qr, raw.qz - qq @ along, raw.zr - along.T @ qr, inner)
+
+    def cross(self, group: int, part: int) -> Array:
+        """Return the products (m, k) of all columns with those of a group, on a path's rows."""
+        if group not in self._cross:
+            parts = range(-1, len(self.left_out))
+            self._cross[group] = [self._cross_of(group, k) for k in parts]
+        found = self._cross[group]
+        return found[0] if part < 0 else found[0] - found[1 + part]
+
+    def _cross_of(self, group: int, part: int) -> Array:
+        """Return the products of `cross` on all rows, or on those that a path leaves out."""
+        columns, along = self.columns, self._along
+        own = columns.of_group(group)
+        raw = np.zeros((columns.count, len(own)))
+        for j, (of_joint, dense) in enumerate(
+            zip(columns.joints, columns.dense(group), strict=True)
+        ):
+            if dense.any():
+                use, matrix = self._rows(part, j)
+                raw[of_joint.columns] += matrix.T @ dense[use]
+        if part < 0:
+            return np.asarray(raw - along.T @ along[:, own])
+        products, qz = self.parts[part], self._raw_qz[part]
+        both = along.T @ qz[:, own] + qz.T @ along[:, own]
+        return np.asarray(raw - both + along.T @ (products.qq @ along[:, own]))
+
+    def state(self, part: int) -> PathState:
+        """Return the state of a path at its start; −1 is the path on all rows."""
+        none = np.zeros((0, self.columns.count))
+        if part < 0:
+            return PathState(
+                self, part, (), none, none, np.zeros(0), self.whole.zr, self.whole.inner
+            )
+        own = self.whole - self.parts[part]
+        sizes, directions = np.linalg.eigh(own.qq)
+        seen = sizes > LEAST_INFORMATION
+        axes = directions[:, seen] / np.sqrt(sizes[seen])
+        along = axes.T @ own.qz
+        return PathState(
+            self,
+            part,
+            (),
+            along,
+            none,
+            np.zeros(0),
+            own.zr - along.T @ (axes.T @ own.qr),
+            own.inner - self.grams(along, along),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PathState:
+    """A path: coordinates of all columns along model and path, and what is outside both.
+
+    Attributes
+    ----------
+    groups : tuple of int
+        Of the path.
+    model : (a, m)
+        Coordinates along the model's directions.
+    along, residual : (b, m), (b,)
+        Coordinates of the columns and of the residual along the directions of the path.
+    products : (m,)
+        With the residual, outside.
+    inner : Grams
+        Outside.
+    """
+
+    paths: Paths
+    part: int
+    groups: tuple[int, ...]
+    model: Array
+    along: Array
+    residual: Array
+    products: Array
+    inner: Grams
+
+    def gains(self, wanted: Mask | None = None) -> tuple[Array, Array]:
+        """Return the fall of the sum of squares (G,) of wanted groups, and coefficients (m,).
+
+        Groups with a column that lies in the span get no gain.
+        """
+        columns, norms = self.paths.columns, self.paths.norms
+        gains, values = np.zeros(len(columns.size)), np.zeros(columns.count)
+        share = 1.0 if self.part < 0 else 1.0 - self.paths.left_out[self.part].mean()
+        for (groups, own), inner in zip(columns.by_size, self.inner.parts, strict=True):
+            if wanted is not None:
+                here = wanted[groups]
+                groups, own, inner = groups[here], own[here], inner[here]
+            if not len(groups):
+                continue
+            k, gram = own.shape[1], inner.copy()
+            whole = norms[own] * share
+            least = np.einsum("gaa->ga", gram).max(axis=1) / np.maximum(whole.max(axis=1), 1e-300)
+            gram[:, range(k), range(k)] += RIDGE * np.maximum(whole, 1e-300)
+            found = np.linalg.solve(gram, self.products[own][..., None])[..., 0]
+            values[own] = found
+            fine = least > LEAST_OWN_PART**2
+            gains[groups] = np.where(fine, np.einsum("gk,gk->g", found, self.products[own]), 0.0)
+        return gains, values
+
+    @property
+    def explained(self) -> float:
+        """The sum of squares that the groups of the path explain."""
+        return float(self.residual @ self.residual)
+
+    def with_group(self, group: int) -> PathState:
+        """Return the state with a further group."""
+        own = self.paths.columns.of_group(group)
+        crossed = self.paths.cross(group, self.part).T
+        for along in (self.model, self.along):
+            crossed = crossed - along[:, own].T @ along
+        sizes, axes = np.linalg.eigh(crossed[:, own])
+        seen = sizes > RANK * max(float(sizes.max(initial=0.0)), 1e-300)
+        roots = axes[:, seen] / np.sqrt(sizes[seen])
+        new, residual = roots.T @ crossed, roots.T @ self.products[own]
+        return replace(
+            self,
+            groups=(*self.groups, group),
+            along=np.concatenate([self.along, new]),
+            residual=np.append(self.residual, residual),
+            products=self.products - new.T @ residual,
+            inner=self.inner - self.paths.grams(new, new),
+        )
+
+    def without(self, group: int) -> PathState:
+        """Return the state without one of its groups: the directions are rotated, it comes last."""
+        columns = self.paths.columns
+        rest = tuple(g for g in self.groups if g != group)
+        own = [columns.of_group(g) for g in rest]
+        inside = self.along[:, np.concatenate(own)] if own else np.zeros((len(self.along), 0))
+        u, sizes, _ = np.linalg.svd(inside, full_matrices=True)
+        rank = int(np.sum(sizes > RANK * sizes.max(initial=0.0)))
+        kept, dropped = u[:, :rank].T, u[:, rank:].T
+        lost, of_residual = dropped @ self.along, dropped @ self.residual
+        return replace(
+            self,
+            groups=rest,
+            along=kept @ self.along,
+            residual=kept @ self.residual,
+            products=self.products + lost.T @ of_residual,
+            inner=self.inner + self.paths.grams(lost, lost),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """What a path may contain.
+
+    Attributes
+    ----------
+    penalty : (G,)
+        What each group must gain at least.
+    usable : (G,) bool
+        Groups that are candidates.
+    smooth : (G,) bool
+        Smooth functions among them: they come after all others, or in place of several of them.
+    allowed : callable
+        Of a group and its coefficients: whether it may be in a path.
+    most : int
+        Length of a path.
+    """
+
+    penalty: Array
+    usable: Mask
+    smooth: Mask
+    allowed: Callable[[int, Array], bool]
+    most: int
+
+    def score(self, state: PathState) -> float:
+        """Return what a path gains beyond its penalties."""
+        return state.explained - float(self.penalty[list(state.groups)].sum())
+
+
+def forward(paths: Paths, part: int, rules: Rules) -> tuple[int, ...]:
+    """Return the groups of a greedy path with exchange, in the order of their selection.
+
+    While the path is short, each of its groups gives way to a better one: the
+    first one is often a compromise of several causes. Effects of the library come first. A smooth
+    function then takes the place of all effects on its joint if it explains more than they do, by
+    more than what its parameters cost; of what remains, smooth functions explain the rest.
+
+    Parameters
+    ----------
+    paths : Paths
+    part : int
+        That is left out; −1 for none.
+    rules : Rules
+    """
+    library = replace(rules, usable=rules.usable & ~rules.smooth)
+    state = _grown(paths.state(part), library)
+    if not (rules.usable & rules.smooth).any():
+        return state.groups
+    columns = paths.columns
+    smooth = replace(rules, usable=rules.usable & rules.smooth)
+    for joint in np.unique([c.joint for c in columns.owners]):
+        here = np.array([c.joint == joint for c in columns.owners])[columns.owner]
+        one = replace(smooth, usable=smooth.usable & here)
+        bare = state
+        for group in state.groups:
+            if here[group] and not columns.candidate(group).reaches_all:
+                bare = bare.without(group)
+        best = _best(bare, one, np.zeros(len(here), dtype=bool))
+        if best is None:
+            continue
+        alone = bare.with_group(best)
+        if state.explained - bare.explained < alone.explained - bare.explained:
+            other = _grown(alone, library)
+            own, theirs = (s.explained - bare.explained for s in (state, other))
+            if own < LEAST_PART * theirs and rules.score(other) > rules.score(state):
+                state = other
+    return _grown(state, smooth).groups
+
+
+def _grown(state: PathState, rules: Rules) -> PathState:
+    """Return the state with the groups added that gain more than their penalty."""
+    refused = np.zeros(len(rules.usable), dtype=bool)
+    while len(state.groups) < rules.most:
+        best = _best(state, rules, refused)
+        if best is None:
+            break
+        state = state.with_group(best)
+        if 1 < len(state.groups) <= EXCHANGED:
+            state = _exchanged(state, rules, refused)
+    return state
+
+
+def _best(state: PathState, rules: Rules, refused: Mask, least: float = 0.0) -> int | None:
+    """Return the group with the largest gain beyond its penalty and ``least``, None without one."""
+    columns = state.paths.columns
+    gains, values = state.gains(rules.usable)
+    taken = np.isin(columns.owner, columns.owner[list(state.groups)])
+    score = np.where(rules.usable & ~refused & ~taken, gains - rules.penalty, 0.0)
+    while True:
+        best = int(np.argmax(score)) if len(score) else 0
+        if not len(score) or score[best] <= least:
+            return None
+        if rules.allowed(best, values[columns.of_group(best)]):
+            return best
+        refused[best], score[best] = True, 0.0
+
+
+def _exchanged(state: PathState, rules: Rules, refused: Mask) -> PathState:
+    """Return the state with each group exchanged for the best one in its place, if it is better."""
+    own_size = np.zeros(len(rules.usable), dtype=bool)
+    for group in state.groups:
+        if len(state.groups) < 2:
+            break
+        rest = state.without(group)
+        own_size[:] = rules.usable
+        own_size[group] = True
+        gains, _ = rest.gains(own_size)
+        own = float(gains[group] - rules.penalty[group])
+        better = _best(rest, rules, refused, max(own, 0.0) * (1.0 + MARGIN))
+        if better is not None and better != group and not rules.smooth[group]:
+            state = rest.with_group(better)
+        elif own <= 0.0:
+            state = rest
+    return state

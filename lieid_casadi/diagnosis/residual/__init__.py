@@ -1,1 +1,0 @@
-"""Description of the residual that no effect of the library explains."""

@@ -1,0 +1,199 @@
+"""Result of a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.comparison.noise_floor import SOURCES
+from lieid_casadi.diagnosis.event import Event
+from lieid_casadi.diagnosis.findings import (
+    difference_sentence,
+    finding,
+    findings,
+    join_words,
+    unexplained_sentence,
+)
+from lieid_casadi.diagnosis.plots import draw_errors
+from lieid_casadi.diagnosis.step import Difference, Step, Unexplained, or_null
+from lieid_casadi.errors import LieidWarning, warning_list
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.recording_checks import Source
+from lieid_casadi.json_numbers import numbers_or_none
+from lieid_casadi.tables import Table, html, make_table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Result of :func:`lieid_casadi.diagnose`.
+
+    Attributes
+    ----------
+    mode : str
+        ``missing`` or ``changed``.
+    verdict : str
+        ``sufficient``, ``effect_found`` or ``unexplained``.
+    fit : Fit
+        The final fit, with all steps; the given one if the model is kept.
+    steps : tuple of Step
+        In the order in which the path added them.
+    unexplained : tuple of Unexplained
+    differing : tuple of Difference
+    rejected : tuple of (str, str)
+        Candidates that were selected and not added, and why.
+    noise_floor : (n,)
+        N·m, of the test, or of the training recordings without one.
+    noise_source : str
+    baseline_effects : tuple of str
+    baseline : dict
+        As ``errors`` of a step, of the first model.
+    expected : (n,) or None
+        Held-out error of a kept model, N·m.
+    tried : int
+        Number of candidates.
+    absorbed : tuple of str
+        Candidates that parameters of the model imitate exactly.
+    weak : tuple of (str, float)
+        Candidates, and the part of their torque that differs from the model's.
+    warnings : tuple of LieidWarning
+    train, test : tuple of Source
+    limits_reached : tuple of str
+        Options whose limit ended the search.
+    events : tuple of Event
+        Stretches that were left out.
+    """
+
+    mode: str
+    verdict: str
+    joint_names: tuple[str, ...]
+    fit: Fit
+    steps: tuple[Step, ...]
+    unexplained: tuple[Unexplained, ...]
+    differing: tuple[Difference, ...]
+    rejected: tuple[tuple[str, str], ...]
+    noise_floor: Array
+    noise_source: str
+    baseline_effects: tuple[str, ...]
+    baseline: dict[str, Array | None]
+    expected: Array | None
+    tried: int
+    absorbed: tuple[str, ...]
+    weak: tuple[tuple[str, float], ...]
+    warnings: tuple[LieidWarning, ...]
+    train: tuple[Source, ...]
+    test: tuple[Source, ...]
+    limits_reached: tuple[str, ...] = ()
+    events: tuple[Event, ...] = ()
+    seed: int = 0
+
+    @property
+    def shown(self) -> tuple[str, list[Array]]:
+        """Recordings whose errors are shown, and the errors (n,) of all models, N·m."""
+        if self.mode == "changed":
+            name, key = "new recordings, joints in motion", "rms_test_moving"
+        elif self.baseline["rms_test_moving"] is not None:
+            name, key = "test, joints in motion", "rms_test_moving"
+        else:
+            name, key = "held-out training data, joints in motion", "rms_cv"
+        errors = [self.baseline[key], *(step.errors[key] for step in self.steps)]
+        return name, [values for values in errors if values is not None]
+
+    @property
+    def reference(self) -> tuple[str, Array]:
+        """Name and values (n,), N·m, of what the errors of a complete model are."""
+        if self.expected is None:
+            return "noise floor", self.noise_floor
+        return "expected", self.expected
+
+    @property
+    def sentences(self) -> list[str]:
+        """The verdict, one sentence for each finding and each unexplained part."""
+        parts = [event.sentence for event in self.events]
+        parts += [finding(group, self.mode) for group in findings(self.steps)]
+        if self.verdict == "sufficient" and self.mode == "missing":
+            parts.append("No effect lowers the error of data that its choice did not see.")
+        elif self.verdict == "sufficient":
+            parts.append("Nothing has changed since the fit.")
+        if self.limits_reached:
+            parts.append(
+                f"The search ended at its limit ({join_words(self.limits_reached)}); "
+                "further effects may be missing."
+            )
+        parts += [difference_sentence(each) for each in self.differing]
+        return parts + [unexplained_sentence(part) for part in self.unexplained]
+
+    @property
+    def sentence(self) -> str:
+        """The verdict as a paragraph."""
+        return " ".join(self.sentences)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``lieid diagnose --json`` writes."""
+        baseline = {name: or_null(values) for name, values in self.baseline.items()}
+        return {
+            "mode": self.mode,
+            "verdict": self.verdict,
+            "sentences": self.sentences,
+            "noise_floor": numbers_or_none(self.noise_floor),
+            "noise_source": self.noise_source,
+            "expected": or_null(self.expected),
+            "baseline": {"effects": list(self.baseline_effects), **baseline},
+            "steps": [step.to_dict() for step in self.steps],
+            "unexplained": [part.to_dict() for part in self.unexplained],
+            "rejected": [{"effect": label, "reason": why} for label, why in self.rejected],
+            "differs_between_recordings": [d.to_dict() for d in self.differing],
+            "seed": self.seed,
+            "tried": self.tried,
+            "limits_reached": list(self.limits_reached),
+            "events": [event.to_dict() for event in self.events],
+            "absorbed": list(self.absorbed),
+            "weak": [{"effect": label, "remains": part} for label, part in self.weak],
+            "cutoff": self.fit.processing.cutoff,
+            "warnings": warning_list(self.warnings),
+            "recordings": {
+                name: [{"name": s.name, "sha256": s.sha256} for s in sources]
+                for name, sources in (("train", self.train), ("test", self.test))
+            },
+        }
+
+    def error_table(self) -> Table:
+        """Return the error of each joint, N·m, one row per model."""
+        measured, errors = self.shown
+        names = [
+            " + ".join(self.baseline_effects) or "rigid",
+            *(f"+ {step.label}" for step in self.steps),
+        ]
+        rows: list[list[object]] = [
+            [name, *map(float, values)] for name, values in zip(names, errors, strict=True)
+        ]
+        reference, values = self.reference
+        rows.append([reference, *map(float, values)])
+        if self.expected is None:
+            source = SOURCES[self.noise_source]
+            note = (
+                "Each row adds an effect to the row above and fits the linear parameters again; "
+                "the last one is the final fit."
+            )
+        else:
+            source, note = "held-out error of the fit", "The model is kept."
+        return make_table(
+            f"RMS error on the {measured}, N·m (low-pass {self.fit.processing.cutoff:.3g} Hz; "
+            f"{reference}: {source})",
+            ["model", *(f"joint {j + 1}" for j in range(len(self.joint_names)))],
+            rows,
+            note=note,
+        )
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the errors of all models from the first to the last; not shown."""
+        recordings, errors = self.shown
+        labels = ["first model", *(f"+ {step.label}" for step in self.steps)]
+        return draw_errors(errors, labels, self.reference, recordings, ax)
+
+    def _repr_html_(self) -> str:
+        return html(self.sentence, self.error_table())

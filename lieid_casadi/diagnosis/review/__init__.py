@@ -1,1 +1,0 @@
-"""Checks of a finished search: what is removed again, rivals, and how stable the choice is."""

@@ -1,0 +1,121 @@
+"""Effects that would do as well as one that was found, in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.gates import reason_against
+from lieid_casadi.diagnosis.nested import ALIKE, Slot, part_of, solved
+from lieid_casadi.diagnosis.search import SMOOTH, Round
+from lieid_casadi.diagnosis.step import Rival
+
+EXACT = 1e-6  # part of a torque by which exact rivals differ
+LEAST_GAIN = 0.5  # of an effect's gain in its place
+MOST_COMPARED = 40  # groups with the largest gains
+EXAMINED = 8  # of them, that can replace most of the effect's torque
+BLOCK = 1.0  # s, at least, of blocks whose errors are compared
+
+
+def rivals_of(found: Round, slot: Slot, others: Sequence[int], deviations: float) -> list[Rival]:
+    """Return the candidates that the data do not separate from an effect, nearest first.
+
+    The errors of the two models are compared over blocks of time (Vuong, Econometrica 1989), each
+    with the cost of its parameters. Candidates that stand in the effect's place in a path without
+    a held-out part are compared, too.
+
+    Parameters
+    ----------
+    found : Round
+    slot : Slot
+    others : sequence of int
+        Groups that are in the model beside it.
+    deviations : float
+        Standard errors by which the effect must be better.
+    """
+    columns, span, paths = found.columns, found.span, found.paths
+    state = paths.state(-1)
+    for group in others:
+        state = state.with_group(group)
+    gains, values = state.gains()
+    candidate = columns.candidate(slot.group)
+    torque = span.outside(columns.stacked(slot.group)) @ slot.values
+    examined = _examined(found, gains, values, slot, torque)
+    beside = [span.outside(columns.stacked(g)) for g in others]
+    block = _blocks(found)
+    mine = _squares(found, [*beside, span.outside(columns.stacked(slot.group))], block)
+    cost = np.log(len(span.residual)) / len(mine)
+    rivals = []
+    for group in examined:
+        rival = columns.candidate(group)
+        theirs = _squares(found, [*beside, span.outside(columns.stacked(group))], block)
+        worse = theirs - mine + cost * (rival.parameters - candidate.parameters)
+        error = float(np.std(worse, ddof=1)) / np.sqrt(len(worse))
+        if float(np.mean(worse)) > deviations * max(error, 1e-12):
+            continue
+        part = part_of(torque, span.outside(columns.stacked(group)))
+        kind = "exact" if part > 1.0 - EXACT**2 else "data"
+        rivals.append((float(np.mean(worse)), Rival(rival.label, rival.name, rival.joints, kind)))
+    return [rival for _, rival in sorted(rivals, key=lambda pair: pair[0])]
+
+
+def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Array) -> list[int]:
+    """Return the best group of each candidate that can replace most of an effect's torque.
+
+    Those that stand in its place in a path without a held-out part come first.
+    """
+    columns, rows = found.columns, found.rows
+    mine = columns.candidate(slot.group)
+    near = _near(found, mine, gains > LEAST_GAIN * gains[slot.group])
+    examined: dict[int, int] = {}
+    for group in (*slot.instead, *near[np.argsort(-gains[near])][:MOST_COMPARED]):
+        other = columns.candidate(group)
+        owner = int(columns.owner[group])
+        if owner in examined or _same_kind(mine, other) or len(examined) >= EXAMINED:
+            continue
+        if part_of(torque, found.span.outside(columns.stacked(group))) < ALIKE:
+            continue
+        estimate = values[columns.of_group(group)]
+        if reason_against(other, columns.shapes(group), estimate, rows.segments) is None:
+            examined[owner] = int(group)
+    return list(examined.values())
+
+
+def _near(found: Round, mine: Candidate, fine: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the groups that act on a joint of an effect."""
+    columns = found.columns
+    acts = [mine.reaches_all or c.reaches_all or c.joint == mine.joint for c in columns.owners]
+    return np.flatnonzero(fine & np.array(acts, dtype=bool)[columns.owner])
+
+
+def _same_kind(mine: Candidate, other: Candidate) -> bool:
+    """Whether two candidates are variants of one effect, or the other is a smooth function.
+
+    A smooth function contains most effects of its signals; that it does as well is no doubt.
+    """
+    if mine.name == other.name and mine.joints == other.joints:
+        return True
+    return other.name == SMOOTH and mine.name != SMOOTH
+
+
+def _blocks(found: Round) -> NDArray[np.intp]:
+    """Return the block of time of each row of the joints."""
+    length = max(BLOCK, 2.0 * found.folds.gap)
+    times = np.concatenate([found.rows.times[run.all] for run in found.rows.runs])
+    return np.asarray(np.unique((times // length).astype(int), return_inverse=True)[1])
+
+
+def _squares(found: Round, columns: Sequence[Array], block: NDArray[np.intp]) -> Array:
+    """Return the sum of squared errors of each block of the model with further columns."""
+    residual = found.span.residual
+    error = residual - _projection(np.hstack(list(columns)), residual)
+    return np.asarray(np.bincount(block, weights=error[: len(block)] ** 2), dtype=float)
+
+
+def _projection(columns: Array, values: Array) -> Array:
+    """Return the projection of values (R,) onto columns (R, k)."""
+    return np.asarray(columns @ solved(columns.T @ columns, columns.T @ values))

@@ -1,0 +1,212 @@
+"""A fit along its recordings: weighted rows of model, residual and candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.candidates import Candidate, list_candidates
+from lieid_casadi.diagnosis.columns import Columns, ColumnStore, evaluate, scan_peaks
+from lieid_casadi.diagnosis.effect_columns import SegmentSignals
+from lieid_casadi.effects import Effect
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.regression.design_matrix import Design, FilteredColumns
+from lieid_casadi.identification.regression.design_matrix import Rows as DesignRows
+from lieid_casadi.identification.regression.shape_fit import shape_columns
+from lieid_casadi.identification.uncertainty.noise_model import (
+    Runs,
+    dry_level,
+    expected_sign,
+    friction_torque_std,
+    runs_of,
+    spread_of,
+)
+from lieid_casadi.recording import Processed
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """A fit, its decimated rows along recordings, and the columns of all candidates on them.
+
+    Attributes
+    ----------
+    fit : Fit
+    segments : tuple of Processed
+        Temperatures relative to the fit's mean.
+    runs : tuple of Runs
+        Instants of each joint that are used, at twice the cut-off, without rests.
+    model : tuple of (R_j, p)
+        Of each joint: the model's columns, the derivatives by its shape parameters, and columns
+        set apart (`with_apart`).
+    torque, residual : tuple of (R_j,)
+        Of each joint: measured torque, and its difference from the fit's prediction, N·m.
+    columns : Columns
+        Of the candidates, not weighted.
+    """
+
+    fit: Fit
+    segments: tuple[Processed, ...]
+    runs: tuple[Runs, ...]
+    model: tuple[Array, ...]
+    torque: tuple[Array, ...]
+    residual: tuple[Array, ...]
+    signals: tuple[SegmentSignals, ...]
+    columns: Columns
+    store: ColumnStore
+
+    @classmethod
+    def of(
+        cls,
+        fit: Fit,
+        segments: Sequence[Processed],
+        *,
+        known: Sequence[FilteredColumns] | None = None,
+        before: Rows | None = None,
+        with_candidates: bool = True,
+        model_fixed: bool = False,
+    ) -> Rows:
+        """Evaluate the columns of a fit's model and of all candidates.
+
+        Parameters
+        ----------
+        fit : Fit
+        segments : sequence of Processed
+        known : sequence of FilteredColumns, optional
+            See `Design`.
+        before : Rows, optional
+            Of another fit on the same segments: its rows are kept, and its columns where they do
+            not depend on the fit.
+        with_candidates : bool
+            False leaves the candidates out.
+        model_fixed : bool
+            Whether the model is not fitted again, so that candidates are changes of its effects,
+            too.
+        """
+        design = Design(fit.compiled, segments, known=known)
+        rows = design.rows(fit.shapes, fit.parameters)
+        runs = _runs(fit, rows, segments) if before is None else before.runs
+        slopes = None
+        if len(fit.shapes):
+            slopes = shape_columns(design, fit.values, fit.shapes, fit.parameters)
+        model = _on_runs(rows, runs, _dense(rows, slopes))
+        torque = _on_runs(rows, runs, [joint.torque for joint in rows.joints])
+        residual = _on_runs(rows, runs, rows.residuals(fit.values))
+        signals = tuple(SegmentSignals.of(fit, s, model_fixed=model_fixed) for s in segments)
+        store = ColumnStore() if before is None else before.store.for_another_fit()
+
+        def scan(effect: Effect, joint: int) -> Array:
+            key = effect.label, joint
+            if key not in store.scans:
+                store.scans[key] = scan_peaks(
+                    effect, joint, signals, runs[joint], residual[joint], store
+                )
+            return store.scans[key]
+
+        wanted: tuple[Candidate, ...] = ()
+        if with_candidates:
+            wanted = list_candidates(fit.model, segments, scan, model_fixed=model_fixed)
+        columns = evaluate(wanted, signals, runs, store)
+        return cls(fit, tuple(segments), runs, model, torque, residual, signals, columns, store)
+
+    def with_candidates(self, candidates: Sequence[Candidate]) -> Rows:
+        """Return the rows with other candidates, or other grids of the same ones."""
+        columns = evaluate(candidates, self.signals, self.runs, self.store)
+        return replace(self, columns=columns)
+
+    def with_apart(self, columns: Sequence[Array]) -> Rows:
+        """Return the rows with further columns (R_j, a) of each joint beside the model's."""
+        beside = tuple(np.hstack(both) for both in zip(self.model, columns, strict=True))
+        return replace(self, model=beside)
+
+    def spread(self, residual: Sequence[Array] | None = None) -> Array:
+        """Return the standard deviation (n,) of residuals away from uncertain friction, N·m."""
+        own = self.residual if residual is None else residual
+        pairs = zip(own, self.runs, strict=True)
+        return np.array([spread_of(r, runs.friction_std) for r, runs in pairs])
+
+    def weights(self, spread: Array) -> list[Array]:
+        """Return the weight (R_j,) of each row that gives it unit variance, 1/(N·m)."""
+        return [run.weights(float(s)) / float(s) for run, s in zip(self.runs, spread, strict=True)]
+
+    @cached_property
+    def times(self) -> Array:
+        """Time of each instant of the common time line of all segments, s; gaps are kept apart."""
+        parts, first = [], 0.0
+        for segment in self.segments:
+            own = segment.filtered_time
+            parts.append(first + own - own[0])
+            first = float(parts[-1][-1]) + 1e3
+        return np.concatenate(parts)
+
+    @cached_property
+    def segment_of(self) -> Indices:
+        """Segment of each instant of the common time line."""
+        return np.repeat(
+            np.arange(len(self.segments)), [len(s.filtered_time) for s in self.segments]
+        )
+
+    @cached_property
+    def recording_names(self) -> tuple[str, ...]:
+        """Names of the recordings, in their order."""
+        keys = dict.fromkeys((s.recording.name, s.recording.source_hash) for s in self.segments)
+        return tuple(name or f"recording {k + 1}" for k, (name, _) in enumerate(keys))
+
+    @cached_property
+    def recording_of(self) -> list[Indices]:
+        """Recording (from 0) of each row, by joint."""
+        keys = [(s.recording.name, s.recording.source_hash) for s in self.segments]
+        order = list(dict.fromkeys(keys))
+        line = np.array([order.index(key) for key in keys], dtype=np.intp)[self.segment_of]
+        return [line[run.all] for run in self.runs]
+
+    @cached_property
+    def late_friction(self) -> tuple[Array, ...]:
+        """Change of each joint's torque (R_j,) if its dry friction is late, by the delay, N·m/s.
+
+        A joint sticks for a moment at a reversal, until the torque of its drive has changed by
+        twice the level of dry friction; positions do not show such a moment of one sample.
+        """
+        fit, parts = self.fit, []
+        for segment in self.segments:
+            whole = slice(0, len(segment))
+            level = dry_level(fit.compiled, segment, whole, fit.shapes, fit.parameters)
+            friction = np.where(segment.moving, level * expected_sign(segment, whole), 0.0)
+            late = np.vstack([friction[:1], friction[:-1]])
+            parts.append(segment.filter((late - friction) * segment.rate))
+        change = np.concatenate(parts)
+        return tuple(change[run.all, j] for j, run in enumerate(self.runs))
+
+
+def _runs(fit: Fit, rows: DesignRows, segments: Sequence[Processed]) -> tuple[Runs, ...]:
+    doubt = [friction_torque_std(fit.compiled, s, fit.shapes, fit.parameters) for s in segments]
+    usable = np.zeros((int(rows.segments[-1]), fit.model.n), dtype=bool)
+    for j, joint in enumerate(rows.joints):
+        usable[joint.instant, j] = True
+    return runs_of(usable, segments, np.concatenate(doubt))
+
+
+def _dense(rows: DesignRows, slopes: Sequence[Array] | None) -> list[Array]:
+    """Return the matrix of each joint in all columns, with derivatives by shapes beside them."""
+    matrices = []
+    for j, joint in enumerate(rows.joints):
+        wide = np.zeros((len(joint.torque), rows.count))
+        wide[:, joint.columns] = joint.matrix
+        matrices.append(wide if slopes is None else np.column_stack([wide, slopes[j]]))
+    return matrices
+
+
+def _on_runs(rows: DesignRows, runs: Sequence[Runs], values: Sequence[Array]) -> tuple[Array, ...]:
+    """Return values on the rows of each joint at the instants of its runs."""
+    found = []
+    for joint, run, own in zip(rows.joints, runs, values, strict=True):
+        line = np.zeros((int(rows.segments[-1]), *own.shape[1:]))
+        line[joint.instant] = own
+        found.append(line[run.all])
+    return tuple(found)

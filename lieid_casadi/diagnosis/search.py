@@ -1,0 +1,186 @@
+"""One round of the search: paths on all rows and inside each held-out part, and their verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.columns import Columns
+from lieid_casadi.diagnosis.folds import Folds, folds_of
+from lieid_casadi.diagnosis.gates import reason_against
+from lieid_casadi.diagnosis.nested import Slot, judge
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
+from lieid_casadi.diagnosis.rows import Rows
+from lieid_casadi.diagnosis.smooth_candidates import smooth_candidates
+from lieid_casadi.effects import ArmEffect
+from lieid_casadi.effects.smooth import Smooth
+
+SMOOTH = Smooth.name
+REFINEMENT = (1 / 3, 2 / 3)  # positions between two grid points
+LEAST_RIVAL = 0.5  # of the gain of a group of the path: rivals from here are refined, too
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What a round of the search found.
+
+    Attributes
+    ----------
+    rows : Rows
+        With the grids that were refined.
+    spread : (n,)
+        Standard deviation of the residual beside the path, N·m, by which rows are weighted.
+    columns : Columns
+        Weighted.
+    slots : tuple of Slot
+        The effects of the path on all rows, in its order.
+    """
+
+    rows: Rows
+    spread: Array
+    columns: Columns
+    span: Span
+    folds: Folds
+    paths: Paths
+    slots: tuple[Slot, ...]
+
+    def held_out_errors(self, slot: Slot) -> tuple[float, float]:
+        """Return the held-out RMS error of an effect's joint without it and with it, N·m."""
+        j = slot.joint
+        scale = self.spread[j] / np.sqrt(max(self.rows.runs[j].count, 1))
+        before, after = (scale * np.sqrt(squares[j]) for squares in (slot.before, slot.after))
+        return float(before), float(after)
+
+
+def search(
+    rows: Rows,
+    options: DiagnosisOptions,
+    *,
+    refused: Collection[str] = (),
+    prior: Array | None = None,
+    spread: Array | None = None,
+    joints: NDArray[np.bool_] | None = None,
+) -> Round:
+    """Return the effects of a path on all rows, judged on held-out parts.
+
+    Parameters
+    ----------
+    rows : Rows
+    options : DiagnosisOptions
+    refused : collection of str
+        Labels of candidates that are left out.
+    prior : (k, p), optional
+        Rows that state the uncertainty of a model that is kept.
+    spread : (n,), optional
+        Standard deviation of the noise, N·m; by default that of the residual beside the path.
+    joints : (n,) bool, optional
+        Joints on which effects are searched for; by default all.
+    """
+    wanted = [c for c in rows.columns.owners if _is_wanted(c, refused, joints)]
+    rows = rows.with_candidates(wanted)
+    scale = rows.spread() if spread is None else spread
+    nothing = np.zeros((0, sum(run.count for run in rows.runs)), dtype=bool)
+    whole: tuple[int, ...] = ()
+    paths = Paths(*_weighted(rows, scale, prior), nothing)
+    for _ in range(options.refinements + 1):
+        whole = forward(paths, -1, _rules(paths.columns, rows, options))
+        if spread is None:
+            scale = rows.spread(_residual_beside(paths, whole, rows, scale))
+        refined = _refined(paths, whole, rows)
+        rows = rows.with_candidates(refined)
+        paths = Paths(*_weighted(rows, scale, prior), nothing)
+    rest = _residual_beside(paths, whole, rows, scale)
+    smooth = smooth_candidates(rows, rest, scale)
+    smooth += smooth_candidates(rows, _residual_beside(paths, (), rows, scale), scale)
+    known = {
+        c.label: c for c in smooth if c.label not in refused and (joints is None or joints[c.joint])
+    }
+    rows = rows.with_candidates([*rows.columns.owners, *known.values()])
+    paths = Paths(*_weighted(rows, scale, prior), nothing)
+    whole = forward(paths, -1, _rules(paths.columns, rows, options))
+    folds = folds_of(rows, _residual_beside(paths, whole, rows, scale), options.folds)
+    paths = Paths(paths.span, paths.columns, folds.out)
+    rules = _rules(paths.columns, rows, options)
+    parts = [forward(paths, k, rules) for k in range(folds.count)]
+    slots = judge(paths, folds, whole, parts)
+    return Round(rows, scale, paths.columns, paths.span, folds, paths, slots)
+
+
+def _is_wanted(
+    candidate: Candidate, refused: Collection[str], joints: NDArray[np.bool_] | None
+) -> bool:
+    if candidate.label in refused or candidate.name == SMOOTH:
+        return False  # smooth functions are chosen anew for every residual
+    return joints is None or candidate.reaches_all or bool(joints[candidate.joint])
+
+
+def _weighted(rows: Rows, spread: Array, prior: Array | None) -> tuple[Span, Columns]:
+    weights = rows.weights(spread)
+    model = [m * w[:, None] for m, w in zip(rows.model, weights, strict=True)]
+    residual = [r * w for r, w in zip(rows.residual, weights, strict=True)]
+    return Span.of(model, residual, prior), rows.columns.weighted(weights)
+
+
+def _rules(columns: Columns, rows: Rows, options: DiagnosisOptions) -> Rules:
+    """Return what the paths over some columns may contain."""
+
+    def allowed(group: int, values: Array) -> bool:
+        candidate = columns.candidate(group)
+        return reason_against(candidate, columns.shapes(group), values, rows.segments) is None
+
+    count = sum(run.count for run in rows.runs)
+    return Rules(
+        options.penalty * np.log(count) * columns.parameters,
+        columns.support > options.least_support,
+        np.array([c.name == SMOOTH for c in columns.owners], dtype=bool)[columns.owner],
+        allowed,
+        options.most_steps,
+    )
+
+
+def _residual_beside(paths: Paths, groups: Sequence[int], rows: Rows, spread: Array) -> list[Array]:
+    """Return the residual of each joint beside the groups of a path, N·m."""
+    span = paths.span
+    rest = span.residual
+    if groups:
+        outside = np.hstack([span.outside(paths.columns.stacked(g)) for g in groups])
+        rest = rest - outside @ np.linalg.lstsq(outside, rest, rcond=1e-8)[0]
+    return [rest[span.joint(j)] / w for j, w in enumerate(rows.weights(spread))]
+
+
+def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:
+    """Return the candidates with finer grids around the path's groups and their rivals.
+
+    Rivals are compared at their own best values: between two grid points a delay resembles a
+    filter. Columns that depend on their coefficients are evaluated at the estimate.
+    """
+    columns, grids = paths.columns, dict[int, list[Array]]()
+    complete = paths.state(-1)
+    for group in whole:
+        complete = complete.with_group(group)
+    for group in whole:
+        gains, values = complete.without(group).gains()
+        seen = set[int]()
+        for g in map(int, np.argsort(-gains)):
+            owner = int(columns.owner[g])
+            if gains[g] < LEAST_RIVAL * gains[group] or gains[g] <= 0.0:
+                break
+            if owner in seen:
+                continue
+            seen.add(owner)
+            candidate, point = columns.owners[owner], int(columns.point[g])
+            if candidate.effect.shapes:
+                grids.setdefault(owner, []).append(candidate.refined([point], REFINEMENT).grid)
+            elif isinstance(candidate.effect, ArmEffect):
+                estimate = values[columns.of_group(g)]
+                grids.setdefault(owner, []).append(np.vstack([candidate.grid, estimate]))
+    return [
+        replace(c, grid=np.unique(np.concatenate(grids[k]), axis=0)) if k in grids else c
+        for k, c in enumerate(columns.owners)
+    ]

@@ -1,1 +1,0 @@
-"""Stepwise search for effects: one search, and its two problems, missing and changed effects."""

@@ -1,0 +1,104 @@
+"""Which smooth functions of one or two signals are worth trying on each joint.
+
+There are hundreds of pairs of signals, and the effect `smooth` has many columns for each. A few
+polynomials of every signal and their products show which of them the residual follows; of these
+the effect itself becomes a candidate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.rows import Rows
+from lieid_casadi.effects import Placement
+from lieid_casadi.effects.registry import make
+from lieid_casadi.identification.regression.variable_projection import shapes_of_data
+from lieid_casadi.model import Model
+
+PER_JOINT = 4  # candidates of each joint: functions of one signal, and as many of two
+RIDGE = 1e-6  # of a column's square
+FIELDS = {"q": "q", "dq": "dq", "ddq": "ddq", "load": "load", "temp": "temperature"}
+OTHERS = ("q", "dq")  # signals of other joints that are tried
+
+
+def smooth_candidates(rows: Rows, residual: Sequence[Array], spread: Array) -> list[Candidate]:
+    """Return the smooth functions that a residual follows most on each joint.
+
+    Parameters
+    ----------
+    rows : Rows
+    residual : sequence of (R_j,)
+        Of each joint, N·m.
+    spread : (n,)
+        Standard deviation of the noise of each joint, N·m.
+    """
+    found = []
+    moves = {c.joint for c in rows.columns.owners}
+    for joint in sorted(moves):
+        weights = rows.weights(spread)[joint]
+        basis, _ = np.linalg.qr(rows.model[joint] * weights[:, None])
+        polynomials = dict(_polynomials(rows, joint))
+        scores = {}
+        for signals in (*combinations(polynomials, 1), *combinations(polynomials, 2)):
+            parts = [polynomials[s] for s in signals]
+            columns = np.hstack(parts)
+            if len(parts) == 2:
+                products = np.einsum("ra,rb->rab", *parts).reshape(len(columns), -1)
+                columns = np.hstack([columns, products])
+            gain = _gain(columns * weights[:, None], residual[joint] * weights, basis)
+            scores[signals] = gain - columns.shape[1] * np.log(max(len(weights), 2))
+        for count in (1, 2):
+            own = sorted((s for s in scores if len(s) == count), key=lambda s: -scores[s])
+            found += [_candidate(rows, s, joint) for s in own[:PER_JOINT] if scores[s] > 0.0]
+    return found
+
+
+def _polynomials(rows: Rows, joint: int) -> Iterator[tuple[str, Array]]:
+    """Yield the name of each signal as in ``smooth/dq.q5``, and polynomials of it (R_j, 3)."""
+    at = rows.runs[joint].all
+    kept = [s.segment.kept for s in rows.signals]
+
+    def along(field: str, j: int) -> Array:
+        values = [s.values[field][k, j] for s, k in zip(rows.signals, kept, strict=True)]
+        return np.asarray(np.concatenate(values)[at])
+
+    names = [(name, joint) for name in FIELDS if name != "temp" or _measured(rows)]
+    names += [(name, j) for j in range(len(rows.runs)) if j != joint for name in OTHERS]
+    for name, j in names:
+        values = along(FIELDS[name], j)
+        low, high = np.percentile(values, [0.5, 99.5]) if len(values) else (0.0, 0.0)
+        if high - low < 1e-9:
+            continue
+        label = name if j == joint else f"{name}{j + 1}"
+        if name == "dq":
+            x = np.clip(values / max(abs(low), abs(high)), -1.2, 1.2)
+            yield label, np.column_stack([np.sign(x), x, np.abs(x)])
+        else:
+            x = np.clip(2.0 * (values - low) / (high - low) - 1.0, -1.2, 1.2)
+            yield label, np.column_stack([x, 1.5 * x**2 - 0.5, 2.5 * x**3 - 1.5 * x])
+
+
+def _measured(rows: Rows) -> bool:
+    return all(s.segment.temperature is not None for s in rows.signals)
+
+
+def _gain(columns: Array, residual: Array, basis: Array) -> float:
+    """Return the fall of the sum of squares of a residual by columns outside a basis."""
+    rest = columns - basis @ (basis.T @ columns)
+    target = residual - basis @ (basis.T @ residual)
+    gram, products = rest.T @ rest, rest.T @ target
+    gram[np.diag_indices_from(gram)] += RIDGE * np.maximum(np.sum(columns**2, axis=0), 1e-300)
+    return float(products @ np.linalg.solve(gram, products))
+
+
+def _candidate(rows: Rows, signals: Sequence[str], joint: int) -> Candidate:
+    """Return the effect on some signals, with the ranges of the recordings."""
+    effect = make(f"smooth/{'.'.join(signals)}")
+    placement = Placement(effect, joint)
+    alone = Model.of_placements(rows.fit.model.robot, (placement,))
+    return Candidate(placement, shapes_of_data(alone, rows.segments)[None])

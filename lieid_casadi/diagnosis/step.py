@@ -1,0 +1,241 @@
+"""What a diagnosis found: effects with their numbers, and errors without an explanation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.json_numbers import number_or_none, numbers_or_none
+
+Status = Literal["named", "one_of", "shape"]
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect that would do as well as a step's.
+
+    ``kind`` is ``exact`` if no data can separate the two, ``data`` if these data cannot. ``joints``
+    are from 0, as those of a step.
+    """
+
+    label: str
+    effect: str
+    joints: tuple[int, ...]
+    kind: str
+
+
+@dataclass(frozen=True)
+class Fall:
+    """RMS error in motion on a step's joint without it, refitted, minus with it, N·m.
+
+    On the training recordings, on blocks of them that are held out, and on the test (None without
+    one).
+    """
+
+    train: float | None
+    cv: float | None
+    test: float | None
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the held-out parts say of an effect.
+
+    Attributes
+    ----------
+    gains : tuple of float
+        ln of the error of each held-out part without the effect over that with it. The choice of
+        the effect did not see the part.
+    deviations : float
+        Mean of the gains in its standard errors.
+    selected : float
+        Fraction of the paths, each without one part, that contain the effect.
+    selected_with_rivals : float
+        The same for the effect or one of its rivals.
+    independent : int
+        Stretches of the recordings as long as the correlation of the residual: with few of them
+        the standard error is uncertain.
+    """
+
+    gains: tuple[float, ...]
+    deviations: float
+    selected: float
+    selected_with_rivals: float
+    independent: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the evidence for JSON."""
+        return {
+            "gains": list(self.gains),
+            "deviations": number_or_none(self.deviations),
+            "selected_with_rivals": self.selected_with_rivals,
+            "independent_stretches": self.independent,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One effect of the final model that the first model lacks, or one change since a fit.
+
+    Attributes
+    ----------
+    label, effect : str
+        ``load_friction:2``, and its name.
+    joints : tuple of int
+        From 0; target and source for couplings, none for effects on the whole arm.
+    joint : int
+        Where it counts: its own joint, or that whose error falls most.
+    status : str
+        ``named``, ``one_of`` or ``shape``; see `lieid_casadi.diagnose`.
+    parameters, std : dict
+        Coefficients and shape parameters of the final fit, and their standard deviations.
+    units : dict
+    before, after : float
+        RMS error in motion on ``joint`` without the step and with it, N·m: cross-validated, or on
+        the new recordings if the model is kept.
+    fall : Fall
+    share : float
+        RMS of the torque that it explains relative to the joint's torque.
+    confirmed : bool or None
+        Whether the test error falls; None without a test.
+    evidence : Evidence
+    rivals : tuple of Rival
+        Nearest first.
+    group : int
+        From 1: steps with the same effect on single joints share one.
+    depends_on : tuple of str
+        Signals of a smooth function, ``dq3``.
+    errors : dict
+        ``rms_train``, ``rms_test``, ``rms_test_moving``, ``rms_cv``: (n,) errors of the model with
+        the steps up to this one, N·m; None where they do not exist. Those of the last step are
+        the errors of the final fit.
+    """
+
+    label: str
+    effect: str
+    joints: tuple[int, ...]
+    joint: int
+    status: Status
+    parameters: dict[str, float]
+    std: dict[str, float]
+    units: dict[str, str]
+    before: float
+    after: float
+    fall: Fall
+    share: float
+    confirmed: bool | None
+    evidence: Evidence
+    rivals: tuple[Rival, ...]
+    group: int
+    depends_on: tuple[str, ...]
+    errors: dict[str, Array | None]
+
+    @property
+    def part(self) -> float:
+        """The fall of the error relative to the error without the step."""
+        return 1.0 - self.after / self.before if self.before > 0.0 else 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the step for JSON, joints from 1."""
+        return {
+            "effect": self.effect,
+            "joints": [j + 1 for j in self.joints],
+            "label": self.label,
+            "status": self.status,
+            "parameters": self.parameters,
+            "std": {name: number_or_none(value) for name, value in self.std.items()},
+            "units": self.units,
+            **{name: or_null(values) for name, values in self.errors.items()},
+            "fall": {
+                "joint": self.joint + 1,
+                "train": self.fall.train,
+                "cv": self.fall.cv,
+                "test": self.fall.test,
+            },
+            "share": number_or_none(self.share),
+            "selected": self.evidence.selected,
+            "confirmed": self.confirmed,
+            "evidence": self.evidence.to_dict(),
+            "indistinguishable": [
+                {"effect": r.effect, "joints": [j + 1 for j in r.joints], "kind": r.kind}
+                for r in self.rivals
+            ],
+            "rival_pairs": [],
+            "group": self.group,
+            "depends_on": list(self.depends_on),
+        }
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """Error of a joint that neither effects nor smooth functions lower on held-out data.
+
+    Attributes
+    ----------
+    joint : int
+        From 0.
+    fraction : float
+        Of the residual's variance that is not noise.
+    ratio : float
+        Error in motion relative to the noise floor, or to the expected error of a kept model.
+    depends_on : tuple of str
+        Signals of the effect that explains most of it and was not added; none without one.
+    candidates : tuple of (str, str)
+        Effects that explain part of it on the training data, and why each was not added.
+    """
+
+    joint: int
+    fraction: float
+    ratio: float
+    depends_on: tuple[str, ...] = ()
+    candidates: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def relation(self) -> str:
+        """What the error is, as a clause."""
+        return (
+            f"the error in motion is {self.ratio:.2g} times what noise explains, and neither an "
+            "effect of the library nor a smooth function lowers it on held-out data"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "joint": self.joint + 1,
+            "fraction": self.fraction,
+            "ratio": self.ratio,
+            "depends_on": list(self.depends_on),
+            "candidates": [{"effect": label, "reason": why} for label, why in self.candidates],
+        }
+
+
+@dataclass(frozen=True)
+class Difference:
+    """An effect that is not the same in all training recordings; joints from 0."""
+
+    label: str
+    effect: str
+    joints: tuple[int, ...]
+    recording: str
+    parameters: dict[str, float]
+    units: dict[str, str]
+    of_model: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "effect": self.effect,
+            "joints": [j + 1 for j in self.joints],
+            "label": self.label,
+            "recordings": [self.recording],
+            "parameters": self.parameters,
+            "is_change": self.of_model,
+        }
+
+
+def or_null(values: Array | None) -> list[float | None] | None:
+    """Return numbers for JSON, with None in place of those that are not finite."""
+    return None if values is None else numbers_or_none(np.asarray(values))

@@ -1,0 +1,232 @@
+"""From what a search accepted to the steps of a diagnosis, with the numbers of the final fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.comparison import Comparison
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.falls import FinalModel
+from lieid_casadi.diagnosis.nested import Slot
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.rivals import rivals_of
+from lieid_casadi.diagnosis.search import SMOOTH, Round
+from lieid_casadi.diagnosis.step import Evidence, Fall, Rival, Status, Step, Unexplained
+from lieid_casadi.effects import Placement
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.fit_warnings import WEAK
+
+ABSORBED = 1e-6  # part of a column outside the model's span, below which the model imitates it
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """An effect that the search adds, with what the held-out parts say of it."""
+
+    candidate: Candidate
+    joint: int
+    evidence: Evidence
+    rivals: tuple[Rival, ...]
+    status: Status
+
+    @classmethod
+    def of(
+        cls, found: Round, slot: Slot, groups: Sequence[int], options: DiagnosisOptions
+    ) -> Accepted:
+        """Return an effect of a round beside the other groups that are accepted with it."""
+        candidate = found.columns.candidate(slot.group)
+        others = [g for g in groups if g != slot.group]
+        rivals = tuple(rivals_of(found, slot, others, options.rival_deviations))
+        evidence = Evidence(
+            tuple(map(float, slot.gains)),
+            slot.deviations,
+            slot.selected,
+            slot.selected_any,
+            found.folds.independent,
+        )
+        status: Status = "one_of" if rivals else "named"
+        if candidate.name == SMOOTH:
+            status = "shape"
+        return cls(candidate, slot.joint, evidence, rivals, status)
+
+    @property
+    def placement(self) -> Placement:
+        """Where it acts."""
+        return self.candidate.placement
+
+
+def fitted_values(
+    fit: Fit, placement: Placement
+) -> tuple[Array, Array, dict[str, tuple[float, float, str]]]:
+    """Return coefficients and shapes of an effect in a fit, and value, std and unit by name."""
+    effect = placement.effect
+    numbers = np.concatenate([fit.values, fit.shapes])
+    found = {
+        p.name.rpartition(".")[2]: (float(value), float(std), p.unit)
+        for p, value, std in zip(fit.fitted, numbers, fit.std, strict=True)
+        if p.name.rpartition(".")[0] == effect.label and p.joint == placement.joint
+    }
+    values = [found[c.name][0] if c.name in found else np.nan for c in effect.coefficients]
+    shapes = [found[s.name][0] if s.name in found else np.nan for s in effect.shapes]
+    return np.array(values), np.array(shapes), found
+
+
+def steps_of(
+    final: FinalModel, accepted: Sequence[Accepted], torque: Array, tested: Comparison | None
+) -> tuple[Step, ...]:
+    """Return the steps of a final model: every number is that of its fit.
+
+    Parameters
+    ----------
+    final : FinalModel
+    accepted : sequence of Accepted
+        In the order of the path.
+    torque : (n,)
+        RMS of the measured torque of each joint, N·m.
+    tested : Comparison or None
+        Of the final fit with the test.
+    """
+    fit = final.fit
+    columns = [final.columns_of([a.placement]) for a in accepted]
+    complete = final.errors(np.zeros(0, dtype=np.intp))
+    groups = groups_of(accepted)
+    steps = []
+    for k, found in enumerate(accepted):
+        later = columns[k + 1 :]
+        so_far = final.errors(np.concatenate([np.zeros(0, dtype=np.intp), *later]))
+        without, j = final.errors(columns[k]), found.joint
+        if k == len(accepted) - 1:
+            so_far = {"train": so_far["train"], "cv": fit.rms_cv, "test": so_far["test"]}
+        fall = {key: _difference(without[key], complete[key], j) for key in ("train", "cv", "test")}
+        before, after = (float(_value(errors["cv"], j)) for errors in (without, complete))
+        _, _, numbers = fitted_values(fit, found.placement)
+        last = k == len(accepted) - 1
+        steps.append(
+            Step(
+                label=found.placement.label,
+                effect=found.candidate.name,
+                joints=found.candidate.joints,
+                joint=j,
+                status=found.status,
+                parameters={name: value for name, (value, _, _) in numbers.items()},
+                std={name: std for name, (_, std, _) in numbers.items()},
+                units={name: unit for name, (_, _, unit) in numbers.items()},
+                before=before,
+                after=after,
+                fall=Fall(fall["train"], fall["cv"], fall["test"]),
+                share=float(np.sqrt(max(before**2 - after**2, 0.0)) / torque[j]),
+                confirmed=None if fall["test"] is None else fall["test"] > 0.0,
+                evidence=found.evidence,
+                rivals=found.rivals,
+                group=groups[k],
+                depends_on=signals_of(found.placement),
+                errors={
+                    "rms_train": fit.rms_train if last else so_far["train"],
+                    "rms_test": tested.rms if tested is not None and last else so_far["test"],
+                    "rms_test_moving": (
+                        tested.rms_moving if tested is not None and last else so_far["test"]
+                    ),
+                    "rms_cv": so_far["cv"],
+                },
+            )
+        )
+    return tuple(steps)
+
+
+def groups_of(accepted: Sequence[Accepted]) -> list[int]:
+    """Return the group of each effect, from 1: the same effect on single joints is one group."""
+    names = [
+        a.candidate.name if len(a.candidate.joints) == 1 else a.placement.label for a in accepted
+    ]
+    order = list(dict.fromkeys(names))
+    return [order.index(name) + 1 for name in names]
+
+
+def signals_of(placement: Placement) -> tuple[str, ...]:
+    """Return the signals of a smooth function as columns are named, ``dq3``; none of others."""
+    effect = placement.effect
+    if effect.name != SMOOTH:
+        return ()
+    parts = effect.option.split(".")
+    return tuple(p if p[-1].isdigit() else f"{p}{placement.joint + 1}" for p in parts)
+
+
+def unexplained_parts(
+    fit: Fit,
+    fitted: Comparison,
+    tested: Comparison | None,
+    rejected: Mapping[str, str],
+    options: DiagnosisOptions,
+) -> tuple[Unexplained, ...]:
+    """Return the joints whose error in motion is above the noise floor of the same recording.
+
+    Parameters
+    ----------
+    fit : Fit
+        The final one.
+    fitted, tested : Comparison
+        With the training recordings, and with the test if there is one.
+    rejected : mapping
+        Candidates that were selected and not added, and why.
+    options : DiagnosisOptions
+    """
+    ratio = _over_floor(fit.rms_cv, fitted.noise_floor)
+    if tested is not None:
+        ratio = np.maximum(ratio, _over_floor(tested.rms_moving, tested.noise_floor))
+    found = []
+    for j in np.argsort(-ratio):
+        if ratio[j] > options.largest_error:
+            own = tuple((k, why) for k, why in rejected.items() if _acts_on(k, int(j)))
+            depends = next((_signals(k, int(j)) for k, _ in own if k.startswith(SMOOTH)), ())
+            fraction = float(1.0 - ratio[j] ** -2)
+            found.append(Unexplained(int(j), fraction, float(ratio[j]), depends, own))
+    return tuple(found)
+
+
+def absorbed_and_weak(found: Round) -> tuple[tuple[str, ...], tuple[tuple[str, float], ...]]:
+    """Return the candidates that the model spans, and those that it nearly spans."""
+    columns, whole = found.columns, found.paths.whole
+    remaining = np.zeros(len(columns.owners))
+    for (groups, own), gram in zip(columns.by_size, whole.inner.parts, strict=True):
+        norms = found.paths.norms[own]
+        left = np.sqrt(np.clip(np.einsum("gkk->gk", gram), 0.0, None) / np.maximum(norms, 1e-300))
+        np.maximum.at(remaining, columns.owner[groups], left.max(axis=1))
+    labels = [c.label for c in columns.owners]
+    return (
+        tuple(k for k, part in zip(labels, remaining, strict=True) if part < ABSORBED),
+        tuple(
+            (k, float(part))
+            for k, part in zip(labels, remaining, strict=True)
+            if ABSORBED <= part < WEAK
+        ),
+    )
+
+
+def _over_floor(error: Array, floor: Array) -> Array:
+    known = np.isfinite(error) & np.isfinite(floor) & (floor > 0.0)
+    return np.where(known, error / np.where(known, floor, 1.0), 0.0)
+
+
+def _acts_on(label: str, joint: int) -> bool:
+    where = label.partition(":")[2].partition("<")[0]
+    return where == str(joint + 1)
+
+
+def _signals(label: str, joint: int) -> tuple[str, ...]:
+    """Return the signals of ``smooth/dq.q5:4`` as columns are named."""
+    parts = label.partition(":")[0].partition("/")[2].split(".")
+    return tuple(p if p[-1].isdigit() else f"{p}{joint + 1}" for p in parts)
+
+
+def _value(errors: Array | None, joint: int) -> float:
+    return float("nan") if errors is None else float(errors[joint])
+
+
+def _difference(before: Array | None, after: Array | None, joint: int) -> float | None:
+    if before is None or after is None:
+        return None
+    return float(before[joint] - after[joint])

@@ -1,0 +1,547 @@
+"""Transient errors: contact, collisions and faults of the recorder, not properties of the arm.
+
+An error is transient if it is far beyond the spread of the errors around it, if functions of the
+joint's own motion do not explain it, and if the joint passes through the same velocity,
+acceleration and load at other times without it, and through the same position, too. A property of
+the arm returns with the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.spatial import KDTree
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.event import Event, Kind
+from lieid_casadi.effects.torque_delay import delayed_change
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.prediction import center_temperature, torque_along
+from lieid_casadi.identification.recording_checks import Source
+from lieid_casadi.identification.uncertainty.noise_model import (
+    common_effect_columns,
+    dry_level,
+    friction_torque_std,
+)
+from lieid_casadi.messages import joints_text
+from lieid_casadi.recording import Processed, Recording, process
+
+Mask = NDArray[np.bool_]
+#: Robust standard deviations of a joint's error, beyond friction at rest, from which an error may
+#: be transient, and those at the ends of the stretch; ends are also relative to the peak.
+LEAST, LEAST_END, END_PART = 12.0, 4.0, 0.1
+RATIO = 2.0  # of the smallest transient error to the largest other error of a joint
+GAP = 0.5  # s between two events, and between two passes through the same state
+MOST_TIME = 0.4  # of a segment that transient errors may take: the scale is a median
+SAME_STATE = 0.2  # of the largest velocity, acceleration, load: two states are the same
+SAME_PLACE = 0.02  # of the range of positions: two positions are the same
+LEAST_VISITS = 3  # passes through the same state at other times, for comparison
+SIMILAR = 0.3  # of the error at the peak: from here another error is similar
+MOST_SIMILAR = 0.2  # of these passes: with more similar errors, it is a property of the arm
+LAG = 4  # samples, one period of the cut-off: independent noise
+LEAST_SCALE = 1e-3  # of the RMS of a joint's torque
+FEWEST_FROZEN = 10  # rows with one and the same torque on every joint
+SPIKE_ROWS = 3  # rows: a shorter error is a fault of the recorder
+DEVIATIONS = 2.5  # of a uniform distribution over the level of dry friction: beyond its ends
+STILL_TIME, STILL_RANGE = 1.0, 0.02  # s, rad: a joint that stays in this range may be held
+SLOW = 0.05  # of the top speed: near a reversal friction may have either sign
+STICTION = 1.5  # of the level of dry friction at low speed: friction at rest may exceed it
+RESTING = 4.0  # s: an arm that rests for longer is compared with its median torque
+HELD = 1.5  # of the level of dry friction: change of the friction of an arm that rests
+BISQUARE = 4.685  # tuning constant of Tukey's bisquare: 95 % efficiency for Gaussian errors
+LATEST = 0.1  # s: the longest delay of a torque signal that a diagnosis names
+ROUNDS = 12  # of the reweighted regression
+FEWEST_MOVING = 50  # samples in motion for a scale of their own
+CONSISTENT = 0.9  # of the squared error that a force must explain
+DIMENSIONS = 3  # of a force: with as many joints or fewer, any error is consistent with one
+LEAST_SINGULAR = 0.05  # relative; forces along weaker directions are not determined
+
+
+def transient_events(
+    fit: Fit,
+    recordings: Sequence[Recording],
+) -> tuple[Event, ...]:
+    """Return the transient errors of a fit along recordings.
+
+    Parameters
+    ----------
+    fit : Fit
+    recordings : sequence of Recording
+        With torques.
+
+    Returns
+    -------
+    tuple of Event
+        In the order of the recordings and of time.
+    """
+    segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
+    signals = [ResidualSignals.of(fit, segment) for segment in segments]
+    scale = _scale(signals)
+    found: list[Event] = []
+    for own in signals:
+        size = own.excess / scale
+        errors = [e for j in range(fit.model.n) for e in _outstanding(own, size, j)]
+        events = _together(errors, own.time)
+        if sum(e.last - e.first for e in events) <= MOST_TIME * len(own.time):
+            found += [_event(fit, own, scale, event) for event in events]
+    return tuple(found)
+
+
+def _scale(signals: Sequence[ResidualSignals]) -> Array:
+    """Return the robust standard deviation of each joint's error (n,), N·m.
+
+    Of a joint that hardly moves it is that of differences in time, which changes of its friction
+    at rest do not enlarge. It is at least a small part of the joint's torque: in recordings
+    without noise, errors of differentiation are no events.
+    """
+    torque = np.concatenate(
+        [s.segment.filter(s.segment.tau) for s in signals if s.segment.tau is not None]
+    )
+    least = LEAST_SCALE * np.sqrt(np.mean(torque**2, axis=0))
+    transient = np.concatenate([s.transient for s in signals])
+    still = np.concatenate([s.still for s in signals])
+    found = []
+    for own, held in zip(transient.T, still.T, strict=True):
+        moving = own[~held]
+        enough = len(moving) >= FEWEST_MOVING
+        found.append(robust_scale(moving if enough else (own[LAG:] - own[:-LAG]) / np.sqrt(2.0)))
+    return np.asarray(np.maximum(found, np.maximum(least, 1e-9)))
+
+
+def _outstanding(
+    own: ResidualSignals,
+    size: Array,
+    joint: int,
+) -> list[Stretch]:
+    """Return the errors of a joint that are far above all others and not due to its motion."""
+    peaks = _peaks(own.time, size[:, joint])
+    sizes = np.array([size[k, joint] for k in peaks])
+    ratios = sizes[:-1] / np.maximum(sizes[1:], 1.0)
+    usable = np.flatnonzero((sizes[:-1] > LEAST) & (ratios > RATIO))
+    if not len(usable):
+        return []
+    peaks = peaks[: int(usable[-1]) + 1]
+    stretches = [_around(size[:, joint], k) for k in peaks]
+    inside = np.zeros(len(size), dtype=bool)
+    for stretch in stretches:
+        inside[stretch.first : stretch.last] = True
+    return [
+        stretch
+        for stretch in stretches
+        if _fault(own, stretch)
+        or not (
+            returns_with_state(own, stretch, joint, inside)
+            or returns_with_position(own, stretch, joint)
+        )
+    ]
+
+
+def _peaks(time: Array, size: Array) -> list[int]:
+    """Return the rows of the largest values that are apart from each other, largest first."""
+    allowed = np.ones(len(size), dtype=bool)
+    found: list[int] = []
+    while allowed.any():
+        k = int(np.argmax(np.where(allowed, size, -1.0)))
+        found.append(k)
+        if size[k] < LEAST:
+            break
+        stretch = _around(size, k)
+        allowed &= (time < time[stretch.first] - GAP) | (time > time[stretch.last - 1] + GAP)
+    return found
+
+
+def _around(size: Array, peak: int) -> Stretch:
+    """Return the rows around a peak until the error is small."""
+    low = size < max(LEAST_END, END_PART * size[peak])
+    before, after = np.flatnonzero(low[:peak]), np.flatnonzero(low[peak:])
+    first = int(before[-1]) + 1 if len(before) else 0
+    last = peak + int(after[0]) if len(after) else len(size)
+    return Stretch(first, last)
+
+
+def _together(errors: Sequence[Stretch], time: Array) -> list[Stretch]:
+    """Return the stretches in the order of time, those that overlap or nearly so joined."""
+    joined: list[Stretch] = []
+    for error in sorted(errors, key=lambda e: e.first):
+        if joined and time[error.first] - time[joined[-1].last - 1] < GAP:
+            before = joined.pop()
+            last = max(before.last, error.last)
+            joined.append(Stretch(before.first, last))
+        else:
+            joined.append(error)
+    return joined
+
+
+def _event(
+    fit: Fit,
+    own: ResidualSignals,
+    scale: Array,
+    stretch: Stretch,
+) -> Event:
+    rows = slice(stretch.first, stretch.last)
+    joints = tuple(int(j) for j in np.flatnonzero((own.excess / scale)[rows].max(axis=0) > LEAST))
+    start, end = float(own.time[rows.start]), float(own.time[rows.stop - 1])
+    peak = float(np.abs(own.transient[rows][:, joints]).max())
+    segment = own.segment
+    kind: Kind = "contact"
+    force = None
+    reason = _fault(own, stretch)
+    if reason:
+        kind = "fault"
+    else:
+        force = tool_force(fit, own, scale, rows) if len(joints) > 1 else None
+        reason = "contact or a collision"
+        if force is not None:
+            x, y, z = force
+            reason += (
+                f", consistent with a force of {np.linalg.norm(force):.3g} N on the tool "
+                f"({x:.3g}, {y:.3g}, {z:.3g} N in the base frame)"
+            )
+    name = segment.recording.name or "recording"
+    where = joints_text(j in joints for j in range(fit.model.n))
+    sentence = (
+        f"{name}, {start:.1f}–{end:.1f} s: error of up to {peak:.3g} N·m on {where} "
+        f"that the motion does not explain: {reason}; this stretch is left out."
+    )
+    source = Source(name, segment.recording.source_hash)
+    return Event(kind, source, start, end, joints, peak, sentence, force)
+
+
+def _fault(own: ResidualSignals, stretch: Stretch) -> str:
+    """Return what shows a fault of the recorder in a stretch, or an empty text."""
+    segment, raw = own.segment, own.segment.recording
+    assert raw.tau is not None
+    start, end = own.time[stretch.first], own.time[stretch.last - 1]
+    margin = 0.5 / segment.cutoff
+    rows = np.flatnonzero((raw.t >= start - margin) & (raw.t <= end + margin))
+    tau = raw.tau[rows]
+    if len(rows) < 2:
+        return ""
+    same = np.all(np.diff(tau, axis=0) == 0.0, axis=1)
+    run = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]]))).max()
+    if run >= FEWEST_FROZEN:
+        return f"{run} samples have the same torque on every joint, a fault of the recorder"
+    middle = np.median(tau, axis=0)
+    away = np.abs(tau - middle)
+    far = np.any(away > 0.5 * away.max(axis=0) + 1e-12, axis=1) & np.any(
+        away > 10.0 * np.median(away, axis=0) + 1e-9, axis=1
+    )
+    if 0 < far.sum() <= SPIKE_ROWS:
+        return f"single samples ({far.sum()}) far from their neighbours, a fault of the recorder"
+    return ""
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualSignals:
+    """Error of a fit along one segment at M instants.
+
+    Attributes
+    ----------
+    segment : Processed
+    time : (M,)
+        s, on the recording's clock.
+    error : (M, n)
+        Measured − predicted torque, N·m.
+    transient : (M, n)
+        Error without what functions of the joint's own motion explain, N·m.
+    slack : (M, n)
+        Torque that dry friction may add or not, N·m.
+    held : (M, n)
+        Level of dry friction where a joint is held, else 0: it balances part of a force, N·m.
+    still : (M, n) bool
+        Whether a joint stays in a small range.
+    state : (M, n, 3)
+        Velocity, acceleration and load of each joint relative to their largest values.
+    place, direction : (M, n)
+        Position of each joint relative to its range, and sign of its velocity.
+    """
+
+    segment: Processed
+    time: Array
+    error: Array
+    transient: Array
+    slack: Array
+    held: Array
+    still: Mask
+    state: Array
+    place: Array
+    direction: Array
+
+    @classmethod
+    def of(cls, fit: Fit, segment: Processed) -> ResidualSignals:
+        """Return the signals of a segment with torque, temperatures relative to the fit's."""
+        assert segment.tau is not None
+        compiled, links = fit.compiled, fit.link_parameters
+        torque = torque_along(compiled, segment, fit.parameters, fit.shapes)
+        error = segment.filter(segment.tau - torque)
+        motion = segment.q, segment.dq, segment.ddq
+        q, dq, ddq = (segment.filter(x) for x in motion)
+        load = segment.filter(compiled.inverse_dynamics(*motion, links))
+        still, top = _still(q, segment), np.maximum(np.abs(dq).max(axis=0), 1e-9)
+        uncertain = friction_torque_std(compiled, segment, fit.shapes, fit.parameters)
+        level = segment.filter(
+            dry_level(compiled, segment, slice(None), fit.shapes, fit.parameters)
+        )
+        # The sign of a joint that is held is unknown: the prediction errs by up to both levels.
+        slack = np.maximum(
+            DEVIATIONS * uncertain, np.where(np.abs(dq) < SLOW * top, 2.0, 0.0) * level
+        )
+        slack[still] = 2.0 * STICTION * level[still]
+        rests = _rests(still, segment)
+        for rest in rests:
+            slack[rest] = HELD * level[rest]
+        common = common_effect_columns(compiled, segment, links)
+        own = np.stack([np.ones_like(q), np.tanh(10.0 * dq / top), dq / top, load, q], axis=-1)
+        columns = np.concatenate([common, own, _late_torque(segment, torque)], axis=-1)
+        transient = np.column_stack(
+            [_without_columns(error[:, j], columns[:, j], ~still[:, j]) for j in range(fit.model.n)]
+        )
+        if rests:
+            held = replace(segment, dq=np.zeros_like(segment.q), ddq=np.zeros_like(segment.q))
+            static = torque_along(compiled, held, fit.parameters, fit.shapes)
+            at_rest = segment.filter(segment.tau - static)
+            for rest in rests:
+                transient[rest] = at_rest[rest] - np.median(at_rest[rest], axis=0)
+        motions = np.where(still, 0.0, dq), np.where(still, 0.0, ddq), load
+        relative = [x / np.maximum(np.abs(x).max(axis=0), 1e-9) for x in motions]
+        state = np.stack(relative, axis=-1)
+        return cls(
+            segment,
+            segment.filtered_time,
+            error,
+            transient,
+            np.abs(slack),
+            np.where(still, level, 0.0),
+            still,
+            state,
+            q / np.maximum(np.ptp(q, axis=0), 1e-9),
+            np.sign(dq),
+        )
+
+    @property
+    def excess(self) -> Array:
+        """Transient error beyond what dry friction may add (M, n), N·m.
+
+        In motion it is at most the error: the columns that explain the errors of a joint that
+        sticks at its reversals produce torque shortly after them, too, where the fit has no error.
+        """
+        found = np.abs(self.transient)
+        found = np.where(self.still, found, np.minimum(found, np.abs(self.error)))
+        return np.maximum(found - self.slack, 0.0)
+
+
+def robust_scale(values: Array) -> float:
+    """Return the standard deviation of the main part of values (k,), from their median size."""
+    return float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
+
+
+def _still(q: Array, segment: Processed) -> Mask:
+    """Return where each joint stays in a small range for a while (M, n)."""
+    time = segment.filtered_time
+    step = float(time[1] - time[0]) if len(time) > 1 else 1.0
+    width = max(int(STILL_TIME / step), 1)
+    ranges = maximum_filter1d(q, width, axis=0) - minimum_filter1d(q, width, axis=0)
+    return np.asarray(ranges < STILL_RANGE)
+
+
+def _rests(still: Mask, segment: Processed) -> list[slice]:
+    """Return the stretches in which the whole arm rests for a while."""
+    time = segment.filtered_time
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.all(axis=1).astype(int), [0]])))
+    runs = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [slice(a, b) for a, b in runs if time[b - 1] - time[a] > RESTING]
+
+
+def _late_torque(segment: Processed, torque: Array) -> Array:
+    """Return filtered columns (M, n, k) of torque that is recorded late or through a filter.
+
+    A late change of dry friction at every reversal is a short error, but no contact.
+
+    Parameters
+    ----------
+    segment : Processed
+    torque : (K, n)
+        Of the model, N·m.
+    """
+    count = max(round(2.0 * segment.cutoff * LATEST), 1)
+    delays = LATEST * np.arange(1, count + 1) / count
+    changes = [segment.filter(delayed_change(segment.t, torque, d)) for d in delays]
+    return np.stack(changes, axis=-1)
+
+
+def _without_columns(error: Array, columns: Array, moving: Mask) -> Array:
+    """Return an error (M,) without what columns (M, k) explain, resistant to outliers.
+
+    Where a joint is held, its error is taken relative to its median there.
+    """
+    found = error.copy()
+    if not moving.all():
+        found[~moving] -= np.median(error[~moving])
+    if moving.sum() < max(FEWEST_MOVING, 3 * columns.shape[1]):
+        found[moving] -= np.median(error[moving]) if moving.any() else 0.0
+        return found
+    own = columns[moving] / np.maximum(np.linalg.norm(columns[moving], axis=0), 1e-12)
+    target, weight = error[moving], np.ones(int(moving.sum()))
+    rest = target
+    for _ in range(ROUNDS):
+        root = np.sqrt(weight)[:, None]
+        values = np.linalg.lstsq(root * own, root[:, 0] * target, rcond=1e-8)[0]
+        rest = target - own @ values
+        size = np.abs(rest) / max(BISQUARE * robust_scale(rest), 1e-12)
+        weight = np.where(size < 1.0, (1.0 - np.minimum(size, 1.0) ** 2) ** 2, 0.0)
+    found[moving] = rest
+    return found
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Rows ``first`` to ``last`` − 1 with an outstanding error."""
+
+    first: int
+    last: int
+
+
+def returns_with_state(
+    own: ResidualSignals,
+    stretch: Stretch,
+    joint: int,
+    inside: Mask,
+) -> bool:
+    """Return whether an error returns with the motion, or cannot be compared with other times.
+
+    Parameters
+    ----------
+    own : ResidualSignals
+    stretch : Stretch
+    joint : int
+        From 0.
+    inside : (M,) bool
+        Rows of all stretches, which are not compared.
+    """
+    same = _Same(own.state[:, joint], SAME_STATE, ~inside, own.transient[:, joint])
+    visits = _visits(own, stretch, joint, same)
+    if visits.count < LEAST_VISITS:
+        return True
+    return visits.similar > MOST_SIMILAR * visits.count
+
+
+def returns_with_position(
+    own: ResidualSignals,
+    stretch: Stretch,
+    joint: int,
+) -> bool:
+    """Return whether an error returns on most passes through its positions, as at a rough spot.
+
+    It has the same sign on all of them, or that of the velocity. A push of a joint that is held
+    is none: the joint stays at one position.
+
+    Parameters
+    ----------
+    own : ResidualSignals
+    stretch : Stretch
+    joint : int
+        From 0.
+    """
+    if own.still[stretch.first : stretch.last, joint].any():
+        return False
+    place, error, every = own.place[:, joint], own.transient[:, joint], np.full(len(own.time), True)
+    for signed in (error, error * own.direction[:, joint]):
+        same = _Same(place[:, None], SAME_PLACE, every, signed)
+        visits = _visits(own, stretch, joint, same)
+        if visits.count >= LEAST_VISITS and 2 * visits.similar > visits.count:
+            return True
+    return False
+
+
+@dataclass(frozen=True)
+class _Same:
+    """What passes have in common: signals within a width, and the sign of another one.
+
+    Attributes
+    ----------
+    signals : (M, s)
+    width : float
+    allowed : (M,) bool
+        Rows that are compared.
+    signed : (M,)
+    """
+
+    signals: Array
+    width: float
+    allowed: Mask
+    signed: Array
+
+
+@dataclass(frozen=True)
+class _Visits:
+    """Other passes of a joint through the state at the peak of an error."""
+
+    count: int
+    similar: int
+
+
+def _visits(
+    own: ResidualSignals,
+    stretch: Stretch,
+    joint: int,
+    same: _Same,
+) -> _Visits:
+    """Count the other passes through what a stretch has, and those with a similar error."""
+    rows = slice(stretch.first, stretch.last)
+    peak = own.excess[rows, joint].max()
+    at = stretch.first + int(np.argmax(own.excess[rows, joint]))
+    large = stretch.first + np.flatnonzero(own.excess[rows, joint] > 0.5 * peak)
+    tree = KDTree(same.signals[large])
+    near = tree.query(same.signals, p=np.inf)[0] < same.width
+    time = own.time
+    near &= same.allowed & (
+        (time < time[stretch.first] - GAP) | (time > time[stretch.last - 1] + GAP)
+    )
+    similar = np.sign(same.signed) == np.sign(same.signed[at])
+    similar &= own.excess[:, joint] > SIMILAR * peak
+    where = np.flatnonzero(near)
+    if not len(where):
+        return _Visits(0, 0)
+    visit = np.cumsum(np.diff(own.time[where], prepend=own.time[where[0]]) > GAP)
+    # A held joint makes one long visit: each second of it counts.
+    visit = visit + np.floor(own.time[where]).astype(int) * (visit.max() + 1)
+    _, number = np.unique(visit, return_inverse=True)
+    returned = np.bincount(number, weights=similar[where]) > 0
+    return _Visits(len(returned), int(returned.sum()))
+
+
+def tool_force(
+    fit: Fit, own: ResidualSignals, scale: Array, rows: slice
+) -> tuple[float, float, float] | None:
+    """Return the force on the tool (3,), base axes, N, at the peak of an error; None if none is.
+
+    The drives balance a force f on the tool by the torque −Jᵀ f, less what dry friction of the
+    joints that are held balances.
+
+    Parameters
+    ----------
+    fit : Fit
+    own : ResidualSignals
+    scale : (n,)
+        Standard deviation of each joint's error, N·m.
+    rows : slice
+        Of the error.
+    """
+    if fit.model.n <= DIMENSIONS:
+        return None
+    size = np.max(own.excess[rows] / scale, axis=1)
+    at = rows.start + int(np.argmax(size))
+    q = own.segment.q[own.segment.kept][at]
+    jacobian = fit.compiled.jacobian(q[None])[0, 3:]
+    weight = 1.0 / np.hypot(scale, own.held[at])
+    matrix, target = -(jacobian * weight).T, own.transient[at] * weight
+    force = np.linalg.lstsq(matrix, target, rcond=LEAST_SINGULAR)[0]
+    rest = np.abs(target - matrix @ force) - own.held[at] * weight
+    if np.sum(np.maximum(rest, 0.0) ** 2) > (1.0 - CONSISTENT) * np.sum(target**2):
+        return None
+    x, y, z = map(float, force)
+    return x, y, z

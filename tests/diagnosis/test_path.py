@@ -1,0 +1,118 @@
+"""Paths and held-out errors by inner products, compared with least squares on the rows."""
+
+import numpy as np
+import pytest
+
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.columns import assemble
+from lieid_casadi.diagnosis.folds import Folds
+from lieid_casadi.diagnosis.nested import HeldOut, judge
+from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
+from lieid_casadi.effects import Placement, make
+
+ROWS, MODEL, GROUPS = 400, 5, 12
+
+
+def problem(seed, *, signal=(), size=0.5):
+    """Two joints, columns of one or two, the residual with a torque of some groups."""
+    random = np.random.default_rng(seed)
+    model = [random.normal(size=(ROWS, MODEL)) for _ in range(2)]
+    effects = [make("viscous_asymmetric"), make("viscous_polynomial")]
+    owners, pieces, sizes, first = [], [[], []], [], 0
+    for k in range(GROUPS):
+        effect, joint = effects[k % 2], (k // 2) % 2
+        owners.append(Candidate(Placement(effect, joint), np.zeros((1, 0))))
+        values = random.normal(size=(ROWS, len(effect.coefficients)))
+        pieces[joint].append((first, values))
+        sizes.append(values.shape[1])
+        first += values.shape[1]
+    columns = assemble(owners, range(GROUPS), [0] * GROUPS, sizes, pieces, [ROWS, ROWS])
+    residual = random.normal(size=2 * ROWS)
+    for group in signal:
+        residual += size * columns.stacked(group).sum(axis=1)
+    return model, residual, columns
+
+
+def parts(count=5):
+    block = np.tile(np.arange(ROWS) * count // ROWS, 2)
+    held = np.array([block == k for k in range(count)])
+    return Folds(held, held, 0.0, 100)
+
+
+def rules(columns, penalty=20.0):
+    count = len(columns.size)
+    return Rules(
+        np.full(count, penalty), np.ones(count, bool), np.zeros(count, bool), lambda g, v: True, 8
+    )
+
+
+@pytest.mark.parametrize("part", [-1, 0, 3])
+def test_gains_along_a_path_are_those_of_least_squares(part):
+    model, residual, columns = problem(1, signal=(2, 5))
+    span, folds = Span.of(model, np.split(residual, 2)), parts()
+    paths = Paths(span, columns, folds.out)
+    used = np.ones(2 * ROWS, bool) if part < 0 else ~folds.out[part]
+    base = np.concatenate(model)[used]
+    state = paths.state(part).with_group(5).with_group(2).without(5).with_group(7)
+    have = np.hstack([base, columns.stacked(2)[used], columns.stacked(7)[used]])
+
+    def squares(matrix):
+        return float(
+            np.sum((residual[used] - matrix @ np.linalg.lstsq(matrix, residual[used])[0]) ** 2)
+        )
+
+    gains, values = state.gains()
+    for group in (0, 1, 5, 9):
+        more = np.hstack([have, columns.stacked(group)[used]])
+        assert gains[group] == pytest.approx(squares(have) - squares(more), rel=1e-3, abs=1e-6)
+        solution = np.linalg.lstsq(more, residual[used])[0][-int(columns.size[group]) :]
+        np.testing.assert_allclose(values[columns.of_group(group)], solution, rtol=2e-3, atol=1e-6)
+
+
+def test_held_out_errors_are_those_of_a_fit_to_the_other_rows():
+    model, residual, columns = problem(2, signal=(3,))
+    span, folds = Span.of(model, np.split(residual, 2)), parts()
+    groups = (3, 4)
+    outside = {g: span.outside(columns.stacked(g)) for g in groups}
+    for k in range(folds.count):
+        matrix = np.hstack([np.concatenate(model), *(columns.stacked(g) for g in groups)])
+        rest, held = ~folds.out[k], folds.held[k]
+        values = np.linalg.lstsq(matrix[rest], residual[rest])[0]
+        error = residual[held] - matrix[held] @ values
+        expected = np.bincount(span.joint_of[held], weights=error**2)
+        found = HeldOut(span, folds, k, outside).squares(groups)
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_effects_that_are_there_are_selected_in_every_path_and_noise_is_not_supported():
+    model, residual, columns = problem(3, signal=(2, 5), size=0.4)
+    span, folds = Span.of(model, np.split(residual, 2)), parts(10)
+    paths = Paths(span, columns, folds.out)
+    loose = rules(columns, penalty=1.0)  # so loose that paths contain noise
+    whole = forward(paths, -1, loose)
+    slots = judge(paths, folds, whole, [forward(paths, k, loose) for k in range(10)])
+    found = {slot.group: slot for slot in slots}
+    assert {2, 5} <= set(found)
+    for group, slot in found.items():
+        if group in (2, 5):
+            assert slot.selected == 1.0
+            assert slot.deviations > 3.0
+        else:
+            assert slot.deviations < 2.0
+
+
+def test_a_compromise_of_two_causes_gives_way_to_them():
+    model, residual, columns = problem(4)
+    # The first column resembles the sum of two others and explains most alone.
+    owners, pieces = columns.owners[:3], [[], []]
+    random = np.random.default_rng(0)
+    a, b = random.normal(size=(2, ROWS))
+    mixture = (a + b) / np.sqrt(2.0) + 0.2 * random.normal(size=ROWS)
+    for first, values in enumerate((mixture, a, b)):
+        pieces[0].append((first, values[:, None]))
+    owners = [Candidate(Placement(make("viscous_asymmetric"), 0), np.zeros((1, 0)))] * 3
+    columns = assemble(owners, [0, 1, 2], [0] * 3, [1] * 3, pieces, [ROWS, ROWS])
+    residual[:ROWS] += 3.0 * (a + b)
+    span = Span.of(model, np.split(residual, 2))
+    paths = Paths(span, columns, np.zeros((0, 2 * ROWS), bool))
+    assert set(forward(paths, -1, rules(columns))) == {1, 2}
