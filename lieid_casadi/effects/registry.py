@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Effect, Shape
+from lieid_casadi.effects.signals import Signals
 from lieid_casadi.errors import EffectError
 
 
@@ -82,6 +83,7 @@ def effect(
     ...     return [ca.sin(6 * s.q)]
     >>> make("cogging6")
     <effect cogging6: a·sin(6q)>
+    >>> del REGISTER["cogging6"]
     """
 
     def wrap(function: Callable[..., Sequence[ca.SX]]) -> type[Effect]:
@@ -98,6 +100,29 @@ def effect(
         return register(type(name, (Effect,), members))
 
     return wrap
+
+
+def usable() -> tuple[dict[str, Effect], dict[str, str]]:
+    """Return the registered effects by label, and what is wrong with those that cannot be used.
+
+    A search tries every effect of the register. One whose code raises is left out of it.
+    """
+    effects: dict[str, Effect] = {}
+    broken: dict[str, str] = {}
+    for label in REGISTER:
+        zero = ca.SX(0)
+        other = Signals(zero, zero, zero, zero, zero, zero, zero)
+        try:
+            made = make(label)
+            s = replace(
+                other, other=other, state=dict.fromkeys((x.name for x in made.states), zero)
+            )
+            made.columns(s, dict.fromkeys((x.name for x in made.shapes), ca.SX(1)))
+        except Exception as error:  # noqa: BLE001  # whatever a user's code raises
+            broken[label] = f"effect {label}: its code raises {type(error).__name__}: {error}"
+        else:
+            effects[label] = made
+    return effects, broken
 
 
 def make(label: str) -> Effect:

@@ -8,7 +8,7 @@ from scipy.special import erf
 
 import lieid_casadi as lieid
 from lieid_casadi.effects import LIBRARY, make
-from lieid_casadi.effects.registry import REGISTER
+from lieid_casadi.effects.registry import REGISTER, usable
 from lieid_casadi.effects.signals import Signals
 from lieid_casadi.errors import EffectError, ModelError
 
@@ -168,6 +168,19 @@ def test_user_effect_with_the_decorator():
     np.testing.assert_allclose(columns[0, :, 0], [0.0, np.sin(1.2)])
     with pytest.raises(EffectError, match="taken"):
         lieid.effect("coulomb", formula="", coefficients={})(lambda s, shape: [])
+
+
+def test_an_effect_whose_code_raises_is_named_and_left_out():
+    @lieid.effect("test_broken", formula="?", coefficients={"a": "N·m"})
+    def broken(s, shape):
+        return [missing_name * s.q]  # noqa: F821
+
+    try:
+        effects, reasons = usable()
+        assert set(effects) == set(REGISTER) - {"test_broken"}
+        assert reasons["test_broken"].startswith("effect test_broken: its code raises NameError")
+    finally:
+        del REGISTER["test_broken"]
 
 
 def test_sliding_joints_have_newtons():
