@@ -10,7 +10,9 @@ columns per joint (78 base columns).
 C2 is the condition number of the base columns scaled to unit norm, C3 1/prod of the norms of the
 base columns, C4 -log det of their Gram matrix in SI units. C1 minimizes C3 first and then C2 with
 C4 <= Delta_2, and ends at the first feasible trajectory with C2 <= Delta_1 = 100. Delta_2 is the
-largest C4 that the runs of C3 reach, as in the paper (265 there).
+largest C4 that the runs of C3 reach, as in the paper (265 there). Delta_1 is the paper's number,
+which it derives from its own runs of C2; those of this search reach smaller condition numbers. What
+is concluded on C1's condition number and time therefore follows from Delta_1 = 100.
 
 Assumptions, where the paper states nothing: the column scaling (it gives the paper's magnitudes),
 100 samples per period, V_c = 1.7 m/s and Franka's acceleration limits (from its data sheet). C4

@@ -40,6 +40,9 @@ def section(lab: Lab) -> Section:
         "due to the filters, to velocity noise and to friction at standstill, and no model can be "
         "expected to have a smaller one.\n\n"
         "**Table V, identification**\n\n"
+        "Table V compares nested models on the recording from which they were identified: Eq. 16 "
+        "contains Eq. 10, so that a smaller error there is expected of any further terms and is no "
+        "evidence for them. Table VI, a new trajectory, is.\n\n"
         + _table(PRINTED["table_5"], table_5, noise_5)
         + "\n**Fig. 4**: measured torque, Eq. 16 and its error on the identification trajectory, "
         "mean period.\n\n![Measured and estimated torques, identification]"

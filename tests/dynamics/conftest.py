@@ -74,7 +74,7 @@ ARMS = [
         for name, (path, *_) in REAL.items()
     ),
     *(
-        pytest.param(name, id=name, marks=[pytest.mark.slow] if seed >= 8 else [])
+        pytest.param(name, id=name, marks=[pytest.mark.slow] if seed >= 4 else [])
         for name, seed in RANDOM.items()
     ),
 ]

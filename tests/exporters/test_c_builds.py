@@ -34,7 +34,12 @@ def presliding(tmp_path_factory):
 
 
 # the largest and the smallest arm, by further compilers: what they add is the compilers' own
-SLOW_BUILDS = {"panda": {"clang", "g++", "clang++"}, "rigid": set(BUILDS)}
+SLOW_BUILDS = {
+    "panda": {"clang", "g++", "clang++", "sanitizers"},
+    "sliding": {"gcc", "g++", "sanitizers"},
+    "presliding": {"clang", "clang++"},
+    "rigid": set(BUILDS),
+}
 
 
 ARM_BUILDS = [
@@ -58,7 +63,9 @@ def test_strict_build_agrees_with_python(exported, build):
     assert shown.count("ok\n") == len(shown.splitlines()) - 1 >= 15
 
 
-@pytest.mark.parametrize("exported", ["sliding", "presliding"], indirect=True)
+@pytest.mark.parametrize(
+    "exported", [pytest.param("sliding", marks=pytest.mark.slow), "presliding"], indirect=True
+)
 def test_self_test_passes_on_aarch64(exported):
     """Many robot controllers have ARM processors, where compilers fuse products and sums."""
     build = ["aarch64-linux-gnu-gcc", "-std=gnu99", "-O2", "-static", *WARNINGS]
@@ -182,7 +189,7 @@ def test_constants_are_the_fit(exported):
     "urdf",
     [
         pytest.param(UR10E / "ur10e.urdf", marks=needs(UR10E / "ur10e.urdf")),
-        pytest.param(TX40 / "tx40.urdf", marks=needs(TX40 / "tx40.urdf")),
+        pytest.param(TX40 / "tx40.urdf", marks=[needs(TX40 / "tx40.urdf"), pytest.mark.slow]),
     ],
     ids=["ur10e", "tx40"],
 )

@@ -104,6 +104,7 @@ def test_forward_and_backward_may_be_two_recordings(sweep):
     assert np.abs(error).max() < 0.03
 
 
+@pytest.mark.slow
 def test_standard_errors_cover():
     """The scatter of the points over twenty runs matches their standard errors.
 

@@ -269,6 +269,7 @@ def staged(simple_model):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_stages_and_one_fit_agree(staged, whole):
     (agreement,) = staged.compare(whole)
     assert "disagree" not in agreement.verdict
@@ -291,6 +292,7 @@ def test_friction_of_stages_predicts_a_new_run(staged, tmp_path):
     assert [source.name for source in staged.fit.provenance.recordings] == ["run"] * 3
 
 
+@pytest.mark.slow
 def test_third_stage_corrects_friction_that_grows_with_speed(staged, whole):
     """A cubic fitted to runs up to 0.6 rad/s is wrong at the speeds of the excitation."""
     runs = [excitation(0), excitation(1)]

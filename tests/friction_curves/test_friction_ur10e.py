@@ -72,6 +72,7 @@ def test_wrong_nominal_inertias_are_reported(robot, alone, whole):
     assert not any(isinstance(w, LoadMismatchWarning) for w in fitted.warnings)
 
 
+@pytest.mark.slow
 def test_stages_are_as_good_as_one_fit(robot, alone, excitation, whole):
     model = lieid.Model(robot, "armature,coulomb,viscous,offset,load_friction:3")
     stages = lieid.identify_in_stages(

@@ -79,6 +79,7 @@ def test_exact_without_noise_and_friction():
     assert np.allclose(found.com, COM, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_total_least_squares_is_unbiased_by_noise():
     """Ordinary least squares with the mass on the right-hand side underestimates the gains."""
     noisy = plant.Sensors(rate=200.0, torque_noise=tuple(0.02 * plant.torque_scale(PANDA)))

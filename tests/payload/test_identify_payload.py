@@ -166,6 +166,7 @@ def test_a_feasible_fit(fit):
     assert np.all(np.abs(standardized_error(found)) < 3.5)
 
 
+@pytest.mark.slow
 def test_an_unloaded_run_has_no_significant_payload(fit):
     found = lieid.identify_payload(fit, measured(ARM, motion=7, seed=5))
     assert abs(found.mass) < 3.0 * found.mass_std
@@ -175,6 +176,7 @@ def test_an_unloaded_run_has_no_significant_payload(fit):
     assert found.to_dict()["com"] == [None] * 3
 
 
+@pytest.mark.slow
 def test_negative_mass_is_reported_with_a_feasible_body():
     fit = fitted(LOADED)
     found = lieid.identify_payload(fit, measured(ARM, motion=7, seed=5))
@@ -229,6 +231,7 @@ def test_another_arm_is_refused(fit):
         lieid.identify_payload(fit, measured(heavy, motion=7))
 
 
+@pytest.mark.slow
 def test_an_arm_with_similar_inertias_is_reported(fit):
     """Inertias and friction differ within 20 %: reported as not explained by a payload."""
     other = plant.demo_arm(PANDA, seed=50, hidden=None)
