@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 import lieid_casadi.expressions.symbolic as expressions
 from lieid_casadi.errors import ModelError
+from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.identification.fit import Fit
 
 WIDTH = 0.02  # rad/s, half width of the range in which the sign of the velocity is smooth
@@ -45,6 +47,8 @@ def mujoco_callback(fit: Fit, model: Any, *, width: float = WIDTH) -> Callable[[
     fixed = {
         "temperature": fit.temperature_mean if fit.temperature_mean is not None else np.zeros(n)
     }
+    speed = ca.SX.sym("dq", n)
+    smooth_sign = ca.Function("sign", [speed], [ramp(speed, ca.SX(width))])
     joints = model.actuator_trnid[:, 0]  # beside joints of plays
     angles, speeds = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
     damping = model.dof_damping[speeds] - _drive_damping(fit)
@@ -59,8 +63,7 @@ def mujoco_callback(fit: Fit, model: Any, *, width: float = WIDTH) -> Callable[[
                 q[None], dq[None], data.qacc[speeds][None], fit.link_parameters
             )[0]
         exact = friction(*(signals[name] for name in names)).full()[:, 0]
-        sign = np.clip(dq / width, -1.0, 1.0)
-        simulated = damping * dq + loss * sign + stiffness * (q - rest)
+        simulated = damping * dq + loss * smooth_sign(dq).full()[:, 0] + stiffness * (q - rest)
         data.qfrc_passive[speeds] -= exact - simulated
 
     return add
