@@ -72,7 +72,6 @@ def motor_in_play(arm: SegmentModel, joint: int, play: float) -> Array:
 
     Parameters
     ----------
-    arm : SegmentModel
     joint : int
         From 0.
     play : float

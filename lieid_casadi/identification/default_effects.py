@@ -44,7 +44,6 @@ def default_effects(
 
     Parameters
     ----------
-    robot : Robot
     recordings : sequence of Recording
         To be fitted.
     motor_side : bool

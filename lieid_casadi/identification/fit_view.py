@@ -45,7 +45,6 @@ def plot_parameters(fit: Fit, ax: Axes | None = None) -> Figure:
 
     Parameters
     ----------
-    fit : Fit
     ax : Axes, optional
         Axes to draw into; a new figure without a window if left out.
 

@@ -45,7 +45,6 @@ def of_regression(
 
     Parameters
     ----------
-    model : Model
     segments : sequence of Processed
         Of the training recordings.
     state : FitState
@@ -72,7 +71,6 @@ def aliases(model: Model, independent: Array) -> list[LieidWarning]:
 
     Parameters
     ----------
-    model : Model
     independent : (p,)
         Part of each base column's norm that the other columns do not span.
     """

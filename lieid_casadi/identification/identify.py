@@ -166,15 +166,12 @@ def identify_segments(
 
     Parameters
     ----------
-    compiled : Compiled
     segments : tuple of Processed
         With temperatures relative to their mean.
-    method : {"ols", "wls", "robust", "feasible"}
     temperature_mean : (n,) or None
         °C.
     provenance : Provenance, optional
         Of the recordings.
-    feasible : FeasibleOptions, optional
     start : ShapeStart, optional
         Shape parameters that are held at their values.
     uncertainty : bool

@@ -41,7 +41,6 @@ def torque_along(
 
     Parameters
     ----------
-    compiled : Compiled
     segment : Processed
         With temperatures relative to those of the training recordings.
     parameters : (10 n + m,)
@@ -66,7 +65,6 @@ def training_errors(
 
     Parameters
     ----------
-    compiled : Compiled
     segment : Processed
         With torque.
     parameters : (10 n + m,)
@@ -162,8 +160,6 @@ def predict_recording(
 
     Parameters
     ----------
-    compiled : Compiled
-    recording : Recording
     processing : Processing
         With a cut-off.
     parameters : (10 n + m,)
@@ -309,7 +305,6 @@ def sample_torque(
 
     Parameters
     ----------
-    fit : Fit
     q, dq, ddq : (N, n)
         rad, rad/s, rad/s² (m for a sliding joint).
     temperature : (N, n), optional

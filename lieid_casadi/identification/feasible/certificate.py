@@ -125,11 +125,8 @@ def least_mass_matrix_eigenvalue(
 
     Parameters
     ----------
-    compiled : Compiled
     links : (10 n,)
         Link parameters.
-    poses : int
-    seed : int
     """
     random = np.random.default_rng(seed)
     lower, upper = position_range(compiled.model.robot)

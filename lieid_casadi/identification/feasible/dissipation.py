@@ -53,7 +53,6 @@ def dissipation_rows(
 
     Parameters
     ----------
-    compiled : Compiled
     shapes : (s,)
     velocity : (n,)
         Largest speed per joint, rad/s.
@@ -98,7 +97,6 @@ def largest_speed(
 
     Parameters
     ----------
-    model : Model
     segments : sequence of Processed
         Of the training recordings.
     stated : sequence of float, optional
@@ -136,7 +134,6 @@ def _columns(
 
     Parameters
     ----------
-    compiled : Compiled
     group : list of int
         Coupled joints.
     speeds : (G, n)

@@ -44,7 +44,6 @@ def at_bounds(design: Design, start: FitState, state: FitState) -> list[LieidWar
 
     Parameters
     ----------
-    design : Design
     start : FitState
         By weighted least squares.
     state : FitState
@@ -69,10 +68,8 @@ def driving(design: Design, start: FitState, problem: FeasibleProblem) -> list[L
 
     Parameters
     ----------
-    design : Design
     start : FitState
         By weighted least squares.
-    problem : FeasibleProblem
     """
     columns = design.model.columns
     friction = start.parameters[10 * problem.n :]
@@ -134,12 +131,10 @@ def make_feasible(
 
     Parameters
     ----------
-    design : Design
     start : FitState
         By weighted least squares.
     folds : sequence of Fold
         Of cross-validation, which chooses λ unless the options state it.
-    options : FeasibleOptions
     report : callable
         Called with a stage's name and the fraction done.
 
@@ -181,8 +176,6 @@ def certify(design: Design, consistent: ConsistentFit, rms: Array, rms_wls: Arra
 
     Parameters
     ----------
-    design : Design
-    consistent : ConsistentFit
     rms, rms_wls : (n,)
         Training error of the result and of weighted least squares, N·m.
     """
@@ -210,13 +203,11 @@ def feasible_problem(
 
     Parameters
     ----------
-    design : Design
     factor : Factor
         Of the weighted rows, or of similar rows.
     shapes : (s,)
     parameters : (10 n + m,)
         Determine the largest load.
-    options : FeasibleOptions
     """
     model = design.model
     references, found = reference_bodies(model, factor)
@@ -252,8 +243,6 @@ def choose_regularization(
 
     Parameters
     ----------
-    solver : ConvexSolver
-    folds : sequence of Fold
     noise : (n,)
         Standard deviation of the residual per joint, N·m.
     report : callable, optional

@@ -141,7 +141,6 @@ def reference_bodies(model: Model, factor: Factor) -> tuple[Array, tuple[LieidWa
 
     Parameters
     ----------
-    model : Model
     factor : Factor
         Of the weighted rows, for the density.
 
@@ -212,8 +211,6 @@ def _density(model: Model, factor: Factor, stated: Array, spheres: Array) -> flo
 
     Parameters
     ----------
-    model : Model
-    factor : Factor
     stated : (n, 10)
         Nominal links, zero where not stated.
     spheres : (n, 10)

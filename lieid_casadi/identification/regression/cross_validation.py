@@ -52,7 +52,6 @@ def fold_factors(rows: Rows, noise: Array, values: Array, *, block: int) -> tupl
 
     Parameters
     ----------
-    rows : Rows
     noise : (n,)
         Standard deviation of the residual per joint, N·m; rows are weighted by its inverse.
     values : (p,)
@@ -121,7 +120,6 @@ def cross_validated_rms(folds: Sequence[Fold], estimate: Estimate) -> Array:
 
     Parameters
     ----------
-    folds : sequence of Fold
     estimate : callable
         Weighted factor to base values (p,).
     """

@@ -365,7 +365,6 @@ def _chunks(windows: Sequence[tuple[int, Window]], width: int, held: int) -> lis
         Number of a segment, and a window.
     width : int
         Bytes per row.
-    held : int
     """
     sizes = [width * (w.rows.stop - w.rows.start) for _, w in windows]
     most = held if sum(sizes) <= held else CHUNK_BYTES

@@ -81,8 +81,6 @@ def fixed_point(
 
     Parameters
     ----------
-    design : Design
-    method : {"ols", "wls", "robust"}
     report : callable
         Called with a stage's name and the fraction done.
     start : ShapeStart, optional

@@ -69,7 +69,6 @@ def joint_factors(rows: Rows, weights: Sequence[Array] | None = None) -> list[Fa
 
     Parameters
     ----------
-    rows : Rows
     weights : sequence of (R,), optional
         Multiply the rows of each joint; 1 if left out.
 
@@ -108,7 +107,6 @@ def widened(small: Array, columns: NDArray[np.integer], p: int, rows: int) -> Fa
     small : (k, c + 1)
     columns : (c,) int
         Positions among the p columns.
-    p : int
     rows : int
         Number of rows that the factor was computed from.
     """
@@ -196,7 +194,6 @@ def conditioning(unweighted: Factor, base: BaseParameters) -> Conditioning:
     ----------
     unweighted : Factor
         Of the base columns.
-    base : BaseParameters
     """
     full = unweighted.r[:, :-1] @ base.combination
     sizes = np.linalg.svd(full, compute_uv=False)

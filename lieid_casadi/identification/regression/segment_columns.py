@@ -150,7 +150,6 @@ def effect_signals(segment: Processed, shapes: Array, load: Array | None) -> dic
 
     Parameters
     ----------
-    segment : Processed
     shapes : (s,)
     load : (K, n) or None
         Rigid torque, N·m.
@@ -181,8 +180,6 @@ def model_along(
 
     Parameters
     ----------
-    compiled : Compiled
-    segment : Processed
     shapes : (s,)
     parameters : (10 n + m,)
         Link parameters and effect coefficients.
@@ -211,8 +208,6 @@ def effects_along(
 
     Parameters
     ----------
-    compiled : Compiled
-    segment : Processed
     shapes : (s,)
     parameters : (10 n + m,) or (10 n,) or None
         Link parameters, with or without effect coefficients; None means no load.

@@ -37,7 +37,6 @@ def shape_columns(design: Design, values: Array, shapes: Array, links: Array | N
 
     Parameters
     ----------
-    design : Design
     values : (p,)
         Base values.
     shapes : (s,)

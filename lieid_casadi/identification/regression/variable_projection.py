@@ -228,7 +228,6 @@ def minimize_shapes(
 
     Parameters
     ----------
-    problem : SeparableProblem
     start : (s,)
         Shapes to start from.
     xtol, ftol : float

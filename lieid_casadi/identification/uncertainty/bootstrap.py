@@ -170,7 +170,6 @@ def block_factors(rows: Rows, weights: Array, *, block: int) -> list[Factor]:
 
     Parameters
     ----------
-    rows : Rows
     weights : (n,)
         Multiply the rows of each joint.
     block : int

@@ -108,8 +108,6 @@ class ResidualSpectrum:
 
         Parameters
         ----------
-        line : TimeLine
-        joint : JointRows
         power : (F,)
         """
         covariance = irfft(power, line.size) / _pairs(line, joint, joint)
@@ -121,8 +119,6 @@ def residual_spectrum(line: TimeLine, rows: Rows, residuals: Sequence[Array]) ->
 
     Parameters
     ----------
-    line : TimeLine
-    rows : Rows
     residuals : sequence of (R,)
         Per joint, at the instants of its rows.
     """
@@ -188,7 +184,6 @@ def hac_covariance(
 
     Parameters
     ----------
-    rows : Rows
     weights : sequence of (R,)
         Multiply the rows of each joint.
     residuals : sequence of (R,)
@@ -277,9 +272,6 @@ def _absorption_correction(
 
     Parameters
     ----------
-    line : TimeLine
-    rows : Rows
-    spectrum : ResidualSpectrum
     weights : sequence of (R,)
         Of each joint's rows.
     unit_covariance : (p, p)

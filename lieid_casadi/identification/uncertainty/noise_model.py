@@ -78,7 +78,6 @@ def runs_of(
     ----------
     usable : (instants, n) bool
         On the common time line of all filtered segments.
-    segments : sequence of Processed
     friction_std : (instants, n)
         Torque uncertainty from dry friction on that time line, N·m.
     """
@@ -148,7 +147,6 @@ class Noise:
         ----------
         values : (N, …)
             Signals at the instants of the runs.
-        runs : Runs
 
         Returns
         -------
@@ -189,7 +187,6 @@ def residual_noise(
 
     Parameters
     ----------
-    compiled : Compiled
     segments : sequence of Processed
         Of the training recordings.
     state : FitState
@@ -233,7 +230,6 @@ def noise_of(residual: Array, runs: Runs, freedom: float = 1.0) -> Noise:
     ----------
     residual : (N,)
         At the instants of the runs, N·m.
-    runs : Runs
     freedom : float
         Degrees of freedom of the residual per row, 0 to 1.
     """
@@ -308,7 +304,6 @@ def friction_torque_std(
 
     Parameters
     ----------
-    compiled : Compiled
     segment : Processed
         With M filtered instants.
     shapes : (s,)
@@ -348,8 +343,6 @@ def dry_level(
 
     Parameters
     ----------
-    compiled : Compiled
-    segment : Processed
     at : slice
         k instants of the segment.
     shapes : (s,)
@@ -450,7 +443,6 @@ def common_effect_columns(compiled: Compiled, segment: Processed, links: Array) 
 
     Parameters
     ----------
-    compiled : Compiled
     segment : Processed
         With M filtered instants.
     links : (10 n,)

@@ -52,8 +52,6 @@ def predict_band(fit: Fit, recording: Recording, *, level: float = 0.95) -> Pred
 
     Parameters
     ----------
-    fit : Fit
-    recording : Recording
     level : float
         Probability, between 0 and 1.
 
