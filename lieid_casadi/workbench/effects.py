@@ -298,11 +298,9 @@ def _summary(found: FoundEffects) -> str:
     else:
         what = "One change since the fit" if count == 1 else f"{count} changes since the fit"
         where = "on the new recordings"
-    least, most = max(min(falls), 0.0), max(falls)
-    return (
-        f"{what}: with {'it' if count == 1 else 'them'} the error {where} falls by {least:.0f} to "
-        f"{most:.0f} %, depending on the joint."
-    )
+    least, most = (f"{max(fall, 0.0):.0f}" for fall in (min(falls), max(falls)))
+    by = f"{most} %" if least == most else f"{least} to {most} %, depending on the joint"
+    return f"{what}: with {'it' if count == 1 else 'them'} the error {where} falls by {by}."
 
 
 def _group_row(group: int, members: list[ProposedEffect]) -> None:
