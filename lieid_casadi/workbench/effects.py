@@ -242,7 +242,7 @@ class FindingsView(View):
         searching = workbench.searching is not None
         self._all.text = f"Add all {len(missing)}" if len(missing) > 1 else "Add it"
         self._all.set_visibility(bool(missing) and not searching)
-        if not self.is_new(id(found), present, searching, len(arriving), workbench.session.joint):
+        if not self.is_new(id(found), present, searching, len(arriving)):
             return
         self._list.clear()
         with self._list:

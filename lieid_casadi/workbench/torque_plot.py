@@ -26,6 +26,7 @@ from lieid_casadi.workbench.elements import (
     on_action,
     set_text,
     text,
+    toggle_class,
 )
 from lieid_casadi.workbench.evaluation import Evaluation
 from lieid_casadi.workbench.workbench import Workbench
@@ -312,6 +313,8 @@ class Overview(View):
                 "panel-title"
             )
             self._list = named(ui.element("div"), "overview").classes("overview")
+        self._names: tuple[str, ...] = ()
+        self._cells: list[tuple[ui.element, ui.html]] = []
         on_action(self._list, self._select)
 
     async def _select(self, joint: str) -> None:
@@ -323,22 +326,29 @@ class Overview(View):
         session = self.workbench.session
         if evaluation is None or opened is None:
             return
+        if self._names != opened.joint_names:
+            self._names = opened.joint_names
+            self._build()
+        for j, (cell, _) in enumerate(self._cells):
+            toggle_class(cell, "selected", j == session.joint)
         floors = evaluation.errors.noise_floor
-        shown = evaluation.train, evaluation.test, floors, session.recording, session.joint
-        if not self.is_new(*shown):
+        if not self.is_new(evaluation.train, evaluation.test, floors, session.recording):
             return
         series = series_of(evaluation, opened.recordings[session.recording].name)
+        for j, (_, picture) in enumerate(self._cells):
+            picture.content = _joint_svg(series, j, floors[j], opened.units[j])
+
+    def _build(self) -> None:
         self._list.clear()
+        self._cells = []
         with self._list:
-            for j, name in enumerate(opened.joint_names):
+            for j, name in enumerate(self._names):
                 cell = acting(ui.element("div").classes("overview-joint"), str(j))
-                cell.classes("selected" if j == session.joint else "")
                 cell.props["role"], cell.props["tabindex"] = "button", "0"
                 cell.props["title"] = f"joint {j + 1} {name}"
                 with cell:
-                    picture = _joint_svg(series, j, floors[j], opened.units[j])
                     ui.label(f"{j + 1} {name}").classes("small ellipsis")
-                    ui.html(picture, sanitize=False).classes("w-full")
+                    self._cells.append((cell, ui.html("", sanitize=False).classes("w-full")))
 
 
 def _joint_svg(series: list[Series], joint: int, floor: float | None, unit: str) -> str:
