@@ -31,6 +31,7 @@ from lieid_casadi.workbench.workbench import Workbench
 from lieid_casadi.workbench.worker import Worker
 
 LAST_SECONDS = 1.2  # from SIGTERM to the end at the latest
+RECONNECT_SECONDS = 20.0  # that a browser which is busy drawing may be silent
 KEPT_SECONDS = 120.0  # that the processes of a session run on after its tab was closed
 POLICY = (
     "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
@@ -223,7 +224,7 @@ def run_application(
         return Response(opened.meshes[number].stl, media_type="model/stl")
 
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
-    ui.run_with(app, show_welcome_message=False, reconnect_timeout=5.0, tailwind=True)
+    ui.run_with(app, show_welcome_message=False, reconnect_timeout=RECONNECT_SECONDS, tailwind=True)
     guarded = AccessControl(app, token=token, hosts=hosts, port=int(listener.getsockname()[1]))
     config = uvicorn.Config(
         guarded,

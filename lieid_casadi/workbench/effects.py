@@ -25,6 +25,7 @@ from lieid_casadi.workbench.session import FoundEffects, ProposedEffect
 from lieid_casadi.workbench.workbench import Workbench
 
 WIDTH, HEIGHT, MARGIN = 270.0, 62.0, 4.0  # of the picture of an effect
+MOST_VALUES = 6  # of an effect that are listed
 STATUS = {"named": "named", "one_of": "one of", "shape": "shape"}
 STATUS_MEANING = {
     "named": "the data separate this effect from every other kind of effect",
@@ -152,8 +153,11 @@ def _effect_card(row: EffectRow, curve: EffectCurve | None, unit: str, *, remova
             if removable:
                 _remove_button(row.label, "size=sm")
         ui.label(row.formula).classes("formula")
-        for value in row.values:
+        for value in row.values[:MOST_VALUES]:
             ui.label(value).classes("value")
+        if len(row.values) > MOST_VALUES:
+            more = text(f"and {len(row.values) - MOST_VALUES} more", "value muted")
+            more.props["title"] = "; ".join(row.values)
         rivals = ", ".join(make(row.effect).confused_with)
         if rivals:
             text(f"can be confused with {rivals}", "muted small ellipsis w-full")
@@ -305,7 +309,7 @@ def _summary(found: FoundEffects) -> str:
 
 def _group_row(group: int, members: list[ProposedEffect]) -> None:
     """Show the effect that a group has on several joints, and add it on all of them."""
-    joints = ", ".join(str(j) for each in members for j in each.joints)
+    joints = ", ".join(str(j) for j in sorted({j for each in members for j in each.joints}))
     with ui.row().classes("finding group-row"):
         text(f"{members[0].effect} on joints {joints}", "strong grow ellipsis")
         made = named(ui.button(f"Add on {len(members)} joints"), f"add-group-{group}")
