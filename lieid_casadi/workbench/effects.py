@@ -283,7 +283,7 @@ class FindingsView(View):
             for proposed in members:
                 _finding(proposed, present=proposed.label in present, changed=changed)
         for sentence in found.unexplained:
-            ui.label(f"Unexplained: {sentence}.").classes("value muted")
+            text(sentence, "value muted")
 
 
 def _summary(found: FoundEffects) -> str:

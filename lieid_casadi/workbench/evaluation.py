@@ -12,6 +12,7 @@ from lieid_casadi.comparison import Comparison
 from lieid_casadi.comparison.comparison import verdict_sentences
 from lieid_casadi.comparison.series import effect_torques
 from lieid_casadi.diagnosis import Diagnosis, Step
+from lieid_casadi.diagnosis.findings import finding, unexplained_sentence
 from lieid_casadi.effects import Effect, Placement
 from lieid_casadi.effects.registry import make
 from lieid_casadi.identification import Fit
@@ -343,36 +344,41 @@ def found_effects(diagnosis: Diagnosis, effects: tuple[str, ...]) -> FoundEffect
     model = diagnosis.fit.model
     shapes = zip(model.shapes, diagnosis.fit.shapes, strict=True)
     changed = diagnosis.mode == "changed"
+    path = diagnosis.shown[1]
     return FoundEffects(
         verdict=diagnosis.verdict,
         sentence=diagnosis.sentence,
-        proposed=tuple(_proposed(step) for step in diagnosis.steps),
+        proposed=tuple(_proposed(step, diagnosis.mode, path[-1]) for step in diagnosis.steps),
         effects=effects,
-        unexplained=tuple(
-            f"joint {part.joint + 1}: {part.relation}" for part in diagnosis.unexplained
-        ),
+        unexplained=tuple(map(unexplained_sentence, diagnosis.unexplained)),
         shapes=tuple((parameter.label, float(value)) for parameter, value in shapes),
         model=() if changed else tuple(p.label for p in model.placements),
-        path=tuple(tuple(numbers_or_none(errors)) for errors in diagnosis.shown[1]),
+        path=tuple(tuple(numbers_or_none(errors)) for errors in path),
     )
 
 
-def _proposed(step: Step) -> ProposedEffect:
+def _proposed(step: Step, mode: str, errors: Array) -> ProposedEffect:
+    """Return a step for the page; ``errors`` (n,) are those of the final fit that it shows, N·m."""
+    before, after = step.before, step.after
+    if mode == "missing" and step.fall.test is not None:  # as the list of joints: of the test
+        after = float(errors[step.joint])
+        before = after + step.fall.test
     return ProposedEffect(
         label=step.label,
         effect=step.effect,
         joints=tuple(j + 1 for j in step.joints),
-        joint=step.joints[0] if step.joints else 0,
-        before=number_or_none(step.before),
-        after=number_or_none(step.after),
+        joint=step.joint,
+        before=number_or_none(before),
+        after=number_or_none(after),
         selected=step.evidence.selected,
         confirmed=step.confirmed,
         rivals=tuple((rival.label, rival.kind) for rival in step.rivals),
         value=", ".join(
-            value_text(name, value, None, step.units[name])
+            value_text(name, value, step.std.get(name), step.units.get(name, ""))
             for name, value in step.parameters.items()
         ),
         parameters=tuple(step.parameters.items()),
         status=step.status,
+        sentence=finding([step], mode),
         group=step.group,
     )
