@@ -477,7 +477,8 @@ def symbolic(
         )
     if groups and not values.numeric:
         raise ModelError("free: all parameters are inputs already; expected a fit or a robot")
-    values = values.with_free(model, groups)
+    if groups:
+        values = values.with_free(model, groups)
     width = None
     if smooth_velocity is not None:
         width = np.asarray(smooth_velocity, dtype=float)
