@@ -29,9 +29,10 @@ DEPTH = 3
 WRONG = 1.0 / 3.0
 #: A joint shows a premise if the correction lowers its error to this part.
 SHOWS = 0.7
-#: The same for stated inertias, and the least error without the correction, as part of the torque:
-#: they are never exact, and a tool that they do not contain changes the last joints' torque.
-SHOWS_STATED, LEAST_STATED = 0.4, 0.5
+#: The same for stated inertias, and the least part of the arm's rigid torque that they leave
+#: unexplained without the correction: they are never exact, and a tool that they do not contain
+#: changes the torque of the last joints.
+SHOWS_STATED, LEAST_UNEXPLAINED = 0.4, 0.3
 #: A finding needs a joint that shows it, and this decrease of the score.
 LEAST_SCORE = -0.6
 #: Least error without the correction on one of these joints, as part of its torque: less is the
@@ -236,10 +237,11 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
         return None
     ratios = after.relative / before.relative
     shown_free = (ratios[0] < SHOWS) & (before.relative[0] > LEAST_BEFORE)
-    shown_stated = (ratios[1:] < SHOWS_STATED) & (before.relative[1:] > LEAST_STATED)
-    if not shown_free.any() and not shown_stated.any():
+    unexplained = match.unexplained(before) or 0.0
+    shown_stated = unexplained > LEAST_UNEXPLAINED and bool(np.any(ratios[1:] < SHOWS_STATED))
+    if not shown_free.any() and not shown_stated:
         return None
-    by_stated = shown_stated.any() and _ratio(ratios[0]) > max(WRONG, _ratio(ratios[-1]))
+    by_stated = shown_stated and _ratio(ratios[0]) > max(WRONG, _ratio(ratios[-1]))
     kind = 1 if by_stated else 0
     ratio = _ratio(ratios[kind])
     certain = ratio <= WRONG and bool(np.all(ratios[kind] < WORSE))
