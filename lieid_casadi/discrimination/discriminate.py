@@ -233,12 +233,7 @@ def _refined(
 
 
 def _check_options(fit: Fit, level: float, starts: int, evaluations: int, rate: float) -> None:
-    """Raise an error if options are out of their range, or if the fit has no noise.
-
-    Raises
-    ------
-    ExcitationError, ModelError
-    """
+    """Raise an error if options are out of their range, or if the fit has no noise."""
     if not 0.5 <= level < 1.0:
         raise ExcitationError(f"level: {level:g}; expected 0.5 to 1")
     if starts < TRIED or evaluations < 1 or not rate > 0.0:

@@ -67,14 +67,12 @@ class Discrimination:
         Of the test and its power: 0.95 rejects a wrong rival at the 5 % level in 95 % of cases.
     sizes : dict
         Label → assumed coefficients, then shape parameters, of each effect.
-    pairs : tuple of RivalPair
     random_seconds : float
         Duration that the median of the random motions would need, s.
     max_violation : float
         Of the limits on a fine grid, relative to each; negative values are margins.
     evaluations : int
         Of the criterion.
-    solve_seconds : float
     rate : float
         Of the trajectory file, Hz.
     interrupted : bool
@@ -117,7 +115,6 @@ class Discrimination:
         ----------
         rate : float, optional
             Hz; by default that of the trajectory file.
-        periods : int
         """
         duration = self.trajectory.duration
         count = max(round(duration * (rate or self.rate)), 2)
@@ -215,14 +212,7 @@ class Discrimination:
 
 
 def plot_discrimination(result: Discrimination, ax: Axes | None = None) -> Figure:
-    """Draw the torque that each rival's refit leaves, on the joint where it is largest.
-
-    Parameters
-    ----------
-    result : Discrimination
-    ax : Axes, optional
-        To draw into; by default a new figure, which also shows the motion.
-    """
+    """Draw the torque that each rival's refit leaves, on the joint where it is largest."""
     from matplotlib.figure import Figure
 
     figure: Figure

@@ -45,7 +45,6 @@ class FeasibleMotions:
 
     Attributes
     ----------
-    parametrization : Parametrization
     range : MotionRange
         Joint limits.
     sets : tuple of ConstraintSet
@@ -68,11 +67,6 @@ class FeasibleMotions:
         """Return z shrunk towards the start pose until all limits hold on the coarse grid.
 
         Joint limits shrink their own joint alone, exactly; the others shrink all joints.
-
-        Raises
-        ------
-        NoSolution
-            No motion of this form is within the limits, however small.
         """
         z = self._within_joints(z)
         for _ in range(50):
@@ -146,30 +140,7 @@ def feasible_motions(
     samples: int | None,
     start_pose: ArrayLike | None,
 ) -> FeasibleMotions:
-    """Return the motions of a Fourier basis within limits; they start and end at rest.
-
-    Parameters
-    ----------
-    fit : FittedArm
-        Source of the torque, where a limit needs it.
-    joints : MotionRange
-        Limits of the joints.
-    limits : sequence of Limit
-        Further limits.
-    duration : float
-        Of one period, s.
-    harmonics : int
-    samples : int or None
-        Of the criterion over a period; None: 200, or 8 per coefficient if that is more.
-    start_pose : (n,) or None
-        rad; None: a pose that is far from all limits.
-
-    Raises
-    ------
-    ExcitationError
-        Too few samples for the basis, too short a period for the joints, or a start pose outside
-        of the limits.
-    """
+    """Return the motions of a Fourier basis within limits; they start and end at rest."""
     robot = fit.model.robot
     basis = make("fourier", duration=duration, harmonics=harmonics)
     if samples is None:
@@ -203,7 +174,6 @@ class SearchedMotion:
     z : (m,)
     value : float
         Of the criterion.
-    evaluations : int
     interrupted : bool
         Whether Ctrl-C ended the search.
     """
@@ -228,16 +198,6 @@ def random_search(
     of one joint is kept if the criterion increases. Steps grow after a success and shrink after a
     failure. They are reset once they are small, since a criterion that is the minimum over
     several pairs has ridges, on which steps shrink without convergence. The optimum is local.
-
-    Parameters
-    ----------
-    criterion : callable
-        To be maximized, of z (m,).
-    feasible : FeasibleMotions
-    start : (m,)
-    evaluations : int
-        Of the criterion.
-    random : numpy.random.Generator
     """
     n = feasible.parametrization.n
     best, highest, step = start, -np.inf, INITIAL_STEP
@@ -275,12 +235,6 @@ def independent_rate(fit: Fit, recordings: Sequence[Recording]) -> Array:
     A residual with the autocorrelations ρ_k at lags of h s has as much information as
     1/(h·(1 + 2·Σρ_k)) independent samples per second. The sum ends where the correlogram first
     falls below zero. The result is at most twice the cut-off frequency of the fit's filter.
-
-    Parameters
-    ----------
-    fit : Fit
-    recordings : sequence of Recording
-        Along which the residual is computed; without any, twice the cut-off is returned.
     """
     cutoff = fit.processing.cutoff
     assert cutoff is not None

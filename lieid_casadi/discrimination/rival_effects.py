@@ -60,15 +60,7 @@ class StackedColumns:
         return tuple(tuple(self.outside_model(c) for c in each) for each in self.columns)
 
     def unexplained(self, true: int, rival: int, coefficients: Array) -> Array:
-        """Return the weighted torque (R,) of one effect that the best refit of another leaves.
-
-        Parameters
-        ----------
-        true, rival : int
-            Indices of the effects.
-        coefficients : (c,)
-            Of the true effect.
-        """
+        """Return the weighted torque (R,) of one effect that the best refit of another leaves."""
         torque = self.remaining_columns[true][0] @ coefficients
         best: Array = torque
         for own in self.remaining_columns[rival]:
@@ -98,7 +90,6 @@ class RivalEffect:
 
     Attributes
     ----------
-    placement : Placement
     compiled : Compiled
         The common model with this effect, whose columns are the last ones.
     coefficients : (c,)
@@ -127,22 +118,7 @@ class RivalEffect:
 
 
 class RivalEffects:
-    """Rival effects, and the model that they have in common.
-
-    Parameters
-    ----------
-    fit : Fit
-    effects : sequence of str
-        ``stribeck:1``, each on one joint.
-    sizes : mapping
-        Label → coefficients, optionally followed by shape parameters.
-    independent_rate : (n,)
-        Independent samples per second of each joint's residual.
-    duration : float
-        Of one period, s.
-    velocity : (n,)
-        Velocity limits, rad/s.
-    """
+    """Rival effects, and the model that they have in common."""
 
     def __init__(
         self,
@@ -293,14 +269,7 @@ class RivalEffects:
 
 
 def rival_placements(effects: Sequence[str], n: int) -> list[Placement]:
-    """Return the placements of rival effects.
-
-    Raises
-    ------
-    EffectError
-        Fewer than two, one given twice, an unknown one, one on several joints, or one that needs
-        a temperature.
-    """
+    """Return the placements of rival effects."""
     found: list[Placement] = []
     for spec in effects:
         placed = place(spec, n)
@@ -341,48 +310,19 @@ ALIAS = 1e-6  # part of an effect below which no data can identify it; the diagn
 
 
 def noncentrality_needed(parameters: int, level: float) -> float:
-    """Return the noncentrality at which χ² rejects at 1 − level with probability level.
-
-    Parameters
-    ----------
-    parameters : int
-        Degrees of freedom.
-    level : float
-        0.5 to 1.
-    """
+    """Return the noncentrality at which χ² rejects at 1 − level with probability level."""
     threshold = chi2.ppf(level, parameters)
     return float(brentq(lambda x: ncx2.sf(threshold, parameters, x) - level, 1e-6, 1e3))
 
 
 def noncentrality(rivals: RivalEffects, stacked: StackedColumns, true: int, rival: int) -> float:
-    """Return the noncentrality of one period if one effect is true and the other is fitted.
-
-    Parameters
-    ----------
-    rivals : RivalEffects
-    stacked : StackedColumns
-        Along the period.
-    true, rival : int
-        Indices of the effects.
-    """
+    """Return the noncentrality of one period if one effect is true and the other is fitted."""
     left = stacked.unexplained(true, rival, rivals.effects[true].coefficients)
     return float(left @ left)
 
 
 def separable_pairs(rivals: RivalEffects, tried: Sequence[StackedColumns]) -> list[tuple[int, int]]:
-    """Return the pairs (true, rival) that some of the motions tried can separate.
-
-    Parameters
-    ----------
-    rivals : RivalEffects
-    tried : sequence of StackedColumns
-        Along several motions.
-
-    Raises
-    ------
-    NoSolution
-        An effect that the model absorbs, or two that are the same, along any motion.
-    """
+    """Return the pairs (true, rival) that some of the motions tried can separate."""
     for k, effect in enumerate(rivals.effects):
         if max(_part_outside_model(stacked, k, rivals) for stacked in tried) < ALIAS:
             raise NoSolution(
@@ -412,19 +352,7 @@ def rival_pairs(
     level: float,
     samples: int,
 ) -> tuple[RivalPair, ...]:
-    """Return the result for each pair along a motion.
-
-    Parameters
-    ----------
-    rivals : RivalEffects
-    stacked : StackedColumns
-        Along the motion.
-    separable : collection of (int, int)
-        Pairs (true, rival) that some motion can separate.
-    level : float
-    samples : int
-        N of the motion.
-    """
+    """Return the result for each pair along a motion."""
     weight = rivals.torque_weight()
     found = []
     for pair in rivals.pairs:

@@ -107,13 +107,7 @@ def verify(
     limits: Sequence[LimitOnArm],
     fit: FittedArm | None,
 ) -> Verification:
-    """Verify a motion, and return what was checked and what was not.
-
-    Raises
-    ------
-    NoSolution
-        The motion violates a limit; names it.
-    """
+    """Verify a motion, and return what was checked and what was not."""
     motion = at_control_rate(motion)
     along = ArmAlong(robot, motion)
     findings = [*_joint_findings(joints, motion)]

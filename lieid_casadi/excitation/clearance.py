@@ -167,14 +167,9 @@ class Wall:
 
 
 def floor(height: float = 0.0, *, capsules: Sequence[Capsule] = ()) -> Wall:
-    """Return the limit that the arm stays above a horizontal floor.
+    """Return the limit that the arm stays above a horizontal floor at a height, m.
 
-    Parameters
-    ----------
-    height : float
-        Of the floor in the base frame, m; up is the base's z axis.
-    capsules : sequence of Capsule
-        Links. Default: those of `capsules_of`.
+    Up is the base's z axis. The links' capsules are by default those of `capsules_of`.
     """
     return Wall((0.0, 0.0, -1.0), -height, "floor", tuple(capsules))
 
@@ -182,19 +177,10 @@ def floor(height: float = 0.0, *, capsules: Sequence[Capsule] = ()) -> Wall:
 def workspace_box(
     lower: Sequence[float], upper: Sequence[float], *, capsules: Sequence[Capsule] = ()
 ) -> tuple[Wall, ...]:
-    """Return six walls: the arm stays inside the box from ``lower`` to ``upper``.
+    """Return six walls: the arm stays inside the box from ``lower`` to ``upper`` (3,), m.
 
-    Parameters
-    ----------
-    lower, upper : (3,)
-        Corners in the base frame, m.
-    capsules : sequence of Capsule
-        Links. Default: those of `capsules_of`.
-
-    Raises
-    ------
-    ExcitationError
-        A lower corner above an upper one.
+    The corners are in the base frame; a lower one above an upper one is refused. The links'
+    ``capsules`` are by default those of `capsules_of`.
     """
     walls = []
     for axis, (low, high) in enumerate(zip(lower, upper, strict=True)):
@@ -295,13 +281,7 @@ def _clearance_set(
     distances: Sequence[_Distance],
     clearance: float,
 ) -> ConstraintSet:
-    """Return the set distance ≥ clearance, with a reason for each distance that is left out.
-
-    Raises
-    ------
-    NoSolution
-        A distance is below the clearance in every pose, and not because a capsule is too thick.
-    """
+    """Return the set distance ≥ clearance, with a reason for each distance that is left out."""
     touching, low, high = _probed(robot, motion, distances, clearance)
     kept: list[_Distance] = []
     always: list[str] = []

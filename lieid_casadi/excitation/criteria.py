@@ -339,12 +339,8 @@ def base_regressor(
 class WeakDirection:
     """A direction of the parameters that changes the torques least.
 
-    Attributes
-    ----------
-    singular_value : float
-        Root sum of squares of the torques per unit of parameter along the direction.
-    parameters : tuple of (str, float)
-        Largest components among the base parameters: name, share in [−1, 1].
+    The singular value is the root sum of squares of the torques per unit of parameter along it;
+    ``parameters`` are the names and shares, −1 to 1, of its largest components.
     """
 
     singular_value: float
@@ -363,16 +359,9 @@ class WeakDirection:
 class Quality:
     """How well the samples of a motion determine the parameters.
 
-    Attributes
-    ----------
-    singular_values : (P,)
-        Of the stacked full regressor, SI, largest first; those beyond the rank are rounding.
-    rank : int
-        Structural rank r.
-    neg_log_det : float
-        −log det of the base regressor's Gram matrix (C4), SI.
-    weak : tuple of WeakDirection
-        The smallest first.
+    Singular values (P,) are those of the stacked full regressor, SI, largest first; those beyond
+    the structural rank are rounding. ``neg_log_det`` is that of the base regressor's Gram matrix
+    (C4), ``weak`` the directions of the smallest singular values, the smallest first.
     """
 
     singular_values: Array

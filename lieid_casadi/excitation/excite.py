@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -418,9 +418,7 @@ class Excitation:
             "max_violation": self.max_violation,
             "checked": list(self.checked),
             "unchecked": list(self.unchecked),
-            "active_limits": [
-                {"quantity": limit.quantity, "used": limit.used} for limit in self.active_limits
-            ],
+            "active_limits": [asdict(limit) for limit in self.active_limits],
             "weak": [
                 {
                     "singular_value": w.singular_value,

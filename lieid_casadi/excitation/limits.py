@@ -51,7 +51,6 @@ class ConstraintSet(ABC):
         Name of each quantity in messages.
     subjects : tuple of str
         Link, pair or joint that each quantity belongs to; several may belong to one.
-    units : tuple of str
     lower, upper : (k,)
         Infinite where there is no limit.
     scale : (k,)
@@ -140,12 +139,8 @@ class MotionRange:
 
     @property
     def middle(self) -> Array:
-        """Middle of the joint ranges (n,), or the angle nearest to 0 where a stop is missing."""
-        inside = np.clip(0.0, self.position[:, 0], self.position[:, 1])
-        inside = np.where(np.isfinite(self.position[:, 0]), inside + 1e-2, inside - 1e-2)
-        free = np.isinf(self.position).all(axis=1)
-        middle = np.where(self._stops, self.position, 0.0).mean(axis=1)
-        return np.asarray(np.where(self._stops[:, 0] | free, middle, inside))
+        """Middle of the joint ranges (n,), zero without end stops."""
+        return np.asarray(np.where(self._stops, self.position, 0.0).mean(axis=1))
 
     @property
     def units(self) -> Array:

@@ -86,11 +86,6 @@ def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...
     """Return capsules along the lines from joint to joint, for robots without geometry.
 
     A moving link of zero length is a ball; the last one reaches to its farthest frame.
-
-    Parameters
-    ----------
-    radius : float, optional
-        m. Default: 6 % of the arm's length.
     """
     homes = [np.eye(4), *(joint.home for joint in robot.joints)]
     homes.append(robot.joints[-1].home @ robot.tool)

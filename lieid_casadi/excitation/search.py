@@ -34,19 +34,9 @@ NEG_LOG_DET_SLACK = 0.5  # per parameter: Δ₂ above what the first stage reach
 
 @dataclass(frozen=True)
 class IterationRecord:
-    """One iteration in the history of a search.
+    """One iteration of a search: the criterion's name and value, and the seconds since its start.
 
-    Attributes
-    ----------
-    stage : str
-        Name of the criterion.
-    seconds : float
-        Since the start of the search.
-    value : float
-        Of the criterion.
-    condition_number : float
-    violation : float
-        Largest scaled excess over a limit, margin included.
+    ``violation`` is the largest scaled excess over a limit, margin included.
     """
 
     stage: str
@@ -58,16 +48,9 @@ class IterationRecord:
 
 @dataclass(frozen=True, eq=False)
 class OptimizedStart:
-    """The best trajectory that one start led to.
+    """The free variables z (m,) of the best trajectory that one start led to.
 
-    Attributes
-    ----------
-    z : (m,)
-        Free variables.
-    rank : float
-        Quantity by which solutions are compared; the smaller, the better.
-    interrupted : bool
-        Whether the user interrupted the search.
+    Solutions are compared by ``rank``: the smaller, the better.
     """
 
     z: Array

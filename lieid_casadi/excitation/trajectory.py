@@ -49,14 +49,7 @@ class Fourier:
     """Finite Fourier series (Eq. 19); periodic.
 
     Functions 1, sin(kωt)/(kω) for the coefficients a_k, −cos(kωt)/(kω) for b_k, so that a_k and
-    b_k are amplitudes of velocity (rad/s).
-
-    Parameters
-    ----------
-    harmonics : int
-        H, of the period's frequency.
-    duration : float
-        Period, s.
+    b_k are amplitudes of velocity (rad/s). ``harmonics`` is H, ``duration`` the period in s.
     """
 
     harmonics: int = 5
@@ -74,14 +67,11 @@ class Fourier:
         angles = np.outer(t, rates)
         sine, cosine = np.sin(angles), np.cos(angles)
         one, zero = np.ones((len(t), 1)), np.zeros((len(t), 1))
-        return np.stack(
-            [
-                np.hstack([one, sine / rates, -cosine / rates]),
-                np.hstack([zero, cosine, sine]),
-                np.hstack([zero, -sine * rates, cosine * rates]),
-                np.hstack([zero, -cosine * rates**2, -sine * rates**2]),
-            ]
-        )
+        kinds = [
+            (one, sine / rates, -cosine / rates), (zero, cosine, sine),
+            (zero, -sine * rates, cosine * rates), (zero, -cosine * rates**2, -sine * rates**2),
+        ]  # fmt: skip
+        return np.stack([np.hstack(kind) for kind in kinds])
 
 
 @dataclass(frozen=True)
@@ -90,14 +80,8 @@ class ModifiedFourier:
 
     As in W. Wu, S. Zhu, X. Wang, H. Liu, "Closed-loop dynamic parameter identification of robot
     manipulators using modified Fourier series", IJARS 2012: the end conditions reduce the freedom
-    of the polynomial in place of that of the harmonics.
-
-    Parameters
-    ----------
-    harmonics : int
-        H, of the period's frequency.
-    duration : float
-        Period, s.
+    of the polynomial in place of that of the harmonics. ``harmonics`` is H, ``duration`` the
+    period in s.
     """
 
     harmonics: int = 5
@@ -127,14 +111,8 @@ class BSpline:
     """Uniform quintic B-spline; not periodic, with continuous jerk and fourth derivative.
 
     Each coefficient acts on six intervals only, so that a limit at one time does not restrain the
-    motion at another. For a bound on the jerk beside it see `jerk_limit`.
-
-    Parameters
-    ----------
-    intervals : int
-        Of equal length.
-    duration : float
-        Of all intervals, s.
+    motion at another. For a bound on the jerk beside it see `jerk_limit`. The ``intervals`` have
+    equal length; ``duration`` is that of all, s.
     """
 
     intervals: int = 11
@@ -167,21 +145,11 @@ BasisName = Literal["fourier", "modified_fourier", "bspline"]
 NAMES: tuple[BasisName, ...] = get_args(BasisName)
 
 
-def make(
-    name: str = "fourier",
-    *,
-    duration: float = 20.0,
-    harmonics: int = 5,
-) -> Basis:
+def make(name: str = "fourier", *, duration: float = 20.0, harmonics: int = 5) -> Basis:
     """Return the basis of a name.
 
     A B-spline has as many free coefficients as the Fourier series of ``harmonics``: it needs six
     end conditions in place of three.
-
-    Raises
-    ------
-    ExcitationError
-        Unknown name, or numbers out of range.
     """
     if not 0.0 < duration <= LONGEST:
         raise ExcitationError(
@@ -250,7 +218,6 @@ class Trajectory:
 
     Attributes
     ----------
-    basis : Basis
     coefficients : (n, m)
         Of the functions of the basis; for `Fourier`: q₀, a_1 … a_H, b_1 … b_H.
     """
