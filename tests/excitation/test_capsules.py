@@ -37,15 +37,6 @@ def test_an_enclosing_capsule_contains_all_points(seed, count):
     assert outside(enclosing(3, points), points) <= 1e-9
 
 
-def test_capsule_of_a_rod_is_tight():
-    rng = np.random.default_rng(0)
-    rod = rng.uniform(-0.5, 0.5, (500, 1)) * np.array([[0.0, 0.6, 0.8]])
-    rod += 0.05 * rng.uniform(-1.0, 1.0, (500, 3))
-    capsule = enclosing(1, rod)
-    assert capsule.radius < 0.1
-    assert np.linalg.norm(capsule.end - capsule.start) < 1.1
-
-
 def test_an_angle_is_cut_into_two_capsules_that_contain_every_triangle():
     rng = np.random.default_rng(1)
     points, faces = [], []
@@ -196,15 +187,6 @@ def test_bad_capsule_files(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(RobotError, match=message):
         load_capsules(path, lieid.robots.two_link())
-
-
-def test_capsule_file(tmp_path):
-    path = tmp_path / "links.yaml"
-    path.write_text("capsules: [{link: 2, start: [0, 0, 0], end: [0.4, 0, 0], radius: 0.05}]")
-    (capsule,) = load_capsules(path, lieid.robots.two_link())
-    assert capsule.link == 2
-    assert capsule.radius == 0.05
-    np.testing.assert_array_equal(capsule.end, [0.4, 0.0, 0.0])
 
 
 def test_links_of_zero_length_are_balls(recordings):

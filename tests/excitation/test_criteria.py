@@ -75,12 +75,6 @@ def test_unit_norm_columns():
     assert np.isclose(value(g)[0], value(scale @ g @ scale)[0])
 
 
-def test_values_of_criteria():
-    g = np.diag([4.0, 9.0])
-    assert np.isclose(LogDet().evaluate(g)[0], -0.5 * np.log(36.0))
-    assert np.isclose(Hadamard().evaluate(g)[0], -0.5 * np.log(6.0))
-
-
 @pytest.mark.parametrize(
     ("robot", "effects"),
     [

@@ -1,7 +1,6 @@
 """Designs that are refused, infeasible or interrupted."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import lieid_casadi as lieid
@@ -13,27 +12,8 @@ from lieid_casadi.excitation import (
     excite,
     floor,
 )
-from lieid_casadi.plant.rigid import build_pinocchio
 
 PANDA = lieid.robots.panda()
-
-
-def test_limits_that_are_checked_by_default():
-    """A planar arm over a floor: a start pose is found, and the arm stays above the base plane."""
-    robot = lieid.robots.two_link()
-    found = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=40)
-    motion = found.motion(200.0)
-    assert np.all(np.abs(motion.dq) <= 0.8 * robot.limit("velocity") + 1e-9)
-    assert "floor" not in found.unchecked
-    assert "self-collision" not in found.unchecked
-    assert found.to_dict()["unchecked"] == list(found.unchecked)
-    model = build_pinocchio(robot)
-    data = model.createData()
-    for q in motion.q[::10]:
-        pin.framesForwardKinematics(model, data, q)
-        assert data.oMf[model.getFrameId("tool")].translation[2] > 0.0
-    free = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=40, limits=())
-    assert {"floor", "self-collision", "tool speed", "torque of every joint"} <= set(free.unchecked)
 
 
 def test_a_start_pose_in_collision_is_refused_before_the_search():

@@ -12,44 +12,8 @@ from lieid_casadi.excitation.design import ExcitationProblem, make_design
 from lieid_casadi.excitation.ipopt import Ipopt, ObjectiveValue, run_ipopt
 from lieid_casadi.excitation.search import Search
 from lieid_casadi.excitation.trajectory import make
-from lieid_casadi.plant.rigid import build_pinocchio
 
 PANDA = lieid.robots.panda()
-
-
-def test_torques_and_joint_limits_hold_between_the_samples():
-    import pinocchio as pin
-
-    found = excite(
-        lieid.Model(PANDA), criterion="condition", acceleration=5.0, starts=1,
-        limits=[Torque(0.9, dry=0.0, viscous=0.0)],
-    )  # fmt: skip
-    motion = found.motion(500.0)
-    model = build_pinocchio(PANDA)
-    data = model.createData()
-    signals = zip(motion.q, motion.dq, motion.ddq, strict=True)
-    torques = np.array([pin.rnea(model, data, *sample).copy() for sample in signals])
-    assert np.all(np.abs(torques) <= 0.9 * PANDA.limit("torque"))
-    assert np.all(motion.q >= PANDA.limit("position_lower"))
-    assert np.all(motion.q <= PANDA.limit("position_upper"))
-    assert np.all(np.abs(motion.dq) <= PANDA.limit("velocity"))
-    assert np.abs(motion.ddq).max() <= 5.0
-    assert found.max_violation == 0.0
-    assert found.condition_number < 15.0
-
-
-def test_interrupt_keeps_a_feasible_trajectory():
-    calls = []
-
-    def progress(stage, fraction):
-        calls.append(stage)
-        if len(calls) == 50:
-            raise KeyboardInterrupt
-
-    found = excite(lieid.Model(PANDA), starts=2, progress=progress, limits=[Torque()])
-    assert found.interrupted
-    assert found.max_violation == 0.0
-    assert len(calls) == 50
 
 
 def test_an_iteration_limit_ends_within_the_limits():
