@@ -71,14 +71,16 @@ def capsules_of(robot: Robot) -> tuple[Capsule, ...]:
     """Return the links as capsules.
 
     A URDF's collision geometry is enclosed by capsules where its meshes are found (``package://``
-    in ``ROS_PACKAGE_PATH`` or ``AMENT_PREFIX_PATH``). The Panda has bundled ones. Every other
-    link is a capsule along the line between its joints; designs list its shape as unchecked.
+    in ``ROS_PACKAGE_PATH`` or ``AMENT_PREFIX_PATH``). The Panda has bundled ones. Every link of
+    which a part is unknown has a capsule along the line between its joints; designs list its shape
+    as unchecked.
     """
-    shapes, _ = collision_shapes(robot)
+    shapes, unknown = collision_shapes(robot)
     found = tuple(capsule for shape in shapes for capsule in _around(shape))
     if not found:
-        found = _bundled(robot)
-    have = {capsule.link for capsule in found}
+        found, unknown = _bundled(robot), ()
+    moving = {name: link for name, link, _ in fixed_frames(robot)}
+    have = {capsule.link for capsule in found} - {moving.get(name, 0) for name in unknown}
     return (*found, *(line for line in skeleton(robot) if line.link not in have))
 
 

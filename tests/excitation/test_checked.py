@@ -117,3 +117,13 @@ def test_rest_poses_are_not_singular():
         start_pose=[0.3, 0.0],
     )  # fmt: skip
     assert any(text.startswith("rest pose") for text in stated.unchecked)
+
+
+def test_a_link_of_which_a_part_is_unknown_is_a_line_too():
+    """A sphere on the tool's flange says nothing of the link that carries it."""
+    ball = '<collision><geometry><sphere radius="0.03"/></geometry></collision>'
+    seen = '<visual><geometry><sphere radius="0.1"/></geometry></visual>'
+    urdf = URDF.replace('<link name="tool0"/>', f'<link name="tool0">{ball}</link>')
+    urdf = urdf.replace('<link name="fore"/>', f'<link name="fore">{seen}</link>')
+    sources = [(c.link, c.source) for c in capsules_of(lieid.Robot.parse_urdf(urdf))]
+    assert sources == [(2, "shape"), (0, "line"), (1, "line"), (2, "line")]
