@@ -344,7 +344,7 @@ def column_patterns(path: str) -> list[str]:
 
 
 def proposed_columns(patterns: list[str]) -> dict[str, str]:
-    """Return the pattern of each signal whose name tells its meaning.
+    """Return the pattern of each signal whose name states its meaning.
 
     Examples
     --------
