@@ -50,6 +50,8 @@ RARE_STEP = 5.0
 #: (white noise reaches 3), over the median step between samples, over the range of the signal
 #: without outliers, and over that of the joint with the largest range.
 OUTLIER, OUTLIER_STEPS, OUTLIER_RANGE, LARGEST_RANGE = 20.0, 20.0, 0.2, 0.05
+#: Part of the RMS speed below which a joint counts as at rest.
+SLOW = 0.1
 #: Rows from which these are estimated.
 ENOUGH_ROWS = 200
 #: Least steps before and after a repeat that show motion: in quanta, and in RMS steps.
@@ -169,10 +171,15 @@ def _without_outliers(measurement: Measurement) -> Measurement:
         return measurement
     found = np.zeros((len(measurement), measurement.n), dtype=bool)
     columns = []
+    travel = np.abs(measurement.q[2:] - measurement.q[:-2])
+    slow = SLOW * np.sqrt(np.mean(travel**2, axis=0))
+    moving = np.pad(travel > slow, ((1, 1), (0, 0)))
     for prefix in ("q", "dq", "tau", "i"):
         x = getattr(measurement, FIELDS[prefix])
         if x is not None:
             outliers = _outliers(x, _steps(measurement, x))
+            if prefix in ("tau", "i"):  # at rest friction is anything up to its level
+                outliers &= moving
             columns += [f"{prefix}{j + 1}" for j in np.flatnonzero(outliers.any(axis=0))]
             found |= outliers
     rows = np.asarray(found.any(axis=1))

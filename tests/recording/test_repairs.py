@@ -138,6 +138,19 @@ def test_outliers_of_single_samples_are_left_out(run, tmp_path, field, size):
     assert (warning.samples, warning.joints) == (2, (1,))
 
 
+def test_torque_that_jumps_at_an_instant_of_rest_is_no_outlier(tmp_path):
+    """Friction is undetermined where a joint stands still, if only for one sample."""
+    t = np.arange(0.0, 10.0, 0.01)
+    q = np.sin(0.5 * np.pi * t)[:, None]  # reverses at t = 5 s, at a sample
+    tau = 3.0 * q - 5.0
+    tau[500] += 10.0
+    np.savez(tmp_path / "run.npz", t=t, q=q, tau=tau)
+    assert not Recording.load(tmp_path / "run.npz").warnings
+    tau[[500, 600]] = tau[[600, 500]]  # in motion it is one
+    np.savez(tmp_path / "run.npz", t=t, q=q, tau=tau)
+    assert Recording.load(tmp_path / "run.npz").warnings[0].samples == 1
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_sound_signals_are_not_touched(tmp_path, seed):
     """Noise with heavy tails, coarse encoders, steps of friction, joints at rest."""
