@@ -21,7 +21,7 @@ ERROR = "error"  # name of the series of a joint's error
 #: Motions are the same if positions differ by less than this part of the range, and this, rad.
 SAME_MOTION, SAME_POSITION = 0.05, 0.01
 LEAST_ERROR_SCATTER = 0.02  # of the logarithm of an error: its unit of scale
-ARMS_AT_ONCE = 200  # that are read by one query
+ARMS_AT_ONCE = 50  # that are read by one query
 #: Runs of the present fit of some arms, numbered night by night (k); of a recording that was run
 #: twice, the later one. Of nights before the latest ones only some are kept.
 KEPT = f"""
@@ -116,7 +116,7 @@ def read_arms(history: History, *, waiting: int | None = None) -> Iterator[ArmHi
 
     If a number of nights is waiting to be judged, only what that needs is read.
     """
-    latest = 10**9 if waiting is None else LATEST_NIGHTS + waiting
+    latest = 10**9 if waiting is None else LATEST_NIGHTS + waiting - 1
     starts = _starts(history)
     arms = history.rows(
         "SELECT serial, robot, joints, limits FROM arms WHERE retired IS NULL ORDER BY serial"
