@@ -85,3 +85,12 @@ def test_documentation_shows_a_robot_that_is_read():
 def test_yaml_in_the_reference_is_read():
     block = re.search(r"code-block:: yaml\n\n(.*?)\n\n``name``", yaml_file.__doc__, re.DOTALL)
     assert Robot.parse_yaml(block[1]).joints[0].torque_constant == 11.0
+
+
+def test_no_text_has_marks_of_an_unresolved_merge():
+    folders = ("lieid_casadi", "codegen", "docs", "examples", "tests")
+    found = [path for folder in folders for path in (ROOT / folder).rglob("*.*")]
+    texts = [p for p in [*ROOT.glob("*.*"), *found] if p.suffix in {".py", ".md", ".toml", ".c"}]
+    assert len(texts) > 300
+    mark = re.compile(r"^(<{7}|>{7}) ", re.M)
+    assert [p for p in texts if mark.search(p.read_text("utf-8", errors="replace"))] == []
