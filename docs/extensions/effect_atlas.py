@@ -17,6 +17,7 @@ ROBOT, RATE, DURATION = "panda", 100.0, 20.0
 JOINT = 1  # joint 2 carries most of the load
 ABSORBED = 1.05  # residual without the effect over residual with it: below it nothing shows
 PER_RECORDING = ("bias_drift",)  # their values hold for the recording of the fit alone
+HIDDEN = {"smooth": "stribeck"}  # what the arm has where an effect only describes others
 BASE = ("coulomb", "viscous", "offset")
 FORWARD, BACKWARD = plot_style.FORWARD, plot_style.BACKWARD
 
@@ -41,7 +42,8 @@ class Trial:
 
 def registered(kind):
     """Return the effect with each of its options, the plain one first."""
-    return [make("/".join([kind.name, option]).rstrip("/")) for option in ("", *kind.options)]
+    found = [make("/".join([kind.name, option]).rstrip("/")) for option in ("", *kind.options)]
+    return list({effect.label: effect for effect in found}.values())
 
 
 def arms(name):
@@ -66,7 +68,7 @@ def arms(name):
             return 2 * size / (1 + np.exp(-8.0 * (speed + 0.05))) - 2 * size / (1 + np.exp(-0.4))
 
         return bare.with_effects(plant.ForeignTorque(JOINT, torque)), bare, model
-    hidden = plant.hidden_effect(bare, name, JOINT)
+    hidden = plant.hidden_effect(bare, HIDDEN.get(name, name), JOINT)
     thermal = plant.Thermal(rise=12.0, time_constant=20.0)
     bare = replace(bare, thermal=thermal) if name == "temperature_friction" else bare
     return bare.with_effects(hidden), bare, model
@@ -127,7 +129,7 @@ def values_text(fit, effect):
     """Return the identified values of an effect with their standard deviations."""
     texts = []
     for row in fit.parameter_table():
-        if not row["name"].startswith(effect.name + ".") or row["joint"] not in (None, JOINT + 1):
+        if not row["name"].startswith(effect.label + ".") or row["joint"] not in (None, JOINT + 1):
             continue
         name = row["name"].partition(".")[2].partition(":")[0] or row["name"]
         std = "" if row["std"] is None else f" ± {row['std']:.2g}"
@@ -281,6 +283,8 @@ def picture_text(kind, joint, trial):
         f"Simulated Panda, joint {joint + 1}, {DURATION:g} s of {motion}. RMS of the effect's "
         f"torque: {size:.3g} N·m."
     ]
+    if kind.name in HIDDEN:
+        sentences.append(f"The arm has `{HIDDEN[kind.name]}`, which this effect describes.")
     if trial.kept:
         sentences.append(
             f"**Absorbed**: a fit of {model} that includes this effect's recording has the same "

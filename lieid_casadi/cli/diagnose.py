@@ -67,7 +67,7 @@ COMMANDS = (
             ),
             several("--train A", "recordings to fit"),
             several("--test B", options.TEST),
-            options.random_seed("seed of the bootstrap"),
+            options.random_seed("stated in the result; a diagnosis draws no random numbers"),
             option(
                 "--worth PART",
                 "least relative fall of a joint's held-out error that is a finding; default: 0.03 "

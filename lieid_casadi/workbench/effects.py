@@ -337,7 +337,9 @@ def _finding(proposed: ProposedEffect, *, present: bool, changed: bool) -> None:
             ] = "unseen error of the joint without and with it"
         if proposed.selected is not None:
             found = text(f"{100.0 * proposed.selected:.0f} %", "number muted small")
-            found.props["title"] = "fraction of resampled data in which it was chosen"
+            found.props["title"] = (
+                "part of the searches, each without a part of the data, in which it was chosen"
+            )
         if proposed.confirmed is False:
             text("not on the test", "small warning").props["title"] = (
                 "the error on the test does not fall"

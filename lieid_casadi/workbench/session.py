@@ -127,7 +127,7 @@ class ProposedEffect:
     before, after : float or None
         Unseen error of that joint without the effect and with it, N·m.
     selected : float or None
-        Fraction of block-bootstrap repetitions in which it was chosen.
+        Fraction of the searches without a held-out part that contain it.
     confirmed : bool or None
         Whether the error on the test falls; None without a test.
     rivals : tuple of (str, str)
