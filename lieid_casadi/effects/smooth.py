@@ -34,6 +34,7 @@ GRID, PAIR_GRID = 400, 40  # points over each of one or two ranges where functio
 PAIR_REACH = 1.15  # radius in half ranges that two signals together reach: not their corners
 LEAST_ALONE, LEAST_TOGETHER = 1e-6, 5e-4  # part of the variance that a further function adds
 LARGEST = 1e4  # end of a range, in units of the signal
+ROUNDING = 1e-12  # of the largest: smaller numbers of a combination are zeros (odd and even parts)
 
 
 @dataclass(frozen=True)
@@ -245,7 +246,8 @@ def _gram_schmidt(vectors: Array, metric: Array, least: float) -> Array:
         size = float(rest @ metric @ rest)
         if size > smallest:
             found.append(rest / np.sqrt(size))
-    return np.array(found)
+    combined = np.array(found)
+    return np.where(np.abs(combined) > ROUNDING * np.abs(combined).max(), combined, 0.0)
 
 
 def _values(axis: Array, signed: bool, paired: bool) -> Array:

@@ -177,3 +177,16 @@ def test_functions_are_orthonormal_and_without_what_friction_describes():
         [sum(simpson(s[a] * s[b], x=x) for s in sides) / 4.0 for a in range(7)] for b in range(7)
     ])  # fmt: skip
     np.testing.assert_allclose(gram, np.eye(7), atol=1e-2)
+
+
+@pytest.mark.parametrize("option", ["dq", "q.dq", "dq.q2"])
+def test_functions_of_the_velocity_are_exactly_odd_or_even(option):
+    """Coefficients of rounding, 1e-16, stood for zeros: a quarter of the constants in C code."""
+    model = lieid.Model(lieid.robots.two_link(), [f"smooth/{option}:1"])
+    torque = lieid.symbolic(model).inverse_dynamics
+    motion = {"q": [0.7, -0.4], "ddq": [0.0, 0.0], "parameters": np.zeros(20)}
+    for coefficients in np.eye(len(model.columns)):
+        given = motion | {"effects": coefficients, "shapes": model.initial_shapes}
+        there, back = (float(torque(**given, dq=[speed, 0.2])["tau"][0]) for speed in (0.37, -0.37))
+        assert there != 0.0
+        assert abs(there) == abs(back)

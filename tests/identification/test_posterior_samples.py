@@ -70,7 +70,7 @@ def test_ensembles_cover_the_true_torque():
     for seed in range(40):
         fit = fitted(100 + seed, inertias=seed)
         test = recorded(200 + seed, duration=10.0, noise=0.0, inertias=seed)
-        torque = np.array([s.predict(test) for s in fit.sample(100, seed=seed)])
+        torque = np.array([s.predict(test) for s in fit.sample(60, seed=seed)])
         low, high = np.percentile(torque, [5.0, 95.0], axis=0)
         moving = np.abs(test.dq) > 0.05
         inside.append(np.mean(((test.tau >= low) & (test.tau <= high))[moving]))
