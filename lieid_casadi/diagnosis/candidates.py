@@ -103,7 +103,8 @@ class Candidate:
     @property
     def label(self) -> str:
         """The effect as written on the command line: ``stribeck:4``."""
-        return self.placement.label
+        where = "" if self.recording is None else f" in recording {self.recording + 1}"
+        return self.placement.label + where
 
     @property
     def parameters(self) -> int:

@@ -24,7 +24,13 @@ from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import Round, search
 from lieid_casadi.diagnosis.step import Fall, Step, Unexplained
-from lieid_casadi.diagnosis.steps import Accepted, absorbed_and_weak, groups_of, signals_of
+from lieid_casadi.diagnosis.steps import (
+    Accepted,
+    absorbed_and_weak,
+    groups_of,
+    share_of,
+    signals_of,
+)
 from lieid_casadi.errors import UnidentifiableWarning, unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature
@@ -55,7 +61,7 @@ def diagnose_changed(
     first = _misfit(rows, expected, [])
     raised = first > options.least_misfit * rises
     found = search(rows, options, prior=_prior(fit), spread=expected, joints=raised)
-    changes, rejected = _changes(found, raised, options)
+    changes, rejected = _changes(found, raised, options.least_misfit * rises, options)
     report("describe the changes", 0.8)
     after, beyond = _errors(found, changes)
     steps = _steps(found, changes, first * expected, noise, options)
@@ -128,34 +134,51 @@ def _prior(fit: Fit) -> Array:
 
 
 def _changes(
-    found: Round, raised: NDArray[np.bool_], options: DiagnosisOptions
+    found: Round, raised: NDArray[np.bool_], most: Array, options: DiagnosisOptions
 ) -> tuple[list[_Change], dict[str, str]]:
     """Return the changes that pass, and the reasons against the others.
 
-    They are examined together, the weakest is left out, and the others are examined again.
+    They are examined together, one is left out, the last of the path first, and the others are
+    examined again. A change without which no error is above ``most`` (n,), relative to the
+    expected one, is not needed.
     """
     rejected: dict[str, str] = {}
     slots = list(found.slots)
     while True:
         changes = _fitted(found, slots)
-        reasons = []
-        for change in changes:
-            candidate = found.columns.candidate(change.slot.group)
-            fall = _falls(found, changes, change)
-            relative = float(np.where(raised, fall, -np.inf).max(initial=-np.inf))
-            shapes = found.columns.shapes(change.slot.group)
-            reason = reason_against(candidate, shapes, change.values, found.rows.segments)
-            if reason is None and relative < options.worth_of_change:
-                reason = f"the error of a raised joint falls by only {100 * relative:.1f} %"
-            if reason is None and change.slot.deviations < options.gain_deviations:
-                reason = change.slot.reason(options)
+        for change in reversed(changes):
+            reason = _reason(found, changes, change, raised, most, options)
             if reason is not None:
-                reasons.append((change.slot.deviations, change.slot, reason))
-        if not reasons:
+                rejected[found.columns.candidate(change.slot.group).label] = reason
+                slots = [slot for slot in slots if slot is not change.slot]
+                break
+        else:
             return changes, rejected
-        _, worst, reason = min(reasons, key=lambda each: each[0])
-        rejected[found.columns.candidate(worst.group).label] = reason
-        slots = [slot for slot in slots if slot is not worst]
+
+
+def _reason(
+    found: Round,
+    changes: Sequence[_Change],
+    change: _Change,
+    raised: NDArray[np.bool_],
+    most: Array,
+    options: DiagnosisOptions,
+) -> str | None:
+    """Return why a change is left out, or None."""
+    candidate, slot = found.columns.candidate(change.slot.group), change.slot
+    reason = reason_against(
+        candidate, found.columns.shapes(slot.group), change.values, found.rows.segments
+    )
+    if reason is not None:
+        return reason
+    others = _fitted(found, [c.slot for c in changes if c is not change])
+    torques = [found.columns.stacked(c.slot.group) @ c.values for c in others]
+    if not (_misfit(found.rows, found.spread, torques) > most).any():
+        return "without it the error is as expected of the fit"
+    fall = float(np.where(raised, _falls(found, changes, change), -np.inf).max(initial=-np.inf))
+    if fall < options.worth_of_change:
+        return f"the error of a raised joint falls by only {100 * fall:.1f} %"
+    return slot.reason(options) if slot.deviations < options.gain_deviations else None
 
 
 def _fitted(found: Round, slots: Sequence[Slot]) -> list[_Change]:
@@ -259,7 +282,7 @@ def _steps(
                 before=before,
                 after=after,
                 fall=Fall(None, None, before - after),
-                share=float(np.sqrt(max(before**2 - after**2, 0.0)) / size[j]),
+                share=share_of(before, after, float(size[j])),
                 confirmed=None,
                 evidence=own.evidence,
                 rivals=own.rivals,

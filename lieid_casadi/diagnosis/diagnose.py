@@ -39,10 +39,12 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round, search
+from lieid_casadi.diagnosis.step import Difference
 from lieid_casadi.diagnosis.steps import (
     Accepted,
     absorbed_and_weak,
     fitted_values,
+    late_friction,
     steps_of,
     unexplained_parts,
 )
@@ -181,6 +183,8 @@ class _Missing:
         self.known = tuple(FilteredColumns() for _ in segments)
         self.rejected: dict[str, str] = {}
         self.refused: set[str] = set()  # their fitted values are implausible
+        self.differing: list[Difference] = []
+        self.apart: list[list[Array]] = []  # columns of what differs between the recordings
 
     def diagnosis(self, seed: int) -> Diagnosis:
         """Return the diagnosis."""
@@ -198,28 +202,36 @@ class _Missing:
         steps = steps_of(final, accepted, torque, after)
         parts = unexplained_parts(fit, fitted, after, self.rejected, options)
         shown = after or fitted
+        verdict = "effect_found" if steps else "sufficient"
+        if parts or self.differing:
+            verdict = "unexplained"
         absorbed, weak = absorbed_and_weak(last)
         self.report("done", 1.0)
         return Diagnosis(
             mode="missing",
-            verdict="unexplained" if parts else "effect_found" if steps else "sufficient",
+            verdict=verdict,
             joint_names=tuple(joint.name for joint in first.model.robot.joints),
             fit=fit,
             steps=steps,
             unexplained=parts,
-            differing=(),
+            differing=tuple(self.differing),
             rejected=tuple(self.rejected.items()),
             noise_floor=shown.noise_floor,
             noise_source=shown.noise_source,
             baseline_effects=tuple(first.model.effects),
             baseline=_errors(first, before),
             expected=None,
-            tried=len(last.columns.owners),
+            tried=sum(c.recording is None for c in last.columns.owners),
             absorbed=absorbed,
             weak=weak,
             warnings=unique_warnings(
-                [*first.warnings, *fit.warnings, *_same_recording(first, self.tests)]
-                + (list(before.warnings) if before else [])
+                [
+                    *first.warnings,
+                    *fit.warnings,
+                    *_same_recording(first, self.tests),
+                    *(before.warnings if before else ()),
+                    *late_friction(last, options.worth),
+                ]
             ),
             train=first.provenance.recordings,
             test=tuple(Source(r.name, r.source_hash) for r in self.tests),
@@ -234,7 +246,8 @@ class _Missing:
             self.report(_stage(accepted), 0.1 + 0.7 * number / ROUNDS)
             found = search(rows, self.options, refused=self.refused)
             new = self._accepted(found, {a.placement.label for a in accepted})
-            if not new:
+            apart = self._set_apart(found)
+            if not new and not apart:
                 break
             larger = self._fitted([a.placement for a in (*accepted, *new)])
             kept = [a for a in new if self._plausible(larger, a)]
@@ -242,12 +255,16 @@ class _Missing:
                 larger = self._fitted([a.placement for a in (*accepted, *kept)])
             fit, accepted = larger, [*accepted, *kept]
             rows = Rows.of(fit, self.segments, known=self.known, before=rows)
+            for columns in self.apart:
+                rows = rows.with_apart(columns)
         return fit, accepted, found
 
     def _accepted(self, found: Round, have: set[str]) -> list[Accepted]:
         """Return the effects of a round that pass; the reasons against the others are kept."""
         new, groups = list[Slot](), list[int]()
         for slot in found.slots:
+            if found.columns.candidate(slot.group).recording is not None:
+                continue
             label = found.columns.candidate(slot.group).label
             reason = slot.reason(self.options)
             if reason is None and self.ask is not None and label not in have:
@@ -267,6 +284,29 @@ class _Missing:
             else:
                 self.rejected[label] = reason
         return [Accepted.of(found, slot, groups, self.options) for slot in new]
+
+    def _set_apart(self, found: Round) -> bool:
+        """Keep what differs between the recordings, and set its columns apart; whether any does."""
+        before = len(self.apart)
+        own = {p.label for p in self.first.model.placements}
+        for slot in found.slots:
+            candidate = found.columns.candidate(slot.group)
+            if candidate.recording is None or slot.reason(self.options) is not None:
+                continue
+            names = [c.name for c in candidate.effect.coefficients]
+            self.differing.append(
+                Difference(
+                    candidate.placement.label,
+                    candidate.name,
+                    candidate.joints,
+                    found.rows.recording_names[candidate.recording],
+                    dict(zip(names, map(float, slot.values), strict=True)),
+                    {c.name: c.unit for c in candidate.effect.coefficients},
+                    candidate.placement.label in own,
+                )
+            )
+            self.apart.append(found.rows.columns.dense(slot.group))
+        return len(self.apart) > before
 
     def _plausible(self, fit: Fit, found: Accepted) -> bool:
         """Whether the fitted values of an effect are plausible; the reason is kept."""

@@ -140,7 +140,7 @@ def difference_sentence(each: Difference) -> str:
     values = [
         f"{k} = {number(v)} {each.units.get(k, '')}".strip() for k, v in each.parameters.items()
     ]
-    what = "is not the same as in the others" if each.of_model else "is not found in the others"
+    what = "is not the same in all" if each.of_model else "is not found in all"
     return (
         f"The training recordings differ from each other: in {each.recording}, {each.effect} "
         f"on {location(each.joints)} ({join_words(values)} more) {what}, so it is no effect of the "

@@ -84,7 +84,11 @@ class Slot:
 
 
 def judge(
-    paths: Paths, folds: Folds, whole: Sequence[int], parts: Sequence[Sequence[int]]
+    paths: Paths,
+    folds: Folds,
+    whole: Sequence[int],
+    parts: Sequence[Sequence[int]],
+    late: Array,
 ) -> tuple[Slot, ...]:
     """Return the effects of the path on all rows with their gains on the held-out parts.
 
@@ -96,12 +100,16 @@ def judge(
         Groups of the path on all rows.
     parts : sequence of sequence of int
         Groups of the path that does not use each part.
+    late : (R, n)
+        Change of torque if the dry friction of each joint is late. A delay must explain more than
+        that: a joint that sticks for less than a sample at its reversals looks the same there.
     """
     if not whole:
         return ()
     columns, span = paths.columns, paths.span
     every = list(dict.fromkeys([*whole, *(g for path in parts for g in path)]))
     outside = {g: span.outside(columns.stacked(g)) for g in every}
+    outside |= {-1 - j: span.outside(late[:, [j]]) for j in range(late.shape[1])}
     n = len(span.ends) - 1
     together = np.hstack([outside[g] for g in whole])
     both = solved(together.T @ together, together.T @ span.residual)
@@ -112,12 +120,17 @@ def judge(
     gains = np.zeros((len(whole), folds.count))
     before, after = np.zeros((2, len(whole), n))
     for k, path in enumerate(parts):
-        held = HeldOut(span, folds, k, {g: outside[g] for g in path})
-        complete = held.squares(path)
+        frictions = [-1 - j for j in range(late.shape[1])]
+        held = HeldOut(span, folds, k, {g: outside[g] for g in (*path, *frictions)})
+        plain = held.squares(path)
         for e, group in enumerate(whole):
             mine = members[k][group]
-            without = held.squares([g for g in path if g not in mine]) if mine else complete
-            own = _joints_of(columns.candidate(group), n)
+            candidate = columns.candidate(group)
+            own = _joints_of(candidate, n)
+            beside = [-1 - j for j in own] if candidate.effect.delays_torque else []
+            complete = held.squares([*path, *beside]) if beside else plain
+            rest = [g for g in path if g not in mine]
+            without = held.squares([*rest, *beside]) if mine else complete
             if without[own].sum() > 0.0:
                 least = SMALLEST * without[own].sum()
                 gains[e, k] = 0.5 * np.log(without[own].sum() / max(complete[own].sum(), least))
@@ -158,7 +171,7 @@ class HeldOut:
         along = -axes @ (axes.T @ (outside.T @ every[out]))
         whole, lost = every.T @ every, every[out].T @ every[out]
         qe = -outside.T @ every[out]
-        self._gram = whole - lost - qe.T @ along
+        self._whole, self._gram = whole, whole - lost - qe.T @ along
         self._held = every[held] - q[held] @ along
         self._joint, self._n = span.joint_of[folds.held[part]], len(span.ends) - 1
         widths = [c.shape[1] for c in columns.values()]
@@ -172,10 +185,27 @@ class HeldOut:
         error = self._held[:, 0]
         if groups:
             own = np.concatenate([self._at[g] for g in groups])
-            error = error - self._held[:, own] @ solved(
-                self._gram[np.ix_(own, own)], self._gram[own, 0]
-            )
+            both = np.ix_(own, own)
+            values = determined(self._gram[both], self._gram[own, 0], self._whole[both])
+            error = error - self._held[:, own] @ values
         return np.asarray(np.bincount(self._joint, weights=error**2, minlength=self._n), float)
+
+
+def determined(gram: Array, products: Array, whole: Array) -> Array:
+    """Return the solution of normal equations along directions that the rows determine.
+
+    On the others they have less than `LEAST_INFORMATION` of the information of all rows
+    (``whole``): a prediction along them would extrapolate, and they stay at zero, where columns
+    gain nothing and lose nothing.
+    """
+    size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    sizes, axes = np.linalg.eigh(whole / size / size[:, None])
+    kept = sizes > DEPENDENT * max(float(sizes.max(initial=0.0)), 1e-300)
+    to_unit = axes[:, kept] / np.sqrt(sizes[kept]) / size[:, None]
+    parts, directions = np.linalg.eigh(to_unit.T @ gram @ to_unit)
+    seen = parts > LEAST_INFORMATION
+    inside = to_unit @ directions[:, seen]
+    return np.asarray(inside @ ((inside.T @ products) / parts[seen]))
 
 
 def solved(gram: Array, products: Array) -> Array:

@@ -1,4 +1,9 @@
-"""Options of the diagnosis; `docs/method/thresholds.md` shows what moves with each of them."""
+"""Options of the diagnosis; `docs/method/thresholds.md` shows what moves with each of them.
+
+Every comment ends with the source. *Statistics*: a convention or the cited theory. *Resolution*:
+what sampling, filtering or rounding permits. *Simulations*: set on the half ``tune`` of the
+benchmark of hidden effects. *Cost*: a larger number takes longer.
+"""
 
 from __future__ import annotations
 
@@ -9,30 +14,34 @@ from dataclasses import dataclass
 class DiagnosisOptions:
     """Options of :func:`lieid_casadi.diagnose`."""
 
-    #: Penalty of a parameter in a path, in log N of a weighted sum of squares.
+    #: Penalty of a parameter in a path, in log N of a weighted sum of squares. Statistics: Schwarz,
+    #: Annals of Statistics 1978.
     penalty: float = 1.0
-    #: Effects of a path at most.
+    #: Effects of a path at most, which is reported. Cost.
     most_steps: int = 30
     #: Effective number of rows that make up a column, (Σc²)²/Σc⁴. With fewer a single disturbance
-    #: decides the coefficient.
+    #: decides the coefficient. Simulations.
     least_support: float = 5.0
-    #: Refinements of grids of shape parameters.
+    #: Refinements of grids of shape parameters. Cost.
     refinements: int = 1
-    #: Held-out parts.
+    #: Held-out parts. Statistics: ten is usual for cross-validation.
     folds: int = 10
-    #: Standard errors by which the mean gain on held-out parts must exceed zero.
+    #: Standard errors by which the mean gain on held-out parts must exceed zero. Statistics: about
+    #: 95 %.
     gain_deviations: float = 2.0
-    #: Least relative fall of the held-out error of a joint.
+    #: Least relative fall of the held-out error of a joint (`--worth`). Simulations.
     worth: float = 0.03
-    #: Least fraction of the paths without a held-out part in which a named effect is selected.
-    least_selected: float = 0.7
-    #: Standard errors by which an effect must be better than a rival to be named.
+    #: Standard errors by which an effect must be better than a rival to be named. Statistics:
+    #: Vuong, Econometrica 1989.
     rival_deviations: float = 2.0
     #: Error in motion relative to the noise floor above which a model is not sufficient.
+    #: Simulations: complete models stay below it.
     largest_error: float = 1.5
     #: Error of a kept model relative to its expected one above which something has changed.
+    #: Simulations.
     least_misfit: float = 1.15
-    #: Least relative fall of a joint's error by a change since a fit.
+    #: Least relative fall of a joint's error by a change since a fit. Simulations.
     worth_of_change: float = 0.1
     #: Error of a kept model relative to its expected one above which it is not explained.
+    #: Simulations.
     largest_change: float = 3.0

@@ -13,7 +13,7 @@ from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.folds import Folds, folds_of
 from lieid_casadi.diagnosis.gates import reason_against
-from lieid_casadi.diagnosis.nested import Slot, judge
+from lieid_casadi.diagnosis.nested import Slot, judge, solved
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
 from lieid_casadi.diagnosis.rows import Rows
@@ -102,14 +102,45 @@ def search(
         c.label: c for c in smooth if c.label not in refused and (joints is None or joints[c.joint])
     }
     rows = rows.with_candidates([*rows.columns.owners, *known.values()])
+    if prior is None:
+        rows = _with_single_recordings(rows)
     paths = Paths(*_weighted(rows, scale, prior), nothing)
     whole = forward(paths, -1, _rules(paths.columns, rows, options))
     folds = folds_of(rows, _residual_beside(paths, whole, rows, scale), options.folds)
     paths = Paths(paths.span, paths.columns, folds.out)
     rules = _rules(paths.columns, rows, options)
     parts = [forward(paths, k, rules) for k in range(folds.count)]
-    slots = judge(paths, folds, whole, parts)
+    late = np.zeros((len(paths.span.joint_of), len(rows.runs)))
+    for j, (own, weight) in enumerate(zip(rows.late_friction, rows.weights(scale), strict=True)):
+        late[paths.span.joint(j), j] = own * weight
+    slots = judge(paths, folds, whole, parts, late)
     return Round(rows, scale, paths.columns, paths.span, folds, paths, slots)
+
+
+def _with_single_recordings(rows: Rows) -> Rows:
+    """Return the rows with copies of candidates, and of the model's effects, in one recording only.
+
+    They show what differs between the recordings, which is no effect of the arm.
+    """
+    if len(rows.recording_names) < 2:
+        return rows
+    own = [
+        Candidate(p, np.zeros((1, 0)))
+        for p in rows.fit.model.placements
+        if not isinstance(p.effect, ArmEffect) and not p.effect.shapes
+    ]
+    rows = rows.with_candidates([*rows.columns.owners, *own])
+    columns = rows.columns
+    single = [
+        g
+        for g, k in enumerate(columns.owner)
+        if columns.point[g] == 0 and _is_linear(columns.owners[k])
+    ]
+    return replace(rows, columns=columns.with_only(rows.recording_of, single))
+
+
+def _is_linear(candidate: Candidate) -> bool:
+    return not candidate.effect.shapes and candidate.name != SMOOTH
 
 
 def _is_wanted(
@@ -136,7 +167,7 @@ def _rules(columns: Columns, rows: Rows, options: DiagnosisOptions) -> Rules:
 
     count = sum(run.count for run in rows.runs)
     return Rules(
-        options.penalty * np.log(count) * columns.parameters,
+        options.penalty * np.log(max(count, 2)) * columns.parameters,
         columns.support > options.least_support,
         np.array([c.name == SMOOTH for c in columns.owners], dtype=bool)[columns.owner],
         allowed,
@@ -144,14 +175,20 @@ def _rules(columns: Columns, rows: Rows, options: DiagnosisOptions) -> Rules:
     )
 
 
+def residual_beside(paths: Paths, groups: Sequence[int]) -> Array:
+    """Return the weighted residual of all rows beside some groups."""
+    span = paths.span
+    if not groups:
+        return span.residual
+    outside = np.hstack([span.outside(paths.columns.stacked(g)) for g in groups])
+    values = solved(outside.T @ outside, outside.T @ span.residual)
+    return np.asarray(span.residual - outside @ values)
+
+
 def _residual_beside(paths: Paths, groups: Sequence[int], rows: Rows, spread: Array) -> list[Array]:
     """Return the residual of each joint beside the groups of a path, N·m."""
-    span = paths.span
-    rest = span.residual
-    if groups:
-        outside = np.hstack([span.outside(paths.columns.stacked(g)) for g in groups])
-        rest = rest - outside @ np.linalg.lstsq(outside, rest, rcond=1e-8)[0]
-    return [rest[span.joint(j)] / w for j, w in enumerate(rows.weights(spread))]
+    rest = residual_beside(paths, groups)
+    return [rest[paths.span.joint(j)] / w for j, w in enumerate(rows.weights(spread))]
 
 
 def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:

@@ -14,9 +14,10 @@ from lieid_casadi.diagnosis.falls import FinalModel
 from lieid_casadi.diagnosis.nested import Slot
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.rivals import rivals_of
-from lieid_casadi.diagnosis.search import SMOOTH, Round
+from lieid_casadi.diagnosis.search import SMOOTH, Round, residual_beside
 from lieid_casadi.diagnosis.step import Evidence, Fall, Rival, Status, Step, Unexplained
 from lieid_casadi.effects import Placement
+from lieid_casadi.errors import LateFrictionWarning
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.fit_warnings import WEAK
 
@@ -118,7 +119,7 @@ def steps_of(
                 before=before,
                 after=after,
                 fall=Fall(fall["train"], fall["cv"], fall["test"]),
-                share=float(np.sqrt(max(before**2 - after**2, 0.0)) / torque[j]),
+                share=share_of(before, after, float(torque[j])),
                 confirmed=None if fall["test"] is None else fall["test"] > 0.0,
                 evidence=found.evidence,
                 rivals=found.rivals,
@@ -144,6 +145,12 @@ def groups_of(accepted: Sequence[Accepted]) -> list[int]:
     ]
     order = list(dict.fromkeys(names))
     return [order.index(name) + 1 for name in names]
+
+
+def share_of(before: float, after: float, torque: float) -> float:
+    """Return the RMS torque that lowers an error so, relative to the joint's; NaN without any."""
+    explained = float(np.sqrt(max(before**2 - after**2, 0.0)))
+    return explained / torque if torque > 0.0 else float("nan")
 
 
 def signals_of(placement: Placement) -> tuple[str, ...]:
@@ -204,6 +211,37 @@ def absorbed_and_weak(found: Round) -> tuple[tuple[str, ...], tuple[tuple[str, f
             if ABSORBED <= part < WEAK
         ),
     )
+
+
+def late_friction(found: Round, worth: float) -> list[LateFrictionWarning]:
+    """Return one warning if dry friction reverses late beside the model, else none.
+
+    It is stated where it lowers the error of a joint by ``worth``, relative to it.
+    """
+    span, rows, late = found.span, found.rows, []
+    groups = [slot.group for slot in found.slots]
+    rest = residual_beside(found.paths, groups)
+    pairs = zip(rows.late_friction, rows.weights(found.spread), strict=True)
+    for j, (own, weight) in enumerate(pairs):
+        column = np.zeros((len(span.joint_of), 1))
+        column[span.joint(j), 0] = own * weight
+        outside = span.outside(column)[:, 0]
+        size, total = float(outside @ outside), float(rest[span.joint(j)] @ rest[span.joint(j)])
+        if size <= 0.0 or total <= 0.0:
+            continue
+        delay = float(outside @ rest) / size
+        fall = 1.0 - np.sqrt(max(1.0 - delay**2 * size / total, 0.0))
+        if delay > 0.0 and fall > worth:
+            late.append(f"joint {j + 1} ({1e3 * delay:.2g} ms)")
+    if not late:
+        return []
+    return [
+        LateFrictionWarning(
+            f"dry friction reverses later than the velocity: {', '.join(late)}. A joint may stick "
+            "for a moment at reversals, or its torque signal may be delayed; only fast changes of "
+            "torque away from reversals distinguish the two"
+        )
+    ]
 
 
 def _over_floor(error: Array, floor: Array) -> Array:

@@ -52,8 +52,6 @@ def test_friction_that_reverses_late_is_stated_and_not_named_as_a_delay():
     (text,) = late(diagnosis)
     assert "joint 2 (8" in text
     assert "joint 1" not in text
-    reasons = dict(diagnosis.rejected)
-    assert "beside dry friction that reverses late" in reasons["torque_delay:2"]
 
 
 def test_a_delay_of_all_torque_is_named():

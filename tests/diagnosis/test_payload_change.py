@@ -59,5 +59,5 @@ def test_friction_that_changed_on_several_joints_is_one_finding(fit):
     less = np.array([0.0, 0.6, 0.0, 0.6, 0.12, 0.0, 0.0])
     found = lieid.diagnose(fit, replace(run, tau=run.tau + less * np.sign(run.dq)))
     assert sorted(step.label for step in found.steps) == ["coulomb:2", "coulomb:4", "coulomb:5"]
-    assert set(found.groups) == {1}
+    assert {step.group for step in found.steps} == {1}
     assert found.sentence.count("Dry friction on joints 2, 4 and 5 has increased") == 1

@@ -31,7 +31,7 @@ def test_friction_that_is_larger_in_one_recording_is_stated(effect):
     diagnosis = lieid.diagnose(MODEL, train)
     assert not diagnosis.steps
     (found,) = diagnosis.differing
-    assert (found.label, found.recordings, found.is_change) == (f"{effect}:1", ("second",), True)
+    assert (found.label, found.recording, found.of_model) == (f"{effect}:1", "second", True)
     (value,) = found.parameters.values()
     assert value == pytest.approx(MORE[effect], rel=0.1)
-    assert f"{effect} on joint 1 is not the same in second as in the others" in diagnosis.sentence
+    assert f"in second, {effect} on joint 1 (" in diagnosis.sentence
