@@ -177,7 +177,7 @@ def _asker() -> Callable[[Proposal], bool]:
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """Print the verdict, the errors of all models, rivals, and rejected candidates."""
-    from lieid_casadi.diagnosis.summary import (
+    from lieid_casadi.diagnosis.result import (
         alias_sentence,
         evidence_table,
         rejected_table,

@@ -30,7 +30,6 @@ from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.comparison.compare import compared_segments
 from lieid_casadi.compiled import compile
 from lieid_casadi.diagnosis.changed import diagnose_changed
-from lieid_casadi.diagnosis.event import Event
 from lieid_casadi.diagnosis.events import held_joints, leave_out_events, with_brief_effects
 from lieid_casadi.diagnosis.falls import FinalModel
 from lieid_casadi.diagnosis.gates import reason_against
@@ -48,6 +47,7 @@ from lieid_casadi.diagnosis.steps import (
     steps_of,
     unexplained_parts,
 )
+from lieid_casadi.diagnosis.transients import Event
 from lieid_casadi.effects import Placement
 from lieid_casadi.errors import (
     DropoutWarning,

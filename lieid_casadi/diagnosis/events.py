@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.diagnosis.event import Event
-from lieid_casadi.diagnosis.transients import transient_events
+from lieid_casadi.diagnosis.transients import Event, transient_events
 from lieid_casadi.effects.backlash import Backlash
 from lieid_casadi.errors import HeldJointWarning, IdentificationError, RecordingError
 from lieid_casadi.identification import Fit, identify

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.spatial import KDTree
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.diagnosis.event import Event, Kind
 from lieid_casadi.effects.torque_delay import delayed_change
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature, torque_along
@@ -59,6 +59,52 @@ FEWEST_MOVING = 50  # samples in motion for a scale of their own
 CONSISTENT = 0.9  # of the squared error that a force must explain
 DIMENSIONS = 3  # of a force: with as many joints or fewer, any error is consistent with one
 LEAST_SINGULAR = 0.05  # relative; forces along weaker directions are not determined
+Kind = Literal["contact", "fault", "standstill"]
+
+
+@dataclass(frozen=True)
+class Event:
+    """A stretch of a recording that is left out of a diagnosis.
+
+    Attributes
+    ----------
+    kind : str
+        ``contact``: a transient torque that the motion does not explain. ``fault``: samples that
+        the recorder lost or repeated. ``standstill``: joints that do not move enough.
+    recording : Source
+    start, end : float
+        On the recording's clock, s.
+    joints : tuple of int
+        From 0.
+    peak : float
+        Largest error of these joints, N·m.
+    sentence : str
+        What was found, where, and with which consequence.
+    force : tuple of float or None
+        Force on the tool (3,), base axes, N, that explains a contact.
+    """
+
+    kind: Kind
+    recording: Source
+    start: float
+    end: float
+    joints: tuple[int, ...]
+    peak: float
+    sentence: str
+    force: tuple[float, float, float] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON, with joints from 1."""
+        return {
+            "kind": self.kind,
+            "recording": self.recording.name,
+            "from": self.start,
+            "to": self.end,
+            "joints": [joint + 1 for joint in self.joints],
+            "peak": self.peak,
+            "force": None if self.force is None else list(self.force),
+            "sentence": self.sentence,
+        }
 
 
 def transient_events(

@@ -12,7 +12,7 @@ import numpy as np
 
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.comparison.comparison import digits, error_table, largest_errors_table, verdict
-from lieid_casadi.diagnosis import summary
+from lieid_casadi.diagnosis.result import evidence_table, rejected_table, unexplained_table
 from lieid_casadi.effects import make
 from lieid_casadi.effects.description import describe
 from lieid_casadi.effects.registry import REGISTER
@@ -73,9 +73,9 @@ def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None)
     errors = diagnosis.error_table()
     evidence = table_section(
         "Evidence",
-        summary.evidence_table(diagnosis),
-        summary.unexplained_table(diagnosis),
-        summary.rejected_table(diagnosis),
+        evidence_table(diagnosis),
+        unexplained_table(diagnosis),
+        rejected_table(diagnosis),
         titles=True,
         links=anchors(step.label.partition(":")[0] for step in diagnosis.steps),
     )

@@ -11,7 +11,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis import Rival
-from lieid_casadi.diagnosis.summary import alias_sentence
+from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.effects import make
 from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import (

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
-from lieid_casadi.diagnosis.array_function import ArrayFunction
+from lieid_casadi.diagnosis.effect_columns import ArrayFunction
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.registry import REGISTER, make
 
