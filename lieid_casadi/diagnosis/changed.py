@@ -21,6 +21,7 @@ from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.nested import Slot, solved
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
+from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import Round, search
 from lieid_casadi.diagnosis.step import Fall, Step, Unexplained
@@ -153,7 +154,8 @@ def _changes(
                 slots = [slot for slot in slots if slot is not change.slot]
                 break
         else:
-            return changes, rejected
+            simplest = represented(found, slots, options.rival_deviations)
+            return _fitted(found, simplest), rejected
 
 
 def _reason(

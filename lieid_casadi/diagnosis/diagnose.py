@@ -36,6 +36,7 @@ from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.nested import Slot
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
+from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round, search
 from lieid_casadi.diagnosis.step import Difference
@@ -261,7 +262,7 @@ class _Missing:
 
     def _accepted(self, found: Round, have: set[str]) -> list[Accepted]:
         """Return the effects of a round that pass; the reasons against the others are kept."""
-        new, groups = list[Slot](), list[int]()
+        new = list[Slot]()
         for slot in found.slots:
             if found.columns.candidate(slot.group).recording is not None:
                 continue
@@ -279,10 +280,11 @@ class _Missing:
                     reason = "rejected by the user"
             if reason is None:
                 new.append(slot)
-                groups.append(slot.group)
                 self.rejected.pop(label, None)
             else:
                 self.rejected[label] = reason
+        new = represented(found, new, self.options.rival_deviations)
+        groups = [slot.group for slot in new]
         return [Accepted.of(found, slot, groups, self.options) for slot in new]
 
     def _set_apart(self, found: Round) -> bool:
@@ -344,7 +346,7 @@ class _Missing:
         contain it.
         """
         out = []
-        for found in accepted:
+        for found in () if self.apart else accepted:  # the fit's errors contain what is set apart
             beside: list[Placement] = []
             if found.candidate.name != SMOOTH:
                 beside = [

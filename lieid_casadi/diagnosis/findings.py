@@ -12,16 +12,19 @@ MOST_LISTED = 3  # values in a list; of more the range is stated
 LEAST_SELECTED = 0.8  # below it a sentence states how often an effect was selected
 
 
-def findings(steps: Sequence[Step]) -> list[list[Step]]:
+def findings(steps: Sequence[Step], mode: str = "missing") -> list[list[Step]]:
     """Return the steps by finding, the largest share of a torque first.
 
     Steps with the same effect on several joints are one finding if their first coefficients have
-    the same sign, and their status and the kinds of their rivals are the same.
+    the same sign and, as missing effects, the same status and kinds of rivals; a change on several
+    joints has one cause.
     """
     groups: dict[tuple[object, ...], list[Step]] = {}
     for step in steps:
         rivals = tuple(sorted({r.effect for r in step.rivals}))
-        key: tuple[object, ...] = (step.group, step.status, _positive(step), rivals)
+        key: tuple[object, ...] = (step.group, _positive(step))
+        if mode == "missing":
+            key += (step.status, rivals)
         groups.setdefault(key, []).append(step)
     found = [sorted(group, key=lambda s: s.joints) for group in groups.values()]
     return sorted(found, key=lambda group: -max(step.share for step in group))

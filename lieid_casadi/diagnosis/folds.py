@@ -50,7 +50,7 @@ class Folds:
 def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:
     """Return the held-out parts of rows.
 
-    A part is one stretch of the whole recording time; of periodic motion it is a stretch of the
+    A part is one stretch of the whole time in motion; of periodic motion it is a stretch of the
     period, in all periods, so that no motion is on both sides.
 
     Parameters
@@ -85,20 +85,21 @@ def redundancy(noise: Noise) -> float:
 
 
 def _places(rows: Rows, count: int) -> tuple[NDArray[np.intp], Array]:
-    """Return the part of each instant of the common time line, and its time, s."""
-    parts, passed = [], 0.0
-    lengths = [float(s.filtered_time[-1] - s.filtered_time[0]) for s in rows.segments]
-    whole = max(sum(lengths), 1e-9)
-    for segment, length in zip(rows.segments, lengths, strict=True):
-        time = segment.filtered_time - segment.filtered_time[0]
+    """Return the part of each instant of the common time line, and its time, s.
+
+    Time counts while some joint moves, so that no part is a rest.
+    """
+    used = np.zeros(len(rows.times))
+    for run in rows.runs:
+        used[run.all] = 1.0
+    passed = np.cumsum(used) - used
+    place = passed / max(float(used.sum()), 1.0)
+    for k, segment in enumerate(rows.segments):
         period = detect_period(segment.recording)
-        if period is None:
-            place = (passed + time) / (whole * (1.0 + 1e-9))
-        else:
-            place = (time % period) / period
-        parts.append(np.minimum((count * place).astype(np.intp), count - 1))
-        passed += length
-    return np.concatenate(parts), rows.times
+        if period is not None:
+            time = segment.filtered_time - segment.filtered_time[0]
+            place[rows.segment_of == k] = (time % period) / period
+    return np.minimum((count * place).astype(np.intp), count - 1), rows.times
 
 
 def _distance(times: Array, others: Array) -> Array:

@@ -281,7 +281,9 @@ class PathState:
         """
         columns, norms = self.paths.columns, self.paths.norms
         gains, values = np.zeros(len(columns.size)), np.zeros(columns.count)
-        share = 1.0 if self.part < 0 else 1.0 - self.paths.left_out[self.part].mean()
+        share = 1.0
+        if self.part >= 0 and self.paths.left_out.size:
+            share -= self.paths.left_out[self.part].mean()
         for (groups, own), inner in zip(columns.by_size, self.inner.parts, strict=True):
             if wanted is not None:
                 here = wanted[groups]
@@ -397,8 +399,10 @@ def forward(paths: Paths, part: int, rules: Rules) -> tuple[int, ...]:
         one = replace(smooth, usable=smooth.usable & here)
         bare = state
         for group in state.groups:
-            if here[group] and not columns.candidate(group).reaches_all:
+            if here[group] and columns.candidate(group).joints:
                 bare = bare.without(group)
+        if len(bare.groups) == len(state.groups):
+            continue  # there is nothing to replace
         best = _best(bare, one, np.zeros(len(here), dtype=bool))
         if best is None:
             continue

@@ -116,7 +116,7 @@ class Diagnosis:
     def sentences(self) -> list[str]:
         """The verdict, one sentence for each finding and each unexplained part."""
         parts = [event.sentence for event in self.events]
-        parts += [finding(group, self.mode) for group in findings(self.steps)]
+        parts += [finding(group, self.mode) for group in findings(self.steps, self.mode)]
         if self.verdict == "sufficient" and self.mode == "missing":
             parts.append("No effect lowers the error of data that its choice did not see.")
         elif self.verdict == "sufficient":
@@ -203,7 +203,7 @@ class Diagnosis:
 
 def evidence_table(d: Diagnosis) -> Table:
     """Return errors without and with each step, status, rivals and evidence."""
-    steps = [step for group in findings(d.steps) for step in group]
+    steps = [step for group in findings(d.steps, d.mode) for step in group]
     error = "held-out error" if d.mode == "missing" else "error"
     columns: dict[str, list[object]] = {
         "effect": [step.label for step in steps],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,10 @@ EXAMINED = 8  # of them, that can replace most of the effect's torque
 BLOCK = 1.0  # s, at least, of blocks whose errors are compared
 
 
-def rivals_of(found: Round, slot: Slot, others: Sequence[int], deviations: float) -> list[Rival]:
-    """Return the candidates that the data do not separate from an effect, nearest first.
+def rivals_of(
+    found: Round, slot: Slot, others: Sequence[int], deviations: float
+) -> list[tuple[int, Rival]]:
+    """Return the groups that the data do not separate from an effect, nearest first, as rivals.
 
     The errors of the two models are compared over blocks of time (Vuong, Econometrica 1989), each
     with the cost of its parameters. Candidates that stand in the effect's place in a path without
@@ -59,8 +62,33 @@ def rivals_of(found: Round, slot: Slot, others: Sequence[int], deviations: float
             continue
         part = part_of(torque, span.outside(columns.stacked(group)))
         kind = "exact" if part > 1.0 - EXACT**2 else "data"
-        rivals.append((float(np.mean(worse)), Rival(rival.label, rival.name, rival.joints, kind)))
-    return [rival for _, rival in sorted(rivals, key=lambda pair: pair[0])]
+        stated = Rival(rival.label, rival.name, rival.joints, kind)
+        rivals.append((float(np.mean(worse)), int(group), stated))
+    return [(group, rival) for _, group, rival in sorted(rivals, key=lambda each: each[0])]
+
+
+def represented(found: Round, slots: Sequence[Slot], deviations: float) -> list[Slot]:
+    """Return slots with the group that has the fewest parameters of those that are not separated.
+
+    The simplest of equals represents them.
+    """
+    groups = [slot.group for slot in slots]
+    simplest = []
+    for slot in slots:
+        others = [g for g in groups if g != slot.group]
+        rivals = [g for g, _ in rivals_of(found, slot, others, deviations)]
+        cost = found.columns.parameters
+        best = min([slot.group, *rivals], key=lambda g: cost[g])
+        taken = found.columns.candidate(best).label in {
+            found.columns.candidate(g).label for g in others
+        }
+        if taken or best == slot.group:
+            simplest.append(slot)
+            continue
+        own, new = (found.span.outside(found.columns.stacked(g)) for g in (slot.group, best))
+        values = solved(new.T @ new, new.T @ (own @ slot.values))
+        simplest.append(replace(slot, group=best, values=values))
+    return simplest
 
 
 def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Array) -> list[int]:

@@ -14,7 +14,7 @@ from lieid_casadi.diagnosis.falls import FinalModel
 from lieid_casadi.diagnosis.nested import Slot
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.rivals import rivals_of
-from lieid_casadi.diagnosis.search import SMOOTH, Round, residual_beside
+from lieid_casadi.diagnosis.search import SMOOTH, Round
 from lieid_casadi.diagnosis.step import Evidence, Fall, Rival, Status, Step, Unexplained
 from lieid_casadi.effects import Placement
 from lieid_casadi.errors import LateFrictionWarning
@@ -41,7 +41,8 @@ class Accepted:
         """Return an effect of a round beside the other groups that are accepted with it."""
         candidate = found.columns.candidate(slot.group)
         others = [g for g in groups if g != slot.group]
-        rivals = tuple(rivals_of(found, slot, others, options.rival_deviations))
+        near = rivals_of(found, slot, others, options.rival_deviations)
+        rivals = tuple(rival for _, rival in near)
         evidence = Evidence(
             tuple(map(float, slot.gains)),
             slot.deviations,
@@ -219,8 +220,7 @@ def late_friction(found: Round, worth: float) -> list[LateFrictionWarning]:
     It is stated where it lowers the error of a joint by ``worth``, relative to it.
     """
     span, rows, late = found.span, found.rows, []
-    groups = [slot.group for slot in found.slots]
-    rest = residual_beside(found.paths, groups)
+    rest = span.residual
     pairs = zip(rows.late_friction, rows.weights(found.spread), strict=True)
     for j, (own, weight) in enumerate(pairs):
         column = np.zeros((len(span.joint_of), 1))

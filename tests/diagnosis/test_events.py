@@ -93,7 +93,7 @@ def test_an_arm_at_rest_that_is_pushed_has_an_event_and_no_change(fit):
         "force": list(contact.force), "sentence": contact.sentence,
     }  # fmt: skip
     assert contact.sentence in found.sentence
-    assert np.isnan(found.baseline_moving).all()
+    assert np.isnan(found.baseline["rms_test_moving"]).all()
     assert "Dropout" not in str([type(warning).__name__ for warning in found.warnings])
     assert "N on the tool" in contact.sentence
 
