@@ -137,7 +137,6 @@ def list_candidates(
     segments : sequence of Processed
     scan : callable
         Of an effect and a joint (from 0): the grid (G, 1) of a shape parameter that is scanned.
-    options : DiagnosisOptions
     model_fixed : bool
         Whether the model is not fitted again, so that effects of the model are candidates too,
         as changes.
@@ -176,7 +175,6 @@ def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Arr
     segments : sequence of Processed
     joint : int
         From 0.
-    options : DiagnosisOptions
 
     Returns
     -------
@@ -207,7 +205,6 @@ def shape_limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tup
     segments : sequence of Processed
     joint : int
         From 0.
-    options : DiagnosisOptions
 
     Returns
     -------

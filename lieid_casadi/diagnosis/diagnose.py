@@ -201,7 +201,7 @@ class _Missing:
         fitted = compare(fit, self.train)
         torque = np.array([np.sqrt(np.mean(t**2)) if len(t) else np.nan for t in rows.torque])
         steps = steps_of(final, accepted, torque, after)
-        parts = unexplained_parts(fit, fitted, after, self.rejected, options)
+        parts = unexplained_parts(fitted, after, self.rejected, options)
         shown = after or fitted
         verdict = "effect_found" if steps else "sufficient"
         if parts or self.differing:
@@ -340,7 +340,7 @@ class _Missing:
         final: FinalModel,
         tests: Sequence[Processed] | None,
     ) -> tuple[Fit, list[Accepted], FinalModel]:
-        """Return the model without effects whose removal does not raise its cross-validated error.
+        """Return the model without effects that are not worth their place in it.
 
         An effect of the library is judged without the smooth functions of its joint, which may
         contain it.
@@ -358,10 +358,12 @@ class _Missing:
             without = final.errors(final.columns_of([*beside, found.placement]))["cv"]
             assert reduced is not None
             assert without is not None
-            if without[found.joint] <= reduced[found.joint]:
+            fall = 1.0 - reduced[found.joint] / without[found.joint]
+            if fall < self.options.worth:
                 out.append(found)
                 self.rejected[found.placement.label] = (
-                    "the cross-validated error of the final model is not larger without it"
+                    "in the final model it lowers the cross-validated error by only "
+                    f"{100 * max(fall, 0.0):.1f} %"
                 )
         if not out:
             return fit, accepted, final

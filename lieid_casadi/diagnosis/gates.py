@@ -11,7 +11,7 @@ from lieid_casadi.diagnosis.candidates import Candidate, shape_limits
 from lieid_casadi.recording import Processed
 
 LEAST_SHAPE = 0.5  # of the least value that the motion resolves
-AT_BOUND = 0.02  # relative distance from a lower bound
+AT_BOUND = 0.02  # relative distance from a bound
 LEAST_DELAY = 1.0  # samples: a velocity from differences is late by as much, commands are held
 
 #: Of a candidate, its shape parameters and its coefficients: why they are implausible.
@@ -44,9 +44,13 @@ def implausible_size(
 def unresolved_shape(
     candidate: Candidate, shapes: Array, values: Array, segments: Sequence[Processed]
 ) -> str | None:
-    """A shape parameter below what the motion resolves, such as a velocity in the dead zone."""
+    """A shape parameter that the motion does not resolve, such as a velocity in the dead zone."""
     for shape, value in zip(candidate.effect.shapes, shapes, strict=False):
         least, _ = shape_limits(shape, segments, candidate.joint)
+        if shape.data is not None:
+            continue
+        if value >= shape.upper * (1.0 - AT_BOUND):
+            return f"{shape.name} = {value:.2g} {shape.unit} is at the upper end of its range"
         if value < LEAST_SHAPE * least or value <= shape.lower * (1.0 + AT_BOUND):
             return f"{shape.name} = {value:.2g} {shape.unit} is below what this motion can resolve"
     return None

@@ -2,7 +2,7 @@
 
 The path on all rows proposes the effects. A path on the rows outside each held-out part, which
 does not see that part, is then examined: what does the error of the part gain by the effect, or by
-a rival that this path has in its place? An effect is worth adding if the mean of this gain over
+a rival that this path has in its place? An effect is added if the mean of this gain over
 the parts exceeds a number of its standard errors. An effect that a path does not contain gains
 nothing there, so that the figures contain the uncertainty of the choice itself.
 """

@@ -379,7 +379,7 @@ def forward(paths: Paths, part: int, rules: Rules) -> tuple[int, ...]:
     While the path is short, each of its groups gives way to a better one: the
     first one is often a compromise of several causes. Effects of the library come first. A smooth
     function then takes the place of all effects on its joint if it explains more than they do, by
-    more than what its parameters cost; of what remains, smooth functions explain the rest.
+    more than what its parameters cost; other smooth functions are added at the end.
 
     Parameters
     ----------

@@ -216,7 +216,7 @@ def evidence_table(d: Diagnosis) -> Table:
         "selected": [percent(step.evidence.selected) for step in steps],
         "fits as well": [_rival_text(step) for step in steps],
     }
-    if not any(step.fall.test is not None for step in steps):
+    if d.mode == "changed" or not any(step.fall.test is not None for step in steps):
         del columns["on the test by, N·m"]
     note = (
         "Errors are those of the final model without the effect and with it. Gain: mean fall of "

@@ -164,7 +164,6 @@ def signals_of(placement: Placement) -> tuple[str, ...]:
 
 
 def unexplained_parts(
-    fit: Fit,
     fitted: Comparison,
     tested: Comparison | None,
     rejected: Mapping[str, str],
@@ -174,15 +173,13 @@ def unexplained_parts(
 
     Parameters
     ----------
-    fit : Fit
-        The final one.
     fitted, tested : Comparison
-        With the training recordings, and with the test if there is one.
+        Of the final fit with the training recordings, and with the test if there is one.
     rejected : mapping
         Candidates that were selected and not added, and why.
     options : DiagnosisOptions
     """
-    ratio = _over_floor(fit.rms_cv, fitted.noise_floor)
+    ratio = _over_floor(fitted.rms_moving, fitted.noise_floor)
     if tested is not None:
         ratio = np.maximum(ratio, _over_floor(tested.rms_moving, tested.noise_floor))
     found = []
