@@ -96,14 +96,14 @@ def test_command_line_and_python_agree():
 @pytest.mark.parametrize(
     ("rate", "wanted", "limit"),
     [
-        (0.95, {"modes": ["missing"], "kinds": ["single"], "sizes": [5.0, 2.0, 1.0]}, 12),
+        (0.95, {"modes": ["missing"], "kinds": ["single"], "sizes": [5.0, 2.0, 1.0]}, 8),
         (0.85, {"modes": ["missing"], "kinds": ["pair"]}, 4),
-        (0.95, {"modes": ["missing"], "kinds": ["none"]}, 12),
+        (0.95, {"modes": ["missing"], "kinds": ["none"]}, 8),
         (0.90, {"modes": ["missing"], "kinds": ["foreign"]}, 5),
         (0.90, {"kinds": ["form"]}, 5),
-        (0.95, {"kinds": ["world"]}, 8),
-        (0.95, {"modes": ["changed"], "kinds": ["single"], "sizes": [5.0, 2.0, 1.0]}, 10),
-        (0.95, {"modes": ["changed"], "kinds": ["none"]}, 10),
+        (0.95, {"kinds": ["world"]}, 6),
+        (0.95, {"modes": ["changed"], "kinds": ["single"], "sizes": [5.0, 2.0, 1.0]}, 3),
+        (0.95, {"modes": ["changed"], "kinds": ["none"]}, 3),
     ],
     ids=["single", "pair", "none", "foreign", "form", "world", "changed", "unchanged"],
 )
