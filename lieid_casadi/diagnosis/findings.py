@@ -140,9 +140,10 @@ def _selected(steps: Sequence[Step]) -> str:
 
 def difference_sentence(each: Difference) -> str:
     """Return what is not the same in all training recordings."""
-    values = [
-        f"{k} = {number(v)} {each.units.get(k, '')}".strip() for k, v in each.parameters.items()
-    ]
+    values = []
+    for name, value in each.parameters.items():
+        unit = each.units.get(name, "")
+        values.append(f"{name} = {number(value)} {'' if unit == '1' else unit}".strip())
     what = "is not the same in all" if each.of_model else "is not found in all"
     return (
         f"The training recordings differ from each other: in {each.recording}, {each.effect} "
