@@ -29,11 +29,13 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 import lieid_casadi as lieid
-from lieid_casadi.excitation import CartesianSpeed
+from lieid_casadi.excitation import CartesianSpeed, Criterion
 from lieid_casadi.excitation.design import ExcitationProblem, make_design
 from lieid_casadi.excitation.search import Search
 from lieid_casadi.excitation.trajectory import make
@@ -45,15 +47,62 @@ V_C = 1.7  # m/s
 CORE_TYPES = ("Haswell", "SkylakeX", "Nehalem")  # OPENBLAS_CORETYPE: AVX2, AVX-512, SSE
 
 
+def unit_norm_gram(gram):
+    """Return the Gram matrix of the same columns, scaled to unit norm."""
+    norms = np.sqrt(np.diag(gram))
+    return gram / np.outer(norms, norms)
+
+
+class UnitNormColumns(Criterion):
+    """A criterion of the base regressor with columns scaled to unit norm.
+
+    With R = D⁻¹GD⁻¹, D = diag(G)^½ and S = ∂f/∂R, the derivative is
+    ∂f/∂G = D⁻¹SD⁻¹ − diag(SR)/diag(G).
+    """
+
+    def __init__(self, criterion):
+        self.criterion, self.name = criterion, criterion.name
+
+    def evaluate(self, gram):
+        """Return value and derivative."""
+        scaled = unit_norm_gram(gram)
+        value, slope = self.criterion.evaluate(scaled)
+        norms = np.sqrt(np.diag(gram))
+        change = np.diag((slope * scaled).sum(axis=1) / norms**2)
+        return value, slope / np.outer(norms, norms) - change
+
+
+class PaperProblem(ExcitationProblem):
+    """A design whose condition number is that of the base columns scaled to unit norm."""
+
+    @cached_property
+    def metric(self):
+        """No change of coordinates."""
+        return np.eye(self.design.model.base.count)
+
+    @cached_property
+    def stages(self):
+        """The usual stages, with columns of unit norm in the condition number."""
+        return tuple(
+            replace(stage, criterion=UnitNormColumns(stage.criterion))
+            if stage.criterion.name == "condition" else stage
+            for stage in super().stages
+        )  # fmt: skip
+
+    def condition_number(self, gram):
+        """Return the condition number of the scaled columns."""
+        return super().condition_number(unit_norm_gram(gram))
+
+
 def run(criterion, seeds, **thresholds):
     """Return one row (C2, C4, processor seconds, iterations) per start."""
     model = lieid.Model(lieid.robots.panda_luo2024(), effects=FRICTION)
     design = make_design(
         model, basis=make("fourier", duration=20.0, harmonics=5), criterion=criterion,
-        limits=(CartesianSpeed(V_C),), start_pose=np.zeros(7), unit_norm=True,
+        limits=(CartesianSpeed(V_C),), start_pose=np.zeros(7),
         margin=1.0, **thresholds,
     )  # fmt: skip
-    problem, rows = ExcitationProblem(design), []
+    problem, rows = PaperProblem(design), []
     for seed in seeds:
         began = time.process_time()
         solution = Search(problem, seed).solve()

@@ -106,25 +106,6 @@ class Hadamard(Criterion):
         return -0.5 * float(np.mean(np.log(norms))), np.diag(-0.5 / (len(norms) * norms))
 
 
-class UnitNormColumns(Criterion):
-    """A criterion of the base regressor with columns scaled to unit norm, as in the paper.
-
-    With R = D⁻¹GD⁻¹, D = diag(G)^½ and S = ∂f/∂R, the derivative is
-    ∂f/∂G = D⁻¹SD⁻¹ − diag(SR)/diag(G).
-    """
-
-    def __init__(self, criterion: Criterion) -> None:
-        self.criterion, self.name = criterion, criterion.name
-
-    def evaluate(self, gram: Array) -> tuple[float, Array]:
-        """See `Criterion`."""
-        scaled = unit_norm_gram(gram)
-        value, slope = self.criterion.evaluate(scaled)
-        norms = np.sqrt(np.diag(gram))
-        change = np.diag((slope * scaled).sum(axis=1) / norms**2)
-        return value, slope / np.outer(norms, norms) - change
-
-
 class ExpressionCriterion(Criterion):
     """A criterion of your own, as a CasADi expression of G (p, p); differentiated by CasADi."""
 
@@ -159,20 +140,16 @@ POWERS = (
 
 
 def stages(
-    criterion: str | CriterionExpression | Criterion, metric: Array, *, unit_norm: bool = False
+    criterion: str | CriterionExpression | Criterion, metric: Array
 ) -> tuple[CriterionStage, ...]:
-    """Return the stages that lead to a criterion's optimum; a new criterion has its own here.
-
-    With ``unit_norm`` the condition number is that of the base columns scaled to unit norm.
-    """
+    """Return the stages that lead to a criterion's optimum; a new criterion has its own here."""
     if criterion == "combined":  # the paper's C1 (Eq. 20): C3, then C2 with a bound on C4
         first = CriterionStage(Hadamard(), 60, 1e-5)
-        return (first, *stages("condition", metric, unit_norm=unit_norm))
+        return (first, *stages("condition", metric))
     if criterion == "condition":
-        smooth = [Condition(metric, power) for power, _, _ in POWERS]
         return tuple(
-            CriterionStage(UnitNormColumns(one) if unit_norm else one, count, tolerance)
-            for one, (_, count, tolerance) in zip(smooth, POWERS, strict=True)
+            CriterionStage(Condition(metric, power), count, tolerance)
+            for power, count, tolerance in POWERS
         )
     if criterion == "hadamard":
         return (CriterionStage(Hadamard(), 200, 1e-5),)
@@ -190,12 +167,6 @@ def criterion_name(criterion: str | CriterionExpression | Criterion) -> str:
     if isinstance(criterion, Criterion):
         return criterion.name
     return criterion if isinstance(criterion, str) else getattr(criterion, "__name__", "own")
-
-
-def unit_norm_gram(gram: Array) -> Array:
-    """Return the Gram matrix (p, p) of the same columns, scaled to unit norm."""
-    norms = np.sqrt(np.diag(gram))
-    return np.asarray(gram / np.outer(norms, norms))
 
 
 def design_model(model: Model) -> tuple[Model, tuple[NotCountedWarning, ...]]:

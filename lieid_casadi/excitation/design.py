@@ -18,13 +18,14 @@ from lieid_casadi.excitation.criteria import (
     Criterion,
     CriterionExpression,
     CriterionName,
+    CriterionStage,
     InformationMatrix,
     LogDet,
     criterion_name,
     design_model,
-    unit_norm_gram,
+    stages,
 )
-from lieid_casadi.excitation.ipopt import ObjectiveValue, SampledConstraints
+from lieid_casadi.excitation.ipopt import Objective, ObjectiveValue, SampledConstraints
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
     Limit,
@@ -81,9 +82,6 @@ class ExcitationDesign:
         Δ₁ and Δ₂ of the criterion ``combined`` (Eq. 20).
     start : (N, n), optional
         Positions over one period, equidistant in time, from which the first search starts; rad.
-    unit_norm : bool
-        Whether condition numbers are those of the base columns scaled to unit norm, as in the
-        paper, in place of the full regressor's in SI.
     """
 
     model: Model
@@ -97,7 +95,6 @@ class ExcitationDesign:
     condition_threshold: float | None = None
     neg_log_det_threshold: float | None = None
     start: Array | None = None
-    unit_norm: bool = False
 
 
 def make_design(
@@ -114,7 +111,6 @@ def make_design(
     condition_threshold: float | None = None,
     neg_log_det_threshold: float | None = None,
     start: str | Path | None = None,
-    unit_norm: bool = False,
 ) -> ExcitationDesign:
     """Check the arguments of `excite` and return the design that they specify."""
     if isinstance(criterion, str) and criterion not in NAMES:
@@ -144,7 +140,7 @@ def make_design(
         limits = default_limits(robot, margin=margin)
     return ExcitationDesign(
         reduced, fit, basis, samples, joints, tuple(limits), pose, criterion,
-        condition_threshold, neg_log_det_threshold, first, unit_norm,
+        condition_threshold, neg_log_det_threshold, first,
     )  # fmt: skip
 
 
@@ -225,14 +221,14 @@ class ExcitationProblem:
 
     @cached_property
     def metric(self) -> Array:
-        """L (p, p): LᵀGL has the nonzero eigenvalues of the full regressor's Gram matrix.
-
-        The identity for base columns of unit norm.
-        """
+        """L (p, p): LᵀGL has the nonzero eigenvalues of the full regressor's Gram matrix."""
         base = self.design.model.base
-        if self.design.unit_norm:
-            return np.eye(base.count)
         return np.asarray(np.linalg.cholesky(base.combination @ base.combination.T))
+
+    @cached_property
+    def stages(self) -> tuple[CriterionStage, ...]:
+        """Stages of the search."""
+        return stages(self.design.criterion, self.metric)
 
     @cached_property
     def samples(self) -> SampledBasis:
@@ -263,13 +259,29 @@ class ExcitationProblem:
 
     def condition_number(self, gram: Array) -> float:
         """Return σ₁/σ_r of the regressor with G (p, p); for condition numbers below 1e6."""
-        scaled = unit_norm_gram(gram) if self.design.unit_norm else gram
-        sizes = np.linalg.eigvalsh(self.metric.T @ scaled @ self.metric)
+        sizes = np.linalg.eigvalsh(self.metric.T @ gram @ self.metric)
         return float(np.sqrt(sizes[-1] / max(sizes[0], 1e-300)))
 
-    def objective(self, criterion: Criterion, ceiling: float | None = None) -> ExcitationObjective:
+    def objective(self, criterion: Criterion, ceiling: float | None = None) -> Objective:
         """Return f(z) of a criterion, with −log det G / p ≤ ceiling where one is given."""
-        return ExcitationObjective(self, criterion, ceiling)
+
+        def at(z: Array) -> ObjectiveValue:
+            stacked = self.information.at(self.samples.motion(z))
+            gram = stacked.gram()
+
+            def in_variables(slope: Array) -> Array:
+                return self.samples.gradient(self.information.gradient(stacked, slope))
+
+            value, slope = criterion.evaluate(gram)
+            excess, slopes = np.zeros(0), np.zeros((0, len(z)))
+            if ceiling is not None:
+                volume, volume_slope = LogDet().evaluate(gram)
+                excess, slopes = np.array([volume - ceiling]), np.zeros((1, len(z)))
+                if excess[0] > -FAR:  # farther away no step reaches the ceiling
+                    slopes[0] = in_variables(volume_slope)
+            return ObjectiveValue(value, in_variables(slope), gram, excess, slopes)
+
+        return at
 
     def random_start(self, seed: int) -> Array:
         """Return free variables (m,) that use 90 % of some joint limit of every joint.
@@ -294,37 +306,10 @@ class ExcitationProblem:
         constraints = self.constraints(1)
         for _ in range(6):
             excess = constraints.excess(constraints.sampled.motion(start))
-            if constraints.largest(excess) <= 0.3:
+            if excess.max() <= 0.3:
                 break
             start = 0.75 * start
         return start
-
-
-@dataclass(frozen=True, eq=False)
-class ExcitationObjective:
-    """A criterion as a function of z."""
-
-    problem: ExcitationProblem
-    criterion: Criterion
-    ceiling: float | None
-
-    def __call__(self, z: Array) -> ObjectiveValue:
-        """Return value, gradient and −log det above its ceiling at free variables (m,)."""
-        p = self.problem
-        stacked = p.information.at(p.samples.motion(z))
-        gram = stacked.gram()
-
-        def in_variables(slope: Array) -> Array:
-            return p.samples.gradient(p.information.gradient(stacked, slope))
-
-        value, slope = self.criterion.evaluate(gram)
-        excess, slopes = np.zeros(0), np.zeros((0, len(z)))
-        if self.ceiling is not None:
-            volume, volume_slope = LogDet().evaluate(gram)
-            excess, slopes = np.array([volume - self.ceiling]), np.zeros((1, len(z)))
-            if excess[0] > -FAR:  # farther away no step reaches the ceiling
-                slopes[0] = in_variables(volume_slope)
-        return ObjectiveValue(value, in_variables(slope), gram, excess, slopes)
 
 
 def check_at_rest(pose: Array, sets: Sequence[ConstraintSet]) -> None:

@@ -33,7 +33,6 @@ from lieid_casadi.excitation.rigid_arm import RigidArm
 from lieid_casadi.excitation.sample_functions import IdentifiedModel, model_and_fit
 from lieid_casadi.excitation.search import (
     IterationRecord,
-    OptimizedStart,
     StartAttempt,
     solve_all,
 )
@@ -197,11 +196,11 @@ def excite(
     attempts = solve_all(
         problem, seeds, progress=progress, executor=executor, max_iterations=max_iterations
     )
-    best = best_of(attempts)
-    trajectory = problem.parametrization.trajectory(best.z)
+    best, z = best_of(attempts)
+    trajectory = problem.parametrization.trajectory(z)
     times = np.append(np.arange(0.0, trajectory.duration, 1.0 / rate), trajectory.duration)
     verified = verify(model.robot, trajectory.at(times), design.range, problem.limits, design.fit)
-    excesses = problem.excesses(best.z)
+    excesses = problem.excesses(z)
     return Excitation(
         model=design.model, trajectory=trajectory, periods=periods, rest_pose=problem.pose,
         rate=rate, samples=samples, criterion=criterion_name(criterion),
@@ -210,7 +209,7 @@ def excite(
         ),
         max_violation=max(0.0, *(excess.value for excess in excesses)),
         active_limits=_active([(excess.label, 1.0 + excess.scaled) for excess in excesses]),
-        starts=tuple(_start(a) for a in attempts), history=best.history,
+        starts=tuple(attempts), history=best.history,
         build_seconds=built - began, solve_seconds=time.monotonic() - built,
         checked=verified.checked, unchecked=verified.unchecked,
         interrupted=any(a.interrupted for a in attempts),
@@ -237,40 +236,19 @@ def _check_rows(rate: float, duration: float, periods: int) -> None:
         )
 
 
-def best_of(attempts: Sequence[StartAttempt]) -> OptimizedStart:
-    """Return the best solution of several starts; where none has one, raise the first's reason."""
-    solutions = [a.solution for a in attempts if a.solution is not None]
-    if not solutions:
+def best_of(attempts: Sequence[StartAttempt]) -> tuple[StartAttempt, Array]:
+    """Return the best of several starts and its z (m,); raise the first's reason where all fail."""
+    found = [(a, a.z) for a in attempts if a.z is not None]
+    if not found:
         count = f" ({len(attempts)} starts)" if len(attempts) > 1 else ""
         raise NoSolution(f"{attempts[0].reason}{count}")
-    return min(solutions, key=lambda solution: solution.rank)
-
-
-def _start(attempt: StartAttempt) -> StartSummary:
-    solution = attempt.solution
-    if solution is None:
-        return StartSummary(attempt.seed, np.nan, np.nan, attempt.seconds, np.nan)
-    first = solution.history[0].condition_number if solution.history else np.nan
-    return StartSummary(
-        attempt.seed, solution.condition_number, solution.neg_log_det, solution.seconds, first
-    )
+    return min(found, key=lambda pair: pair[0].rank)
 
 
 def _active(quantities: Sequence[tuple[str, float]]) -> tuple[ActiveLimit, ...]:
     """Return the quantities that come within 1 % of their limits, the closest first."""
     active = [ActiveLimit(name, used) for name, used in quantities if used > 0.99]
     return tuple(sorted(active, key=lambda limit: -limit.used))
-
-
-@dataclass(frozen=True)
-class StartSummary:
-    """Result of one start; NaN where it found no trajectory. ``seed`` is None for a file."""
-
-    seed: int | None
-    condition_number: float
-    neg_log_det: float
-    seconds: float
-    first_condition_number: float
 
 
 @dataclass(frozen=True)
@@ -304,7 +282,7 @@ class Excitation:
         unit; 0 if every limit holds.
     active_limits : tuple of ActiveLimit
         Limits that the motion comes within 1 % of, the closest first.
-    starts : tuple of StartSummary
+    starts : tuple of StartAttempt
     history : tuple of IterationRecord
         Of the best start.
     build_seconds, solve_seconds : float
@@ -328,7 +306,7 @@ class Excitation:
     criterion: str
     max_violation: float
     active_limits: tuple[ActiveLimit, ...]
-    starts: tuple[StartSummary, ...]
+    starts: tuple[StartAttempt, ...]
     history: tuple[IterationRecord, ...]
     build_seconds: float
     solve_seconds: float

@@ -38,6 +38,7 @@ JUMP = 0.05  # increase of the scaled excess from which a step is taken back
 RADIUS = 0.3  # largest change of a variable in one run; few limits are rows at its start
 DECREASE = 0.3  # of the barrier parameter from stage to stage
 FUTILE = 20  # runs without a smaller violation that end a stage
+STALLED, STALLED_OUTSIDE = 2, 10  # iterations without gain that end a run
 PUSH = 1e-4  # distance from their bound of slacks that start on it
 
 
@@ -59,108 +60,59 @@ Objective = Callable[[Array], ObjectiveValue]
 
 
 @dataclass(frozen=True, eq=False)
-class ConstraintRows:
-    """Selected limits at selected samples: set, quantity, sample, side (+1 upper, −1 lower)."""
-
-    sets: Indices
-    quantities: Indices
-    samples: Indices
-    sides: Indices
-
-    def __len__(self) -> int:
-        return len(self.sets)
-
-    @property
-    def columns(self) -> tuple[Indices, ...]:
-        """The four arrays."""
-        return self.sets, self.quantities, self.samples, self.sides
-
-    @cached_property
-    def keys(self) -> list[tuple[int, ...]]:
-        """The rows as tuples."""
-        return list(zip(*(column.tolist() for column in self.columns), strict=True))
-
-    def chosen(self, mask: NDArray[np.bool_]) -> ConstraintRows:
-        """Return some of the rows."""
-        return ConstraintRows(*(column[mask] for column in self.columns))
-
-    def without(self, other: ConstraintRows) -> ConstraintRows:
-        """Return the rows that are not among the other's."""
-        known = set(other.keys)
-        return self.chosen(np.array([key not in known for key in self.keys], dtype=bool))
-
-    def joined(self, other: ConstraintRows) -> ConstraintRows:
-        """Return these rows and the other's that are not among them."""
-        pairs = zip(self.columns, other.without(self).columns, strict=True)
-        return ConstraintRows(*(np.concatenate(pair) for pair in pairs))
-
-
-@dataclass(frozen=True, eq=False)
 class SampledConstraints:
     """Constraint sets on a grid of times, as scaled excesses of the free variables z.
 
-    The excess is the distance beyond a limit in parts of its scale, plus ``margin``: a motion with
-    nonpositive excess keeps the margin from every limit.
+    The excess (k, N) of every upper and every lower limit, set after set, is the distance beyond
+    it in parts of its scale, plus ``margin``: a motion with nonpositive excess keeps the margin
+    from every limit. A row is the index of a limit at a sample in the flat excess.
     """
 
     sets: tuple[ConstraintSet, ...]
     sampled: SampledBasis
     margin: float
 
-    def excess(self, motion: MotionSamples) -> list[tuple[Array, Array]]:
-        """Return per set the scaled excesses (k, N) above the upper and below the lower limits."""
-        result = []
+    def excess(self, motion: MotionSamples) -> Array:
+        """Return the scaled excesses (k, N)."""
+        parts = []
         for limits in self.sets:
             values, scale = limits.values(motion), limits.scale[:, None]
-            above = (values - limits.upper[:, None]) / scale + self.margin
-            below = (limits.lower[:, None] - values) / scale + self.margin
-            result.append((above, below))
-        return result
+            parts.append((values - limits.upper[:, None]) / scale)
+            parts.append((limits.lower[:, None] - values) / scale)
+        return np.concatenate(parts) + self.margin
 
-    def largest(self, excess: list[tuple[Array, Array]]) -> float:
-        """Return the largest scaled excess."""
-        return max(float(side.max()) for pair in excess for side in pair)
+    def peaks(self, excess: Array, threshold: float) -> Indices:
+        """Return the rows of the local maxima over time above a threshold."""
+        before, after = np.roll(excess, 1, axis=1), np.roll(excess, -1, axis=1)
+        return np.flatnonzero((excess > threshold) & (excess >= before) & (excess > after))
 
-    def peaks(self, excess: list[tuple[Array, Array]], threshold: float) -> ConstraintRows:
-        """Return the local maxima over time of excesses above a threshold."""
-        found: list[tuple[Indices, ...]] = []
-        for index, pair in enumerate(excess):
-            for side, values in zip((1, -1), pair, strict=True):
-                before, after = np.roll(values, 1, axis=1), np.roll(values, -1, axis=1)
-                quantity, sample = np.nonzero(
-                    (values > threshold) & (values >= before) & (values > after)
-                )
-                found.append(
-                    (np.full_like(quantity, index), quantity, sample, np.full_like(quantity, side))
-                )
-        return ConstraintRows(*(np.concatenate(column) for column in zip(*found, strict=True)))
+    def nonlinear(self, rows: Indices) -> NDArray[np.bool_]:
+        """Return which rows are of sets that are not linear in z."""
+        of_limits = np.repeat(
+            [not s.linear for s in self.sets], [2 * len(s.scale) for s in self.sets]
+        )
+        return np.asarray(of_limits[rows // len(self.sampled.t)])
 
-    def at(self, excess: list[tuple[Array, Array]], rows: ConstraintRows) -> Array:
-        """Return the excesses of rows (R,)."""
-        result = np.empty(len(rows))
-        for index, (upper, lower) in enumerate(excess):
-            own = rows.sets == index
-            where = rows.quantities[own], rows.samples[own]
-            result[own] = np.where(rows.sides[own] > 0, upper[where], lower[where])
-        return result
-
-    def jacobian(self, motion: MotionSamples, rows: ConstraintRows) -> Array:
+    def jacobian(self, motion: MotionSamples, rows: Indices) -> Array:
         """Return ∂excess/∂z (R, n d) of rows."""
         functions = self.sampled.functions  # (n, 4, N, d)
-        n, _, _, d = functions.shape
+        n, _, count, d = functions.shape
+        limit, sample = np.divmod(rows, count)
         result = np.zeros((len(rows), n, d))
-        for index, limits in enumerate(self.sets):
-            own = np.flatnonzero(rows.sets == index)
+        for limits in self.sets:
+            below, quantity = np.divmod(limit, len(limits.scale))
+            own = np.flatnonzero((below == 0) | (below == 1))
+            limit = limit - 2 * len(limits.scale)
             if not len(own):
                 continue
-            samples, place = np.unique(rows.samples[own], return_inverse=True)
+            below, quantity = below[own], quantity[own]
+            samples, place = np.unique(sample[own], return_inverse=True)
             slopes = limits.jacobian(motion.at(samples))
             kinds = slopes.shape[1] // n  # of derivatives of the position, itself included
-            slopes = slopes[rows.quantities[own], :, place]  # (R, kinds n)
-            factor = rows.sides[own] / limits.scale[rows.quantities[own]]
-            slopes = (slopes * factor[:, None]).reshape(-1, kinds, n)
+            factor = (1 - 2 * below) / limits.scale[quantity]
+            slopes = (slopes[quantity, :, place] * factor[:, None]).reshape(-1, kinds, n)
             result[own] = np.einsum(
-                "rkj,jkrd->rjd", slopes, functions[:, :kinds, rows.samples[own], :], optimize=True
+                "rkj,jkrd->rjd", slopes, functions[:, :kinds, sample[own], :], optimize=True
             )
         return result.reshape(len(rows), n * d)
 
@@ -169,24 +121,25 @@ class SampledConstraints:
 class Iterate:
     """A point z (m,) of the search with the objective, the motion and the limits there.
 
-    ``excess`` has the scaled excesses (k, N) past the upper and lower limits of every set,
-    ``violation`` the largest: at most 0 where every limit holds with its margin.
+    ``excess`` has the scaled excesses (k, N), ``violation`` is the largest: at most 0 where every
+    limit holds with its margin.
     """
 
     z: Array
     outcome: ObjectiveValue
     motion: MotionSamples
-    excess: list[tuple[Array, Array]]
-    violation: float
+    excess: Array
 
     @classmethod
     def at(cls, constraints: SampledConstraints, objective: Objective, z: Array) -> Iterate:
         """Evaluate objective and limits at z (m,)."""
-        outcome = objective(z)
         motion = constraints.sampled.motion(z)
-        excess = constraints.excess(motion)
-        violation = max(constraints.largest(excess), float(outcome.excess.max(initial=-1.0)))
-        return cls(z, outcome, motion, excess, violation)
+        return cls(z, objective(z), motion, constraints.excess(motion))
+
+    @cached_property
+    def violation(self) -> float:
+        """Largest scaled excess."""
+        return max(float(self.excess.max()), float(self.outcome.excess.max(initial=-1.0)))
 
 
 @dataclass(eq=False)
@@ -218,29 +171,30 @@ class Ipopt:
         state = Iterate.at(c, objective, z)
         rows, multipliers = c.peaks(state.excess, NEAR), np.zeros(0)
         count, futile, least = 0, 0, np.inf
-        if self.barrier is None:
-            self.barrier = min(1e-2, 100.0 * tolerance)
-        while True:
-            run = IpoptRun(self, objective, rows, state, count, self.barrier, tolerance)
-            multipliers = run.solve(multipliers, iterations - count)
+        barrier = self.barrier or min(1e-2, 100.0 * tolerance)
+        while count < iterations and futile < FUTILE:
+            run = IpoptRun(self, objective, rows, state, count, max(tolerance, 0.1 * barrier))
+            inside = np.maximum(-run.limits(state.z)[len(multipliers) :], 1e-2)
+            multipliers = run_ipopt(
+                run, state.z, np.append(multipliers, barrier / inside),
+                radius=RADIUS, barrier=barrier, iterations=iterations - count,
+            )[: len(rows)]  # fmt: skip
             count += max(run.count, 1)
-            missing = c.peaks(run.last.excess, 0.5 * VIOLATED).without(rows)
             at_radius = float(np.abs(run.state.z - state.z).max()) > 0.99 * RADIUS
             state = run.state
             violated = state.violation > VIOLATED
             futile = futile + 1 if violated and state.violation > 0.99 * least else 0
             least = min(least, state.violation)
-            if count >= iterations or futile >= FUTILE:
-                break
-            if len(missing):
-                new = c.peaks(state.excess, NEAR).joined(c.peaks(run.last.excess, NEAR))
-                kept = c.at(state.excess, rows) > FAR
-                multipliers, rows = multipliers[kept], rows.chosen(kept).joined(new)
+            if len(np.setdiff1d(c.peaks(run.last.excess, 0.5 * VIOLATED), rows)):
+                kept = state.excess.ravel()[rows] > FAR
+                multipliers, rows = multipliers[kept], rows[kept]
+                for excess in (state.excess, run.last.excess):
+                    rows = np.append(rows, np.setdiff1d(c.peaks(excess, NEAR), rows))
             elif not at_radius:
-                if self.barrier <= tolerance or violated:
+                if barrier <= tolerance or violated:
                     break
-                self.barrier = max(DECREASE * self.barrier, tolerance)
-        self.barrier = max(DECREASE * self.barrier, tolerance)
+                barrier = max(DECREASE * barrier, tolerance)
+        self.barrier = max(DECREASE * barrier, tolerance)
         self.stage += 1
         return state.z
 
@@ -248,46 +202,23 @@ class Ipopt:
 class IpoptRun:
     """One run of Ipopt with fixed rows: min f(z) with g(z) ≤ 0, as functions of z (m,).
 
-    Attributes
-    ----------
-    state : Iterate
-        The last iterate from which another run may start.
-    last : Iterate
-        The last iterate.
-    count : int
-        Number of iterations.
-    pattern : (R, m)
-        Entries of ∂g/∂z that can be nonzero.
-    linear : bool
-        Whether ∂g/∂z is constant.
+    ``last`` is the last iterate, ``state`` the last one from which another run may start,
+    ``count`` the number of iterations. ``pattern`` (R, m) has the entries of ∂g/∂z that can be
+    nonzero.
     """
 
     def __init__(
-        self, solver: Ipopt, objective: Objective, rows: ConstraintRows, state: Iterate,
-        before: int, barrier: float, tolerance: float,
+        self, solver: Ipopt, objective: Objective, rows: Indices, state: Iterate, before: int,
+        enough: float,
     ) -> None:  # fmt: skip
         self.solver, self.objective, self.rows = solver, objective, rows
         self.state = self.last = self._here = state
-        self.count, self._before, self._stall = 0, before, 0
-        self._barrier, self._enough = barrier, max(tolerance, 0.1 * barrier)
-        sets = solver.constraints.sets
-        self._nonlinear = np.array([not limits.linear for limits in sets])[rows.sets]
-        self._fixed = solver.constraints.jacobian(state.motion, rows)
-        self._slopes = state, np.vstack([self._fixed, state.outcome.slopes])
-        further = len(state.outcome.excess)
-        self.linear = not (self._nonlinear.any() or further)
-        own = (self._fixed != 0.0) | self._nonlinear[:, None]
-        self.pattern = np.concatenate([own, np.ones((further, len(state.z)), bool)])
-        self._curved = state, self._slopes[1]
-
-    def solve(self, multipliers: Array, iterations: int) -> Array:
-        """Return the multipliers of all rows; ``multipliers`` are those of the first rows."""
-        start, barrier = self.state, self._barrier
-        new = barrier / np.maximum(-self._limits(start)[len(multipliers) :], 1e-2)
-        return run_ipopt(
-            self, start.z, np.append(multipliers, new), radius=RADIUS, barrier=barrier,
-            iterations=iterations,
-        )[: len(self.rows)]  # fmt: skip
+        self.count, self._before, self._enough, self._stall = 0, before, enough, 0
+        self._slopes = state, self._slopes_of(state)
+        self._curved = self._slopes
+        self.pattern = self._slopes[1] != 0.0
+        self.pattern[: len(rows)] |= solver.constraints.nonlinear(rows)[:, None]
+        self.pattern[len(rows) :] = True
 
     def value(self, z: Array) -> float:
         """Return f."""
@@ -299,11 +230,15 @@ class IpoptRun:
 
     def limits(self, z: Array) -> Array:
         """Return g (R,)."""
-        return self._limits(self._at(z))
+        state = self._at(z)
+        return np.append(state.excess.ravel()[self.rows], state.outcome.excess)
 
     def slopes(self, z: Array) -> Array:
         """Return ∂g/∂z (R, m)."""
-        return self._slopes_at(self._at(z))
+        state = self._at(z)
+        if self._slopes[0] is not state:
+            self._slopes = state, self._slopes_of(state)
+        return self._slopes[1]
 
     def hessian(self, z: Array, multipliers: Array) -> Array:
         """Return an approximation of the Lagrangian's Hessian (m, m), updated by the last step."""
@@ -312,7 +247,7 @@ class IpoptRun:
         if solver.hessian is None:
             solver.hessian = _first_hessian(state.outcome.gradient)
         if state is not before:
-            slopes, move = self._slopes_at(state), state.z - before.z
+            slopes, move = self.slopes(z), state.z - before.z
             change = state.outcome.gradient - before.outcome.gradient
             change = change + multipliers @ (slopes - slopes_before)
             # rounding would shape the Hessian
@@ -325,8 +260,7 @@ class IpoptRun:
     def done(self, z: Array) -> bool:
         """Record an iterate, the start first; return whether to stop there.
 
-        The run ends at a violated limit that is not a row, after two iterations without gain
-        inside the limits, or after ten outside of them.
+        The run ends at a violated limit that is not a row, and after some iterations without gain.
         """
         if self.count == 0 and np.array_equal(z, self.state.z):
             return False
@@ -334,7 +268,8 @@ class IpoptRun:
         state = self.last = self._at(z)
         solver.report(solver.stage, self._before + self.count, state)
         self.count += 1
-        not_a_row = len(solver.constraints.peaks(state.excess, VIOLATED).without(self.rows)) > 0
+        beyond = solver.constraints.peaks(state.excess, VIOLATED)
+        not_a_row = len(np.setdiff1d(beyond, self.rows)) > 0
         if not_a_row and state.violation > max(before.violation, 0.0) + JUMP:
             return True
         self.state = state
@@ -343,26 +278,16 @@ class IpoptRun:
         if violated:
             gain += abs(before.violation - state.violation)
         self._stall = self._stall + 1 if gain < self._enough else 0
-        return not_a_row or self._stall >= (10 if violated else 2)
+        return not_a_row or self._stall >= (STALLED_OUTSIDE if violated else STALLED)
 
     def _at(self, z: Array) -> Iterate:
         if not np.array_equal(self._here.z, z):
             self._here = Iterate.at(self.solver.constraints, self.objective, z.copy())
         return self._here
 
-    def _limits(self, state: Iterate) -> Array:
-        excess = self.solver.constraints.at(state.excess, self.rows)
-        return np.concatenate([excess, state.outcome.excess])
-
-    def _slopes_at(self, state: Iterate) -> Array:
-        if self._slopes[0] is not state:
-            slopes = self._fixed
-            if self._nonlinear.any():
-                slopes = slopes.copy()
-                chosen = self.rows.chosen(self._nonlinear)
-                slopes[self._nonlinear] = self.solver.constraints.jacobian(state.motion, chosen)
-            self._slopes = state, np.vstack([slopes, state.outcome.slopes])
-        return self._slopes[1]
+    def _slopes_of(self, state: Iterate) -> Array:
+        own = self.solver.constraints.jacobian(state.motion, self.rows)
+        return np.vstack([own, state.outcome.slopes])
 
 
 def _first_hessian(gradient: Array) -> BFGS:
@@ -376,21 +301,16 @@ def _first_hessian(gradient: Array) -> BFGS:
 
 
 def run_ipopt(
-    program: IpoptRun,
-    z: Array,
-    multipliers: Array,
-    *,
-    radius: float,
-    barrier: float,
+    program: IpoptRun, z: Array, multipliers: Array, *, radius: float, barrier: float,
     iterations: int,
-) -> Array:
+) -> Array:  # fmt: skip
     """Run Ipopt from z and return the multipliers (R,); iterates go to ``program.done``.
 
     No variable changes by more than the radius. The barrier parameter is constant, so that the run
     ends on the central path. Exceptions of the program, KeyboardInterrupt included, are raised
     after Ipopt has ended.
     """
-    failure = _CallbackFailure()
+    failures: list[BaseException] = []
     x = ca.MX.sym("z", len(z))
     settings = {
         "print_level": 0, "sb": "yes", "max_iter": iterations,
@@ -400,11 +320,10 @@ def run_ipopt(
         "warm_start_slack_bound_push": PUSH, "warm_start_slack_bound_frac": PUSH,
         "warm_start_bound_push": PUSH, "warm_start_bound_frac": PUSH,
         "warm_start_mult_bound_push": 1e-9, "acceptable_iter": 0,
-        "jac_d_constant": "yes" if program.linear else "no",
     }  # fmt: skip
     try:
         # CasADi keeps no reference to the Python objects: keep them as long as the solver
-        functions = _functions(program, len(z), failure)
+        functions = _functions(program, len(z), failures)
         given = ("grad_f", "jac_g", "hess_lag", "iteration_callback")
         options: dict[str, Any] = {name: functions[name] for name in given} | {
             "no_nlp_grad": True, "print_time": False, "show_eval_warnings": False,
@@ -420,27 +339,19 @@ def run_ipopt(
         if "KeyboardInterrupt" in str(error):
             raise KeyboardInterrupt from error
         raise
-    if failure.exception is not None:
-        raise failure.exception
+    if failures:
+        raise failures[0]
     return np.asarray(result["lam_g"].full().ravel())
 
 
-@dataclass(eq=False)
-class _CallbackFailure:
-    """The first exception of a callback; C++ code above the callback would only print it.
-
-    From then on every callback returns NaN, so that Ipopt ends.
-    """
-
-    exception: BaseException | None = None
-
-
-def _functions(p: IpoptRun, size: int, failure: _CallbackFailure) -> dict[str, _Function]:
+def _functions(p: IpoptRun, size: int, failures: list[BaseException]) -> dict[str, _Function]:
     """Return the functions under CasADi's names, with CasADi's signatures."""
     sparsity = ca.sparsify(ca.DM(p.pattern.astype(float))).sparsity()
-    entries = tuple(np.array(part, dtype=np.intp) for part in sparsity.get_triplet())
     triangle = ca.Sparsity.upper(size)
-    upper = tuple(np.array(part, dtype=np.intp) for part in triangle.get_triplet())
+    entries, upper = (
+        tuple(np.array(part, dtype=np.intp) for part in pattern.get_triplet())
+        for pattern in (sparsity, triangle)
+    )
     one, none = ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
     z_, g_ = ca.Sparsity.dense(size), ca.Sparsity.dense(len(p.pattern))
     shapes = {"x": z_, "lam_x": z_, "f": one, "g": g_, "lam_g": g_}
@@ -457,22 +368,22 @@ def _functions(p: IpoptRun, size: int, failure: _CallbackFailure) -> dict[str, _
         "hess_lag": ([z_, none, one, g_], [triangle], hessian),
         "iteration_callback": (results, [one], lambda z, *_: [float(p.done(z))]),
     }
-    return {name: _Function(name, *parts, failure) for name, parts in table.items()}
+    return {name: _Function(name, *parts, failures) for name, parts in table.items()}
 
 
 class _Function(ca.Callback):
-    """A CasADi function of a Python rule that returns the nonzeros of each output."""
+    """A CasADi function of a Python rule that returns the nonzeros of each output.
+
+    C++ code above a callback would only print its exception. It becomes the first of the failures;
+    from then on every function returns NaN, so that Ipopt ends.
+    """
 
     def __init__(
-        self,
-        name: str,
-        inputs: list[ca.Sparsity],
-        outputs: list[ca.Sparsity],
-        rule: Callable[..., Values],
-        failure: _CallbackFailure,
-    ) -> None:
+        self, name: str, inputs: list[ca.Sparsity], outputs: list[ca.Sparsity],
+        rule: Callable[..., Values], failures: list[BaseException],
+    ) -> None:  # fmt: skip
         ca.Callback.__init__(self)
-        self._inputs, self._outputs, self._rule, self._failure = inputs, outputs, rule, failure
+        self._inputs, self._outputs, self._rule, self._failures = inputs, outputs, rule, failures
         self.construct(name, {})
 
     def get_n_in(self) -> int:
@@ -488,10 +399,10 @@ class _Function(ca.Callback):
         return self._outputs[i]
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
-        if self._failure.exception is None:
+        if not self._failures:
             try:
                 values = self._rule(*(np.asarray(argument).ravel() for argument in arguments))
                 return [ca.DM(s, v) for s, v in zip(self._outputs, values, strict=True)]
             except BaseException as exception:  # noqa: BLE001 (raised again after Ipopt)
-                self._failure.exception = exception
+                self._failures.append(exception)
         return [ca.DM(s, np.full(s.nnz(), np.nan)) for s in self._outputs]

@@ -14,7 +14,7 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.criteria import Criterion, LogDet, stages
+from lieid_casadi.excitation.criteria import LogDet
 from lieid_casadi.excitation.design import (
     COARSE,
     DISTANCE,
@@ -47,19 +47,27 @@ class IterationRecord:
 
 
 @dataclass(frozen=True, eq=False)
-class OptimizedStart:
-    """The free variables z (m,) of the best trajectory that one start led to.
+class StartAttempt:
+    """Result of one start: the best trajectory that it led to, or the reason why there is none.
 
-    Solutions are compared by ``rank``: the smaller, the better.
+    ``z`` (m,) are the free variables, ``rank`` compares trajectories (smaller is better); None and
+    NaN without one. ``seed`` is None for a start from a file.
     """
 
-    z: Array
-    rank: float
-    condition_number: float
-    neg_log_det: float
-    history: tuple[IterationRecord, ...]
+    seed: int | None
     seconds: float
+    z: Array | None = None
+    rank: float = np.nan
+    condition_number: float = np.nan
+    neg_log_det: float = np.nan
+    history: tuple[IterationRecord, ...] = ()
     interrupted: bool = False
+    reason: str = ""
+
+    @property
+    def first_condition_number(self) -> float:
+        """Condition number after one iteration; NaN without a trajectory."""
+        return self.history[0].condition_number if self.history else np.nan
 
 
 class _ThresholdReached(Exception):
@@ -89,7 +97,7 @@ class Search:
         design = problem.design
         self.problem, self.seed, self._progress = problem, seed, progress
         self._left = max_iterations
-        self._stages = stages(design.criterion, problem.metric, unit_norm=design.unit_norm)
+        self._stages = problem.stages
         self._combined = design.criterion == "combined"
         self._goal: float | None = None
         self._ceiling: float | None = None  # Δ₂ per parameter
@@ -102,7 +110,7 @@ class Search:
         self._began = time.monotonic()
         self._solver = Ipopt(problem.constraints(COARSE), self._record)
 
-    def solve(self) -> OptimizedStart:
+    def solve(self) -> StartAttempt:
         """Run the stages and return the best trajectory within all limits.
 
         Ctrl-C keeps the best so far. A `NoSolution` names the limit that could not be met, where
@@ -119,10 +127,10 @@ class Search:
                 raise
             best, interrupted = feasible, True
         gram = self.problem.gram(best.z)
-        return OptimizedStart(
-            best.z, self._final_rank(best), self.problem.condition_number(gram),
-            -float(np.linalg.slogdet(gram)[1]), tuple(self.history),
-            time.monotonic() - self._began, interrupted,
+        return StartAttempt(
+            self.seed, time.monotonic() - self._began, best.z, self._final_rank(best),
+            self.problem.condition_number(gram), -float(np.linalg.slogdet(gram)[1]),
+            tuple(self.history), interrupted,
         )  # fmt: skip
 
     def _first_variables(self) -> Array:
@@ -168,7 +176,7 @@ class Search:
         """Return what compares iterates: the condition number, or the criterion's value."""
         if self.problem.design.criterion in ("combined", "condition"):
             return self.problem.condition_number(state.outcome.gram)
-        return value_of(self._stages[-1].criterion, state)
+        return self._stages[-1].criterion.evaluate(state.outcome.gram)[0]
 
     def _record(self, stage: int, number: int, state: Iterate) -> None:
         self.last = state
@@ -235,25 +243,9 @@ class Search:
         )
 
 
-def value_of(criterion: Criterion, state: Iterate) -> float:
-    """Return a criterion's value at a state that may come from another stage."""
-    return criterion.evaluate(state.outcome.gram)[0]
-
-
 def neg_log_det_per_parameter(state: Iterate) -> float:
     """Return −log det G per parameter."""
-    return value_of(LogDet(), state)
-
-
-@dataclass(frozen=True, eq=False)
-class StartAttempt:
-    """Result of one start: a solution, or the reason why there is none."""
-
-    seed: int | None
-    seconds: float
-    solution: OptimizedStart | None = None
-    reason: str = ""
-    interrupted: bool = False
+    return LogDet().evaluate(state.outcome.gram)[0]
 
 
 def solve_all(
@@ -286,7 +278,7 @@ def solve_all(
         try:
             attempts.append(attempt(problem, seed, progress=report, max_iterations=max_iterations))
         except KeyboardInterrupt:
-            if not any(a.solution for a in attempts):
+            if all(a.z is None for a in attempts):
                 raise
             attempts[-1] = replace(attempts[-1], interrupted=True)
         if attempts[-1].interrupted:
@@ -304,11 +296,9 @@ def attempt(
     """Solve from one start; a start without a solution does not raise."""
     began = time.monotonic()
     try:
-        search = Search(problem, seed, progress=progress, max_iterations=max_iterations)
-        solution = search.solve()
+        return Search(problem, seed, progress=progress, max_iterations=max_iterations).solve()
     except NoSolution as failure:
         return StartAttempt(seed, time.monotonic() - began, reason=str(failure))
-    return StartAttempt(seed, time.monotonic() - began, solution, interrupted=solution.interrupted)
 
 
 @blas_on_one_thread

@@ -67,17 +67,15 @@ def run_slsqp(peer, constraints, z, *, objective="log_condition", seconds=20.0, 
 
     ``constraints`` are sampled without margin; linear ones have exact Jacobians.
     """
-    linear = [k for k, limits in enumerate(constraints.sets) if limits.linear]
-    matrix, offset = linear_rows(constraints, linear, z)
+    matrix, offset = linear_rows(constraints, z)
     conditions = [{"type": "ineq", "fun": lambda z: offset - matrix @ z, "jac": lambda z: -matrix}]
     if nonlinear:
-        others = [k for k in range(len(constraints.sets)) if k not in linear]
+        first = np.arange(len(constraints.excess(constraints.sampled.motion(z))))
+        nonlinear_rows = constraints.nonlinear(first * len(constraints.sampled.t))
 
         def margin(z):
             excess = constraints.excess(constraints.sampled.motion(z))
-            sides = [side for k in others for side in excess[k]]
-            values = np.concatenate([side.ravel() for side in sides])
-            return -np.maximum(values, -10.0)
+            return -np.maximum(excess[nonlinear_rows], -10.0).ravel()
 
         conditions.append({"type": "ineq", "fun": margin})
     began, log = time.perf_counter(), []
@@ -85,7 +83,7 @@ def run_slsqp(peer, constraints, z, *, objective="log_condition", seconds=20.0, 
     def record(z):
         seconds_now = time.perf_counter() - began
         excess = constraints.excess(constraints.sampled.motion(z))
-        log.append((seconds_now, peer.condition_number(z), constraints.largest(excess)))
+        log.append((seconds_now, peer.condition_number(z), excess.max()))
         if seconds_now > seconds:
             raise StopIteration
 
@@ -96,20 +94,13 @@ def run_slsqp(peer, constraints, z, *, objective="log_condition", seconds=20.0, 
     return log
 
 
-def linear_rows(constraints, sets, z):
+def linear_rows(constraints, z):
     """Return A, b of the linear limits A·z ≤ b at every sample."""
-    from lieid_casadi.excitation.ipopt import ConstraintRows
-
     motion = constraints.sampled.motion(0.0 * z)
     excess = constraints.excess(motion)
-    columns = []
-    for index in sets:
-        for side, values in zip((1, -1), excess[index], strict=True):
-            quantity, sample = np.nonzero(np.isfinite(values))
-            full = np.full_like(quantity, index), quantity, sample, np.full_like(quantity, side)
-            columns.append(full)
-    rows = ConstraintRows(*(np.concatenate(part) for part in zip(*columns, strict=True)))
-    return constraints.jacobian(motion, rows), -constraints.at(excess, rows)
+    rows = np.flatnonzero(np.isfinite(excess))
+    rows = rows[~constraints.nonlinear(rows)]
+    return constraints.jacobian(motion, rows), -excess.ravel()[rows]
 
 
 def first_time(log, level, *, tolerance=1e-6):
