@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
 from lieid_casadi.dynamics.null_space import EnergyColumn
 from lieid_casadi.effects import Effect, Placement, parse_effects, place
+from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.effects.placement import labels
-from lieid_casadi.effects.signals import EffectSignals
 from lieid_casadi.errors import ModelError
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.inertia import LINK_PARAMETER_UNITS

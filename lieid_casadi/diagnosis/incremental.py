@@ -11,11 +11,10 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.effect_columns import EffectFunction, SegmentSignals
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.effects.arm_effect import SegmentModel
-from lieid_casadi.effects.effect import Effect
+from lieid_casadi.effects.effect import Effect, Signals
 from lieid_casadi.effects.payload import Payload
 from lieid_casadi.effects.placement import place
 from lieid_casadi.effects.registry import make
-from lieid_casadi.effects.signals import Signals
 from lieid_casadi.identification import Fit
 from lieid_casadi.recording import Processed
 

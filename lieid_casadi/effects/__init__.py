@@ -8,10 +8,9 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from lieid_casadi.effects.arm_effect import ArmEffect, InstantModel, SegmentModel
-from lieid_casadi.effects.effect import Coefficient, Effect, MemoryState, Shape
+from lieid_casadi.effects.effect import Coefficient, Effect, MemoryState, Shape, Signals
 from lieid_casadi.effects.placement import Placement, parse_effects, place
 from lieid_casadi.effects.registry import REGISTER, effect, make, register
-from lieid_casadi.effects.signals import Signals
 
 for _module in iter_modules(__path__):
     import_module(f"{__name__}.{_module.name}")

@@ -7,15 +7,14 @@ column is the exact change when the fit has converged, and the column is the der
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import ClassVar, Literal, Protocol
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.effects.effect import Effect
-from lieid_casadi.effects.signals import Signals
+from lieid_casadi.effects.effect import Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.robot import Drive
 
 Array = NDArray[np.float64]
@@ -52,13 +51,7 @@ class SegmentModel(Protocol):
         """Whether the model is fitted to this segment."""
 
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Return the rigid torque (K, n) of another motion, N·m.
-
-        Parameters
-        ----------
-        q, dq, ddq : (K, n)
-            rad, rad/s, rad/s².
-        """
+        """Return the rigid torque (K, n) of another motion (K, n), N·m."""
 
     @property
     def smooth_load(self) -> Array:
@@ -133,7 +126,8 @@ class ArmEffect(Effect):
         Whether the torque at an instant depends on the motion before it, so that no function of
         one instant reproduces the effect.
     export_note : str
-        What generated code does instead if it does not reproduce the effect.
+        What generated code does instead if it does not reproduce the effect. The columns at an
+        instant are then zero by default.
     """
 
     reach: Literal["arm", "joint"] = "arm"
@@ -143,61 +137,33 @@ class ArmEffect(Effect):
     export_note: ClassVar[str] = ""
     signals: tuple[str, ...] = ()
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         """Return zeros: the columns do not follow from the signals of one joint and instant."""
         return [ca.SX(0) for _ in self.coefficients]
 
     @abstractmethod
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns (K, n, c) along a segment.
+        """Return the columns (K, n, c) along a segment, of an effect on a joint (from 0).
 
-        Parameters
-        ----------
-        arm : SegmentModel
-            The model along the segment of K samples.
-        joint : int
-            The joint (from 0) on which the effect is placed.
-        values : (c + s,)
-            Current coefficients, about which the columns are taken, then shape parameters.
+        ``values`` (c + s,): current coefficients, about which the columns are taken, then shape
+        parameters.
         """
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX | None:
         """Return the columns (n, c) at one instant, None if they depend on more than one.
 
-        Parameters
-        ----------
-        arm : InstantModel
-            The model at the instant.
-        joint : int
-            The joint (from 0) on which the effect is placed.
-        values : (c,)
-            Coefficients, numbers or symbols: the columns times the coefficients are the whole
-            change that these make.
+        ``values`` (c,): coefficients, numbers or symbols. The columns times the coefficients are
+        the whole change that these make.
         """
-        return None
+        return ca.SX(arm.load.shape[0], len(self.coefficients)) if self.export_note else None
 
     def tool_body(self, values: ca.SX) -> ca.SX | None:
-        """Return the link parameters (10,) that the effect adds in the tool frame, if it does.
-
-        Parameters
-        ----------
-        values : (c,)
-            Coefficients, numbers or symbols.
-        """
+        """Return the link parameters (10,) that the coefficients (c,) add in the tool frame."""
         return None
 
 
 def on_joint(column: Array, joint: int, n: int) -> Array:
-    """Return a column (K,) of one joint (from 0) of n as (K, n, 1), zero elsewhere.
-
-    Parameters
-    ----------
-    column : (K,)
-    joint : int
-        From 0.
-    n : int
-        Number of joints.
-    """
+    """Return a column (K,) of one joint (from 0) of n as (K, n, 1), zero elsewhere."""
     columns = np.zeros((len(column), n, 1))
     columns[:, joint, 0] = column
     return columns

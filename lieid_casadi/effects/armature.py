@@ -1,31 +1,25 @@
 """Inertia of the rotor and gear, reflected to the joint."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import casadi as ca
-
-from lieid_casadi.effects.effect import Coefficient, Effect
+from lieid_casadi.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    ShapeSymbols,
+    Signals,
+    increased_or_decreased,
+)
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
 class Armature(Effect):
-    """Reflected rotor inertia: τ = I_a·q̈, I_a in kg·m² and not negative.
-
-    Revealed by motion with large accelerations at several loads. Confused with the rotational
-    inertia of the links about the same axis, above all on the first joints.
-    """
+    """Reflected rotor inertia: τ = I_a·q̈, I_a in kg·m² and not negative."""
 
     name = "armature"
     finding: ClassVar = ("Rotor inertia acts on {joints}",)
-    change: ClassVar = (
-        "Rotor inertia on {joints} has increased",
-        "Rotor inertia on {joints} has decreased",
-    )
+    change: ClassVar = increased_or_decreased("Rotor inertia on {joints}")
     formula = "I_a·q̈"
     coefficients = (
         Coefficient(
@@ -42,6 +36,5 @@ class Armature(Effect):
     typical = "0.05 to 5 kg·m² at geared joints of arms of 5 to 100 kg"
     references = ("Siciliano, Sciavicco, Villani, Oriolo, Robotics, 2009, ch. 7",)
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         return [s.ddq]

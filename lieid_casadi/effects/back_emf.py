@@ -1,15 +1,16 @@
 """Back-EMF of a drive whose control law does not contain it."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import casadi as ca
-
-from lieid_casadi.effects.effect import Coefficient, Effect
+from lieid_casadi.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    ShapeSymbols,
+    Signals,
+    increased_or_decreased,
+)
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
@@ -22,10 +23,7 @@ class BackEmf(Effect):
 
     name = "back_emf"
     finding: ClassVar = ("The back-EMF of {joints} is not part of the drive law",)
-    change: ClassVar = (
-        "The back-EMF of {joints} has increased",
-        "The back-EMF of {joints} has decreased",
-    )
+    change: ClassVar = increased_or_decreased("The back-EMF of {joints}")
     formula = "k·q̇, k = k_t·k_e/R"
     coefficients = (
         Coefficient("k", "N·m·s/rad", lower=0.0, meaning="torque per speed lost to back-EMF"),
@@ -38,6 +36,5 @@ class BackEmf(Effect):
     }
     typical = "stall torque over no-load speed of a servo: 0.05 to 1 N·m·s/rad"
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         return [s.dq]

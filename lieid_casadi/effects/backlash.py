@@ -1,14 +1,12 @@
 """Play between motor and link."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
-from lieid_casadi.effects.effect import Coefficient, Shape
+from lieid_casadi.effects.effect import Coefficient, Shape, increased_or_decreased
 from lieid_casadi.effects.registry import register
 
 LEAST = 1e-3  # rad, smallest play of the difference quotient
@@ -21,18 +19,14 @@ class Backlash(ArmEffect):
 
     q is measured at the motor. While the motor drives the link, g = ±b/2 with the sign of the
     link-side torque τ_load. When τ_load changes its sign, the link flies freely, M_ii·g̈ = τ_load,
-    until it hits the other side of the play, where the collision is inelastic. w in rad is the
-    play that follows from the time of the crossing, b the one that follows from its torque; they
-    agree for a rigid transmission. Of position-controlled drives. Revealed by loads that change
-    their sign often. Confused with `encoder_offset` where the load keeps its sign.
+    until it hits the other side of the play, where the collision is inelastic. w in rad is the play
+    that follows from the time of the crossing, b the one that follows from its torque; they agree
+    for a rigid transmission. Of position-controlled drives.
     """
 
     name = "backlash"
     finding: ClassVar = ("The transmission of {joints} has play",)
-    change: ClassVar = (
-        "The play of {joints} has increased",
-        "The play of {joints} has decreased",
-    )
+    change: ClassVar = increased_or_decreased("The play of {joints}")
     formula = "q_link = q − g; g = b/2·sgn(τ_load), after a change of sign M_ii·g̈ = τ_load"
     coefficients = (Coefficient("b", "rad", lower=0.0, limit=0.3, meaning="play of the gear"),)
     shapes = (
@@ -50,7 +44,6 @@ class Backlash(ArmEffect):
     typical = "0.5 to 1° (0.009 to 0.017 rad) of hobby servos"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         play = max(float(values[1]), LEAST)
         place = motor_in_play(arm, joint, play)
         moved = [x.copy() for x in arm.motion]
@@ -68,29 +61,14 @@ class Backlash(ArmEffect):
 
 
 def motor_in_play(arm: SegmentModel, joint: int, play: float) -> Array:
-    """Return the position (K,) of a motor relative to its link along a segment, rad.
-
-    Parameters
-    ----------
-    joint : int
-        From 0.
-    play : float
-        rad.
-    """
+    """Return the position (K,) of a motor relative to its link along a segment, rad."""
     return place_in_play(arm.load[:, joint] / _inertia(arm, joint), arm.t, play)
 
 
 def place_in_play(acceleration: Array, t: Array, play: float) -> Array:
     """Return the position (K,) of a motor relative to its link, rad, in −play/2 … play/2.
 
-    Parameters
-    ----------
-    acceleration : (K,)
-        Of the motor relative to the link while this flies freely, rad/s².
-    t : (K,)
-        s.
-    play : float
-        rad.
+    ``acceleration`` (K,) is that of the motor relative to the link while this flies freely.
     """
     half, count = 0.5 * play, len(t)
     steps = np.diff(t)

@@ -1,7 +1,5 @@
 """Tilt of the base against gravity."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import casadi as ca
@@ -18,8 +16,7 @@ LEAST = 1e-4  # rad
 class BaseTilt(ArmEffect):
     """Gravity rotated about the base's x axis, then about its y axis: R_y(β)·R_x(α)·g.
 
-    α and β in rad. Revealed by gravity torque in poses spread over the workspace, above all on
-    a vertical first joint. Confused with link parameters and with `encoder_offset`.
+    α and β in rad.
     """
 
     name = "base_tilt"
@@ -40,12 +37,10 @@ class BaseTilt(ArmEffect):
     typical = "0.1 to 2°"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         changes = ca.evalf(_changes(ca.SX(ca.DM(arm.gravity)), ca.SX(ca.DM(values))))
         return np.asarray(arm.gravity_by_axis() @ changes.full())
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
-        """Return the columns of the formula."""
         changes = ca.horzsplit(_changes(arm.gravity, values))
         return ca.horzcat(*(arm.gravity_torque(change) for change in changes))
 

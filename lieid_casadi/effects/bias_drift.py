@@ -1,13 +1,10 @@
 """Drift of the zero of a torque sensor."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
-import casadi as ca
 import numpy as np
 
-from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient
 from lieid_casadi.effects.registry import register
 
@@ -18,8 +15,7 @@ class BiasDrift(ArmEffect):
 
     It does not carry over to another recording: predictions of other recordings and exported code
     omit it. A model has one rate r for all recordings of its fit; the diagnosis states other rates
-    in each recording as a difference between the recordings. Revealed by long recordings of
-    repeated motion. Confused with `warm_up` and with an offset in short recordings.
+    in each recording as a difference between the recordings.
     """
 
     name = "bias_drift"
@@ -42,10 +38,5 @@ class BiasDrift(ArmEffect):
     export_note = "omitted: it belongs to the recordings of the fit and does not carry over"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         drift = arm.t - arm.t.mean() if arm.fitted else np.zeros_like(arm.t)
         return on_joint(drift, joint, arm.torque.shape[1])
-
-    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
-        """Return zeros, as along any recording that was not fitted."""
-        return ca.SX(arm.load.shape[0], 1)

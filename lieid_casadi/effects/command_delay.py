@@ -1,14 +1,11 @@
 """Commands that reach the drive late."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
-import casadi as ca
 import numpy as np
 
-from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
-from lieid_casadi.effects.effect import Coefficient
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
+from lieid_casadi.effects.effect import Coefficient, increased_or_decreased
 from lieid_casadi.effects.registry import register
 
 LEAST = 1e-3  # s; below it the column is the derivative, not the difference quotient
@@ -20,17 +17,13 @@ class CommandDelay(ArmEffect):
 
     The law of the recorded command then exceeds the delivered torque by the difference. Commands
     that are held from row to row are late by half of that interval, which δ contains. Of
-    position-controlled drives. Revealed by commands that change quickly. Confused with viscous
-    friction; a delay below one sampling interval is not resolved. Exported C computes the torque
-    that the drives deliver.
+    position-controlled drives. Confused with viscous friction; a delay below one sampling interval
+    is not resolved. Exported C computes the torque that the drives deliver.
     """
 
     name = "command_delay"
     finding: ClassVar = ("The commands of {joints} act late",)
-    change: ClassVar = (
-        "The delay of the commands of {joints} has increased",
-        "The delay of the commands of {joints} has decreased",
-    )
+    change: ClassVar = increased_or_decreased("The delay of the commands of {joints}")
     formula = "law(q_cmd(t) − q) − law(q_cmd(t − δ) − q)"
     coefficients = (
         Coefficient("delta", "s", lower=0.0, meaning="delay", resolved_by="sample_time"),
@@ -48,7 +41,6 @@ class CommandDelay(ArmEffect):
     typical = "10 to 100 ms of teleoperation: bus, host, interpolation in the servo"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         assert arm.command is not None  # checked before identification
         assert arm.drives is not None
         q, dq, law = arm.motion[0][:, joint], arm.motion[1][:, joint], arm.drives[joint]
@@ -56,7 +48,3 @@ class CommandDelay(ArmEffect):
         late = np.interp(arm.t - delay, arm.t, command)
         change = law.torque(command - q, dq) - law.torque(late - q, dq)
         return on_joint(change / delay, joint, arm.load.shape[1])
-
-    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
-        """Return zeros: the torque is that which the drives deliver."""
-        return ca.SX(arm.load.shape[0], 1)

@@ -1,31 +1,28 @@
 """Coulomb friction (Luo et al. 2024, Eq. 10)."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import casadi as ca
-
-from lieid_casadi.effects.effect import Coefficient, Effect
+from lieid_casadi.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    ShapeSymbols,
+    Signals,
+    increased_or_decreased,
+)
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
 class Coulomb(Effect):
     """Dry friction of constant size against the motion: τ = f_c·sgn(q̇), f_c in N·m.
 
-    Revealed by slow motion in both directions. Confused with other terms that change sign with
-    the velocity. At rest it is undetermined: sgn(0) = 0.
+    At rest it is undetermined: sgn(0) = 0.
     """
 
     name = "coulomb"
     finding: ClassVar = ("Dry friction acts on {joints}",)
-    change: ClassVar = (
-        "Dry friction on {joints} has increased",
-        "Dry friction on {joints} has decreased",
-    )
+    change: ClassVar = increased_or_decreased("Dry friction on {joints}")
     formula = "f_c·sgn(q̇)"
     coefficients = (
         Coefficient("f_c", "N·m", meaning="dry friction in sliding", opposes_motion=True),
@@ -44,6 +41,5 @@ class Coulomb(Effect):
         "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",
     )
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         return [s.sign]

@@ -1,14 +1,11 @@
 """Position errors to which a controller does not react."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
-import casadi as ca
 import numpy as np
 
-from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
-from lieid_casadi.effects.effect import Coefficient
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
+from lieid_casadi.effects.effect import Coefficient, increased_or_decreased
 from lieid_casadi.effects.registry import register
 
 LEAST = 1e-5  # rad; below it the column is its limit, the sign of the error
@@ -19,16 +16,12 @@ class Deadband(ArmEffect):
     """A controller delivers no torque for errors below d: the law exceeds it by K·clip(e, ±d).
 
     e = q_cmd − q and d in rad, K the stiffness of the drive's law. Of position-controlled drives.
-    Revealed by errors of both signs. Confused with Coulomb friction. Exported C computes the torque
-    that the drives deliver.
+    Exported C computes the torque that the drives deliver.
     """
 
     name = "deadband"
     finding: ClassVar = ("The controller of {joints} does not react to small errors",)
-    change: ClassVar = (
-        "The dead band of {joints} has increased",
-        "The dead band of {joints} has decreased",
-    )
+    change: ClassVar = increased_or_decreased("The dead band of {joints}")
     formula = "K·clip(q_cmd − q, ±d)"
     coefficients = (Coefficient("d", "rad", lower=0.0, meaning="half width of the dead band"),)
     commanded = True
@@ -42,14 +35,9 @@ class Deadband(ArmEffect):
     typical = "1 to 3 counts of 4096 (0.0015 to 0.005 rad) of hobby servos"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         assert arm.command is not None  # checked before identification
         assert arm.drives is not None
         band = max(float(values[0]), LEAST)
         error = arm.command[:, joint] - arm.motion[0][:, joint]
         lost = arm.drives[joint].stiffness * np.clip(error, -band, band)
         return on_joint(lost / band, joint, arm.load.shape[1])
-
-    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
-        """Return zeros: the torque is that which the drives deliver."""
-        return ca.SX(arm.load.shape[0], 1)

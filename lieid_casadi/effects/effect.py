@@ -9,14 +9,102 @@ from __future__ import annotations
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal, Protocol
 
 import casadi as ca
 import numpy as np
 
-from lieid_casadi.effects.signals import Signals
 from lieid_casadi.errors import EffectError
+
+ShapeSymbols = Mapping[str, ca.SX]  # shape parameters by name
+Columns = Sequence[ca.SX]  # one expression per linear coefficient
+
+
+class SignalsOfJoints(Protocol):
+    """The signals of several joints."""
+
+    def of(self, joint: int) -> Signals:
+        """Return the signals of a joint, from 0."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Symbols (scalars) of one joint that an effect may use.
+
+    Attributes
+    ----------
+    q, dq, ddq
+        Motion (rad, rad/s, rad/s²; m for a sliding joint).
+    sign
+        sgn(q̇), zero inside the dead zone; a smooth version where gradients are needed.
+    load
+        τ_load, the model's rigid torque on the joint, payload included (N·m).
+    temperature
+        °C, relative to the mean of the training recordings.
+    time
+        s since the start of the segment.
+    other
+        Signals of the joint that acts on this one, for couplings.
+    state
+        The effect's own states at this sample, by name.
+    command_error
+        Commanded minus measured position, rad; zero where there are no commands.
+    every
+        The signals of all joints, for `joint`.
+    """
+
+    q: ca.SX
+    dq: ca.SX
+    ddq: ca.SX
+    sign: ca.SX
+    load: ca.SX
+    temperature: ca.SX
+    time: ca.SX
+    other: Signals | None = None
+    state: Mapping[str, ca.SX] = field(default_factory=dict)
+    command_error: ca.SX = field(default_factory=lambda: ca.SX(0))
+    every: SignalsOfJoints | None = None
+
+    def joint(self, number: int) -> Signals:
+        """Return the signals of another joint (from 0), one of `Effect.joints`."""
+        assert self.every is not None
+        return self.every.of(number)
+
+
+@dataclass(frozen=True)
+class EffectSignals:
+    """The signals of all joints (n,), of which `of` selects those of one.
+
+    ``command_error`` is None where there are no commands.
+    """
+
+    q: ca.SX
+    dq: ca.SX
+    ddq: ca.SX
+    sign: ca.SX
+    load: ca.SX
+    temperature: ca.SX
+    time: ca.SX
+    command_error: ca.SX | None = None
+
+    def of(
+        self, joint: int, source: int | None = None, state: ShapeSymbols | None = None
+    ) -> Signals:
+        """Return the signals of a joint (from 0), with those of the ``source`` of a coupling."""
+        return Signals(
+            q=self.q[joint],
+            dq=self.dq[joint],
+            ddq=self.ddq[joint],
+            sign=self.sign[joint],
+            load=self.load[joint],
+            temperature=self.temperature[joint],
+            time=self.time,
+            other=None if source is None else self.of(source),
+            state=state or {},
+            command_error=ca.SX(0) if self.command_error is None else self.command_error[joint],
+            every=self,
+        )
 
 
 @dataclass(frozen=True)
@@ -227,37 +315,26 @@ class Effect(ABC):
         self.option = option
 
     @abstractmethod
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         """Return one expression per linear coefficient."""
 
-    def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+    def advance(self, before: Signals, now: Signals, shape: ShapeSymbols) -> Columns:
         """Return the states at the sample ``now``, one expression per state.
 
-        Parameters
-        ----------
-        before : Signals
-            Signals of the sample before; ``before.state`` holds the states there.
-        now : Signals
-            Signals of this sample, at any time after the other.
-        shape : mapping
-            Shape parameters by name.
+        ``before`` are the signals of the sample before, with the states there in
+        ``before.state``; ``now`` is at any time after it. ``shape`` has the shape parameters by
+        name.
         """
         raise NotImplementedError(f"effect {self.name} has states but no advance")
 
-    def next_states(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> list[ca.SX]:
+    def next_states(self, before: Signals, now: Signals, shape: ShapeSymbols) -> list[ca.SX]:
         """Return the states of `advance`, held where an input is not finite.
 
         One NaN or infinite sample must not destroy the states of all samples after it. If any
         symbol on which `advance` depends is not finite, at this sample or the one before, the
         states keep their values; they evolve again from the next pair of finite samples. Python
-        evaluation, compiled batches and exported C all use this expression.
-
-        Parameters
-        ----------
-        before, now : Signals
-            Of the sample before and of this one; ``before.state`` has the states.
-        shape : mapping
-            Name → symbol of each shape parameter.
+        evaluation, compiled batches and exported C all use this expression. ``before``, ``now``
+        and ``shape`` are those of `advance`.
         """
         after = [ca.SX(x) for x in self.advance(before, now, shape)]
         size = ca.SX(0)
@@ -269,26 +346,12 @@ class Effect(ABC):
             for x, state in zip(after, self.states, strict=True)
         ]
 
-    def state_rates(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the time derivatives of the states, for integration in continuous time.
-
-        Parameters
-        ----------
-        s : Signals
-            Signals at an instant, with the states in ``s.state``.
-        shape : mapping
-            Shape parameters by name.
-        """
+    def state_rates(self, s: Signals, shape: ShapeSymbols) -> Columns:
+        """Return the time derivatives of the states in continuous time; ``s`` has the states."""
         raise NotImplementedError(f"effect {self.name} has states but no state_rates")
 
     def size_text(self, parameters: Mapping[str, float]) -> str:
-        """Return the parameters in the terms of an engineer, empty to state them as they are.
-
-        Parameters
-        ----------
-        parameters : mapping
-            Coefficients and shape parameters by name.
-        """
+        """Return parameters, by name, in an engineer's terms; empty to state them as they are."""
         return ""
 
     @property
@@ -298,3 +361,8 @@ class Effect(ABC):
 
     def __repr__(self) -> str:
         return f"<effect {self.label}: {self.formula}>"
+
+
+def increased_or_decreased(what: str) -> tuple[str, str]:
+    """Return the two sentences of `Effect.change` for a coefficient that is a size."""
+    return f"{what} has increased", f"{what} has decreased"

@@ -1,7 +1,5 @@
 """Zero offset of a joint encoder."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import casadi as ca
@@ -17,9 +15,7 @@ LEAST = 1e-4  # rad; smallest step of the difference quotient
 class EncoderOffset(ArmEffect):
     """The true angle is the measured angle plus an offset: q_true = q + δ, δ in rad.
 
-    The torques of other joints change, too. Revealed by gravity torque in poses spread over the
-    range. An offset about a vertical first axis has no effect. Confused with link parameters
-    (first moments), with `base_tilt` and with `offset`.
+    The torques of other joints change, too. An offset about a vertical first axis has no effect.
     """
 
     name = "encoder_offset"
@@ -36,7 +32,6 @@ class EncoderOffset(ArmEffect):
     typical = "0.1 to 2° after the replacement of a drive"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         q, dq, ddq = arm.motion
         step = float(_step(ca.SX(ca.DM(values))))
         moved = q.copy()
@@ -45,7 +40,6 @@ class EncoderOffset(ArmEffect):
         return change[:, :, None] / step
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
-        """Return the columns of the formula."""
         offset, step = ca.SX(arm.load.shape[0], 1), _step(values)
         offset[joint] = step
         return (arm.rigid_beside(offset) - arm.load) / step

@@ -1,7 +1,5 @@
 """A constant wrench at the tool."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import casadi as ca
@@ -16,8 +14,7 @@ class ExternalWrench(ArmEffect):
     """A constant wrench that the tool exerts on its surroundings: τ = Jᵀ·[m; f].
 
     Moment m (3,) in N·m and force f (3,) in N at the tool's origin, in base axes. Revealed by
-    motion while the contact or cable force is constant. Confused with a payload over a small
-    range of orientations.
+    motion while the contact or cable force is constant.
     """
 
     name = "external_wrench"
@@ -38,9 +35,7 @@ class ExternalWrench(ArmEffect):
     typical = "hoses and cables 1 to 20 N"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         return arm.jacobian().transpose(0, 2, 1)
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
-        """Return the columns of the formula."""
         return arm.jacobian().T

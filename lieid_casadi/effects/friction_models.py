@@ -9,20 +9,10 @@ from lieid_casadi.errors import EffectError
 
 @dataclass(frozen=True)
 class FrictionModel:
-    """A published friction model.
+    """A published friction model: effects on every joint, and where it was published.
 
-    Attributes
-    ----------
-    name : str
-    effects : tuple of str
-        Specs for `Model`, on every joint.
-    source : str
-        Where it was published.
-    note : str
-        Differences from the publication. If its formula is not available in full, what is known of
-        it and how it is interpreted here; empty if it is the printed formula.
-    reconstructed : bool
-        Whether the formula of the publication was not available.
+    ``note`` has differences from the publication. If its formula was not available in full
+    (``reconstructed``), it says what is known of it and how it is interpreted here.
     """
 
     name: str
@@ -48,11 +38,7 @@ _POLYNOMIAL = ("viscous", "viscous_polynomial")
 FRICTION_MODELS: dict[str, FrictionModel] = {
     model.name: model
     for model in (
-        FrictionModel(
-            "coulomb_viscous",
-            ("coulomb", "viscous", "offset"),
-            f"{_PAPER}, Eq. 10",
-        ),
+        FrictionModel("coulomb_viscous", ("coulomb", "viscous", "offset"), f"{_PAPER}, Eq. 10"),
         FrictionModel(
             "stribeck",
             ("coulomb", "viscous", "stribeck"),
@@ -74,11 +60,7 @@ FRICTION_MODELS: dict[str, FrictionModel] = {
             f"{_PAPER}, Eqs. 8 and 18, ten coefficients",
             "|q̇| in the exponent is √(q̇² + ε²), finite at rest",
         ),
-        FrictionModel(
-            "simplified",
-            ("coulomb", *_POLYNOMIAL, "offset"),
-            f"{_PAPER}, Eq. 17",
-        ),
+        FrictionModel("simplified", ("coulomb", *_POLYNOMIAL, "offset"), f"{_PAPER}, Eq. 17"),
         FrictionModel(
             "gao2017",
             ("coulomb", "stribeck", "load_friction", "temperature_friction/exponential"),
@@ -122,9 +104,7 @@ FRICTION_MODELS: dict[str, FrictionModel] = {
             "Gaz et al., IEEE RA-L 2019 (the paper's ref. 11)",
         ),
         FrictionModel(
-            "load_constant",
-            ("coulomb", "viscous"),
-            "AURT (Madsen et al.), load model 'none'",
+            "load_constant", ("coulomb", "viscous"), "AURT (Madsen et al.), load model 'none'"
         ),
         FrictionModel(
             "load_absolute",

@@ -1,7 +1,5 @@
 """Elasticity between motor and link."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np
@@ -18,8 +16,7 @@ class JointElasticity(ArmEffect):
     """The link angle lags behind the measured motor angle: q_link = q − c·τ_load, c = 1/K.
 
     The compliance c in rad/(N·m) is not negative; τ_load is the link-side torque in N·m. Other
-    joints are affected through the dynamics. Revealed by high accelerations near the joint's
-    resonance and by large loads. Confused with `torque_delay` and `armature`.
+    joints are affected through the dynamics.
     """
 
     name = "joint_elasticity"
@@ -45,7 +42,6 @@ class JointElasticity(ArmEffect):
     )
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         load = arm.smooth_load[:, joint]
         largest = float(np.abs(load).max(initial=0.0))
         if largest == 0.0:

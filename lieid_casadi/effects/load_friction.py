@@ -1,15 +1,11 @@
 """Friction that grows with the load on the joint (Luo et al. 2024, Eq. 8)."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 REST_SPEED = 1e-3  # ε, rad/s: Eq. 8 has no limit at q̇ = τ_load = 0; √(q̇² + ε²) gives it one
 
@@ -19,8 +15,7 @@ class LoadFriction(Effect):
     """Dry friction in proportion to the joint's load: τ = f_τ·|τ_load|·sgn(q̇).
 
     f_τ is dimensionless. τ_load is the model's rigid torque in N·m, iterated to a fixed point,
-    never the measured torque. Revealed by motion in both directions under loads that differ.
-    Confused with Coulomb friction under a constant load.
+    never the measured torque.
     """
 
     name = "load_friction"
@@ -105,8 +100,7 @@ class LoadFriction(Effect):
             )  # fmt: skip
             self.signals = ("dq", "sign", "load")
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         size = ca.fabs(s.load)
         if self.option == "paper":
             speed = ca.sqrt(s.dq**2 + REST_SPEED**2)

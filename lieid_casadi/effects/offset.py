@@ -1,31 +1,27 @@
 """Constant torque (Luo et al. 2024, Eq. 10)."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect
+from lieid_casadi.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    ShapeSymbols,
+    Signals,
+    increased_or_decreased,
+)
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
 class Offset(Effect):
-    """A constant torque τ = f_b, in N·m: zero error of a torque sensor, unequal friction.
-
-    Revealed by any motion that separates it from gravity. Confused with the gravity torque of a
-    joint that moves little, and with Coulomb friction that differs between the two directions.
-    """
+    """A constant torque τ = f_b, in N·m: zero error of a torque sensor, unequal friction."""
 
     name = "offset"
     finding: ClassVar = ("A constant torque acts on {joints}",)
-    change: ClassVar = (
-        "The constant torque on {joints} has increased",
-        "The constant torque on {joints} has decreased",
-    )
+    change: ClassVar = increased_or_decreased("The constant torque on {joints}")
     formula = "f_b"
     coefficients = (Coefficient("f_b", "N·m", meaning="constant torque"),)
     signals = ()
@@ -39,6 +35,5 @@ class Offset(Effect):
     typical = "up to a few per cent of the torque limit"
     references = ("Luo et al., Robotica 2024, Eq. 10",)
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         return [ca.SX(1)]

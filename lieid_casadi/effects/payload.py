@@ -1,7 +1,5 @@
 """A body attached to the tool."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -17,8 +15,8 @@ class Payload(ArmEffect):
     """Mass and first moments of a body attached to the tool: τ = Y_tool·[m, m·c].
 
     m in kg, m·c (3,) in kg·m in the tool frame; the inertia about the tool's origin is neglected.
-    Revealed by gravity torque in several orientations of the tool. In a fit with free link
-    parameters it is absorbed by those of the last link; it is identifiable as a change of a fit.
+    In a fit with free link parameters it is absorbed by those of the last link; it is identifiable
+    as a change of a fit.
     """
 
     name = "payload"
@@ -43,13 +41,7 @@ class Payload(ArmEffect):
     references = ("Swevers, Verdonck, De Schutter, IEEE Control Systems Magazine 27(5), 2007",)
 
     def size_text(self, parameters: Mapping[str, float]) -> str:
-        """Return mass and centre of mass; a lost body has a negative mass.
-
-        Parameters
-        ----------
-        parameters : mapping
-            m, mcx, mcy and mcz, kg and kg·m.
-        """
+        """Return mass and centre of mass; a lost body has a negative mass."""
         mass = parameters["m"]
         if not mass:
             return ""
@@ -57,11 +49,9 @@ class Payload(ArmEffect):
         return f"{abs(mass):.3g} kg, centre of mass at ({com}) mm in the tool frame"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         return arm.tool_regressor()[:, :, :4]
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
-        """Return the columns of the formula."""
         return arm.tool_regressor()[:, :4]
 
     def tool_body(self, values: ca.SX) -> ca.SX:

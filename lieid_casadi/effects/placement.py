@@ -33,21 +33,10 @@ class Placement:
 
 
 def place(spec: str | Effect, n: int, joints: Sequence[int] | None = None) -> list[Placement]:
-    """Return the placements of one effect on an arm of n joints.
+    """Return the placements of one effect, ``name[:J[+J…]]`` (from 1), on an arm of n joints.
 
-    Parameters
-    ----------
-    spec : str or Effect
-        ``name[:J[+J…]]`` with joints from 1, or an effect.
-    n : int
-        Number of joints of the arm.
-    joints : sequence of int, optional
-        Joints from 0; for a spec without joints. None means every joint.
-
-    Raises
-    ------
-    EffectError
-        Unknown effect, a joint that the arm does not have, a coupling without its source.
+    ``joints`` (from 0) are for an effect without joints; None means every joint. An `EffectError`
+    names an unknown effect, a joint that the arm does not have, a coupling without its source.
     """
     if isinstance(spec, Effect):
         if spec.whole_arm:

@@ -1,15 +1,11 @@
 """Dry friction that varies with position: eccentric gears, cables."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
@@ -17,8 +13,6 @@ class PositionFriction(Effect):
     """One harmonic of dry friction over the joint angle; beside `coulomb`.
 
     τ = (f_sin·sin kq + f_cos·cos kq)·sgn(q̇), with f_sin and f_cos in N·m and k in 1/rad.
-    Revealed by motion in both directions through the whole range. Confused with load friction,
-    because gravity varies with position, too.
     """
 
     name = "position_friction"
@@ -39,7 +33,6 @@ class PositionFriction(Effect):
     typical = "10 to 30 % of Coulomb friction"
     references = ("Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",)
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         phase = shape["k"] * s.q
         return [ca.sin(phase) * s.sign, ca.cos(phase) * s.sign]

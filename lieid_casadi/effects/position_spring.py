@@ -1,23 +1,16 @@
 """A spring across the joint: balancer, hose, cable."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import casadi as ca
-
-from lieid_casadi.effects.effect import Coefficient, Effect
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
 class PositionSpring(Effect):
     """Torque in proportion to the angle: τ = K·q, K in N·m/rad.
 
-    Used beside `offset`, which contains the rest angle: −K·q₀. Revealed by motion through a wide
-    range. Confused with gravity over a small range.
+    Used beside `offset`, which contains the rest angle: −K·q₀.
     """
 
     name = "position_spring"
@@ -38,6 +31,5 @@ class PositionSpring(Effect):
     }
     typical = "cables and hoses 0.1 to 5 N·m/rad; spring balancers up to the gravity torque"
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         return [s.q]

@@ -1,15 +1,19 @@
 """Friction with hysteresis at reversals: Dahl and LuGre, integrated exactly."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, MemoryState, Shape
+from lieid_casadi.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    MemoryState,
+    Shape,
+    ShapeSymbols,
+    Signals,
+)
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
@@ -23,8 +27,8 @@ class Presliding(Effect):
         z ← s·w + (z − s·w)·e^{−|Δq|/w},
 
     the same for one long step as for many short ones. z is 0 at the start of every segment and is
-    held where a sample is not finite (`Effect.next_states`). Revealed by slow reversals. Confused
-    with Coulomb and Stribeck friction where reversals are fast.
+    held where a sample is not finite (`Effect.next_states`). Confused with Coulomb and Stribeck
+    friction where reversals are fast.
     """
 
     name = "presliding"
@@ -83,8 +87,7 @@ class Presliding(Effect):
                 ),
             )  # fmt: skip
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         built = s.state["z"] / shape["w"]
         if self.option == "load":
             return [built, built * ca.fabs(s.load)]
@@ -94,17 +97,17 @@ class Presliding(Effect):
             return [built, *self.state_rates(s, shape)]
         return [built]
 
-    def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+    def advance(self, before: Signals, now: Signals, shape: ShapeSymbols) -> Columns:
         """Return the deflection after a step, which may contain one reversal."""
         moved, width = now.q - before.q, self._width((before.dq + now.dq) / 2, shape)
         first = _until_reversal(before, now)
         return [_slide(_slide(before.state["z"], first, width), moved - first, width)]
 
-    def state_rates(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+    def state_rates(self, s: Signals, shape: ShapeSymbols) -> Columns:
         """Return ż = q̇ − |q̇|·z/w."""
         return [s.dq - ca.fabs(s.dq) * s.state["z"] / self._width(s.dq, shape)]
 
-    def _width(self, dq: ca.SX, shape: Mapping[str, ca.SX]) -> ca.SX:
+    def _width(self, dq: ca.SX, shape: ShapeSymbols) -> ca.SX:
         if self.option != "lugre":
             return shape["w"]
         return shape["w"] * (1 + shape["r"] * ca.exp(-((dq / shape["v_s"]) ** 2)))

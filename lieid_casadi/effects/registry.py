@@ -8,8 +8,7 @@ from difflib import get_close_matches
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape
-from lieid_casadi.effects.signals import Signals
+from lieid_casadi.effects.effect import Coefficient, Effect, Shape, Signals
 from lieid_casadi.errors import EffectError
 
 

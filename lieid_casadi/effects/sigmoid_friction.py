@@ -1,24 +1,19 @@
 """The sigmoid friction model published for the Franka Panda."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
 class SigmoidFriction(Effect):
     """Friction that rises smoothly through zero speed and levels out.
 
-    τ = φ1/(1 + e^{−φ2·(q̇+φ3)}) − φ1/(1 + e^{−φ2·φ3}), with φ1 in N·m, φ2 in s/rad, φ3 in rad/s;
-    it is zero at rest, and φ3 makes the two directions unequal. Replaces `coulomb` and
-    `viscous`. Revealed by motion at low and high speed. Confused with these two.
+    τ = φ1/(1 + e^{−φ2·(q̇+φ3)}) − φ1/(1 + e^{−φ2·φ3}), with φ1 in N·m, φ2 in s/rad, φ3 in rad/s; it
+    is zero at rest, and φ3 makes the two directions unequal. Replaces `coulomb` and `viscous`.
     """
 
     name = "sigmoid_friction"
@@ -42,8 +37,7 @@ class SigmoidFriction(Effect):
     typical = "φ1 of 0.3 to 1.3 N·m, φ2 of 5 to 17 s/rad (Panda)"
     references = ("Gaz, Cognetti, Oliva, Robuffo Giordano, De Luca, IEEE RA-L 4(4), 2019",)
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         steep, shift = shape["phi2"], shape["phi3"]
         # 1/(1 + e^{−x}) = (1 + tanh(x/2))/2, which does not overflow
         return [(ca.tanh(steep * (s.dq + shift) / 2) - ca.tanh(steep * shift / 2)) / 2]

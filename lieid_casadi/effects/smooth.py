@@ -1,9 +1,7 @@
 """A smooth function of one or two signals, for torque that no other effect describes."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
@@ -12,9 +10,16 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.effects.effect import Coefficient, DataRange, Effect, Shape
+from lieid_casadi.effects.effect import (
+    Coefficient,
+    Columns,
+    DataRange,
+    Effect,
+    Shape,
+    ShapeSymbols,
+    Signals,
+)
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 from lieid_casadi.errors import EffectError
 
 #: Signal → field of `Signals`, unit, range before any data.
@@ -60,15 +65,13 @@ class Smooth(Effect):
     """A smooth function of one or two signals: τ = Σ c_k·φ_k(x) or Σ c_k·φ_k(x, y).
 
     The signals are part of the name: ``smooth/dq:3``, ``smooth/q.dq:3``, ``smooth/dq.q5:4`` (own
-    signals without a number, those of another joint with its number). φ_k are cubic B-splines on
-    a few knots (products of polynomials of two signals), orthonormal over the range of the
-    training data, so that the root of Σ c_k² is the size in N·m. Functions of a velocity may jump
-    where it changes its sign. A constant, and what is linear in the joint's own velocity with its
-    sign, acceleration or load, are left out: `offset`, `viscous`, `coulomb`, `armature` and the
-    inertia describe them. The ends of the range (0.5th and 99.5th percentile) are stored with the
-    fit; beyond them the function keeps its value and falls to zero within a tenth of the range.
-    Revealed by motion through the whole range of the signals. Confused with any effect of the
-    same signals.
+    signals without a number, those of another joint with its number). φ_k are cubic B-splines on a
+    few knots (products of polynomials of two signals), orthonormal over the range of the training
+    data, so that the root of Σ c_k² is the size in N·m. Functions of a velocity may jump where it
+    changes its sign. A constant, and what is linear in the joint's own velocity with its sign,
+    acceleration or load, are left out: `offset`, `viscous`, `coulomb`, `armature` and the inertia
+    describe them. The ends of the range (0.5th and 99.5th percentile) are stored with the fit;
+    beyond them the function keeps its value and falls to zero within a tenth of the range.
     """
 
     name = "smooth"
@@ -111,8 +114,7 @@ class Smooth(Effect):
         self.signals = tuple(sorted(used))
         self.joints = tuple(sorted({s.joint for s in self._signals if s.joint is not None}))
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         products, inside = [ca.SX(1)], ca.SX(1)
         for signal in self._signals:
             source = s if signal.joint is None else s.joint(signal.joint)
@@ -160,9 +162,7 @@ def _range_of(signal: _Signal) -> list[Shape]:
     ]  # fmt: skip
 
 
-def _place(
-    signal: _Signal, value: ca.SX, sign: ca.SX, shape: Mapping[str, ca.SX]
-) -> tuple[ca.SX, ca.SX]:
+def _place(signal: _Signal, value: ca.SX, sign: ca.SX, shape: ShapeSymbols) -> tuple[ca.SX, ca.SX]:
     """Return the place of a value in its range, 0 to 1, and the factor that fades beyond it."""
     label = signal.name if signal.joint is None else f"{signal.name}{signal.joint + 1}"
     if signal.signed:

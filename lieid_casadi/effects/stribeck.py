@@ -1,15 +1,19 @@
 """Stribeck friction: more friction at low speed (Luo et al. 2024, Eqs. 6-7)."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape
+from lieid_casadi.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    Shape,
+    ShapeSymbols,
+    Signals,
+    increased_or_decreased,
+)
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 REGULARIZATION = 1e-6  # added to (q̇/v_s)²: a power below 2 has no derivative at rest otherwise
 
@@ -18,9 +22,8 @@ REGULARIZATION = 1e-6  # added to (q̇/v_s)²: a power below 2 has no derivative
 class Stribeck(Effect):
     """Excess of static over Coulomb friction, which decreases with speed; beside `coulomb`.
 
-    τ = (f_s − f_c)·sgn(q̇)·e^{−(q̇/v_s)²}, with f_s − f_c in N·m and v_s in rad/s. Revealed by
-    slow motion at several speeds below v_s. Confused with Coulomb friction where all speeds are
-    above v_s, and with a viscous polynomial where the lowest speeds are missing.
+    τ = (f_s − f_c)·sgn(q̇)·e^{−(q̇/v_s)²}, with f_s − f_c in N·m and v_s in rad/s. Revealed by slow
+    motion at several speeds below v_s.
     """
 
     name = "stribeck"
@@ -29,10 +32,7 @@ class Stribeck(Effect):
         "Friction on {joints} falls with speed from standstill",
         "Friction on {joints} rises with speed from standstill",
     )
-    change: ClassVar = (
-        "Friction on {joints} near standstill has increased",
-        "Friction on {joints} near standstill has decreased",
-    )
+    change: ClassVar = increased_or_decreased("Friction on {joints} near standstill")
     options: ClassVar = {
         "exponent": "Eq. 6 with its exponent δ_s free; it is 2 otherwise",
         "two_width": (
@@ -82,8 +82,7 @@ class Stribeck(Effect):
             )  # fmt: skip
             self.shapes = (rise, width)
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         ratio = (s.dq / shape["v_s"]) ** 2
         if self.option == "exponent":
             return [s.sign * ca.exp(-((ratio + REGULARIZATION) ** (shape["delta_s"] / 2)))]

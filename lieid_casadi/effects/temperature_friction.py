@@ -1,24 +1,19 @@
 """Friction that changes with the joint's temperature."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
 class TemperatureFriction(Effect):
     """Change of viscous and dry friction with temperature; beside `viscous` and `coulomb`.
 
-    τ = f_Tv·(T − T̄)·q̇ + f_Tc·(T − T̄)·sgn(q̇), with T in °C from a ``temp`` column and T̄ the mean
-    of the training recordings; f_Tv in N·m·s/(rad·°C), f_Tc in N·m/°C. Revealed by recordings of
-    a cold and a warm joint. Confused with `warm_up` while the temperature rises steadily.
+    τ = f_Tv·(T − T̄)·q̇ + f_Tc·(T − T̄)·sgn(q̇), with T in °C from a ``temp`` column and T̄ the
+    mean of the training recordings; f_Tv in N·m·s/(rad·°C), f_Tc in N·m/°C.
     """
 
     name = "temperature_friction"
@@ -59,8 +54,7 @@ class TemperatureFriction(Effect):
             self.signals = ("dq", "temperature")
             self.replaces = self.counted_as = ("viscous",)
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         if self.option == "exponential":
             return [ca.exp(-shape["beta"] * s.temperature) * s.dq]
         return [s.temperature * s.dq, s.temperature * s.sign]

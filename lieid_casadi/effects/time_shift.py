@@ -1,16 +1,11 @@
 """Torque and motion that are recorded by different clocks."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
-import casadi as ca
-
-from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel
 from lieid_casadi.effects.effect import Coefficient
-from lieid_casadi.effects.memory_of_rest import where_known
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.torque_delay import delayed_change
+from lieid_casadi.effects.torque_delay import delayed_change, where_known
 
 
 @register
@@ -18,8 +13,8 @@ class TimeShift(ArmEffect):
     """The torques of all joints are recorded late by the same time: τ_measured(t) = τ(t − δ).
 
     δ in s. It has one cause for the whole arm: the filter of the torque signals, a bus, or time
-    stamps of different clocks. Revealed by fast changes of torque. Confused with
-    `torque_lowpass/common`. Exported code computes the torque at the instant, without the shift.
+    stamps of different clocks. Confused with `torque_lowpass/common`. Exported code computes the
+    torque at the instant, without the shift.
     """
 
     name = "time_shift"
@@ -44,11 +39,6 @@ class TimeShift(ArmEffect):
     typical = "1 to 20 ms: filters of the controller, buses, time stamps of different clocks"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         delay = float(values[0])
         change = delayed_change(arm.t, arm.torque, delay)
         return where_known(change, arm.t, arm.friction_known, delay)[:, :, None]
-
-    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
-        """Return zeros: a controller needs the torque at the instant."""
-        return ca.SX(arm.load.shape[0], 1)

@@ -1,15 +1,12 @@
 """A torque that is recorded with a delay."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
-import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
-from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient
-from lieid_casadi.effects.memory_of_rest import where_known
 from lieid_casadi.effects.registry import register
 
 LEAST = 1e-3  # s; below it the column is the derivative, not the difference quotient
@@ -19,9 +16,9 @@ LEAST = 1e-3  # s; below it the column is the derivative, not the difference quo
 class TorqueDelay(ArmEffect):
     """The torque is recorded late: τ_measured(t) = τ(t − δ), δ in s.
 
-    Revealed by fast changes of torque. Confused with viscous friction and armature; a lead below
-    one sampling interval cannot be distinguished from a velocity that the drive computes by
-    differences. Exported code computes the torque at the instant, without the delay.
+    Confused with viscous friction and armature; a lead below one sampling interval cannot be
+    distinguished from a velocity that the drive computes by differences. Exported code computes the
+    torque at the instant, without the delay.
     """
 
     name = "torque_delay"
@@ -47,29 +44,14 @@ class TorqueDelay(ArmEffect):
     typical = "1 to 20 ms: filters in the drive, buses, time stamps of different clocks"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         delay = float(values[0])
         change = delayed_change(arm.t, arm.torque[:, [joint]], delay)
         change = where_known(change, arm.t, arm.friction_known[:, [joint]], delay)
         return on_joint(change[:, 0], joint, arm.torque.shape[1])
 
-    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
-        """Return zeros: a controller needs the torque at the instant."""
-        return ca.SX(arm.load.shape[0], 1)
-
 
 def delayed_change(t: Array, torque: Array, delay: float) -> Array:
-    """Return (τ(t − δ) − τ(t))/δ of torques (K, n), and its limit for small δ.
-
-    Parameters
-    ----------
-    t : (K,)
-        s.
-    torque : (K, n)
-        N·m.
-    delay : float
-        s.
-    """
+    """Return (τ(t − δ) − τ(t))/δ of torques (K, n), and its limit for small δ."""
 
     def at(times: Array) -> Array:
         return np.column_stack([np.interp(times, t, column) for column in torque.T])
@@ -77,3 +59,23 @@ def delayed_change(t: Array, torque: Array, delay: float) -> Array:
     if abs(delay) < LEAST:
         return (at(t - LEAST) - at(t + LEAST)) / (2.0 * LEAST)
     return (at(t - delay) - torque) / delay
+
+
+def where_known(change: Array, t: Array, known: NDArray[np.bool_], past: float) -> Array:
+    """Return a change of torque (K, n), zero where it depends on unknown friction.
+
+    At rest friction has any value up to its level, and the instants at which a joint starts and
+    stops have an error of up to one sample. A delayed or filtered torque depends on them for as
+    long as its memory reaches: a step of friction there, wrong by one sample, would exceed all
+    that the delay of the smooth motion causes.
+
+    ``change`` (K, n), ``t`` (K,) in s, ``known`` (K, n); ``past`` is the length of the memory in s,
+    negative for a torque that depends on the time to come.
+    """
+    step = (t[-1] - t[0]) / max(len(t) - 1, 1)
+    first, last = t - max(past, 0.0) - step, t + max(-past, 0.0) + step
+    result = change.copy()
+    for j, own in enumerate(known.T):
+        unknown = np.append(t[~own], np.inf)
+        result[unknown[np.searchsorted(unknown, first)] <= last, j] = 0.0
+    return result

@@ -1,7 +1,5 @@
 """A wrong gain of a torque sensor or a wrong drive constant."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import casadi as ca
@@ -16,8 +14,7 @@ class TorqueGain(ArmEffect):
     """The measured torque is (1 + g) times the torque: τ_measured = (1 + g)·τ.
 
     g is dimensionless and relative to the other joints: a gain common to all joints cannot be
-    distinguished from larger masses. Revealed by motion of several joints with large gravity
-    torque, or a payload of known mass. Confused with friction in proportion to the load.
+    distinguished from larger masses.
     """
 
     name = "torque_gain"
@@ -41,11 +38,9 @@ class TorqueGain(ArmEffect):
     typical = "1 to 10 %"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         return on_joint(arm.torque[:, joint], joint, arm.torque.shape[1])
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
-        """Return the columns of the formula."""
         column = ca.SX(arm.torque.shape[0], 1)
         column[joint] = arm.torque[joint]
         return column

@@ -1,17 +1,14 @@
 """A torque signal that passed a low-pass filter before it was recorded."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
-import casadi as ca
 import numpy as np
 from scipy.signal import lfilter
 
-from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient
-from lieid_casadi.effects.memory_of_rest import where_known
 from lieid_casadi.effects.registry import register
+from lieid_casadi.effects.torque_delay import where_known
 
 LEAST = 1e-3  # s; below it the column is the derivative, not the difference quotient
 
@@ -21,9 +18,8 @@ class TorqueLowpass(ArmEffect):
     """The torque is recorded through a low-pass filter: τ_measured = F_T(τ), T in s.
 
     F_T is of first order, T·ẏ + y = τ with cut-off 1/(2πT) in Hz, and in balance at the start of
-    every segment. Revealed by torque that changes quickly. Confused with `torque_delay`: to first
-    order in T·d/dt both delay by T; only the filter also attenuates. Exported code computes the
-    torque at the instant, without the filter.
+    every segment. Confused with `torque_delay`: to first order in T·d/dt both delay by T; only the
+    filter also attenuates. Exported code computes the torque at the instant, without the filter.
     """
 
     name = "torque_lowpass"
@@ -31,13 +27,7 @@ class TorqueLowpass(ArmEffect):
     change: ClassVar = finding
     formula = "T·d(τ_measured)/dt + τ_measured = τ"
     coefficients = (
-        Coefficient(
-            "T",
-            "s",
-            lower=0.0,
-            limit=0.2,
-            meaning="time constant, 1/(2π·cut-off)",
-        ),
+        Coefficient("T", "s", lower=0.0, limit=0.2, meaning="time constant, 1/(2π·cut-off)"),
     )
     options: ClassVar = {
         "second_order": "a critically damped filter of second order, delay 2·T",
@@ -66,7 +56,6 @@ class TorqueLowpass(ArmEffect):
             self.formula = "(1 + T·d/dt)²·τ_measured = τ"
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns of the formula."""
         if not self.whole_arm:
             change = self._change(arm, slice(joint, joint + 1), float(values[0]))
             return on_joint(change[:, 0], joint, arm.torque.shape[1])
@@ -90,21 +79,12 @@ class TorqueLowpass(ArmEffect):
             filtered = first_order_lag(t, filtered, time_constant)
         return (filtered - torque) / time_constant
 
-    def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
-        """Return zeros: a controller needs the torque at the instant."""
-        return ca.SX(arm.load.shape[0], 1)
-
 
 def first_order_lag(t: Array, x: Array, time_constant: float) -> Array:
     """Return y with T·ẏ + y = x, exact for an x that is linear between equidistant samples.
 
-    Parameters
-    ----------
-    t : (K,)
-        s; a signal with other steps is interpolated onto K equidistant instants and back.
-    x : (K, n)
-    time_constant : float
-        s; y starts at the first x.
+    A signal x (K, n) with other steps is interpolated onto K equidistant instants and back; y
+    starts at the first x.
     """
     even = np.linspace(t[0], t[-1], len(t))
     step = (t[-1] - t[0]) / (len(t) - 1) / time_constant

@@ -1,23 +1,18 @@
 """Torque that repeats with the joint angle: cogging, gears, eccentric bearings."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
 class TorqueRipple(Effect):
     """One harmonic of the joint angle: τ = a·sin(kq) + b·cos(kq), of order 2 and above.
 
-    a and b in N·m, k in 1/rad; order 1 cannot be distinguished from gravity. Revealed by slow
-    motion sampled several times per period of the ripple. Confused with gravity at low order.
+    a and b in N·m, k in 1/rad; order 1 cannot be distinguished from gravity.
     """
 
     name = "torque_ripple"
@@ -38,7 +33,6 @@ class TorqueRipple(Effect):
     typical = "1 to 5 % of the torque limit; harmonic drives have orders of 100 to 320"
     references = ("Tuttle, Seering, IEEE Trans. Robot. Autom. 12(3), 1996",)
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         phase = shape["k"] * s.q
         return [ca.sin(phase), ca.cos(phase)]

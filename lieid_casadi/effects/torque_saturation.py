@@ -1,15 +1,11 @@
 """A drive that delivers less than its control law asks for."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
@@ -17,9 +13,7 @@ class TorqueSaturation(Effect):
     """Torque stops growing at the error e_s: the law exceeds it by K·(|e| − e_s)·sgn(e), |e| > e_s.
 
     e = q_cmd − q in rad, K in N·m/rad (the drive's stiffness); the limit of the torque is K·e_s in
-    N·m. Of position-controlled drives. Revealed by errors beyond e_s, which is searched among the
-    largest fifth: with a smaller e_s the column is the recorded torque itself. Confused with
-    `torque_gain`.
+    N·m. Of position-controlled drives. Confused with `torque_gain`.
     """
 
     name = "torque_saturation"
@@ -45,7 +39,6 @@ class TorqueSaturation(Effect):
     }
     typical = "a supply voltage or a current limit below the one that the law assumes"
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         beyond = ca.fmax(ca.fabs(s.command_error) - shape["e_s"], 0.0)
         return [beyond * ca.sign(s.command_error)]

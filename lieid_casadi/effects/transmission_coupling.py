@@ -1,23 +1,16 @@
 """Torque on a joint from the motion of another: shared gears, coupled drives."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import casadi as ca
-
-from lieid_casadi.effects.effect import Coefficient, Effect
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
 class TransmissionCoupling(Effect):
     """Viscous and dry friction on joint i from the motion of joint j, written ``:i<j``.
 
-    τ_i = f_v·q̇_j + f_c·sgn(q̇_j), with f_v in N·m·s/rad and f_c in N·m. Revealed by motion in which
-    the joints move independently. Confused with joint i's own friction where both move together.
+    τ_i = f_v·q̇_j + f_c·sgn(q̇_j), with f_v in N·m·s/rad and f_c in N·m.
     """
 
     name = "transmission_coupling"
@@ -51,8 +44,7 @@ class TransmissionCoupling(Effect):
             self.coefficients += (Coefficient("I_a", "kg·m²", meaning="shared rotor inertia"),)
             self.signals = ("dq", "ddq", "sign")
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         assert s.other is not None  # placed on a pair of joints
         friction = [s.other.dq, s.other.sign]
         return [*friction, s.other.ddq] if self.option == "rotor" else friction

@@ -1,33 +1,28 @@
 """Viscous friction (Luo et al. 2024, Eq. 10)."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import casadi as ca
-
-from lieid_casadi.effects.effect import Coefficient, Effect
+from lieid_casadi.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    ShapeSymbols,
+    Signals,
+    increased_or_decreased,
+)
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
 class Viscous(Effect):
-    """Friction in proportion to velocity: τ = f_v·q̇, f_v in N·m·s/rad.
-
-    Revealed by motion at several speeds. Confused with Coulomb friction at a single speed.
-    """
+    """Friction in proportion to velocity: τ = f_v·q̇, f_v in N·m·s/rad."""
 
     name = "viscous"
     finding: ClassVar = (
         "Friction on {joints} grows with speed",
         "Friction on {joints} falls with speed",
     )
-    change: ClassVar = (
-        "Viscous friction on {joints} has increased",
-        "Viscous friction on {joints} has decreased",
-    )
+    change: ClassVar = increased_or_decreased("Viscous friction on {joints}")
     formula = "f_v·q̇"
     coefficients = (
         Coefficient("f_v", "N·m·s/rad", meaning="friction per velocity", opposes_motion=True),
@@ -46,6 +41,5 @@ class Viscous(Effect):
         "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",
     )
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         return [s.dq]

@@ -1,24 +1,16 @@
 """Viscous friction that differs between the two directions."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import casadi as ca
-
-from lieid_casadi.effects.effect import Coefficient, Effect
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
 class ViscousAsymmetric(Effect):
     """Half the difference of the two directions' viscous coefficients: τ = f·|q̇|.
 
-    f in N·m·s/rad. Revealed by fast motion in both directions through the same positions.
-    Confused with an offset at a single speed. The asymmetric part of Coulomb friction is the
-    effect `offset`.
+    f in N·m·s/rad. The asymmetric part of Coulomb friction is the effect `offset`.
     """
 
     name = "viscous_asymmetric"
@@ -37,6 +29,5 @@ class ViscousAsymmetric(Effect):
     typical = "up to 20 % of the viscous coefficient"
     references = ("Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",)
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         return [s.sign * s.dq]

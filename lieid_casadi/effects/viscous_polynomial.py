@@ -1,23 +1,16 @@
 """Nonlinear viscous friction (Luo et al. 2024, Eq. 17)."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import casadi as ca
-
-from lieid_casadi.effects.effect import Coefficient, Effect
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
 class ViscousPolynomial(Effect):
     """Second and third power of velocity beside `viscous`: τ = f_v2·sgn(q̇)·q̇² + f_v3·q̇³.
 
-    Units: f_v2 in N·m·s²/rad², f_v3 in N·m·s³/rad³. Revealed by motion over the whole range of
-    speeds. Confused with Stribeck friction where the lowest speeds are missing.
+    Units: f_v2 in N·m·s²/rad², f_v3 in N·m·s³/rad³.
     """
 
     name = "viscous_polynomial"
@@ -38,6 +31,5 @@ class ViscousPolynomial(Effect):
     typical = "10 to 30 % of the friction at top speed; grease shear-thins, so f_v3 is often < 0"
     references = ("Luo et al., Robotica 2024, Eq. 17",)
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         return [s.sign * s.dq**2, s.dq**3]

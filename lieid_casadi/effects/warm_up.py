@@ -1,15 +1,11 @@
 """Friction that changes while the joint warms up, without a measured temperature."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import Coefficient, Effect, Shape
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.signals import Signals
 
 
 @register
@@ -17,8 +13,7 @@ class WarmUp(Effect):
     """Change of viscous and dry friction with the time since the segment began.
 
     τ = (f_tv·q̇ + f_tc·sgn(q̇))·(1 − e^{−t/θ}), with f_tv in N·m·s/rad, f_tc in N·m, θ and t in s.
-    Beside `viscous` and `coulomb`, which are then the friction of the cold joint. Revealed by a
-    recording longer than θ that starts cold. Confused with `temperature_friction`.
+    Beside `viscous` and `coulomb`, which are then the friction of the cold joint.
     """
 
     name = "warm_up"
@@ -45,7 +40,6 @@ class WarmUp(Effect):
     typical = "friction falls by 10 to 40 % over 5 to 60 min"
     references = ("Simoni, Beschi, Legnani, Visioli, IROS 2015",)
 
-    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the columns of the formula."""
+    def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
         warm = -ca.expm1(-s.time / shape["theta"])
         return [warm * s.dq, warm * s.sign]

@@ -16,7 +16,7 @@ from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects import Effect, Placement, place
 from lieid_casadi.effects.arm_effect import ArmEffect
-from lieid_casadi.effects.signals import EffectSignals
+from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.errors import ExcitationError, NotCountedWarning
 from lieid_casadi.excitation.sample_functions import (
     FittedArm,

@@ -14,7 +14,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.dynamics.regressor import regressor
-from lieid_casadi.effects.signals import EffectSignals
+from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
 

@@ -16,7 +16,7 @@ from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Motion, constant, tool_pose
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.effects.signals import EffectSignals
+from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.model import Model

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.effects.deadband import Deadband
-from lieid_casadi.effects.signals import EffectSignals
+from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot import Drive

@@ -7,7 +7,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.effects.memory_of_rest import where_known
+from lieid_casadi.effects.torque_delay import where_known
 
 ROBOT = lieid.robots.two_link()
 STEP = 0.01  # s

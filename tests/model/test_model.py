@@ -8,8 +8,8 @@ from scipy.special import erf
 
 import lieid_casadi as lieid
 from lieid_casadi.effects import LIBRARY, make
+from lieid_casadi.effects.effect import Signals
 from lieid_casadi.effects.registry import REGISTER, usable
-from lieid_casadi.effects.signals import Signals
 from lieid_casadi.errors import EffectError, ModelError
 
 

@@ -15,7 +15,7 @@ from lieid_casadi.dynamics.base_parameters import base_parameters
 from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.dynamics.regressor import regressor, slotine_li_regressor
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.effects.signals import EffectSignals
+from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.errors import ExportError
 from lieid_casadi.expressions import forward_dynamics
 from lieid_casadi.expressions.frames import homogeneous
