@@ -13,7 +13,13 @@ import numpy as np
 from lieid_casadi.errors import FleetError
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, FoundEffect, read_arms
 from lieid_casadi.fleet.history import History
-from lieid_casadi.fleet.judging import ChangedQuantity, JudgedArm, judge_night
+from lieid_casadi.fleet.judging import (
+    ChangedQuantity,
+    JudgedArm,
+    RepeatedEffect,
+    judge_night,
+    label_of,
+)
 
 INSPECT = "inspect the joint, and identify the arm again if it is in order"
 ACTIONS = {
@@ -49,13 +55,7 @@ ACTIONS = {
 
 
 def suggested_action(quantity: str) -> str:
-    """Return what to do about a change of a quantity, an effect or ``error``.
-
-    Examples
-    --------
-    >>> suggested_action("base_tilt")
-    'check the bolts of the base and the level of the floor'
-    """
+    """Return what to do about a change of a quantity, an effect or ``error``."""
     return ACTIONS.get(quantity, INSPECT)
 
 
@@ -138,34 +138,25 @@ def _is_same(alarm: Alarm, new: Alarm, arm: ArmHistory) -> bool:
 
 def _continued(alarm: Alarm, judged: JudgedArm) -> Alarm:
     """Return an open alarm with the size, beginning and name that this night gives."""
-    own = [c for c in judged.changed if c.quantity.label in alarm.labels]
-    repeated = [r for r in judged.repeated if _label(r.effect, r.joint) in alarm.labels]
-    if not own and not repeated:
+    own = [c for c in judged.changed if c.label in alarm.labels]
+    if not own and not any(r.label in alarm.labels for r in judged.repeated):
         return alarm
-    since = own[0].since if own else alarm.since
-    fresh = _described(judged.arm, own, since, alarm)
-    return replace(
-        fresh,
-        raised=alarm.raised,
-        note=alarm.note,
-        series=alarm.series,
-        last=judged.arm.dates[-1],
-        reported=alarm.reported,
-        warned=alarm.warned,
-    )
+    fresh = _described(judged.arm, own, own[0].since if own else alarm.since, alarm)
+    kept = {
+        name: getattr(alarm, name) for name in ("raised", "note", "series", "reported", "warned")
+    }
+    return replace(fresh, last=judged.arm.dates[-1], **kept)
 
 
 def _new_alarm(judged: JudgedArm, owned: frozenset[str]) -> Alarm | None:
-    changed = [c for c in judged.changed if c.quantity.label not in owned]
-    repeated = [r for r in judged.repeated if _label(r.effect, r.joint) not in owned]
-    if not changed and not repeated:
+    changed = [c for c in judged.changed if c.label not in owned]
+    repeated = [r for r in judged.repeated if r.label not in owned]
+    news: list[ChangedQuantity | RepeatedEffect] = [*changed, *repeated]
+    if not news or not (changed or _named(judged.arm, news[0].since)):
         return None
-    since = changed[0].since if changed else repeated[0].since
-    if not changed and not _named(judged.arm, since):
-        return None
-    labels = {c.quantity.label for c in changed} | {_label(r.effect, r.joint) for r in repeated}
-    alarm = _described(judged.arm, changed, since, None)
-    return replace(alarm, series=",".join(sorted(labels | {_label(alarm.quantity, alarm.joint)})))
+    alarm = _described(judged.arm, changed, news[0].since, None)
+    labels = {item.label for item in news} | {label_of(alarm.quantity, alarm.joint)}
+    return replace(alarm, series=",".join(sorted(labels)))
 
 
 def _described(
@@ -181,8 +172,9 @@ def _described(
     own = next((c for c in coefficients if (c.quantity.effect, c.quantity.joint) in named), None)
     if own is None and named:
         return _of_finding(arm, since, named)
-    if own is None and coefficients and _may_name(arm, coefficients[0]):
-        own = coefficients[0]
+    if own is None and coefficients:  # unless the residual of its joint is not explained
+        first = coefficients[0]
+        own = None if (UNEXPLAINED, first.quantity.joint) in arm.found[-1] else first
     if own is not None:
         return _of_coefficient(arm, own, since, named)
     if before is not None and not changed:
@@ -190,12 +182,11 @@ def _described(
     return _of_error(arm, changed, since)
 
 
-def _may_name(arm: ArmHistory, item: ChangedQuantity) -> bool:
-    """Whether a coefficient may name a change: not if its joint's residual is unexplained."""
-    return (UNEXPLAINED, item.quantity.joint) not in arm.found[-1]
+#: Effects and joints (from 1; None: the whole arm) with what the nights have found.
+Named = dict[tuple[str, int | None], list[FoundEffect]]
 
 
-def _named(arm: ArmHistory, since: date) -> dict[tuple[str, int | None], list[FoundEffect]]:
+def _named(arm: ArmHistory, since: date) -> Named:
     """Return the effects that the diagnoses since a night have found, the largest first."""
     first = sum(night < since for night in arm.dates)
     after = arm.found[first:][-LATEST_NIGHTS:]
@@ -210,9 +201,7 @@ def _named(arm: ArmHistory, since: date) -> dict[tuple[str, int | None], list[Fo
     return {key: found[key] for key in sorted(found, key=lambda k: (-size[k], k[0], k[1] or 0))}
 
 
-def _of_finding(
-    arm: ArmHistory, since: date, named: dict[tuple[str, int | None], list[FoundEffect]]
-) -> Alarm:
+def _of_finding(arm: ArmHistory, since: date, named: Named) -> Alarm:
     (effect, joint), own = next(iter(named.items()))
     changes = [f.change for f in own]
     change = float(np.median(changes))
@@ -220,18 +209,14 @@ def _of_finding(
     std = float(np.mean(stds)) if stds else None
     if len(changes) > 2:
         std = max(std or 0.0, float(np.std(changes, ddof=1)) / float(np.sqrt(len(changes))))
-    text = f"{_where(effect, joint)} since {since}: {_amount(change, std, own[-1].unit)}"
+    where = f"joint {joint}" if joint else "the arm"
+    text = f"{effect} of {where} since {since}: {_amount(change, std, own[-1].unit)}"
     return _alarm(
         arm, effect, joint, since, change, std, own[-1].unit, text + _further(named, effect, joint)
     )
 
 
-def _of_coefficient(
-    arm: ArmHistory,
-    item: ChangedQuantity,
-    since: date,
-    named: dict[tuple[str, int | None], list[FoundEffect]],
-) -> Alarm:
+def _of_coefficient(arm: ArmHistory, item: ChangedQuantity, since: date, named: Named) -> Alarm:
     change, quantity = item.change, item.quantity
     unit = arm.units[quantity]
     now = change.level + change.size
@@ -239,23 +224,20 @@ def _of_coefficient(
         f"{quantity.name} of joint {quantity.joint} since {since}: "
         f"{_amount(change.size, change.std, unit)}, from {change.level:.4g} to {now:.4g} {unit}"
     )
-    limit_date = None
+    drift: dict[str, Any] = {}
     if change.kind == "drift":
+        names = ("slope", "slope_low", "slope_high")
+        drift = {name: getattr(change, name) for name in names}
+        drift["limit_date"] = limit = _limit_date(arm, item)
         text += (
             f"; drift of {change.slope_low:.3g} to {change.slope_high:.3g} {unit} per day (95 %)"
         )
-        limit_date = _limit_date(arm, item)
-        if limit_date is not None:
-            text += f"; reaches its limit on {limit_date}"
+        text += f"; reaches its limit on {limit}" if limit is not None else ""
     alarm = _alarm(
         arm, quantity.effect, quantity.joint, since, change.size, change.std, unit,
         text + _further(named, quantity.effect, quantity.joint),
     )  # fmt: skip
-    if change.kind == "drift":
-        alarm = replace(
-            alarm, slope=change.slope, slope_low=change.slope_low, slope_high=change.slope_high
-        )
-    return replace(alarm, limit_date=limit_date)
+    return replace(alarm, **drift)
 
 
 def _of_error(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date) -> Alarm:
@@ -296,28 +278,18 @@ def _limit_date(arm: ArmHistory, item: ChangedQuantity) -> date | None:
     return None if day is None or day >= FARTHEST_DATE else date.fromordinal(int(np.ceil(day)))
 
 
-def _further(
-    named: dict[tuple[str, int | None], list[FoundEffect]], effect: str, joint: int | None
-) -> str:
+def _further(named: Named, effect: str, joint: int | None) -> str:
     """Return rivals of the named effect, and other effects that are found."""
     own = named.get((effect, joint))
     rivals = own[-1].sentence.partition("; fits as well: ")[2] if own else ""
     text = f"; fits as well: {rivals}" if rivals else ""
-    others = [_label(e, j) for e, j in named if (e, j) != (effect, joint)]
+    others = [label_of(e, j) for e, j in named if (e, j) != (effect, joint)]
     return text + (f"; also found: {', '.join(others[:3])}" if others else "")
-
-
-def _where(effect: str, joint: int | None) -> str:
-    return f"{effect} of the arm" if joint is None else f"{effect} of joint {joint}"
 
 
 def _amount(change: float, std: float | None, unit: str) -> str:
     shown = "" if unit == "1" else f" {unit}"
     return f"{change:+.3g}{shown}" if std is None else f"{change:+.3g} ± {std:.2g}{shown}"
-
-
-def _label(name: str, joint: int | None) -> str:
-    return name if joint is None else f"{name}:{joint}"
 
 
 COLUMNS = ", ".join(Alarm.__dataclass_fields__)
@@ -347,11 +319,11 @@ def judge_new_nights(history: History) -> list[Alarm]:
     )
     waiting = history.rows(
         "SELECT DISTINCT date FROM runs WHERE status = 'done' AND started > "
-        "coalesce((SELECT max(written) FROM judged), TIMESTAMP '1970-01-01') ORDER BY date"
+        "coalesce((SELECT max(written) FROM judged), TIMESTAMPTZ 'epoch') ORDER BY date"
     )
     if not waiting:
         return []
-    written = datetime.now(UTC).replace(tzinfo=None)
+    written = datetime.now(UTC)
     ((latest,),) = history.rows("SELECT max(date) FROM judged")
     nights = [night for (night,) in waiting if latest is None or night >= latest] or [latest]
     arms = list(read_arms(history, waiting=len(nights)))
@@ -425,24 +397,10 @@ def evidence(history: History, alarm: Alarm) -> dict[str, Any]:
 def acknowledge(
     history: History, serial: str, *, joint: int | None = None, note: str, last: date | None = None
 ) -> list[Alarm]:
-    """Close alarms of an arm and start new baselines; return the alarms.
+    """Close alarms of an arm, or of one joint from 1, and start new baselines; return the alarms.
 
-    Parameters
-    ----------
-    history : History
-        Open for writing.
-    serial : str
-    joint : int, optional
-        From 1; only alarms and baselines of this joint.
-    note : str
-        What was found or done.
-    last : date, optional
-        Last night before the repair; the arm's last night in the history if left out.
-
-    Raises
-    ------
-    FleetError
-        The history has no such arm, or the arm no such joint.
+    ``last`` is the last night before the repair, by default the arm's last night in the history.
+    FleetError: the history has no such arm, or the arm no such joint.
     """
     joints = _known_arm(history, serial)
     if joint is not None and not 1 <= joint <= joints:
@@ -462,8 +420,9 @@ def acknowledge(
             "AND (? IS NULL OR joint = ?)",
             [last, note, serial, joint, joint],
         )
-        concerned = {joint} if joint is None else {joint, *_joints_of(closed)}
-        now = datetime.now(UTC).replace(tzinfo=None)
+        labels = [label for alarm in closed for label in alarm.labels if ":" in label]
+        concerned = {joint} | ({int(x.rpartition(":")[2]) for x in labels} if joint else set())
+        now = datetime.now(UTC)
         history.insert("acknowledgements", [(serial, j, last, note, now) for j in concerned])
     return closed
 
@@ -472,15 +431,14 @@ def retire(history: History, serial: str, day: date) -> int:
     """Take an arm out of reports, metrics and expected nights; return how many alarms it closes."""
     _known_arm(history, serial)
     with history.transaction():
-        history.connection.execute("UPDATE arms SET retired = ? WHERE serial = ?", [day, serial])
-        history.connection.execute("DELETE FROM nights WHERE serial = ?", [serial])
-        return len(
-            history.rows(
-                "UPDATE alarms SET closed = ?, note = 'retired' WHERE serial = ? "
-                "AND closed IS NULL RETURNING serial",
-                [day, serial],
-            )
+        history.rows("UPDATE arms SET retired = ? WHERE serial = ?", [day, serial])
+        history.rows("DELETE FROM nights WHERE serial = ?", [serial])
+        closed = history.rows(
+            "UPDATE alarms SET closed = ?, note = 'retired' WHERE serial = ? AND closed IS NULL "
+            "RETURNING serial",
+            [day, serial],
         )
+    return len(closed)
 
 
 def _known_arm(history: History, serial: str) -> int:
@@ -490,9 +448,3 @@ def _known_arm(history: History, serial: str) -> int:
         serials = ", ".join(s for (s,) in history.rows("SELECT serial FROM arms ORDER BY serial"))
         raise FleetError(f"{history.path}: no arm {serial!r}; expected one of {serials}")
     return int(known[0][0])
-
-
-def _joints_of(alarms: Sequence[Alarm]) -> set[int]:
-    """Return the joints of the quantities that alarms are about."""
-    labels = [label for alarm in alarms for label in alarm.labels]
-    return {int(label.rpartition(":")[2]) for label in labels if ":" in label}

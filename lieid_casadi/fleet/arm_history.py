@@ -117,7 +117,11 @@ def read_arms(history: History, *, waiting: int | None = None) -> Iterator[ArmHi
     If a number of nights is waiting to be judged, only what that needs is read.
     """
     latest = 10**9 if waiting is None else LATEST_NIGHTS + waiting - 1
-    starts = _starts(history)
+    starts: defaultdict[str, dict[int | None, date]] = defaultdict(dict)
+    for serial, joint, last in history.rows(
+        "SELECT serial, joint, max(date) FROM acknowledgements GROUP BY serial, joint"
+    ):
+        starts[serial][joint] = last + timedelta(days=1)
     arms = history.rows(
         "SELECT serial, robot, joints, limits FROM arms WHERE retired IS NULL ORDER BY serial"
     )
@@ -152,16 +156,6 @@ def _rows_by_arm(history: History) -> dict[str, defaultdict[str, list[tuple[Any,
     return found
 
 
-def _starts(history: History) -> defaultdict[str, dict[int | None, date]]:
-    """Return, for each arm and joint, the first night of the baseline."""
-    starts: defaultdict[str, dict[int | None, date]] = defaultdict(dict)
-    for serial, joint, last in history.rows(
-        "SELECT serial, joint, max(date) FROM acknowledgements GROUP BY serial, joint"
-    ):
-        starts[serial][joint] = last + timedelta(days=1)
-    return starts
-
-
 def _arm(
     identity: tuple[str, str, int],
     rows: Mapping[str, list[tuple[Any, ...]]],
@@ -189,10 +183,9 @@ def _arm(
         log_error = np.log(rms / expected)
         lost = np.sqrt(np.maximum(rms**2 - expected**2, 0.0)) / torque
     unknown, scales = np.full(count, np.nan), np.full(count, LEAST_ERROR_SCATTER)
-    for j in range(joints):
-        if np.isfinite(log_error[j]).all():
-            own = NightSeries(days, log_error[j], scales, unknown, motions)
-            series[Quantity(ERROR, j + 1)] = own
+    for j in np.flatnonzero(np.isfinite(log_error).all(axis=1)):
+        own = NightSeries(days, log_error[j], scales, unknown, motions)
+        series[Quantity(ERROR, int(j) + 1)] = own
     found: list[dict[tuple[str, int | None], FoundEffect]] = [{} for _ in dates]
     for k, effect, finding_joint, *rest in rows["findings"]:
         found[k][effect, finding_joint] = FoundEffect(*rest)
@@ -206,21 +199,17 @@ def motions_of(labels: Sequence[str], positions: Array) -> NDArray[np.intp]:
     Positions (N, 4, n) are the lowest, highest and mean one and the standard deviation of each
     joint; nights without positions (NaN) have one motion.
     """
-    known: list[int] = []  # first night of each motion
-    numbers = []
-    for night, (label, own) in enumerate(zip(labels, positions, strict=True)):
-        for number, first in enumerate(known):
-            if labels[first] == label and _is_same_motion(own, positions[first]):
-                numbers.append(number)
-                break
-        else:
-            numbers.append(len(known))
-            known.append(night)
-    return np.array(numbers, dtype=np.intp)
-
-
-def _is_same_motion(a: Array, b: Array) -> bool:
-    if np.isnan(a).any() or np.isnan(b).any():
-        return bool(np.isnan(a).any() and np.isnan(b).any())
-    span = np.maximum(a[1] - a[0], b[1] - b[0])
-    return bool((np.abs(a - b) <= SAME_MOTION * span + SAME_POSITION).all())
+    unknown = np.isnan(positions).any(axis=(1, 2))
+    span = positions[:, 1] - positions[:, 0]
+    numbers = np.full(len(labels), -1, dtype=np.intp)
+    for number in range(len(labels)):
+        rest = np.flatnonzero(numbers < 0)
+        if not len(rest):
+            break
+        first = rest[0]
+        tolerance = SAME_MOTION * np.maximum(span, span[first])[:, None] + SAME_POSITION
+        alike = (np.abs(positions - positions[first]) <= tolerance).all(axis=(1, 2))
+        alike = np.where(unknown, unknown[first], alike)
+        same_label = np.array([label == labels[first] for label in labels])
+        numbers[alike & same_label & (numbers < 0)] = number
+    return numbers

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from dataclasses import dataclass, replace
@@ -30,7 +29,6 @@ from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import joint_factors
 from lieid_casadi.identification.uncertainty.noise_model import RATE_OVER_CUTOFF
 from lieid_casadi.json_numbers import number_or_none
-from lieid_casadi.model import Parameter
 from lieid_casadi.recording import Processed, Recording, process, require_plausible_units
 from lieid_casadi.recording.readers.registry import hash_of_file
 from lieid_casadi.robot.inertia import parameter_transport
@@ -41,25 +39,24 @@ UNDETERMINED = 1e-9  # of scaled columns: directions that the night does not exc
 
 @dataclass(frozen=True, eq=False)
 class NightEstimate:
-    """Effect coefficients of one night."""
+    """Effect coefficients of one night.
 
-    parameters: tuple[Parameter, ...]  # coefficients of effects that are base parameters
-    values: Array  # (k,)
-    std: Array  # (k,) nominal standard deviations, from the noise of the fit alone
+    ``unexplained`` (n,) is the part of the torque (0 to 1, in terms of RMS) that the robot's
+    regressor cannot explain even if all its parameters are fitted to this night.
+    """
+
+    parameters: tuple[ParameterEstimate, ...]  # coefficients of effects that are base parameters
     torque_rms: Array  # (n,) of the measured torque in motion, N·m
-    #: (n,) Part of the torque (0 to 1, in terms of RMS) that the robot's regressor cannot explain
-    #: even if all its parameters are fitted to this night; and the same in multiples of the noise.
     unexplained: Array
-    unexplained_over_noise: Array
+    unexplained_over_noise: Array  # (n,) the same in multiples of the noise
 
 
 def night_estimate(fit: Fit, recording: Recording, noise: Array) -> NightEstimate:
-    """Estimate a night's effect coefficients.
+    """Estimate a night's effect coefficients; ``noise`` (n,) is the held-out error of the fit, N·m.
 
     Inertial parameters have the fit's estimate and covariance as prior, coefficients of effects
     are free. A change of friction is therefore not reduced by the prior, and errors of the
-    inertial parameters enter the standard deviations. ``noise`` (n,) is the held-out error of the
-    fit, N·m.
+    inertial parameters enter the standard deviations, which follow from the noise alone.
     """
     segments, _ = center_temperature(process([recording], fit.processing), fit.temperature_mean)
     rows = Design(fit.compiled, segments).rows(fit.shapes, fit.parameters)
@@ -71,19 +68,25 @@ def night_estimate(fit: Fit, recording: Recording, noise: Array) -> NightEstimat
     matrix, torque = stacked[:, :-1], stacked[:, -1]
     effects = np.flatnonzero(fit.model.base.kept >= 10 * fit.model.n)
     change, covariance = _with_prior(matrix, torque - matrix @ fit.values, _prior(fit, effects))
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    columns = fit.model.base_columns
     torque_norm = np.array([np.linalg.norm(factor.r[:, -1]) for factor in factors])
     misfit = np.sqrt([factor.misfit(_free(matrix, torque)) for factor in factors])
     root = np.sqrt(np.maximum([factor.rows for factor in factors], 1))
     with np.errstate(divide="ignore", invalid="ignore"):
         unexplained = np.nan_to_num(misfit / torque_norm)
     return NightEstimate(
-        tuple(fit.model.base_columns[k] for k in effects),
-        (fit.values + change)[effects],
-        np.sqrt(np.maximum(np.diag(covariance)[effects], 0.0)),
+        tuple(
+            ParameterEstimate(
+                columns[k].name, columns[k].joint + 1, float(fit.values[k] + change[k]),
+                float(std[k]), columns[k].unit,
+            )
+            for k in effects
+        ),
         torque_norm / root * sizes,
         unexplained,
         misfit / root * sizes / noise,
-    )
+    )  # fmt: skip
 
 
 def _rows_per_independent(segment: Processed) -> float:
@@ -178,12 +181,7 @@ def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
         "done",
         payload=(recording.payload_label or ("",))[0],
         findings=tuple(_finding(step) for step in diagnosis.steps) + _unexplained(diagnosis),
-        parameters=tuple(
-            ParameterEstimate(p.name, p.joint + 1, float(value), float(std), p.unit)
-            for p, value, std in zip(
-                estimate.parameters, estimate.values, estimate.std, strict=True
-            )
-        ),
+        parameters=estimate.parameters,
         errors=_errors(diagnosis, estimate, recording),
         checks=tuple((type(w).__name__, str(w)) for w in diagnosis.warnings),
     )
@@ -193,13 +191,10 @@ def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
 def _fit(content: bytes, payload: tuple[float, ...] | None, tool: tuple[float, ...] | None) -> Fit:
     """Return the fit of a file's content, with a known payload added to the last link."""
     if payload is None:
-        handle, name = tempfile.mkstemp(suffix=".json", prefix="lieid-fleet-")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(content)
-            return Fit.load(name)
-        finally:
-            os.unlink(name)
+        with tempfile.NamedTemporaryFile(suffix=".json", prefix="lieid-fleet-") as file:
+            file.write(content)
+            file.flush()
+            return Fit.load(file.name)
     fit = _fit(content, None, None)
     robot, base = fit.model.robot, fit.model.base
     pose = robot.tool if tool is None else np.reshape(tool, (4, 4))
@@ -268,37 +263,26 @@ def _unexplained(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     """Return the unexplained parts of the residual as rows; their change is in N·m RMS."""
     moving = diagnosis.baseline["rms_test_moving"]
     assert moving is not None
-    rows = []
-    for part in diagnosis.unexplained:
-        size = float(moving[part.joint]) * float(np.sqrt(part.fraction))
-        rows.append(
-            Finding(
-                "unexplained", part.joint + 1, size, None, "N·m", 0.0, part.relation,
-            )
-        )  # fmt: skip
-    return tuple(rows)
+    sizes = [float(moving[x.joint]) * float(np.sqrt(x.fraction)) for x in diagnosis.unexplained]
+    return tuple(
+        Finding("unexplained", part.joint + 1, size, None, "N·m", 0.0, part.relation)
+        for part, size in zip(diagnosis.unexplained, sizes, strict=True)
+    )
 
 
 def _errors(
     diagnosis: Diagnosis, estimate: NightEstimate, recording: Recording
 ) -> tuple[JointError, ...]:
-    moving = diagnosis.baseline["rms_test_moving"]
-    expected = diagnosis.expected
+    moving, expected = diagnosis.baseline["rms_test_moving"], diagnosis.expected
     assert moving is not None
     assert expected is not None
-    temperature = None if recording.temperature is None else recording.temperature.mean(axis=0)
+    q, none = recording.q, np.full(recording.q.shape, np.nan)
+    warm = none if recording.temperature is None else recording.temperature
+    columns = (
+        moving, diagnosis.noise_floor, expected, estimate.torque_rms, warm.mean(axis=0),
+        q.min(axis=0), q.max(axis=0), q.mean(axis=0), q.std(axis=0),
+    )  # fmt: skip
     return tuple(
-        JointError(
-            j + 1,
-            number_or_none(moving[j]),
-            number_or_none(diagnosis.noise_floor[j]),
-            number_or_none(expected[j]),
-            number_or_none(estimate.torque_rms[j]),
-            None if temperature is None else float(temperature[j]),
-            float(recording.q[:, j].min()),
-            float(recording.q[:, j].max()),
-            float(recording.q[:, j].mean()),
-            float(recording.q[:, j].std()),
-        )
-        for j in range(len(moving))
+        JointError(j, *map(number_or_none, row))
+        for j, row in enumerate(zip(*columns, strict=True), start=1)
     )

@@ -117,9 +117,8 @@ def _p_without_night(
 ) -> float:
     """Return the largest p-value of a change if one of the nights since its beginning is left out.
 
-    A night is left out by a free term of its own. ``white`` (N, k) has a column for each of the k
-    nights since the beginning; ``rest`` and ``shape`` (R,) are values and change without the known
-    columns, whose orthonormal basis is (R, c).
+    A night is left out by a free term of its own, a column of ``white`` (N, k). ``rest`` and
+    ``shape`` (R,) are values and change without the known columns, whose basis is (R, c).
     """
     nights = np.zeros((len(rest), white.shape[1]))
     nights[: len(white)] = white

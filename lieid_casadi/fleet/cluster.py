@@ -48,12 +48,7 @@ class RunOptions:
 def dask_client(options: RunOptions) -> Iterator[Any]:
     """Client of a Dask cluster: the given one, or one on this machine that ends with the context.
 
-    Raises
-    ------
-    FleetError
-        No scheduler answers at the address, or workers have another version of this package.
-    MissingDependency
-        Dask is not installed.
+    FleetError: no scheduler answers, or workers have another version of this package.
     """
     try:
         import dask
@@ -131,12 +126,7 @@ def run_on_cluster(
 
     A worker that is lost fails its arm-night only after ``options.losses`` further attempts. An
     arm-night that exceeds the timeout has failed, and its worker is started again. ``fits`` maps
-    ``fit_sha256`` to the content of the fit's file.
-
-    Raises
-    ------
-    ClusterLost
-        The connection to the scheduler is lost.
+    ``fit_sha256`` to the content of the fit's file. ClusterLost: no scheduler or workers any more.
     """
     _Submission(client, fits, options, finished).run(nights)
 
@@ -150,11 +140,6 @@ def reporting_arm_night(night: ArmNight, fit_content: bytes, key: str) -> NightR
     return run_arm_night(night, fit_content)
 
 
-def content(data: bytes) -> bytes:
-    """Return the content of a fit: as a task, it is there again after its worker is lost."""
-    return data
-
-
 class _Submission:
     """Tasks of one call: waiting, on the cluster, and when they have begun."""
 
@@ -165,8 +150,7 @@ class _Submission:
         options: RunOptions,
         finished: Callable[[ArmNight, NightResult], None],
     ) -> None:
-        self.client, self.options, self.finished = client, options, finished
-        self.contents, self.fits = fits, dict[str, Any]()  # data on the cluster, when needed
+        self.client, self.options, self.finished, self.fits = client, options, finished, fits
         self.tasks: dict[str, tuple[Any, ArmNight]] = {}
         self.begun: dict[str, tuple[float, str]] = {}
         self.count, self.again = 0, Counter[ArmNight]()
@@ -218,13 +202,8 @@ class _Submission:
     def _submit(self, night: ArmNight) -> None:
         self.count += 1
         key = f"arm-night-{id(self):x}-{self.count}-{night.serial}-{night.date}"
-        if night.fit_sha256 not in self.fits:
-            self.fits[night.fit_sha256] = self.client.submit(
-                content, self.contents[night.fit_sha256], key=f"fit-{self.count}-{night.fit_sha256}"
-            )
-        future = self.client.submit(
-            reporting_arm_night, night, self.fits[night.fit_sha256], key, key=key, pure=False
-        )
+        fit = self.fits[night.fit_sha256]
+        future = self.client.submit(reporting_arm_night, night, fit, key, key=key, pure=False)
         self.tasks[key] = (future, night)
 
     def _ready(self) -> list[Any]:
@@ -258,10 +237,15 @@ class _Submission:
         if isinstance(error, KilledWorker) and not has_begun:
             self.again[night] += 1
             if self.again[night] <= self.options.losses:
-                self.fits.pop(night.fit_sha256, None)  # it may have been given up as well
                 self._submit(night)
                 return
-        self.finished(night, NightResult("failed", _failure(error)))
+        reason = f"{type(error).__name__}: {reason_of(error)}"
+        if isinstance(error, KilledWorker):
+            reason = (
+                "the worker was lost repeatedly (killed, or out of memory): see --memory and the "
+                "logs of the cluster"
+            )
+        self.finished(night, NightResult("failed", reason))
 
     def _has_begun(self, event: tuple[float, Mapping[str, str]]) -> None:
         message = event[1]
@@ -275,24 +259,7 @@ class _Submission:
                 future, night = self.tasks.pop(key)
                 del self.begun[key]
                 future.cancel(force=True)
-                self.finished(
-                    night,
-                    NightResult(
-                        "failed",
-                        f"not finished after {self.options.timeout:g} s (--timeout)",
-                        seconds=now - start,
-                    ),
-                )
+                reason = f"not finished after {self.options.timeout:g} s (--timeout)"
+                self.finished(night, NightResult("failed", reason, seconds=now - start))
                 with contextlib.suppress(Exception):
                     self.client.restart_workers([worker], raise_for_error=False)
-
-
-def _failure(error: BaseException) -> str:
-    from distributed import KilledWorker
-
-    if isinstance(error, KilledWorker):
-        return (
-            "the worker was lost repeatedly (killed, or out of memory): see --memory and the logs "
-            "of the cluster"
-        )
-    return f"{type(error).__name__}: {reason_of(error)}"

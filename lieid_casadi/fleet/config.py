@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -15,9 +15,11 @@ import yaml
 from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import require_regular
 from lieid_casadi.errors import FleetError, RobotError
+from lieid_casadi.fleet.recordings import is_local
 from lieid_casadi.robot import yaml_text
 from lieid_casadi.robot.geometry import pose
 from lieid_casadi.robot.inertia import link_parameters
+from lieid_casadi.robot.yaml_file import read_inertia
 from lieid_casadi.robot.yaml_text import Field
 
 
@@ -29,17 +31,8 @@ class LocatedField(Field):
 
     @classmethod
     def top(cls, text: str, origin: str) -> LocatedField:
-        """Return the data of a YAML text; ``origin`` is named in errors.
-
-        Raises
-        ------
-        FleetError
-            The text is not plain YAML.
-        """
-        try:
-            data = yaml_text.load(text, origin)
-        except RobotError as error:
-            raise FleetError(str(error)) from None
+        """Return the data of a YAML text; ``origin`` is named in errors."""
+        data = yaml_text.load(text, origin)
         node = yaml.compose(text, Loader=yaml.SafeLoader)  # builds no objects
         return cls(data, "", origin, dict(_lines(node, "")))
 
@@ -137,10 +130,7 @@ class Fleet:
 def read_fleet(path: str | Path) -> Fleet:
     """Read a fleet file; relative paths in it refer to its folder.
 
-    Raises
-    ------
-    FleetError
-        The file is missing or has an entry that is not valid; the message names the line.
+    FleetError: the file is missing or has an entry that is not valid; the message names the line.
     """
     file = Path(path)
     try:
@@ -158,17 +148,16 @@ def read_fleet(path: str | Path) -> Fleet:
 
 def _fleet(top: LocatedField, folder: Path) -> Fleet:
     fields = top.mapping(["arms"], ["night"])
-    arms = tuple(_arm(entry, folder) for entry in fields["arms"].items())
+    arms: dict[str, FleetArm] = {}
+    for entry in fields["arms"].items():
+        arm = _arm(entry, folder)
+        if arm.serial in arms:
+            field = replace(entry, value=arm.serial, path=f"{entry.path}.serial")
+            raise field.error("serial numbers that differ", found=f"{arm.serial!r} twice")
+        arms[arm.serial] = arm
     if not arms:
         raise fields["arms"].error("at least one arm")
-    seen: set[str] = set()
-    for entry, arm in zip(fields["arms"].items(), arms, strict=True):
-        if arm.serial in seen:
-            raise entry.mapping(["serial"], ["recordings", *ARM_KEYS])["serial"].error(
-                "serial numbers that differ", found=f"{arm.serial!r} twice"
-            )
-        seen.add(arm.serial)
-    return Fleet(arms, _night(fields["night"]) if "night" in fields else None)
+    return Fleet(tuple(arms.values()), _night(fields["night"]) if "night" in fields else None)
 
 
 def _night(field: LocatedField) -> str:
@@ -185,7 +174,7 @@ def _night(field: LocatedField) -> str:
 def _arm(entry: LocatedField, folder: Path) -> FleetArm:
     fields = entry.mapping(["serial", "recordings"], ARM_KEYS)
     has_fit, has_robot = "fit" in fields, "robot" in fields
-    has_breaks = "maintenance" in fields
+    breaks = fields["maintenance"].items() if "maintenance" in fields else []
     if has_fit == has_robot:
         found = "both of them" if has_fit else "neither of them"
         raise entry.error("either fit, or robot and train", found=found)
@@ -204,9 +193,7 @@ def _arm(entry: LocatedField, folder: Path) -> FleetArm:
         tools=_dated(fields.get("tool"), _tool),
         payloads=_payloads(fields.get("payload")),
         limits=_limits(fields["limits"]) if "limits" in fields else {},
-        maintenance=tuple(
-            _span(entry) for entry in (fields["maintenance"].items() if has_breaks else ())
-        ),
+        maintenance=tuple(_span(entry) for entry in breaks),
     )
 
 
@@ -253,10 +240,9 @@ def _fit(field: LocatedField, folder: Path) -> str:
 def _serial(field: LocatedField) -> str:
     if isinstance(field.value, int) and not isinstance(field.value, bool):
         raise field.error("the serial number in quotation marks")
-    text = field.text().strip()
-    if not text:
+    if not field.text().strip():
         raise field.error("a serial number")
-    return text
+    return field.text().strip()
 
 
 def _locations(field: LocatedField, folder: Path) -> tuple[str, ...]:
@@ -271,7 +257,7 @@ def _location(field: LocatedField, folder: Path) -> str:
     text = field.text()
     if not text:
         raise field.error("a path or URL")
-    return text if "://" in text or "::" in text else str(folder / text)
+    return str(folder / text) if is_local(text) else text
 
 
 def _robot(field: LocatedField, folder: Path) -> str:
@@ -310,20 +296,15 @@ def _payload(entry: LocatedField) -> KnownPayload:
     mass = fields["mass"].number()
     if not mass >= 0.0:
         raise fields["mass"].error("a number ≥ 0 (0: the payload is taken off)")
-    inertia = np.zeros((3, 3))
-    if "inertia" in fields:
-        parts = fields["inertia"].mapping(["ixx", "iyy", "izz"], ["ixy", "ixz", "iyz"])
-        for name, part in parts.items():
-            i, j = "xyz".index(name[1]), "xyz".index(name[2])
-            inertia[i, j] = inertia[j, i] = part.number()
+    inertia = read_inertia(fields["inertia"]) if "inertia" in fields else np.zeros((3, 3))
     label = fields["label"].text() if "label" in fields else ""
     return KnownPayload(label, link_parameters(mass, fields["com"].numbers(3), inertia))
 
 
 def _limits(field: LocatedField) -> dict[str, tuple[float, ...]]:
-    found: dict[str, tuple[float, ...]] = {}
     if not isinstance(field.value, dict):
         raise field.error("a mapping from effects to largest values")
+    found: dict[str, tuple[float, ...]] = {}
     for name, entry in field.mapping([], list(field.value)).items():
         values = entry.items() if isinstance(entry.value, list) else [entry]
         found[name] = tuple(value.positive() for value in values)

@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from datetime import UTC, date, datetime
+from datetime import date, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -28,10 +28,10 @@ from lieid_casadi.messages import reason_of
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-SCHEMA = 4
+SCHEMA = 5
 TABLES = {
     "runs": "run_id VARCHAR PRIMARY KEY, serial VARCHAR, recording VARCHAR, "
-    "recording_sha256 VARCHAR, fit_sha256 VARCHAR, version VARCHAR, started TIMESTAMP, "
+    "recording_sha256 VARCHAR, fit_sha256 VARCHAR, version VARCHAR, started TIMESTAMPTZ, "
     "seconds DOUBLE, status VARCHAR, reason VARCHAR, date DATE, stamp VARCHAR, condition VARCHAR, "
     "payload VARCHAR, method INTEGER",
     "findings": "run_id VARCHAR, serial VARCHAR, date DATE, effect VARCHAR, joint INTEGER, "
@@ -51,18 +51,48 @@ TABLES = {
     "change DOUBLE, std DOUBLE, unit VARCHAR, sentence VARCHAR, raised DATE, closed DATE, "
     "note VARCHAR, severity DOUBLE, slope DOUBLE, limit_date DATE, series VARCHAR, "
     "slope_low DOUBLE, slope_high DOUBLE, reported DOUBLE, warned BOOLEAN",
-    "acknowledgements": "serial VARCHAR, joint INTEGER, date DATE, note VARCHAR, written TIMESTAMP",
-    "judged": "date DATE, written TIMESTAMP",
-    "calls": "finished TIMESTAMP, seconds DOUBLE, version VARCHAR, counts VARCHAR, alarms INTEGER",
+    "acknowledgements": "serial VARCHAR, joint INTEGER, date DATE, note VARCHAR, "
+    "written TIMESTAMPTZ",
+    "judged": "date DATE, written TIMESTAMPTZ",
+    "calls": "finished TIMESTAMPTZ, seconds DOUBLE, version VARCHAR, counts VARCHAR, "
+    "alarms INTEGER",
     "history": "schema INTEGER, kept_from DATE",
 }
 COMMENTS = {
-    "runs": "one row per arm-night; times are UTC; version is that of the worker",
+    "runs": "one row per arm-night",
+    "runs.version": "of lieid-casadi on the worker",
+    "runs.status": "done, refused (the recording cannot be used) or failed (it is tried again)",
+    "runs.stamp": "changes with the file of the recording",
+    "runs.condition": "hash of torque constants, tool and payloads of the fleet file",
+    "runs.payload": "label of the payload in the recording",
+    "runs.method": "number of the method of diagnosis",
+    "findings.joint": "from 1; null for the whole arm",
+    "findings.severity": "part of the joint's torque that the effect explains",
+    "parameters.std": "from the noise of the fit alone",
+    "errors": "of the fit on a night, per joint (from 1), N·m",
+    "errors.expected": "held-out error of the fit",
+    "errors.temperature": "mean, °C",
+    "errors.q_low": "lowest position; rad, or m of a sliding joint",
+    "arms.limits": "JSON: effect or parameter and its largest permitted values",
+    "arms.fit_from": "first night that is judged by the present fit",
     "nights": "every expected night of every arm: done, refused, failed or missing",
-    "errors": "N·m per joint; expected is the held-out error of the fit",
-    "alarms": "closed is null while an alarm is open; reported is the size that was last reported",
-    "judged": "nights that have been judged, and when (UTC)",
-    "calls": "calls of lieid fleet; counts is JSON of status and number of arm-nights",
+    "alarms.since": "first night of the change",
+    "alarms.raised": "night on which the change became significant",
+    "alarms.closed": "null while the alarm is open",
+    "alarms.severity": "part of a joint's torque that the fit no longer predicts",
+    "alarms.slope": "of a drift, per day; slope_low and slope_high are its 95 % interval",
+    "alarms.limit_date": "when a drift reaches the limit of the fleet file",
+    "alarms.reported": "size when it was last reported",
+    "judged": "nights that have been judged, and when",
+    "calls": "calls of lieid fleet",
+    "calls.counts": "JSON: status and number of arm-nights",
+}
+#: The newest run of every arm in service with its present fit, outside of maintenance.
+VIEWS = {
+    "latest": "SELECT r.* FROM runs r JOIN arms a USING (serial, fit_sha256) "
+    "WHERE r.status = 'done' AND a.retired IS NULL AND NOT EXISTS (SELECT 1 FROM maintenance m "
+    "WHERE m.serial = r.serial AND r.date BETWEEN m.first AND m.last) QUALIFY row_number() "
+    "OVER (PARTITION BY r.serial ORDER BY r.date DESC, r.started DESC) = 1",
 }
 #: Statements that lead from a schema to the next one.
 MIGRATIONS: dict[int, tuple[str, ...]] = {
@@ -83,6 +113,16 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
         "UPDATE alarms SET reported = abs(change)",
         "ALTER TABLE alarms ADD COLUMN warned BOOLEAN DEFAULT false",
         *(f"CREATE TABLE {name} ({TABLES[name]})" for name in ("maintenance", "nights", "calls")),
+    ),
+    4: tuple(  # times with a zone
+        f"ALTER TABLE {table} ALTER {name} TYPE TIMESTAMPTZ "
+        f"USING {name}::TIMESTAMP AT TIME ZONE 'UTC'"
+        for table, name in (
+            ("runs", "started"),
+            ("acknowledgements", "written"),
+            ("judged", "written"),
+            ("calls", "finished"),
+        )
     ),
 }
 #: Expected nights of arms, with the best status of their recordings.
@@ -125,23 +165,16 @@ class ArmEntry:
     maintenance: tuple[tuple[date, date], ...] = ()
 
 
+class HistoryInUse(FleetError):
+    """Another process has the history open."""
+
+
 class History(AbstractContextManager["History"]):
     """A history, open for writing, or its snapshot for reading.
 
-    Parameters
-    ----------
-    path : str or Path
-    read_only : bool
-        The history must exist; it may be in use.
-    wait : float
-        Seconds to wait for another process that has the file open.
-    new : bool
-        Whether a file that does not exist is made.
-
-    Raises
-    ------
-    FleetError
-        Another process has the file open, or it is not a history.
+    With ``read_only`` the history must exist, and may be in use; without ``new`` it must exist as
+    well. ``wait`` is the time, s, to wait for another process that has the file open.
+    FleetError: another process has it open, or the file is not a history.
     """
 
     def __init__(
@@ -152,12 +185,13 @@ class History(AbstractContextManager["History"]):
         self._read_only, self._open = read_only, True
         if (read_only or not new) and self._is_new:
             raise FleetError(f"{path}: no such file; expected a history that lieid fleet wrote")
+        opened = self.path
         if not read_only:
             check_file(path)
             with reported(path):
                 Path(path).absolute().parent.mkdir(parents=True, exist_ok=True)
-        snapshot = snapshot_of(path)
-        opened = str(snapshot) if read_only and snapshot.exists() else self.path
+        elif snapshot_of(path).exists():
+            opened = str(snapshot_of(path))
         self.connection = _connect(opened, read_only=read_only, wait=wait)
         try:
             if not read_only:
@@ -197,27 +231,6 @@ class History(AbstractContextManager["History"]):
         """Return the rows of an SQL query."""
         return self.connection.execute(query, list(values)).fetchall()
 
-    def record(self, night: ArmNight, result: NightResult, started: datetime) -> None:
-        """Add a run with all its rows, in one transaction; a run that is there is not repeated."""
-        run_id = night.run_id(result.recording_sha256)
-        if result.repeated:
-            self.insert("repeats", [(night.serial, night.recording, night.stamp, run_id)])
-            return
-        if result.status == "failed":
-            run_id = secrets.token_hex(16)
-        key = (run_id, night.serial, night.date)
-        with self.transaction():
-            if self.rows("SELECT 1 FROM runs WHERE run_id = ?", [run_id]):
-                return
-            run = (
-                run_id, night.serial, night.recording, result.recording_sha256, night.fit_sha256,
-                result.version, _utc(started), result.seconds, result.status, result.reason,
-                night.date, night.stamp, night.condition, result.payload, night.method,
-            )  # fmt: skip
-            self.insert("runs", [run])
-            for table in RUN_TABLES:
-                self.insert(table, [key + _values(row) for row in getattr(result, table)])
-
     def insert(self, table: str, rows: Sequence[Sequence[object]]) -> None:
         """Add rows to a table, in the order of its columns."""
         if rows:
@@ -239,13 +252,36 @@ class History(AbstractContextManager["History"]):
             raise
         self.connection.execute("COMMIT")
 
+    def record(self, night: ArmNight, result: NightResult, started: datetime) -> None:
+        """Add a run with all its rows, in one transaction; a run that is there is not repeated."""
+        run_id = night.run_id(result.recording_sha256)
+        if result.repeated:
+            self.insert("repeats", [(night.serial, night.recording, night.stamp, run_id)])
+            return
+        if result.status == "failed":
+            run_id = secrets.token_hex(16)
+        with self.transaction():
+            if self.rows("SELECT 1 FROM runs WHERE run_id = ?", [run_id]):
+                return
+            run = (
+                run_id, night.serial, night.recording, result.recording_sha256, night.fit_sha256,
+                result.version, started, result.seconds, result.status, result.reason,
+                night.date, night.stamp, night.condition, result.payload, night.method,
+            )  # fmt: skip
+            self.insert("runs", [run])
+            for table in RUN_TABLES:
+                rows = (
+                    r if isinstance(r, tuple) else vars(r).values() for r in getattr(result, table)
+                )
+                self.insert(table, [(run_id, night.serial, night.date, *row) for row in rows])
+
     def finished(
         self, serials: Sequence[str], method: int | None = None
     ) -> tuple[set[tuple[str, ...]], dict[str, frozenset[str]]]:
-        """Return the files of arms that are in the history, and the identities of their runs.
+        """Return the files of arms (`ArmNight.key`) that have runs, and the identities of these.
 
-        Files are (serial, recording, stamp, fit_sha256, condition); failed runs are left out,
-        since they are tried again, and so are runs of another method if one is given.
+        Failed runs are left out, since they are tried again, and so are runs of another method if
+        one is given.
         """
         kept = (
             "WITH kept AS (SELECT * FROM runs WHERE status <> 'failed' AND list_contains(?, serial)"
@@ -263,20 +299,18 @@ class History(AbstractContextManager["History"]):
 
     def set_arms(self, arms: Iterable[ArmEntry], *, first: date | None = None) -> None:
         """Store the arms of the fleet file; ``first`` is the first night of those that are new."""
-        known = {row[0]: row for row in self.rows("SELECT serial, since, fit_sha256 FROM arms")}
+        known = dict(self.rows("SELECT serial, since FROM arms"))
         with self.transaction():
             for arm in arms:
-                since = known[arm.serial][1] if arm.serial in known else first
                 if not arm.fit_sha256 and arm.serial in known:
                     continue  # its fit cannot be read; the history keeps that of earlier nights
-                self.connection.execute(
-                    "INSERT OR REPLACE INTO arms VALUES (?, ?, ?, ?, ?, ?, ?, NULL, ?)",
-                    [
-                        arm.serial, arm.robot, arm.joints, arm.fit_sha256,
-                        json.dumps(dict(arm.limits)), since, arm.fit_from, arm.fit,
-                    ],
+                entry = (
+                    arm.serial, arm.robot, arm.joints, arm.fit_sha256, json.dumps(dict(arm.limits)),
+                    known.get(arm.serial, first), arm.fit_from, None, arm.fit,
                 )  # fmt: skip
                 self.connection.execute("DELETE FROM maintenance WHERE serial = ?", [arm.serial])
+                self.connection.execute("DELETE FROM arms WHERE serial = ?", [arm.serial])
+                self.insert("arms", [entry])
                 self.insert("maintenance", [(arm.serial, *span) for span in arm.maintenance])
 
     def set_nights(self, serials: Sequence[str], newest: date) -> list[tuple[str, date, str]]:
@@ -285,21 +319,15 @@ class History(AbstractContextManager["History"]):
         A night is expected every day from the first of an arm to the newest of all, and where there
         is a recording; not during maintenance.
         """
-        values = {"serials": list(serials), "newest": newest}
+        own = {"serials": list(serials)}
         with self.transaction():
-            self.connection.execute(
-                "DELETE FROM nights WHERE list_contains(?, serial)", [list(serials)]
-            )
-            self.connection.execute(NIGHTS, values)
-        return [
-            (serial, night, status)
-            for serial, night, status in self.rows(
-                "SELECT serial, max(date), arg_max(status, date) FROM nights "
-                "WHERE list_contains(?, serial) GROUP BY serial ORDER BY serial",
-                [list(serials)],
-            )
-            if status != "done"
-        ]
+            self.connection.execute("DELETE FROM nights WHERE list_contains($serials, serial)", own)
+            self.connection.execute(NIGHTS, own | {"newest": newest})
+        return self.connection.execute(
+            "SELECT serial, max(date), arg_max(status, date) AS status FROM nights WHERE "
+            "list_contains($serials, serial) GROUP BY serial HAVING status <> 'done' ORDER BY 1",
+            own,
+        ).fetchall()
 
     @property
     def kept_from(self) -> date | None:
@@ -310,7 +338,7 @@ class History(AbstractContextManager["History"]):
     def remove_before(self, first: date) -> int:
         """Remove runs of nights before a date, and their rows; return the number of runs."""
         with self.transaction():
-            old = self.rows("SELECT run_id FROM runs WHERE date < ?", [first])
+            ((count,),) = self.rows("SELECT count(*) FROM runs WHERE date < ?", [first])
             for table in (*RUN_TABLES, "repeats", "runs"):
                 self.connection.execute(
                     f"DELETE FROM {table} WHERE run_id IN (SELECT run_id FROM runs WHERE date < ?)",
@@ -318,7 +346,7 @@ class History(AbstractContextManager["History"]):
                 )
             self.connection.execute("DELETE FROM nights WHERE date < ?", [first])
             self.connection.execute("UPDATE history SET kept_from = ?", [first])
-        return len(old)
+        return int(count)
 
     def export_parquet(self, folder: Path) -> None:
         """Write every table as a Parquet file into a folder that exists."""
@@ -344,18 +372,14 @@ def backup(path: str | Path, target: str | Path) -> bool:
 
     While a run is in progress it is the snapshot of the run's latest batch.
     """
+    is_of_now = True
     try:
         with History(path, new=False):
             pass  # what a run that was killed has left is written into the file
-        is_of_now = True
     except HistoryInUse:
         is_of_now = False
     copy_file(snapshot_of(path), target)
     return is_of_now
-
-
-class HistoryInUse(FleetError):
-    """Another process has the history open."""
 
 
 def _connect(path: str, *, read_only: bool, wait: float) -> DuckDBPyConnection:
@@ -388,29 +412,27 @@ def _connect(path: str, *, read_only: bool, wait: float) -> DuckDBPyConnection:
 
 def _prepare(connection: DuckDBPyConnection, path: str) -> None:
     """Make the tables of a new file, or migrate those of an older one."""
-    tables = {row[0] for row in connection.execute("SHOW TABLES").fetchall()}
     connection.execute("BEGIN")
-    if not tables:
+    if not connection.execute("SHOW TABLES").fetchall():
         for name, columns in TABLES.items():
             connection.execute(f"CREATE TABLE {name} ({columns})")
         connection.execute("INSERT INTO history VALUES (?, NULL)", [SCHEMA])
-    else:
-        schema = _schema_of(connection, path)
-        for step in range(schema, SCHEMA):
-            for statement in MIGRATIONS[step]:
-                connection.execute(statement)
-        connection.execute("UPDATE history SET schema = ?", [SCHEMA])
+    for step in range(_schema_of(connection, path), SCHEMA):
+        for statement in MIGRATIONS[step]:
+            connection.execute(statement)
+    connection.execute("UPDATE history SET schema = ?", [SCHEMA])
+    for name, query in VIEWS.items():
+        connection.execute(f"CREATE OR REPLACE VIEW {name} AS {query}")
     for name, text in COMMENTS.items():
-        connection.execute(f"COMMENT ON TABLE {name} IS '{text}'")
+        kind, quoted = "COLUMN" if "." in name else "TABLE", text.replace("'", "''")
+        connection.execute(f"COMMENT ON {kind} {name} IS '{quoted}'")
     connection.execute("COMMIT")
 
 
 def _schema_of(connection: DuckDBPyConnection, path: str) -> int:
     """Return the schema of a history, which must be known."""
-    tables = {row[0] for row in connection.execute("SHOW TABLES").fetchall()}
-    row = None
-    if "history" in tables:
-        row = connection.execute("SELECT schema FROM history").fetchone()
+    tables = connection.execute("SHOW TABLES").fetchall()
+    row = connection.execute("FROM history").fetchone() if ("history",) in tables else None
     if row is None:
         raise FleetError(
             f"{path}: not a history of lieid fleet; expected one, or the name of a new file"
@@ -421,12 +443,3 @@ def _schema_of(connection: DuckDBPyConnection, path: str) -> int:
             "version; update lieid-casadi"
         )
     return int(row[0])
-
-
-def _values(row: object) -> tuple[object, ...]:
-    return row if isinstance(row, tuple) else tuple(vars(row).values())
-
-
-def _utc(time_of: datetime) -> datetime:
-    """Return a time without its zone, UTC."""
-    return time_of.astimezone(UTC).replace(tzinfo=None)

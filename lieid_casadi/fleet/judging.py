@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from datetime import date
+from operator import itemgetter
 
 import numpy as np
 from scipy.stats import false_discovery_control
@@ -37,6 +38,11 @@ class ChangedQuantity:
     change: Change
     since: date
 
+    @property
+    def label(self) -> str:
+        """Label of the quantity."""
+        return self.quantity.label
+
 
 @dataclass(frozen=True)
 class RepeatedEffect:
@@ -45,6 +51,16 @@ class RepeatedEffect:
     effect: str
     joint: int | None
     since: date
+
+    @property
+    def label(self) -> str:
+        """Name of the effect, with its joint if it has one."""
+        return label_of(self.effect, self.joint)
+
+
+def label_of(name: str, joint: int | None) -> str:
+    """Return a name with the joint, from 1, if there is one."""
+    return name if joint is None else f"{name}:{joint}"
 
 
 #: What may have changed, and the p-value.
@@ -64,15 +80,13 @@ class JudgedArm:
 def judge_night(
     arms: Sequence[ArmHistory], last: date, *, alarmed: Collection[str] = ()
 ) -> list[JudgedArm]:
-    """Return the significant changes of all arms with a recording of a night.
+    """Return the significant changes of all arms with a recording of a night, without later nights.
 
     Every change is judged against the scatter of its own arm. The p-values of an arm are adjusted
     for their number (Benjamini and Hochberg); the smallest is the p-value of the arm (Simes). Arms
-    have changed if it is at most `FALSE_ALARMS`, and if they are discoveries among the arms
-    without an open alarm at the rate `DISCOVERY_RATE`. The quantities of other arms, and changes
-    that are known already, therefore do not raise the limit of an arm.
-    Later nights are not used. Arms with an open alarm (``alarmed``, their serial numbers) are no
-    discoveries of this night.
+    have changed if it is at most `FALSE_ALARMS`, and if they are discoveries at `DISCOVERY_RATE`
+    among the arms without an open alarm (``alarmed``: serial numbers of those with one). The
+    quantities of other arms, and known changes, therefore do not raise the limit of an arm.
     """
     known = [arm for arm in (each.until(last) for each in arms) if arm.dates]
     tonight = [arm for arm in known if arm.dates[-1] == last]
@@ -89,7 +103,8 @@ def judge_night(
 def _adjusted_tests(tonight: Sequence[ArmHistory], known: Sequence[ArmHistory]) -> list[list[Test]]:
     """Return, for each arm, what may have changed, with p-values adjusted for their number."""
     scatter, warmth = _priors(known)
-    counts = _finding_counts(known)
+    # on an arm that has changed an effect is found every night; each arm therefore counts once
+    counts = Counter(x for arm in known for x in {e for night in arm.found for e, _ in night})
     nights = sum(len(arm.dates) for arm in known)
     adjusted = []
     for arm in tonight:
@@ -116,7 +131,7 @@ def _adjusted_tests(tonight: Sequence[ArmHistory], known: Sequence[ArmHistory]) 
 
 def _judged(arm: ArmHistory, tests: Sequence[Test]) -> JudgedArm:
     found = [test for test in tests if test[1] <= FALSE_ALARMS and _is_relevant(arm, test[0])]
-    items = [item for item, _ in sorted(found, key=lambda test: test[1])]
+    items = [item for item, _ in sorted(found, key=itemgetter(1))]
     return JudgedArm(
         arm,
         tuple(item for item in items if isinstance(item, ChangedQuantity)),
@@ -126,12 +141,8 @@ def _judged(arm: ArmHistory, tests: Sequence[Test]) -> JudgedArm:
 
 def _judged_series(arm: ArmHistory) -> list[tuple[Quantity, NightSeries, int]]:
     """Return the series of an arm since their baselines, and the position of the first night."""
-    found = []
-    for quantity, series in arm.series.items():
-        first = arm.baseline_of(quantity.joint)
-        if len(series) - first >= FEWEST_NIGHTS:
-            found.append((quantity, series.part(first), first))
-    return found
+    found = [(q, series, arm.baseline_of(q.joint)) for q, series in arm.series.items()]
+    return [(q, s.at(slice(k, None)), k) for q, s, k in found if len(s) - k >= FEWEST_NIGHTS]
 
 
 def _priors(
@@ -155,7 +166,7 @@ def _priors(
         if prior is not None:
             warmth[robot, quantity] = prior
             unknown = robot, quantity.name, False
-            slow[unknown] = max(slow[unknown], prior.variance(every))
+            slow[unknown] = max(slow[unknown], prior.variance)
     pools: dict[tuple[str, str, bool], list[NightSeries]] = defaultdict(list)
     for robot, own in judged:  # the series of one arm beside each other: they share a matrix
         for quantity, series, _ in own:
@@ -166,28 +177,13 @@ def _priors(
     return scatter, warmth
 
 
-def _finding_counts(arms: Sequence[ArmHistory]) -> Counter[str]:
-    """Return, for each effect, on how many arms it was found.
-
-    On an arm that has changed an effect is found every night; each arm is therefore counted once.
-    """
-    counts: Counter[str] = Counter()
-    for arm in arms:
-        counts.update({effect for night in arm.found for effect, _ in night})
-    return counts
-
-
 def _repeated(arm: ArmHistory, rates: dict[str, float]) -> list[tuple[RepeatedEffect, float]]:
     """Return effects that were found this night and before, and their p-values."""
-    if len(arm.dates) < FEWEST_NIGHTS:
-        return []
     found = []
     for effect, joint in arm.found[-1]:
-        if effect == "unexplained":
-            continue
         first = arm.baseline_of(joint)
         nights = np.array([(effect, joint) in night for night in arm.found[first:]])
-        if nights.sum() >= 2 and len(nights) >= FEWEST_NIGHTS:
+        if effect != "unexplained" and nights.sum() >= 2 and len(nights) >= FEWEST_NIGHTS:
             p, start = repeated_finding(nights, max(rates[effect], RARE_FINDING))
             found.append((RepeatedEffect(effect, joint, arm.dates[first + start]), p))
     return found

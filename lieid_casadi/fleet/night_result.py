@@ -24,12 +24,15 @@ class ArmNight:
     stamp: str  # of the file; see `RecordingFile`
     fit_sha256: str  # of the content of the fit's file
     torque_constants: tuple[float, ...] | None = None  # N·m/A
-    #: Pose (16,) of the payload's frame in the last link's frame, row by row; None: the robot's
-    #: own tool frame.
-    tool: tuple[float, ...] | None = None
+    tool: tuple[float, ...] | None = None  # pose (16,) of the tool in the last link's frame
     payloads: tuple[tuple[str, tuple[float, ...]], ...] = ()  # label and parameters (10,)
     done: frozenset[str] = frozenset()  # ``run_id`` of recordings that are in the history
     method: int = METHOD
+
+    @property
+    def key(self) -> tuple[str, str, str, str, str]:
+        """What identifies the file, and what it is diagnosed with."""
+        return self.serial, self.recording, self.stamp, self.fit_sha256, self.condition
 
     @property
     def condition(self) -> str:

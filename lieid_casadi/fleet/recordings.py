@@ -38,13 +38,10 @@ class RecordingFile:
 def list_recordings(pattern: str) -> list[RecordingFile]:
     """Return the files of a path pattern or URL, sorted by name.
 
-    Raises
-    ------
-    FleetError
-        The store cannot be reached, or no file matches.
+    FleetError: the store cannot be reached, or no file matches.
     """
     system, path = _file_system(pattern)
-    local = "://" not in pattern and "::" not in pattern
+    local = is_local(pattern)
 
     def listed() -> Mapping[str, Mapping[str, Any]]:
         if any(c in path for c in "*?["):
@@ -53,10 +50,13 @@ def list_recordings(pattern: str) -> list[RecordingFile]:
 
     found = []
     for name, info in sorted(_attempt(listed, pattern).items()):
-        if info.get("type") == "directory" and not (local and _is_recording(Path(name))):
-            continue
-        location = name if local else _url(pattern, system, name)
-        found.append(RecordingFile(location, _stamp(info), _modified(info)))
+        is_folder = local and any((Path(name) / each).is_file() for each in FOLDER_FILES)
+        if is_folder or info.get("type") != "directory":
+            location = name if local else _url(pattern, system, name)
+            version = next((str(info[key]) for key in VERSION_KEYS if info.get(key)), "")
+            modified = _modified(info)
+            stamp = f"{info.get('size')}:{version or modified}"
+            found.append(RecordingFile(location, stamp, modified))
     if not found:
         raise FleetError(f"{pattern}: no file matches")
     return found
@@ -66,12 +66,9 @@ def list_recordings(pattern: str) -> list[RecordingFile]:
 def local_copy(location: str) -> Iterator[Path]:
     """Path of a recording on this machine; of a remote one a copy that is removed afterwards.
 
-    Raises
-    ------
-    FleetError
-        The file cannot be read.
+    FleetError: the file cannot be read.
     """
-    if "://" not in location and "::" not in location:
+    if is_local(location):
         if not Path(location).exists():
             raise FleetError(f"{location}: no such file")
         yield Path(location)
@@ -86,10 +83,7 @@ def local_copy(location: str) -> Iterator[Path]:
 def night_of(file: RecordingFile, pattern: Pattern[str] | None) -> date:
     """Return the date of a recording: that in its path, or that of the file's last change (UTC).
 
-    Raises
-    ------
-    FleetError
-        The path does not contain a date, or the store states no time.
+    FleetError: the path does not contain a date, or the store states no time.
     """
     if pattern is None:
         if file.modified is None:
@@ -170,22 +164,16 @@ def _attempt(action: Callable[[], T], location: str) -> T:
     raise AssertionError  # the last attempt returns or raises
 
 
-def _is_recording(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in FOLDER_FILES)
+def is_local(location: str) -> bool:
+    """Whether a location is a path and not a URL."""
+    return "://" not in location and "::" not in location
 
 
 def _url(pattern: str, system: Any, name: str) -> str:
-    if "::" in pattern:
-        return (
-            f"{pattern.partition('::')[0].partition('://')[0]}://{name}::"
-            + (pattern.partition("::")[2])
-        )
+    inner, chained, outer = pattern.partition("::")
+    if chained:
+        return f"{inner.partition('://')[0]}://{name}::{outer}"
     return str(system.unstrip_protocol(name))
-
-
-def _stamp(info: Mapping[str, Any]) -> str:
-    version = next((str(info[key]) for key in VERSION_KEYS if info.get(key)), "")
-    return f"{info.get('size')}:{version or _modified(info)}"
 
 
 def _modified(info: Mapping[str, Any]) -> datetime | None:

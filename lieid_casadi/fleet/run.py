@@ -6,9 +6,10 @@ import hashlib
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
+from functools import cached_property
 
 from lieid_casadi import __version__
 from lieid_casadi.errors import FleetError, LieidError
@@ -27,9 +28,6 @@ from lieid_casadi.robot import Robot
 
 ARMS_AT_ONCE = 200  # whose finished runs are read by one query
 SNAPSHOT_SECONDS = 300.0  # after which readers get what a call has recorded so far
-
-#: Recordings without a date, patterns that cannot be listed, and fits that cannot be used.
-Unusable = list[tuple[ArmNight, NightResult]]
 
 
 @dataclass(frozen=True)
@@ -79,30 +77,12 @@ def run_fleet(
     Every result is committed when it is there: a call that ends early, for whatever reason, is
     continued by the next one.
 
-    Parameters
-    ----------
-    fleet : Fleet
-    history : History
-        Open for writing.
-    options : RunOptions, optional
-    since : date, optional
-        First night to run.
-    newest : date, optional
-        Newest night on which every arm is expected to have recorded; default: yesterday, UTC.
-    rerun : bool
-        Whether results of an earlier method of diagnosis are computed again.
-    connected : callable, optional
-        Called with the address of the cluster's dashboard, if that answers.
-    progress : callable, optional
-        Called after each arm-night.
+    ``since`` is the first night to run, ``newest`` the newest on which every arm is expected to
+    have recorded (default: yesterday, UTC); ``rerun`` also runs what an earlier method of diagnosis
+    has done. ``connected`` is called with the address of the cluster's dashboard, if that answers.
 
-    Raises
-    ------
-    FleetError
-        The fleet file does not match the fits, no scheduler answers, or workers have another
-        version.
-    ClusterLost
-        The connection to the scheduler was lost.
+    FleetError: the fleet file does not match the fits, no scheduler answers, or workers have
+    another version. ClusterLost: the connection to the scheduler was lost.
     """
     settings, start = options or RunOptions(), time.monotonic()
     expected = newest or datetime.now(UTC).date() - timedelta(days=1)
@@ -128,15 +108,14 @@ def run_fleet(
         record(night, result)
     if todo.nights:
         with dask_client(settings) as client:
-            dashboard = dashboard_of(client) if connected is not None else None
-            if connected is not None and dashboard is not None:
+            if connected is not None and (dashboard := dashboard_of(client)) is not None:
                 connected(dashboard)
             run_on_cluster(client, todo.nights, todo.fits, settings, finished=record)
     new = judge_new_nights(history)
     silent = history.set_nights([arm.serial for arm in fleet.arms], expected)
     seconds = time.monotonic() - start
-    finished = datetime.now(UTC).replace(tzinfo=None)
-    history.insert("calls", [(finished, seconds, __version__, json.dumps(counts), len(new))])
+    call = (datetime.now(UTC), seconds, __version__, json.dumps(counts), len(new))
+    history.insert("calls", [call])
     return FleetRun(dict(counts), todo.finished, seconds, tuple(new), tuple(faults), tuple(silent))
 
 
@@ -146,7 +125,8 @@ class NightsToRun:
 
     nights: tuple[ArmNight, ...]
     fits: dict[str, bytes]  # ``fit_sha256`` → content of the fit's file
-    unusable: Unusable
+    #: Recordings without a date, patterns that cannot be listed, and fits that cannot be used.
+    unusable: tuple[tuple[ArmNight, NightResult], ...]
     finished: int  # recordings that are in the history
 
 
@@ -155,72 +135,68 @@ def nights_to_run(
 ) -> NightsToRun:
     """Return the arm-nights that the history does not have; arms are entered into it.
 
-    Raises
-    ------
-    FitFileError, RobotError, EffectError, FleetError
-        An entry of the fleet file does not match the arm's fit, or no arm has a usable fit.
+    LieidError: no arm has a usable fit.
     """
     first = max((d for d in (since, history.kept_from) if d is not None), default=date.min)
     nights: list[ArmNight] = []
-    unusable: Unusable = []
-    broken: Unusable = []
+    unusable: list[tuple[ArmNight, NightResult]] = []
     fits: dict[str, bytes] = {}
-    entries, finished = [], 0
+    entries, finished, broken = [], 0, 0
     for begin in range(0, len(fleet.arms), ARMS_AT_ONCE):
         arms = fleet.arms[begin : begin + ARMS_AT_ONCE]
         files, runs = history.finished([a.serial for a in arms], METHOD if rerun else None)
         for arm in arms:
+            empty = ArmNight(arm.serial, newest.isoformat(), "", "", "")
             try:
-                own = _fits_of(arm)
+                own = fits_of(arm)
             except LieidError as error:
-                if len(broken) + 1 == len(fleet.arms):
+                if broken + 1 == len(fleet.arms):
                     raise
-                broken.append(_without_fit(arm, newest, str(error)))
+                source = arm.fits[0].value if arm.fits else arm.robot or ""
+                failed = replace(empty, recording=source), NightResult("failed", str(error))
+                unusable.insert(broken, failed)
                 entries.append(ArmEntry(arm.serial, "", 0, ""))
+                broken += 1
                 continue
             entries.append(_entry(arm, own, newest))
             fits |= {each.value.sha256: each.value.content for each in own}
-            for night, result in _recordings_of(arm, fleet, own, newest):
-                key = (
-                    night.serial, night.recording, night.stamp, night.fit_sha256, night.condition,
-                )  # fmt: skip
-                if result is not None:
-                    unusable.append((night, result))
-                elif key in files:
+            for night, reason in recordings_of(arm, fleet, own, empty):
+                if reason:
+                    unusable.append((night, NightResult("failed", reason)))
+                elif night.key in files:
                     finished += 1
                 elif date.fromisoformat(night.date) >= first:
                     nights.append(replace(night, done=runs.get(arm.serial, frozenset())))
     history.set_arms(entries, first=newest)
     nights.sort(key=lambda night: night.date)
-    return NightsToRun(tuple(nights), fits, [*broken, *unusable], finished)
+    return NightsToRun(tuple(nights), fits, tuple(unusable), finished)
 
 
 @dataclass(frozen=True, eq=False)
-class _LoadedFit:
+class LoadedFit:
     """A fit of an arm with the content of its file."""
 
     fit: Fit
     content: bytes
-    sha256: str
 
-    @classmethod
-    def of(cls, fit: Fit, content: bytes) -> _LoadedFit:
-        return cls(fit, content, hashlib.sha256(content).hexdigest())
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the content."""
+        return hashlib.sha256(self.content).hexdigest()
 
 
-def _fits_of(arm: FleetArm) -> list[Dated[_LoadedFit]]:
+def fits_of(arm: FleetArm) -> list[Dated[LoadedFit]]:
     """Return the fits of an arm; without a file one is made."""
-    if not arm.fits:
+    found = []
+    for entry in arm.fits:
+        with local_copy(entry.value) as path:
+            found.append(Dated(LoadedFit(Fit.load(path), path.read_bytes()), entry.first))
+    if not found:
         assert arm.robot is not None
         robot = Robot.load(arm.robot)
         train = [_training(arm, robot, location) for location in arm.train]
-        made = identify(Model(robot, arm.effects or default_effects(robot, train).names), train)
-        found = [Dated(_LoadedFit.of(made, content_of(made)))]
-    else:
-        found = []
-        for entry in arm.fits:
-            with local_copy(entry.value) as path:
-                found.append(Dated(_LoadedFit.of(Fit.load(path), path.read_bytes()), entry.first))
+        fit = identify(Model(robot, arm.effects or default_effects(robot, train).names), train)
+        found.append(Dated(LoadedFit(fit, content_of(fit))))
     for each in found:
         _check_arm(arm, each.value.fit)
     return found
@@ -248,63 +224,47 @@ def _check_arm(arm: FleetArm, fit: Fit) -> None:
             raise FleetError(f"arm {arm.serial}: {len(values)} limits of {name}; expected 1 or {n}")
 
 
-def _entry(arm: FleetArm, fits: Sequence[Dated[_LoadedFit]], newest: date) -> ArmEntry:
+def _entry(arm: FleetArm, fits: Sequence[Dated[LoadedFit]], newest: date) -> ArmEntry:
     """Return the row of an arm, with the fit that is valid on the newest night."""
     present = valid_at(fits, newest) or fits[0].value
     first = next(each.first for each in fits if each.value is present)
-    paths = [entry.value for entry in arm.fits if entry.first == first]
+    path = next((entry.value for entry in arm.fits if entry.first == first), "")
+    limits = {name: list(values) for name, values in arm.limits.items()}
+    model = present.fit.model
     return ArmEntry(
-        arm.serial,
-        present.fit.model.robot.name,
-        present.fit.model.n,
-        present.sha256,
-        {name: list(values) for name, values in arm.limits.items()},
-        paths[0] if paths else "",
-        first,
-        arm.maintenance,
+        arm.serial, model.robot.name, model.n, present.sha256, limits, path, first, arm.maintenance
     )
 
 
-def _without_fit(arm: FleetArm, newest: date, reason: str) -> tuple[ArmNight, NightResult]:
-    """Return the failed row of an arm whose fit cannot be used."""
-    source = arm.fits[0].value if arm.fits else arm.robot or ""
-    return ArmNight(arm.serial, newest.isoformat(), source, "", ""), NightResult("failed", reason)
-
-
-def _recordings_of(
-    arm: FleetArm, fleet: Fleet, fits: Sequence[Dated[_LoadedFit]], newest: date
-) -> list[tuple[ArmNight, NightResult | None]]:
-    """Return the recordings of an arm, with a result where date or place is not usable."""
-    found: list[tuple[ArmNight, NightResult | None]] = []
-    empty = ArmNight(arm.serial, newest.isoformat(), "", "", "")
+def recordings_of(
+    arm: FleetArm, fleet: Fleet, fits: Sequence[Dated[LoadedFit]], empty: ArmNight
+) -> Iterator[tuple[ArmNight, str]]:
+    """Yield the recordings of an arm, with a reason where date or place is not usable."""
     pattern = fleet.night_pattern(arm.serial)
     for where in arm.recordings:
         try:
             files = list_recordings(where)
         except LieidError as error:
-            found.append((replace(empty, recording=where), NightResult("failed", str(error))))
+            yield replace(empty, recording=where), str(error)
             continue
         for file in files:
             night = replace(empty, recording=file.location, stamp=file.stamp)
             try:
                 day = night_of(file, pattern)
             except FleetError as error:
-                found.append((night, NightResult("failed", str(error))))
+                yield night, str(error)
                 continue
-            fit = valid_at(fits, day)
+            fit, tool = valid_at(fits, day), valid_at(arm.tools, day)
             if fit is not None and not arm.is_maintained(day):
-                found.append((_as_known(night, arm, fit, day), None))
-    return found
-
-
-def _as_known(night: ArmNight, arm: FleetArm, fit: _LoadedFit, day: date) -> ArmNight:
-    """Return a night with what the fleet file states for its date."""
-    tool = valid_at(arm.tools, day)
-    return replace(
-        night,
-        date=day.isoformat(),
-        fit_sha256=fit.sha256,
-        torque_constants=valid_at(arm.torque_constants, day),
-        tool=None if tool is None else tuple(tool.ravel().tolist()),
-        payloads=tuple((p.label, tuple(p.parameters.tolist())) for p in arm.payloads_at(day)),
-    )
+                known = [(p.label, tuple(p.parameters.tolist())) for p in arm.payloads_at(day)]
+                yield (
+                    replace(
+                        night,
+                        date=day.isoformat(),
+                        fit_sha256=fit.sha256,
+                        torque_constants=valid_at(arm.torque_constants, day),
+                        tool=None if tool is None else tuple(tool.ravel().tolist()),
+                        payloads=tuple(known),
+                    ),
+                    "",
+                )

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
-from scipy.stats import chi2
+from scipy.stats import chi2, median_abs_deviation
 
 from lieid_casadi.arrays import Array
 
@@ -49,24 +49,14 @@ class NightSeries:
     def __len__(self) -> int:
         return len(self.days)
 
-    def part(self, first: int, last: int | None = None) -> NightSeries:
-        """Return nights first … last − 1."""
-        return self.at(slice(first, last))
-
     def at(self, nights: slice | NDArray[np.intp]) -> NightSeries:
         """Return some of the nights."""
-        return NightSeries(
-            self.days[nights],
-            self.values[nights],
-            self.scales[nights],
-            self.temperature[nights],
-            self.motions[nights],
-        )
+        return NightSeries(*(signal[nights] for signal in vars(self).values()))
 
     @property
     def latest(self) -> NightSeries:
         """The nights between which none is left out."""
-        return self.part(-LATEST_NIGHTS)
+        return self.at(slice(-LATEST_NIGHTS, None))
 
     def at_mean_temperature(self, slope: float) -> NightSeries:
         """Return the series without the dependence on temperature, slope in scales per °C."""
@@ -103,11 +93,7 @@ class TemperaturePrior:
 
     slope: float
     spread: float
-
-    def variance(self, series: Sequence[NightSeries]) -> float:
-        """Return the variance that the recorded temperatures cause, in nominal variances."""
-        recorded = [each.temperature for each in series if each.has_temperature]
-        return self.slope**2 * float(np.var(np.concatenate(recorded))) if recorded else 0.0
+    variance: float = 0.0  # that the recorded temperatures cause, in nominal variances
 
 
 def scatter_prior(
@@ -115,7 +101,6 @@ def scatter_prior(
 ) -> ScatterPrior:
     """Return the distribution of the scatter's variance over series of comparable quantities.
 
-    Medians are used, so that arms that have changed do not enlarge the scatter of the others.
     ``expected_slow`` is the relative variance of slow variations before it is estimated.
     """
     slow = _slow_part(series, min(expected_slow, MOST_SLOW))
@@ -127,12 +112,11 @@ def scatter_prior(
     variances = np.maximum(variances, 1e-12)
     half = 0.5 * freedoms
     shifted = np.log(variances) - digamma(half) + np.log(half)
-    middle = float(np.median(shifted))
-    spread = (MAD_TO_STD * float(np.median(np.abs(shifted - middle)))) ** 2
+    spread = (MAD_TO_STD * float(median_abs_deviation(shifted))) ** 2
     excess = spread - float(np.mean(polygamma(1, half)))
-    freedom = _inverse_trigamma(excess) if len(pairs) >= 5 and excess > 0.0 else None
-    if freedom is None:
-        freedom = MOST_FREEDOM if len(pairs) >= 5 else FEWEST_FREEDOM
+    freedom = FEWEST_FREEDOM
+    if len(pairs) >= 5:
+        freedom = MOST_FREEDOM if excess <= 0.0 else _inverse_trigamma(excess)
     freedom = float(np.clip(freedom, FEWEST_FREEDOM, MOST_FREEDOM))
     typical = float(np.median(variances * freedoms / chi2.median(freedoms)))
     return replace(nights, variance=max(typical, LEAST_SCATTER**2), freedom=freedom)
@@ -184,15 +168,14 @@ def temperature_prior(series: Sequence[NightSeries]) -> TemperaturePrior | None:
         x = np.diff(each.values) / np.median(each.scales)
         warmer = np.diff(each.temperature)
         total = float(warmer @ warmer)
-        slope = float(warmer @ x) / total
-        slopes.append(slope)
-        rest = x - slope * warmer
-        errors.append(float(np.sqrt(np.mean(rest**2) / total)))
+        slopes.append(float(warmer @ x) / total)
+        errors.append(float(np.sqrt(np.mean((x - slopes[-1] * warmer) ** 2) / total)))
     if not slopes:
         return None
     middle = float(np.median(slopes))
-    spread = MAD_TO_STD * float(np.median(np.abs(np.array(slopes) - middle)))
-    return TemperaturePrior(middle, max(spread, float(np.median(errors)), 1e-9))
+    spread = max(MAD_TO_STD * float(median_abs_deviation(slopes)), float(np.median(errors)), 1e-9)
+    recorded = np.concatenate([each.temperature for each in series if each.has_temperature])
+    return TemperaturePrior(middle, spread, middle**2 * float(np.var(recorded)))
 
 
 def _slow_part(series: Sequence[NightSeries], expected: float) -> float:

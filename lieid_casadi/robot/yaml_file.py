@@ -193,10 +193,10 @@ def _link(field: Field) -> Array:
     if mass < 0.0:
         raise keys["mass"].error("kg, not negative")
     com = keys["com"].numbers(3, largest=FARTHEST)
-    return link_parameters(mass, com, _inertia(keys["inertia"]))
+    return link_parameters(mass, com, read_inertia(keys["inertia"]))
 
 
-def _inertia(field: Field) -> Array:
+def read_inertia(field: Field) -> Array:
     """Return the inertia (3, 3) about the centre of mass, from any of its three forms."""
     if isinstance(field.value, dict):
         keys = field.mapping(("ixx", "iyy", "izz"), ("ixy", "ixz", "iyz"))
