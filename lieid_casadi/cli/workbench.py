@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import functools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from lieid_casadi.cli import effects_file, inputs, options, output
 from lieid_casadi.cli.option_types import InputPath, port
@@ -15,24 +15,18 @@ if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
     from lieid_casadi.recording import Recording
     from lieid_casadi.robot import Robot
-    from lieid_casadi.workbench.session import WorkbenchInputs
-
-#: Options that a page saves as text, and shows in its commands.
-OPTIONS = (
-    "stiffness", "damping", "servo", "episodes", "calibration", "inflate-limit", "effects-file",
-    "columns",
-)  # fmt: skip
+    from lieid_casadi.workbench.session import Options, WorkbenchInputs
 
 
 def run(args: argparse.Namespace) -> None:
     """Serve the page until the program is asked to end."""
-    from lieid_casadi.workbench.recordings import WorkerSetup
     from lieid_casadi.workbench.server import ServerOptions, serve
+    from lieid_casadi.workbench.worker import WorkerSetup
 
     setup = WorkerSetup(
         prepare=functools.partial(effects_file.load, args.effects_file),
-        robot=functools.partial(load_robot, args),
-        read=functools.partial(read_recordings, args),
+        robot=load_robot,
+        read=read_recordings,
     )
     setup.prepare()  # an error ends the command before a page is served
     opened = inputs_of(args)
@@ -41,6 +35,8 @@ def run(args: argparse.Namespace) -> None:
     serve(opened, setup, server, ready=functools.partial(_announce, browser=not args.no_browser))
 
 
+#: Options that a page keeps, but for the number of threads.
+KEPT_OPTIONS = (options.TIP, options.LOCK, *options.RECORDING)
 COMMANDS = (
     Command(
         "workbench",
@@ -64,10 +60,8 @@ COMMANDS = (
             ),
             several("--train REC", "recordings to fit"),
             several("--test REC", "recordings to test on"),
-            options.TIP,
-            options.LOCK,
             options.effects(""),
-            *options.RECORDING,
+            *KEPT_OPTIONS,
             Group(
                 "server",
                 (
@@ -123,11 +117,7 @@ def inputs_of(args: argparse.Namespace) -> WorkbenchInputs:
             *(RecordingInput(str(path), "test") for path in test),
         ),
         effects=effects,
-        torque_constants=args.torque_constants or "",
-        units=args.units,
-        options=tuple((name, str(getattr(args, _key(name)))) for name in _stated(args)),
-        tip=args.tip or "",
-        lock=tuple(args.lock),
+        options=stated_options(args),
     )
 
 
@@ -153,43 +143,43 @@ def demo_inputs() -> WorkbenchInputs:
     )
 
 
-def load_robot(args: argparse.Namespace, opened: WorkbenchInputs) -> Robot:
-    """Return the robot of a page's inputs, with the options of the command line."""
-    return inputs.robot_of(_with_inputs(args, opened))
+def stated_options(args: argparse.Namespace) -> Options:
+    """Return the options that a page keeps, and shows in its commands: name and values."""
+    found = []
+    for item in KEPT_OPTIONS:
+        for each in item.options if isinstance(item, Group) else [item]:
+            name = each.given(args)
+            if name is not None and each is not options.THREADS:
+                value = getattr(args, name.removeprefix("--").replace("-", "_"))
+                values = [] if value is True else value if isinstance(value, list) else [value]
+                found.append((name.removeprefix("--"), tuple(map(str, values))))
+    return tuple(found)
 
 
-def read_recordings(
-    args: argparse.Namespace, opened: WorkbenchInputs, source: Robot | Fit
-) -> list[Recording]:
-    """Load the recordings of a page's inputs, whose texts take the place of the options."""
-    paths = [r.path for r in opened.recordings]
-    return inputs.recordings_of(paths, _with_inputs(args, opened), source)
+def load_robot(opened: WorkbenchInputs) -> Robot:
+    """Return the robot of a page's inputs."""
+    return inputs.robot_of(_arguments(opened))
 
 
-def _with_inputs(args: argparse.Namespace, opened: WorkbenchInputs) -> argparse.Namespace:
-    """Return the command line as if it had opened what a page has open."""
-    stated = dict(opened.options)
-    limit = stated.get("inflate-limit")
-    return argparse.Namespace(
-        **{
-            **vars(args),
-            **{_key(name): stated.get(name) for name in OPTIONS},
-            "inflate_limit": args.inflate_limit if limit is None else float(limit),
-            "robot": opened.fit or opened.robot,
-            "tip": opened.tip or None,
-            "lock": opened.lock,
-            "torque_constants": opened.torque_constants or None,
-            "units": opened.units,
-        }
-    )
+def read_recordings(opened: WorkbenchInputs, source: Robot | Fit) -> list[Recording]:
+    """Load the recordings of a page's inputs."""
+    return inputs.recordings_of([r.path for r in opened.recordings], _arguments(opened), source)
 
 
-def _stated(args: argparse.Namespace) -> list[str]:
-    return [name for name in OPTIONS if getattr(args, _key(name)) is not None]
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors do not end the process."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise the message."""
+        raise UsageError(" ".join(message.split()))
 
 
-def _key(option: str) -> str:
-    return option.replace("-", "_")
+def _arguments(opened: WorkbenchInputs) -> argparse.Namespace:
+    """Return the command line that opens what a page has open."""
+    parser = _Parser(allow_abbrev=False)
+    COMMANDS[0].add_to(parser.add_subparsers())
+    train = ["--train", *opened.paths("train")] if opened.mode == "missing" else []
+    return parser.parse_args(["workbench", opened.fit or opened.robot, *train, *opened.words])
 
 
 def _announce(url: str, *, browser: bool) -> None:

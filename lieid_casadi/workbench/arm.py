@@ -25,20 +25,9 @@ MOST_FRAMES = 6000  # of a recording; longer ones get fewer per second
 
 @dataclass(frozen=True, eq=False)
 class ArmSolid:
-    """A capsule, or the drum that marks a joint, in the frame of a link (0: base).
+    """A capsule, or the drum that marks joint ``link``, in the frame of a link (0: base).
 
-    Attributes
-    ----------
-    link : int
-        0 for the base, i for the link that joint i (from 1) moves.
-    drum : bool
-        Whether it marks joint ``link``.
-    middle : (3,)
-        m.
-    rotation : (3, 3)
-        Turns the y axis to the axis of the solid.
-    length, radius : float
-        Without the caps of a capsule, m.
+    ``rotation`` turns the y axis to that of the solid; ``length`` is without the caps of a capsule.
     """
 
     link: int
@@ -59,18 +48,10 @@ class ArmMesh:
 
 @dataclass(frozen=True, eq=False)
 class ArmMotion:
-    """Poses of an arm along a recording.
+    """Poses of the base and the links in the base frame, ``poses`` (F, n + 1, 4, 4).
 
-    Attributes
-    ----------
-    times : (F,)
-        s, on the recording's own clock.
-    poses : (F, n + 1, 4, 4)
-        Of the base and the links, in the base frame.
-    centre : (3,)
-        Of the box around all positions, m.
-    radius : float
-        Half the diagonal of this box, m.
+    ``times`` (F,) are on the recording's own clock, s; ``centre`` and ``radius`` are those of the
+    box around all positions, m.
     """
 
     times: Array
@@ -131,11 +112,8 @@ PARENTS = 4  # folders above the URDF in which its packages are looked for
 def arm_meshes(robot: Robot, file: str) -> tuple[ArmMesh, ...]:
     """Return the visual meshes of the links in their frames; () if a file of them is not found.
 
-    Parameters
-    ----------
-    file : str
-        The URDF; ``package://NAME/…`` is looked for in the folders above it, in
-        ``ROS_PACKAGE_PATH`` and in ``AMENT_PREFIX_PATH``.
+    ``package://NAME/…`` is looked for in the folders above the URDF ``file``, in
+    ``ROS_PACKAGE_PATH`` and in ``AMENT_PREFIX_PATH``.
     """
     import pinocchio as pin
 

@@ -6,72 +6,57 @@ import shlex
 
 from lieid_casadi.effects import parse_effects
 from lieid_casadi.effects.placement import labels
+from lieid_casadi.premises.correction import OPTIONS as CORRECTIONS
 from lieid_casadi.workbench.session import ModelStep, Role, Session, WorkbenchInputs, kept_parts
 
 
 def shell_lines(session: Session, cutoff: float | None = None) -> str:
     """Return ``lieid`` commands that fit the model of the current step and diagnose it.
 
-    Parameters
-    ----------
-    cutoff : float, optional
-        Of the fit's filter, Hz; by default each command chooses it.
+    ``cutoff`` is that of the fit's filter, Hz; by default each command chooses it.
     """
     inputs, step = session.inputs, _step(session)
-    if inputs.mode == "changed":
-        new = [*_paths(inputs, step, "test"), *_paths(inputs, step, "train")]
-        return "\n".join(
-            shlex.join(["lieid", command, inputs.fit, *new, *_reading(inputs)])
-            for command in ("compare", "diagnose")
-        )
     train, test = _paths(inputs, step, "train"), _paths(inputs, step, "test")
-    options = [*_robot_options(inputs), *_reading(inputs)]
-    options += [] if cutoff is None else ["--cutoff", repr(cutoff)]
+    if inputs.mode == "changed":
+        words = [inputs.fit, *test, *train, *inputs.words]
+        return "\n".join(shlex.join(["lieid", name, *words]) for name in ("compare", "diagnose"))
+    options = [*inputs.words, *([] if cutoff is None else ["--cutoff", repr(cutoff)])]
     source = inputs.fit or inputs.robot
-    effects = ["--effects", _effects(step)]
-    tested = ["--test", *test] if test else []
-    identify = ["lieid", "identify", source, *train, *tested, *effects, *options, "-o", "fit.json"]
+    given = [*(["--test", *test] if test else []), "--effects", _effects(step), *options]
+    identify = shlex.join(["lieid", "identify", source, *train, *given, "-o", "fit.json"])
     if inputs.fit:  # lieid diagnose FIT looks for changes since the fit
-        return shlex.join(identify)
-    diagnose = ["lieid", "diagnose", source, "--train", *train, *tested, *effects, *options]
-    return f"{shlex.join(identify)}\n{shlex.join(diagnose)}"
+        return identify
+    return f"{identify}\n{shlex.join(['lieid', 'diagnose', source, '--train', *train, *given])}"
 
 
 def python_lines(session: Session, cutoff: float | None = None) -> str:
     """Return Python that makes the fit and the comparison of the current step.
 
-    Parameters
-    ----------
-    cutoff : float, optional
-        Of the fit's filter, Hz; by default it is chosen from the data.
+    ``cutoff`` is that of the fit's filter, Hz; by default it is chosen from the data.
     """
     inputs, step = session.inputs, _step(session)
-    changed = inputs.mode == "changed"
-    lines = ["import lieid_casadi as lieid", *_effects_file_lines(inputs), ""]
+    stated, changed = dict(inputs.options), inputs.mode == "changed"
+    lines = ["import lieid_casadi as lieid"]
+    if "effects-file" in stated:
+        lines += ["import runpy", f"runpy.run_path({stated['effects-file'][0]!r})"]
+    lines.append("")
     if changed:
         lines += [f"fit = lieid.Fit.load({inputs.fit!r})", "robot = fit.model.robot"]
     elif inputs.fit:
         lines += [f"robot = lieid.Fit.load({inputs.fit!r}).model.robot"]
     else:
-        tip = f", tip={inputs.tip!r}" if inputs.tip else ""
-        lock = f", lock={list(inputs.lock)!r}" if inputs.lock else ""
+        tip = f", tip={stated['tip'][0]!r}" if "tip" in stated else ""
+        lock = f", lock={list(stated['lock'])!r}" if "lock" in stated else ""
         lines += [f"robot = lieid.Robot.load({inputs.robot!r}{tip}{lock})"]
-    lines += _drive_lines(inputs)
-    given = "".join(f", {name}={value}" for name, value in _load_arguments(inputs))
-    lines += [f"load = lambda path: lieid.Recording.load(path{given})"]
+    lines += _drive_lines({name: values[0] for name, values in inputs.options if values})
+    lines += _load_lines(inputs)
 
     def loaded(role: Role) -> str:
         return "[" + ", ".join(f"load({path!r})" for path in _paths(inputs, step, role)) + "]"
 
     if changed:
-        return "\n".join(
-            [
-                *lines,
-                f"new = {loaded('test')}",
-                "comparison = lieid.compare(fit, new)",
-                "diagnosis = lieid.diagnose(fit, new)",
-            ]
-        )
+        lines += [f"new = {loaded('test')}", "comparison = lieid.compare(fit, new)"]
+        return "\n".join([*lines, "diagnosis = lieid.diagnose(fit, new)"])
     filter_ = "" if cutoff is None else f", processing=lieid.Processing(cutoff={cutoff!r})"
     lines += [
         f"model = lieid.Model(robot, {_effects(step)!r})",
@@ -85,15 +70,8 @@ def python_lines(session: Session, cutoff: float | None = None) -> str:
     return "\n".join(lines)
 
 
-def _effects_file_lines(inputs: WorkbenchInputs) -> list[str]:
-    """Return lines that register the effects of the user's own file."""
-    path = dict(inputs.options).get("effects-file")
-    return [] if path is None else ["import runpy", f"runpy.run_path({path!r})"]
-
-
-def _drive_lines(inputs: WorkbenchInputs) -> list[str]:
+def _drive_lines(stated: dict[str, str]) -> list[str]:
     """Return lines that state the control laws of position-controlled drives."""
-    stated = dict(inputs.options)
     if "servo" in stated:
         laws = [f"lieid.servo_drive({name.strip()!r})" for name in stated["servo"].split(",")]
     elif "stiffness" in stated:
@@ -113,28 +91,33 @@ def _repeated(values: list[str], count: int) -> list[str]:
     return values * count if len(values) == 1 else values
 
 
-def _load_arguments(inputs: WorkbenchInputs) -> list[tuple[str, str]]:
-    """Return the arguments of `Recording.load` as text."""
-    stated, found = dict(inputs.options), list[tuple[str, str]]()
-    if inputs.torque_constants:
-        constants = [float(k) for k in inputs.torque_constants.split(",")]
-        found.append(("torque_constants", repr(constants)))
-    if inputs.units:
-        found.append(("units", repr(inputs.units)))
-    found.append(("drives", "robot.drives"))
-    found.append(("joint_names", "[joint.name for joint in robot.joints]"))
+def _load_lines(inputs: WorkbenchInputs) -> list[str]:
+    """Return lines that define how recordings are loaded, and apply corrections of premises."""
+    stated = {name: values[0] for name, values in inputs.options if values}
+    arguments = ["drives=robot.drives", "joint_names=[joint.name for joint in robot.joints]"]
+    if "torque-constants" in stated:
+        constants = [float(k) for k in stated["torque-constants"].split(",")]
+        arguments.append(f"torque_constants={constants!r}")
+    given = [name for name in ("units", "calibration", "columns") if name in stated]
+    arguments += [f"{name}={stated[name]!r}" for name in given]
+    if "calibration" in stated:
+        limits = 'robot.limit("position_lower"), robot.limit("position_upper")'
+        arguments.append(f"position_limits=list(zip({limits}))")
     if "episodes" in stated:
         first, _, end = stated["episodes"].partition(":")
-        found.append(("episodes", repr((int(first or 0), int(end) if end else None))))
-    if "calibration" in stated:
-        found.append(("calibration", repr(stated["calibration"])))
-        limits = 'list(zip(robot.limit("position_lower"), robot.limit("position_upper")))'
-        found.append(("position_limits", limits))
-    if "columns" in stated:
-        found.append(("columns", repr(stated["columns"])))
+        arguments.append(f"episodes={(int(first or 0), int(end) if end else None)!r}")
     if "inflate-limit" in stated:
-        found.append(("inflate_limit", repr(int(float(stated["inflate-limit"]) * 2**20))))
-    return found
+        arguments.append(f"inflate_limit={int(float(stated['inflate-limit']) * 2**20)!r}")
+    load = f"lieid.Recording.load(path, {', '.join(arguments)})"
+    options = [" ".join([f"--{n}", *v]) for n, v in inputs.options if f"--{n}" in CORRECTIONS]
+    if not options:
+        return [f"load = lambda path: {load}"]
+    return [
+        "from lieid_casadi.premises.correction import correction_of",
+        f"correction = correction_of({options!r}, robot.n)",
+        "robot = correction.of_robot(robot)",
+        f"load = lambda path: correction.of_recording({load})",
+    ]
 
 
 def _step(session: Session) -> ModelStep:
@@ -144,14 +127,9 @@ def _step(session: Session) -> ModelStep:
 
 def _effects(step: ModelStep) -> str:
     """Return the effects as written on the command line, as short as possible."""
-    joints = [int(part) for e in step.effects for part in _joint_numbers(e)]
+    joints = [int(j) for e in step.effects for j in e.partition(":")[2].split("<") if j]
     n = max(joints, default=1)
     return ",".join(labels(parse_effects(step.effects, n), n))
-
-
-def _joint_numbers(label: str) -> list[str]:
-    where = label.partition(":")[2]
-    return [part for part in where.split("<") if part]
 
 
 def _paths(inputs: WorkbenchInputs, step: ModelStep, role: Role) -> list[str]:
@@ -169,16 +147,3 @@ def _paths(inputs: WorkbenchInputs, step: ModelStep, role: Role) -> list[str]:
             last = high if end is None else f"{end:.12g}"
             paths.append(file if not first and not last else f"{file}@{first}:{last}")
     return paths
-
-
-def _robot_options(inputs: WorkbenchInputs) -> list[str]:
-    tip = ["--tip", inputs.tip] if inputs.tip else []
-    return [*tip, *(["--lock", *inputs.lock] if inputs.lock else [])]
-
-
-def _reading(inputs: WorkbenchInputs) -> list[str]:
-    words = ["--torque-constants", inputs.torque_constants] if inputs.torque_constants else []
-    words += ["--units", inputs.units] if inputs.units else []
-    for name, text in inputs.options:
-        words += [f"--{name}", text]
-    return words

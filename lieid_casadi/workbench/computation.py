@@ -6,24 +6,34 @@ import io
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path, PurePath
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from lieid_casadi.comparison import compare
-from lieid_casadi.diagnosis import Proposal, diagnose
-from lieid_casadi.errors import UsageError
+from lieid_casadi.arrays import Array
+from lieid_casadi.comparison import Comparison, compare
+from lieid_casadi.comparison.compare import compare_segments, compared_segments
+from lieid_casadi.comparison.comparison import verdict_sentences
+from lieid_casadi.compiled import compile
+from lieid_casadi.diagnosis import Proposal, change_torque, diagnose
+from lieid_casadi.errors import LieidWarning, RecordingError, UsageError
 from lieid_casadi.exporters.export import export
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.default_effects import default_effects
 from lieid_casadi.identification.fit_file import content_of
+from lieid_casadi.identification.identify import identify_segments
+from lieid_casadi.identification.prediction import center_temperature
+from lieid_casadi.identification.recording_checks import check_recordings, check_with_model
+from lieid_casadi.identification.regression.design_matrix import FilteredColumns
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processing, Recording
+from lieid_casadi.recording import Processed, Processing, Recording, process
 from lieid_casadi.report import comparison_report, fit_report
 from lieid_casadi.simulation import window_drift
 from lieid_casadi.workbench.arm import ArmMotion, arm_motion
@@ -34,25 +44,31 @@ from lieid_casadi.workbench.evaluation import (
     OpenedInputs,
     SimulationError,
     effect_curves,
-    evaluate_fit,
+    effect_rows,
     found_effects,
     opened_inputs,
 )
-from lieid_casadi.workbench.recordings import (
-    NoiseFloor,
-    PreparedRecordings,
-    WorkerSetup,
-    recording_titles,
-    used_parts,
+from lieid_casadi.workbench.session import (
+    ExcludedRange,
+    FoundEffects,
+    ModelStep,
+    ProposedEffect,
+    StepErrors,
+    WorkbenchInputs,
+    kept_parts,
 )
-from lieid_casadi.workbench.session import FoundEffects, ModelStep, WorkbenchInputs
+from lieid_casadi.workbench.worker import Progress, WorkerSetup
 
-Progress = Callable[[str, float], None]
 Kind = Literal["fit", "report", "c", "urdf", "mjcf"]
-Prepared = tuple[PreparedRecordings | None, PreparedRecordings | None]  # training and test
 Kept = TypeVar("Kept")
 QUICK_ROWS = 60_000  # rows of all recordings above which the first result is that of a part
-KEPT_RESULTS = 40  # of each kind
+KEPT_RESULTS, KEPT_PREPARED = 40, 6  # of each kind; of processed recordings, which are large
+MOST_STRETCHES = 8  # of each recording in a quick fit
+LEAST_DURATION = 5.0  # s, of a stretch; the filter needs a second at each of its ends
+SEARCHES = {
+    "missing": "“Find what is missing” searches the library of effects",
+    "changed": "“Find what has changed” searches for changes since the fit",
+}
 
 
 class Computation:
@@ -60,15 +76,14 @@ class Computation:
 
     def __init__(self, setup: WorkerSetup, inputs: WorkbenchInputs) -> None:
         self.inputs = inputs
-        self._opened_fit = Fit.load(inputs.fit) if inputs.fit else None
-        self._kept_fit = self._opened_fit if inputs.mode == "changed" else None
+        self._opened_fit = fit = Fit.load(inputs.fit) if inputs.fit else None
+        self._kept_fit = fit if inputs.mode == "changed" else None
         self.robot = setup.robot(inputs) if self._kept_fit is None else self._kept_fit.model.robot
-        read = setup.read(inputs, self._opened_fit or self.robot)
+        read = setup.read(inputs, fit or self.robot)
         titles = recording_titles(inputs)
         self.recordings = tuple(replace(r, name=t) for r, t in zip(read, titles, strict=True))
         self._rows = sum(len(r) for r in self.recordings)
-        self._results: dict[str, dict[object, Any]] = {}
-        fit = self._opened_fit
+        self._results: dict[tuple[object, ...], Any] = {}
         self._processing: Processing | None = None if fit is None else fit.processing
         self._shapes: dict[str, float] = {}
 
@@ -88,30 +103,21 @@ class Computation:
     ) -> Evaluation:
         """Return the fit of a step, compared with all recordings.
 
-        Parameters
-        ----------
-        quick : bool
-            Hold shape parameters, use parts of long recordings, and leave out what takes longer
-            than the fit: standard deviations, and the noise floor, which is that of the model
-            before. A first model has both.
-        shapes : dict
-            Shape parameters by label, at which a quick fit holds those that no fit has found.
-        processing : Processing, optional
-            Of the fits of another process, so that all have the same filter.
+        A quick one holds shape parameters (those that no fit has found at ``shapes``, by label),
+        uses parts of long recordings, and leaves out what takes longer than the fit: standard
+        deviations, and the noise floor, which is that of the model before. A first model has both.
+        ``processing`` is that of the fits of another process, so that all have the same filter.
         """
         self._processing = self._processing or processing
-        kept = self._kept("evaluation", step.key)
-        if kept is not None:
-            return kept  # type: ignore[no-any-return]
         begun, cpu = time.perf_counter(), time.process_time()
         self._shapes = shapes | self._shapes
         effort = self._effort(step, quick=quick)
-        evaluation = replace(
-            self._evaluation(self._fit(step, effort, report), step, effort),
+        evaluation = self._evaluation(self._fit(step, effort, report), step, effort)
+        return replace(
+            evaluation,
             seconds=time.perf_counter() - begun,
             cpu_seconds=time.process_time() - cpu,
         )
-        return self._keep("evaluation", step.key, evaluation, keep=evaluation.complete)
 
     def fit(self, step: ModelStep, report: Progress) -> Fit:
         """Return the exact fit of a step, with standard deviations."""
@@ -154,8 +160,8 @@ class Computation:
         with tempfile.NamedTemporaryFile(suffix=".json") as file:  # its owner alone can read it
             file.write(content)
             file.flush()
-            fit = self._keep("fit", (*step.key, False, False), Fit.load(file.name))
-        return self._keep("evaluation", step.key, self._evaluation(fit, step, Effort()))
+            fit = self._keep(("fit", step.key, False, False), Fit.load(file.name))
+        return self._evaluation(fit, step, Effort())
 
     def curves(
         self, step: ModelStep, *, recording: int, report: Progress
@@ -171,9 +177,8 @@ class Computation:
         if step.changes:
             reason = "changes since the fit are not part of a simulation"
             return SimulationError(0.0, (None,) * self.robot.n, reason)
-        fit = self.fit(step, report)
         train, test = self.used(step)
-        drift = window_drift(fit, test or train)
+        drift = window_drift(self.fit(step, report), test or train)
         return SimulationError(drift.window, tuple(numbers_or_none(drift.drift.rms)), drift.reason)
 
     def motion(self, recording: int) -> ArmMotion:
@@ -229,83 +234,105 @@ class Computation:
 
     def _effort(self, step: ModelStep, *, quick: bool) -> Effort:
         """Return what a fit of a step leaves out."""
-        if not quick or self._kept("fit", (*step.key, False, False)) is not None:
+        if not quick or ("fit", step.key, False, False) in self._results:
             return Effort()
         thinned = self._rows > QUICK_ROWS
         return Effort(
             held=bool(Model(self.robot, step.effects).shapes) and self.inputs.mode == "missing",
             thinned=thinned,
-            brief=self._kept("noise", (step.excluded, thinned)) is not None,
+            brief=("noise", step.excluded, thinned) in self._results,
         )
 
     def _fit(self, step: ModelStep, effort: Effort, report: Progress) -> Fit:
         """Return the fit of a step; the first of its recordings also chooses the filter."""
-        if self._kept_fit is not None:
-            return self._kept_fit
-        key = (*step.key, effort.held, effort.thinned)
-        kept = self._kept("fit", key)
+        key = ("fit", step.key, effort.held, effort.thinned)
+        kept: Fit | None = self._kept_fit or self._results.get(key)
         if kept is not None:
-            return kept  # type: ignore[no-any-return]
+            return kept
         model, start = Model(self.robot, step.effects), None
         if effort.held:
             values = [
                 self._shapes.get(s.label, s.initial) if s.fitted else np.nan for s in model.shapes
             ]
             start = ShapeStart(np.array(values), held=True)
-        first = self._kept("first fit", (step.excluded, effort.thinned))
+        first = self._results.get(("first fit", step.excluded, effort.thinned))
         if first is None:
             train, _ = self.used(step, thinned=effort.thinned)
             fit = identify(model, train, processing=self._processing, start=start, progress=report)
-            self._keep("first fit", (step.excluded, effort.thinned), fit)
+            self._keep(("first fit", step.excluded, effort.thinned), fit)
             self._processing = fit.processing
         else:
             prepared, _ = self._prepared(step, first, thinned=effort.thinned)
             assert prepared is not None
-            fit = prepared.fitted(
-                model, first, start=start, uncertainty=not effort.brief, report=report
-            )
+            uncertain = not effort.brief
+            fit = prepared.fitted(model, first, start=start, uncertainty=uncertain, report=report)
         if not effort.held:
             found = zip(model.shapes, fit.shapes, strict=True)
             self._shapes.update({s.label: float(v) for s, v in found})
-        return self._keep("fit", key, fit, keep=first is None or not effort.brief)
+        return fit if first is not None and effort.brief else self._keep(key, fit)
 
-    def _prepared(self, step: ModelStep, fit: Fit, *, thinned: bool) -> Prepared:
+    def _prepared(
+        self, step: ModelStep, fit: Fit, *, thinned: bool
+    ) -> tuple[PreparedRecordings | None, PreparedRecordings | None]:
         """Return training and test recordings of a step, processed for its fits."""
-        key = (step.excluded, thinned)
-        kept = self._kept("prepared", key)
-        if kept is not None:
-            return kept  # type: ignore[no-any-return]
-        train, test = self.used(step, thinned=thinned)
-        made = (
-            PreparedRecordings.of(fit, train, average=True) if train else None,
-            PreparedRecordings.of(fit, test, average=False) if test else None,
-        )
-        return self._keep("prepared", key, made, most=KEPT_RESULTS // 6)
+        key = ("prepared", step.excluded, thinned)
+        if key not in self._results:
+            train, test = self.used(step, thinned=thinned)
+            made = (
+                PreparedRecordings.of(fit, train, average=True) if train else None,
+                PreparedRecordings.of(fit, test, average=False) if test else None,
+            )
+            self._keep(key, made)
+        return self._results[key]  # type: ignore[no-any-return]
 
     def _evaluation(self, fit: Fit, step: ModelStep, effort: Effort) -> Evaluation:
-        """Compare a fit with all recordings of a step."""
+        """Compare a fit with all recordings of a step; an opened fit has no training.
+
+        The noise floor of a brief evaluation is that of the model before.
+        """
         train, test = self._prepared(step, fit, thinned=effort.thinned)
-        key = (step.excluded, effort.thinned)
-        noise = self._kept("noise", key) if effort.brief else None
-        made = evaluate_fit(fit, train, test, step.changes, effort=effort, noise=noise)
-        if noise is None and made.shown is not None:
-            self._keep("noise", key, NoiseFloor(made.shown.noise_floor, made.shown.noise_source))
-        return made
+        key = ("noise", step.excluded, effort.thinned)
+        noise: Comparison | None = self._results.get(key) if effort.brief else None
+        on_train = on_test = None
+        if train is not None:
+            on_train = train.compared(fit, step.changes, noise=noise, with_noise=test is None)
+        if test is not None:
+            on_test = test.compared(fit, step.changes, noise=noise)
+        shown = on_test or on_train
+        assert shown is not None
+        if noise is None:
+            self._keep(key, replace(shown, series=()))
+        trained = on_train.rms_moving if on_train is not None else np.full(fit.model.n, np.nan)
+        error = fit.rms_cv if on_test is None else on_test.rms_moving
+        columns = (trained, error, shown.noise_floor, _spread(shown))
+        return Evaluation(
+            exact=not (effort.held or effort.thinned),
+            complete=effort == Effort(),
+            errors=StepErrors(*(tuple(numbers_or_none(values)) for values in columns)),
+            train=on_train,
+            test=on_test,
+            sentence="\n".join(verdict_sentences(shown, SEARCHES[self.inputs.mode])),
+            effects=effect_rows(fit, step.changes),
+            shapes={s.label: float(v) for s, v in zip(fit.model.shapes, fit.shapes, strict=True)},
+            cutoff=fit.processing.cutoff or shown.cutoff,
+            processing=fit.processing,
+        )
 
-    def _kept(self, kind: str, key: object) -> Any:
-        """Return a result that was kept, None without."""
-        return self._results.get(kind, {}).get(key)
-
-    def _keep(
-        self, kind: str, key: object, value: Kept, *, keep: bool = True, most: int = KEPT_RESULTS
-    ) -> Kept:
-        """Keep and return a result; the oldest of its kind are dropped."""
-        if keep:
-            results = self._results.setdefault(kind, {})
-            results[key] = value
-            while len(results) > most:
-                del results[next(iter(results))]
+    def _keep(self, key: tuple[object, ...], value: Kept) -> Kept:
+        """Keep and return a result; the oldest of its kind is dropped."""
+        self._results[key] = value
+        same = [other for other in self._results if other[0] == key[0]]
+        if len(same) > (KEPT_PREPARED if key[0] == "prepared" else KEPT_RESULTS):
+            del self._results[same[0]]
         return value
+
+
+def _spread(comparison: Comparison) -> Array:
+    """Return the standard deviation of the measured torque in motion (n,), NaN at rest, N·m."""
+    measured = np.concatenate([s.measured for s in comparison.series])
+    moving = np.concatenate([s.moving for s in comparison.series])
+    values = [torque[use] for torque, use in zip(measured.T, moving.T, strict=True)]
+    return np.array([part.std() if part.size else np.nan for part in values])
 
 
 def _zipped(folder: Path) -> bytes:
@@ -315,3 +342,134 @@ def _zipped(folder: Path) -> bytes:
             if file.is_file():
                 archive.write(file, file.relative_to(folder.parent))
     return content.getvalue()
+
+
+def recording_titles(inputs: WorkbenchInputs) -> list[str]:
+    """Return a short, unique title of each recording: its file name, its path if two are equal."""
+    names = [PurePath(r.path).name for r in inputs.recordings]
+    count, paths = Counter(names), Counter(r.path for r in inputs.recordings)
+    titles = []
+    for k, (name, each) in enumerate(zip(names, inputs.recordings, strict=True)):
+        if count[name] > 1:
+            name = each.path if paths[each.path] == 1 else f"{each.path} ({k + 1})"
+        titles.append(name)
+    return titles
+
+
+def used_parts(
+    recording: Recording, number: int, excluded: Sequence[ExcludedRange], *, share: float = 1.0
+) -> list[Recording]:
+    """Return the parts of recording ``number`` that are not excluded; of each, a share below 1.
+
+    A share is made of stretches that are evenly spread.
+    """
+    parts = []
+    for start, end in kept_parts(excluded, number):
+        if start is None and end is None:
+            parts.append(recording)
+            continue
+        try:
+            parts.append(recording.cut(start, end))
+        except RecordingError:  # no rows between two excluded stretches
+            continue
+    return parts if share >= 1.0 else [s for part in parts for s in _evenly_spread(part, share)]
+
+
+def _evenly_spread(recording: Recording, share: float) -> list[Recording]:
+    count = int(np.clip(share * recording.duration / LEAST_DURATION, 1, MOST_STRETCHES))
+    edges = np.linspace(0, len(recording), count + 1)
+    length = share * len(recording) / count
+    return [recording.rows(int(first), int(first + length)) for first in edges[:-1]]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRecordings:
+    """Recordings with their segments through the filter of a fit, and warnings of the checks.
+
+    Temperatures of the segments are relative to the fit's mean.
+    """
+
+    recordings: tuple[Recording, ...]
+    segments: tuple[Processed, ...]
+    warnings: tuple[LieidWarning, ...]
+
+    @classmethod
+    def of(cls, fit: Fit, recordings: Sequence[Recording], *, average: bool) -> PreparedRecordings:
+        """Check and process recordings as a fit does (``average`` periods) or a comparison."""
+        check_recordings(fit.model, recordings)
+        if average:
+            averaged = process(recordings, fit.processing)
+            segments, _ = center_temperature(averaged, fit.temperature_mean)
+        else:
+            segments = compared_segments(fit, recordings)
+        found = [w for r in recordings for w in check_with_model(fit.compiled, r)]
+        found += [w for segment in segments for w in segment.warnings]
+        return cls(tuple(recordings), segments, tuple(found))
+
+    @cached_property
+    def _known(self) -> tuple[FilteredColumns, ...]:
+        """Filtered columns of each segment, which all fitted models share."""
+        return tuple(FilteredColumns() for _ in self.segments)
+
+    def fitted(
+        self,
+        model: Model,
+        first: Fit,
+        *,
+        start: ShapeStart | None,
+        uncertainty: bool,
+        report: Progress,
+    ) -> Fit:
+        """Return the fit of another model with the method and filter of the first one.
+
+        Without ``uncertainty``, standard deviations are left out; they take longer than the fit.
+        """
+        check_recordings(model, self.recordings)
+        return identify_segments(
+            compile(model),
+            self.segments,
+            method="wls",
+            start=start,
+            uncertainty=uncertainty,
+            temperature_mean=first.temperature_mean,
+            provenance=first.provenance,
+            known=self._known,
+            warnings=self.warnings,
+            report=report,
+        )
+
+    def compared(
+        self,
+        fit: Fit,
+        changes: Sequence[ProposedEffect],
+        *,
+        noise: Comparison | None,
+        with_noise: bool = True,
+    ) -> Comparison:
+        """Return the comparison of a fit, with changes since it, with these recordings.
+
+        Its noise floor is that of ``noise``, the comparison of another model, if it is given;
+        without ``with_noise``, the result has none.
+        """
+        check_recordings(fit.model, self.recordings)
+        made = compare_segments(
+            fit,
+            self.recordings,
+            self.segments,
+            added=[_torque_of(changes, fit, segment) for segment in self.segments],
+            warnings=self.warnings,
+            with_noise=with_noise and noise is None,
+        )
+        if noise is None or not with_noise:
+            return made
+        # A noise floor never exceeds the error; np.minimum keeps NaN of joints that do not move.
+        floor = np.minimum(noise.noise_floor, made.rms_moving)
+        return replace(made, noise_floor=floor, noise_source=noise.noise_source)
+
+
+def _torque_of(changes: Sequence[ProposedEffect], fit: Fit, segment: Processed) -> Array:
+    """Return the torque (K, n) of changes since a fit on a segment's grid, N·m."""
+    torque = np.zeros_like(segment.q)
+    for change in changes:
+        torque += change_torque(fit, segment, change.label, dict(change.parameters))
+    return torque

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from html import escape
-
+from markupsafe import Markup
 from nicegui import ui
 
 from lieid_casadi.comparison.plot_style import BACKWARD, FORWARD
 from lieid_casadi.effects.registry import REGISTER, make
 from lieid_casadi.workbench.elements import (
+    Parts,
     View,
-    acting,
     button,
+    cut_part,
     figures,
-    icon_button,
+    icon_part,
     named,
-    on_action,
+    part,
     place,
     set_text,
-    text,
 )
 from lieid_casadi.workbench.evaluation import EffectCurve, EffectRow
 from lieid_casadi.workbench.session import FoundEffects, ProposedEffect
@@ -64,8 +63,7 @@ class EffectsView(View):
                 self._title = named(ui.label("Effects of the model"), "effects-title")
                 self._title.classes("panel-title grow")
                 self._menu = _EffectMenu(workbench)
-            self._list = ui.column().classes("w-full gap-1 scroll tall")
-        on_action(self._list, self._remove)
+            self._list = Parts("scroll tall", self._remove)
 
     async def _remove(self, label: str) -> None:
         await self.workbench.apply(self.workbench.session.without_effect(label))
@@ -79,18 +77,16 @@ class EffectsView(View):
         set_text(self._title, f"Effects on joint {joint + 1}")
         removable = workbench.session.inputs.mode == "missing"
         self._menu.button.set_visibility(removable)
-        self._list.clear()
-        with self._list:
-            for row in sorted(evaluation.effects, key=lambda row: row.joint != joint):
-                if row.joint in (joint, None):
-                    _effect_card(row, curves.get(row.label), self._unit(row), removable=removable)
-            others = [row for row in evaluation.effects if row.joint not in (joint, None)]
-            _other_joints(others, removable=removable)
-
-    def _unit(self, row: EffectRow) -> str:
-        """Return the unit of the torque of an effect."""
-        opened = self.workbench.opened
-        return "" if opened is None or row.joint is None else opened.units[row.joint]
+        here = [row for row in evaluation.effects if row.joint == joint]
+        here += [row for row in evaluation.effects if row.joint is None]
+        others = [row for row in evaluation.effects if row.joint not in (joint, None)]
+        opened = workbench.opened
+        unit = "" if opened is None else opened.units[joint]
+        shown = [_card(row, curves.get(row.label), unit, removable=removable) for row in here]
+        if others:
+            shown.append(part("muted small", "on other joints"))
+            shown.append(part("chips", *(_chip(row, removable=removable) for row in others)))
+        self._list.show(*shown)
 
 
 class _EffectMenu:
@@ -102,8 +98,7 @@ class _EffectMenu:
         with self.button, ui.menu().props("transition-duration=0 no-focus") as self._menu:
             self._search = ui.input("search").props("dense autofocus").classes("effect-search")
             named(self._search, "search-effect").on_value_change(self._fill)
-            self._list = ui.column().classes("effect-menu gap-0")
-        on_action(self._list, self._add)
+            self._list = Parts("effect-menu", self._add)
 
     def _fill(self) -> None:
         """List the effects whose name, kind or description has the words that are searched."""
@@ -111,19 +106,20 @@ class _EffectMenu:
         known = [name for names in KINDS.values() for name in names]
         plain = [name for name in REGISTER if "/" not in name]
         groups = {**KINDS, "Others": tuple(name for name in plain if name not in known)}
-        self._list.clear()
-        with self._list:
-            for kind, names in groups.items():
-                rows = [(name, _one_line(name)) for name in names if name in REGISTER]
-                rows = [r for r in rows if all(w in f"{kind} {' '.join(r)}".lower() for w in words)]
-                if rows:
-                    ui.label(kind).classes("menu-kind")
-                for name, line in rows:
-                    row = acting(named(ui.row(), f"library-{name}").classes("menu-row"), name)
-                    row.props["role"], row.props["tabindex"] = "button", "0"
-                    with row:
-                        ui.label(name).classes("strong")
-                        text(line, "muted small grow ellipsis")
+        shown: list[Markup] = []
+        for kind, names in groups.items():
+            rows = [(name, _one_line(name)) for name in names if name in REGISTER]
+            rows = [r for r in rows if all(w in f"{kind} {' '.join(r)}".lower() for w in words)]
+            if rows:
+                shown.append(part("menu-kind", kind))
+            shown += [
+                part(
+                    "menu-row", part("strong", name), cut_part("muted small grow ellipsis", line),
+                    id=f"library-{name}", action=name,
+                )
+                for name, line in rows
+            ]  # fmt: skip
+        self._list.show(*shown)
 
     async def _add(self, name: str) -> None:
         """Add an effect of the library to the selected joint."""
@@ -135,7 +131,7 @@ class _EffectMenu:
         label = name if make(name).whole_arm else f"{name}:{number}"
         if make(name).couples:  # from the next joint, or the previous one of the last joint
             label = f"{name}:{number}<{number + 1 if number < last else number - 1}"
-        await self._workbench.apply(session.with_effect(label))
+        await self._workbench.apply(session.with_added(label))
 
 
 def _one_line(name: str) -> str:
@@ -145,46 +141,36 @@ def _one_line(name: str) -> str:
     return line.replace("`", "").rstrip(".")
 
 
-def _effect_card(row: EffectRow, curve: EffectCurve | None, unit: str, *, removable: bool) -> None:
-    """Show an effect with its values, and its torque once it is computed."""
-    with named(ui.column(), f"effect-{place(row.label)}").classes("card"):
-        with ui.row().classes("w-full items-center no-wrap gap-1"):
-            ui.label(row.label).classes("strong grow")
-            if removable:
-                _remove_button(row.label, "size=sm")
-        ui.label(row.formula).classes("formula")
-        for value in row.values[:MOST_VALUES]:
-            ui.label(value).classes("value")
-        if len(row.values) > MOST_VALUES:
-            more = text(f"and {len(row.values) - MOST_VALUES} more", "value muted")
-            more.props["title"] = "; ".join(row.values)
-        rivals = ", ".join(make(row.effect).confused_with)
-        if rivals:
-            text(f"can be confused with {rivals}", "muted small ellipsis w-full")
-        if curve is not None:
-            ui.html(_curve_svg(curve, unit), sanitize=False).classes("w-full")
+def _card(row: EffectRow, curve: EffectCurve | None, unit: str, *, removable: bool) -> Markup:
+    """Return an effect with its values, and its torque once it is computed."""
+    shown = [
+        part("card-head", part("strong grow", row.label), _remove(row.label) if removable else ""),
+        part("formula", row.formula),
+        *(part("value", value) for value in row.values[:MOST_VALUES]),
+    ]
+    if len(row.values) > MOST_VALUES:
+        more = f"and {len(row.values) - MOST_VALUES} more"
+        shown.append(part("value muted", more, tip="; ".join(row.values)))
+    rivals = ", ".join(make(row.effect).confused_with)
+    if rivals:
+        shown.append(cut_part("muted small ellipsis", f"can be confused with {rivals}"))
+    if curve is not None:
+        shown.append(_curve_svg(curve, unit))
+    return part("card", *shown, id=f"effect-{place(row.label)}")
 
 
-def _other_joints(rows: list[EffectRow], *, removable: bool) -> None:
-    """List the effects on other joints in one line each."""
-    if not rows:
-        return
-    ui.label("on other joints").classes("muted small")
-    with ui.row().classes("gap-1"):
-        for row in rows:
-            chip = ui.chip(row.label).props("dense outline square")
-            named(chip, f"effect-{place(row.label)}").props["title"] = "; ".join(row.values)
-            if removable:
-                with chip:
-                    _remove_button(row.label, "size=xs")
+def _chip(row: EffectRow, *, removable: bool) -> Markup:
+    """Return an effect on another joint."""
+    remove = _remove(row.label) if removable else ""
+    tip = "; ".join(row.values)
+    return part("chip", row.label, remove, id=f"effect-{place(row.label)}", tip=tip)
 
 
-def _remove_button(label: str, look: str) -> ui.button:
-    made = icon_button("close", f"remove-{place(label)}", f"remove {label} and fit again", look)
-    return acting(made, label)
+def _remove(label: str) -> Markup:
+    return icon_part("close", label, f"remove {label} and fit again", id=f"remove-{place(label)}")
 
 
-def _curve_svg(curve: EffectCurve, unit: str) -> str:
+def _curve_svg(curve: EffectCurve, unit: str) -> Markup:
     """Return a picture of an effect's torque over its signal, with the ranges of both axes."""
     xs, ys = curve.signal, curve.torque
     low, high = min(xs), max(xs)
@@ -202,12 +188,12 @@ def _curve_svg(curve: EffectCurve, unit: str) -> str:
         f"± {figures(most)} {unit} over {names.get(curve.name, curve.name)} "
         f"{figures(low)} to {figures(high)} {curve.unit}"
     )
-    return (
+    return Markup(
         f'<svg viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" width="100%" role="img" '
-        f'aria-label="{escape(ranges)}">'
+        f'aria-label="{ranges}">'
         f'<line x1="0" x2="{WIDTH:.0f}" y1="{middle:.1f}" y2="{middle:.1f}" stroke="#c8ced4"/>'
         f'{points}<text x="{MARGIN}" y="{HEIGHT - 3:.0f}" font-size="9.5" fill="#52606d">'
-        f"{escape(ranges)}</text></svg>"
+        f"{ranges}</text></svg>"
     )
 
 
@@ -219,9 +205,8 @@ class FindingsView(View):
         with ui.row().classes("verdict-panel w-full no-wrap"):
             with named(ui.column(), "verdict").classes("grow gap-0") as self._whole:
                 self._verdict = ui.label("").classes("verdict")
-                self._list = ui.column().classes("w-full gap-0 findings")
+                self._list = Parts("findings", self._add)
             self._all = button("", "add-all", self._add_all, "unelevated color=primary")
-        on_action(self._list, self._add)
 
     async def _add_all(self) -> None:
         found = self.workbench.session.found
@@ -238,31 +223,8 @@ class FindingsView(View):
     def update(self) -> None:
         """Show what was found, or what the running search has found so far."""
         workbench = self.workbench
-        found, step = workbench.session.found, workbench.session.step
-        arriving = [] if workbench.searching is None else workbench.arriving
-        self._show_verdict()
-        present = () if step is None else step.effects_and_changes
-        missing = [] if found is None else [p for p in found.proposed if p.label not in present]
-        searching = workbench.searching is not None
-        self._all.text = f"Add all {len(missing)}" if len(missing) > 1 else "Add it"
-        self._all.set_visibility(bool(missing) and not searching)
-        if not self.is_new(id(found), present, searching, len(arriving)):
-            return
-        self._list.clear()
-        with self._list:
-            if searching:
-                for proposal in arriving:
-                    ui.label(
-                        f"found: {proposal.label}, held-out error of joint {proposal.joint + 1} "
-                        f"{figures(proposal.before)} → {figures(proposal.after)} N·m"
-                    ).classes("value")
-            elif found is not None:
-                self._show(found, present)
-
-    def _show_verdict(self) -> None:
-        workbench = self.workbench
         session, evaluation = workbench.session, workbench.evaluation
-        found, step = session.found, session.step
+        found, step, searching = session.found, session.step, workbench.searching is not None
         if found is not None and step is not None and found.effects == step.effects:
             self._verdict.text = _summary(found)
         elif evaluation is not None:
@@ -272,18 +234,38 @@ class FindingsView(View):
             props = self._whole.props
             props["data-complete"] = str(evaluation.complete).lower()
             props["data-seconds"] = f"{evaluation.seconds:.4f} {evaluation.cpu_seconds:.4f}"
+        present = () if step is None else step.effects_and_changes
+        missing = [] if found is None else [p for p in found.proposed if p.label not in present]
+        self._all.text = f"Add all {len(missing)}" if len(missing) > 1 else "Add it"
+        self._all.set_visibility(bool(missing) and not searching)
+        if searching:
+            self._list.show(
+                *(
+                    part(
+                        "value",
+                        f"found: {p.label}, held-out error of joint {p.joint + 1} "
+                        f"{figures(p.before)} → {figures(p.after)} N·m",
+                    )
+                    for p in workbench.arriving
+                )
+            )
+        elif found is not None:
+            self._list.show(*_findings(found, present, changed=session.inputs.mode == "changed"))
+        else:
+            self._list.show()
 
-    def _show(self, found: FoundEffects, present: tuple[str, ...]) -> None:
-        changed = self.workbench.session.inputs.mode == "changed"
-        for group in dict.fromkeys(p.group for p in found.proposed):
-            members = [p for p in found.proposed if p.group == group]
-            several = found.groups.get(group, [])
-            if several and any(p.label not in present for p in several) and not changed:
-                _group_row(group, several)
-            for proposed in members:
-                _finding(proposed, present=proposed.label in present, changed=changed)
-        for sentence in found.unexplained:
-            text(sentence, "value muted")
+
+def _findings(found: FoundEffects, present: tuple[str, ...], *, changed: bool) -> list[Markup]:
+    shown = []
+    for group in dict.fromkeys(p.group for p in found.proposed):
+        several = found.groups.get(group, [])
+        if several and any(p.label not in present for p in several) and not changed:
+            shown.append(_group_row(group, several))
+        for proposed in (p for p in found.proposed if p.group == group):
+            shown.append(_finding(proposed, present=proposed.label in present, changed=changed))
+            if proposed.rivals and not changed:
+                shown.append(_rivals(proposed))
+    return shown + [cut_part("value muted", sentence) for sentence in found.unexplained]
 
 
 def _summary(found: FoundEffects) -> str:
@@ -307,59 +289,53 @@ def _summary(found: FoundEffects) -> str:
     return f"{what}: with {'it' if count == 1 else 'them'} the error {where} falls by {by}."
 
 
-def _group_row(group: int, members: list[ProposedEffect]) -> None:
-    """Show the effect that a group has on several joints, and add it on all of them."""
+def _group_row(group: int, members: list[ProposedEffect]) -> Markup:
+    """Return the effect that a group has on several joints; a click adds it on all of them."""
     joints = ", ".join(str(j) for j in sorted({j for each in members for j in each.joints}))
-    with ui.row().classes("finding group-row"):
-        text(f"{members[0].effect} on joints {joints}", "strong grow ellipsis")
-        made = named(ui.button(f"Add on {len(members)} joints"), f"add-group-{group}")
-        acting(made.props("dense no-caps flat size=sm"), f"group {group}")
+    return part(
+        "finding group-row",
+        cut_part("strong grow ellipsis", f"{members[0].effect} on joints {joints}"),
+        part("part-button", f"Add on {len(members)} joints", id=f"add-group-{group}",
+             action=f"group {group}"),
+    )  # fmt: skip
 
 
-def _finding(proposed: ProposedEffect, *, present: bool, changed: bool) -> None:
-    """Show a proposal in one line, with its rivals; a click adds it."""
-    row = named(ui.row(), f"candidate-{place(proposed.label)}").classes("finding candidate")
-    if not present:
-        acting(row, f"effect {proposed.label}").props["role"] = "button"
-        row.props["tabindex"] = "0"
-    before, after = proposed.before, proposed.after
-    facts = proposed.sentence or proposed.value
-    with row:
-        ui.label(proposed.label).classes("strong")
-        status = named(ui.label(STATUS[proposed.status]), f"status-{place(proposed.label)}")
-        status.classes(f"status {proposed.status}")
-        status.props["title"] = STATUS_MEANING[proposed.status]
-        text(f"change: {proposed.value}" if changed else facts, "grow ellipsis muted")
-        if before and after is not None:
-            change = f"{100.0 * (after / before - 1.0):+.0f} %"
-            text(f"{figures(before)} → {figures(after)} N·m ({change})", "number").props[
-                "title"
-            ] = "unseen error of the joint without and with it"
-        if proposed.selected is not None:
-            found = text(f"{100.0 * proposed.selected:.0f} %", "number muted small")
-            found.props["title"] = (
-                "part of the searches, each without a part of the data, in which it was chosen"
-            )
-        if proposed.confirmed is False:
-            text("not on the test", "small warning").props["title"] = (
-                "the error on the test does not fall"
-            )
-        if present:
-            ui.label("shown" if changed else "in the model").classes("muted small")
-        else:
-            ui.icon("add_circle").classes("add").props["title"] = "add it and fit again"
-    if proposed.rivals and not changed:
-        _rivals(proposed)
+def _finding(proposed: ProposedEffect, *, present: bool, changed: bool) -> Markup:
+    """Return a proposal in one line; a click adds it."""
+    label, before, after = proposed.label, proposed.before, proposed.after
+    facts = f"change: {proposed.value}" if changed else proposed.sentence or proposed.value
+    shown = [
+        part("strong", label),
+        part(
+            f"status {proposed.status}", STATUS[proposed.status], id=f"status-{place(label)}",
+            tip=STATUS_MEANING[proposed.status],
+        ),
+        cut_part("grow ellipsis muted", facts),
+    ]  # fmt: skip
+    if before and after is not None:
+        change = f"{100.0 * (after / before - 1.0):+.0f} %"
+        errors = f"{figures(before)} → {figures(after)} N·m ({change})"
+        shown.append(part("number", errors, tip="unseen error of the joint without and with it"))
+    if proposed.selected is not None:
+        chosen = "part of the searches, each without a part of the data, in which it was chosen"
+        shown.append(part("number muted small", f"{100.0 * proposed.selected:.0f} %", tip=chosen))
+    if proposed.confirmed is False:
+        meaning = "the error on the test does not fall"
+        shown.append(part("small warning", "not on the test", tip=meaning))
+    if present:
+        shown.append(part("muted small", "shown" if changed else "in the model"))
+    else:
+        shown.append(part("material-icons add", "add_circle", tip="add it and fit again"))
+    action = "" if present else f"effect {label}"
+    return part("finding candidate", *shown, id=f"candidate-{place(label)}", action=action)
 
 
-def _rivals(proposed: ProposedEffect) -> None:
-    """Show the rivals of a proposal; a click on one adds it in place of the proposal."""
-    with ui.row().classes("gap-1 items-center rivals"):
-        ui.label("or").classes("muted small")
-        for label, kind in proposed.rivals:
-            chip = ui.chip(label).props("dense outline square clickable")
-            exact = kind == "exact"
-            chip.props["title"] = (
-                "equivalent with any data" if exact else "not separable by this data"
-            )
-            named(acting(chip, f"effect {label}"), f"candidate-{place(label)}")
+def _rivals(proposed: ProposedEffect) -> Markup:
+    """Return the rivals of a proposal; a click on one adds it in place of the proposal."""
+    meanings = {"exact": "equivalent with any data", "data": "not separable by this data"}
+    chips = [
+        part("chip", label, id=f"candidate-{place(label)}", tip=meanings[kind],
+             action=f"effect {label}")
+        for label, kind in proposed.rivals
+    ]  # fmt: skip
+    return part("chips rivals", part("muted small", "or"), *chips)

@@ -6,6 +6,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
 import msgspec
+from markupsafe import Markup, escape
 from nicegui import ui
 from nicegui.element import Element
 
@@ -25,9 +26,21 @@ SCALE = (
 )
 _EMIT_ACTION = """(event) => {
   const part = event.target.closest('[data-action]');
-  const twice = event.type === 'keydown' && part?.tagName === 'BUTTON';  // Enter clicks it, too
-  if (part && !twice) emit(part.dataset.action);
+  if (part) emit(part.dataset.action);
 }"""
+# A list that is drawn again keeps the focus on the part with the same action.
+KEEP_FOCUS = """<script>
+let acted = null;
+addEventListener('focusin', (event) => {
+  const part = event.target.closest('[data-action]');
+  acted = part && { list: part.closest('.parts'), action: part.dataset.action };
+});
+new MutationObserver(() => {
+  if (!acted || document.activeElement !== document.body) return;
+  const same = acted.list?.querySelector(`[data-action="${CSS.escape(acted.action)}"]`);
+  same?.focus({ preventScroll: true });
+}).observe(document, { childList: true, subtree: true });
+</script>"""
 # Waits for a chart that the browser has not made yet.
 _SET_OPTIONS = """(function set(options, whole) {
   const chart = getElement(ID)?.chart;
@@ -51,6 +64,53 @@ class View:
     def update(self) -> None:
         """Draw what has changed."""
         raise NotImplementedError
+
+
+class Parts:
+    """A list of the page as HTML; ``act`` is called with the action of the part that is clicked.
+
+    Enter on a part that has the focus is a click. The list listens, not its parts: these may be
+    drawn again between the click and its arrival.
+    """
+
+    def __init__(self, css: str, act: Callable[[str], Awaitable[None]]) -> None:
+        self.element = ui.html("", sanitize=False).classes(f"parts {css}")
+        for kind in ("click", "keydown.enter"):
+            self.element.on(kind, lambda event: act(event.args), js_handler=_EMIT_ACTION)
+
+    def show(self, *parts: Markup) -> None:
+        """Show other parts."""
+        content = Markup().join(parts)
+        if self.element.content != content:
+            self.element.set_content(content)
+
+
+def part(
+    css: str, *content: object, id: str = "", tip: str = "", action: str = "", **more: str
+) -> Markup:
+    """Return an HTML element; text in it is escaped.
+
+    ``id`` is its identifier for tests, ``tip`` its tooltip, and ``action`` what a click on it does
+    in its `Parts`.
+    """
+    facts = {"class": css, "data-testid": id, "title": tip, "data-action": action, **more}
+    if action:
+        facts |= {"role": "button", "tabindex": "0"}
+    shown = Markup().join(Markup(' {}="{}"').format(k, v) for k, v in facts.items() if v)
+    return Markup("<div{}>{}</div>").format(shown, Markup().join(map(escape, content)))
+
+
+def cut_part(css: str, content: str, *, id: str = "") -> Markup:
+    """Return a text whose whole is its tooltip, where the page may cut it."""
+    return part(css, content, id=id, tip=content)
+
+
+def icon_part(icon: str, action: str, meaning: str, *, id: str, css: str = "") -> Markup:
+    """Return a small icon on which a click is an action."""
+    return part(
+        f"material-icons icon-part {css}", icon, id=id, tip=meaning, action=action,
+        **{"aria-label": meaning},
+    )  # fmt: skip
 
 
 def named(element: E, test_id: str) -> E:
@@ -84,27 +144,6 @@ def set_text(label: ui.label, content: str) -> None:
     if label.text != content:
         label.text = content
         label.props["title"] = content
-
-
-def toggle_class(element: Element, name: str, on: bool) -> None:
-    """Add or remove a class of the style sheet."""
-    element.classes(add=name if on else "", remove="" if on else name)
-
-
-def acting(element: E, action: str) -> E:
-    """Return an element on which a click is an action of the list that contains it."""
-    element.props["data-action"] = action
-    return element
-
-
-def on_action(container: Element, handle: Callable[[str], Awaitable[None]]) -> None:
-    """Call a coroutine with the action of the part of a list that is clicked, or Enter pressed on.
-
-    The list listens, not its parts: parts may be drawn again between the click and its arrival,
-    and events of deleted parts are dropped.
-    """
-    for kind in ("click", "keydown.enter"):
-        container.on(kind, lambda event: handle(event.args), js_handler=_EMIT_ACTION)
 
 
 def figures(value: float | None, *, digits: int = 3) -> str:

@@ -9,38 +9,29 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
-from lieid_casadi.comparison.comparison import verdict_sentences
-from lieid_casadi.comparison.series import effect_torques
+from lieid_casadi.comparison.series import Series, effect_torques
 from lieid_casadi.diagnosis import Diagnosis, Step
 from lieid_casadi.diagnosis.findings import finding, unexplained_sentence
-from lieid_casadi.effects import Effect, Placement
+from lieid_casadi.effects import Effect
 from lieid_casadi.effects.registry import make
 from lieid_casadi.identification import Fit
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processed, Processing, Recording, check, process
+from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.workbench.arm import ArmMesh, ArmSolid, arm_meshes, arm_solids
-from lieid_casadi.workbench.recordings import NoiseFloor, PreparedRecordings
-from lieid_casadi.workbench.session import (
-    FoundEffects,
-    Numbers,
-    ProposedEffect,
-    StepErrors,
-)
+from lieid_casadi.workbench.session import FoundEffects, Numbers, ProposedEffect, StepErrors
 
-SEARCH_EFFECTS = "“Find what is missing” searches the library of effects"
-SEARCH_CHANGES = "“Find what has changed” searches for changes since the fit"
 LONGEST = 40.0  # s of the recording that the curves of effects are made of
 POINTS = 160
-#: Signals in the order in which one is chosen for the axis: name, unit (turning, sliding joint).
-AXES = (
-    ("temperature", "°C", "°C"),
-    ("load", "N·m", "N"),
-    ("time", "s", "s"),
-    ("ddq", "rad/s²", "m/s²"),
-    ("dq", "rad/s", "m/s"),
-    ("q", "rad", "m"),
-)
+#: Units (turning, sliding joint) of the signals in the order in which one is chosen for the axis.
+AXES = {
+    "temperature": ("°C", "°C"),
+    "load": ("N·m", "N"),
+    "time": ("s", "s"),
+    "ddq": ("rad/s²", "m/s²"),
+    "dq": ("rad/s", "m/s"),
+    "q": ("rad", "m"),
+}
 
 
 @dataclass(frozen=True)
@@ -131,14 +122,8 @@ class EffectRow:
 class Effort:
     """What a fit leaves out, so that its errors can be shown early.
 
-    Attributes
-    ----------
-    held : bool
-        Shape parameters are held.
-    thinned : bool
-        Only evenly spread parts of the recordings are used.
-    brief : bool
-        Standard deviations are not computed, and the noise floor is that of the model before.
+    ``held``: shape parameters are held. ``thinned``: only evenly spread parts of the recordings
+    are used. ``brief``: no standard deviations, and the noise floor is that of the model before.
     """
 
     held: bool = False
@@ -150,23 +135,12 @@ class Effort:
 class Evaluation:
     """A fitted model compared with all recordings.
 
-    Attributes
-    ----------
-    exact : bool
-        False if shape parameters were held or only parts of the recordings were used.
-    complete : bool
-        Whether it is exact, with the standard deviations and the noise floor of this model.
-    train, test : Comparison or None
-        With the recordings that were fitted, and with the others; ``test`` holds all recordings
-        if the fit is kept. The series of a recording are named after it, see `recording_titles`.
-    sentence : str
-        How large the error is, compared with the noise; one statement a line.
-    shapes : dict
-        Label of each shape parameter → its value, from which later fits start.
-    cutoff : float
-        Of the filter in ``processing``, Hz.
-    seconds, cpu_seconds : float
-        Time that the computation took, and that of the processor.
+    It is ``exact`` unless shape parameters were held or only parts of the recordings were used,
+    and ``complete`` if it has the standard deviations and the noise floor of this model, too.
+    ``train`` compares with the recordings that were fitted, ``test`` with the others (all, if the
+    fit is kept); their series are named by the recordings' titles. Later fits start from ``shapes``
+    (by label); ``cutoff`` is that of the filter in ``processing``, Hz; the computation took
+    ``seconds``, and ``cpu_seconds`` of the processor.
     """
 
     exact: bool
@@ -176,99 +150,46 @@ class Evaluation:
     test: Comparison | None
     sentence: str
     effects: tuple[EffectRow, ...]
-    warnings: tuple[str, ...]
     shapes: dict[str, float]
     cutoff: float
     processing: Processing | None = None
     seconds: float = 0.0
     cpu_seconds: float = 0.0
 
-    @property
-    def shown(self) -> Comparison | None:
-        """The comparison whose errors are shown: with the test, if there is one."""
-        return self.test or self.train
+
+def series_of(evaluation: Evaluation | None, title: str) -> list[Series]:
+    """Return the series of one recording, in the order of time."""
+    parts = [] if evaluation is None else [evaluation.train, evaluation.test]
+    return [
+        series
+        for comparison in parts
+        if comparison is not None
+        for series in comparison.series
+        if series.recording == title or series.recording.startswith(f"{title}@")
+    ]
 
 
-def evaluate_fit(
-    fit: Fit,
-    train: PreparedRecordings | None,
-    test: PreparedRecordings | None,
-    changes: Sequence[ProposedEffect],
-    *,
-    effort: Effort,
-    noise: NoiseFloor | None,
-) -> Evaluation:
-    """Compare a fit, with changes since it, with all recordings of a step.
-
-    There is no training if an opened fit is kept. The noise floor is estimated if None.
-    """
-    on_train = on_test = None
-    if train is not None:
-        on_train = train.compared(fit, changes, noise=noise, with_noise=test is None)
-    if test is not None:
-        on_test = test.compared(fit, changes, noise=noise)
-    shown = on_test or on_train
-    assert shown is not None
-    trained = on_train.rms_moving if on_train is not None else np.full(fit.model.n, np.nan)
-    error = fit.rms_cv if on_test is None else on_test.rms_moving
-    columns = (trained, error, shown.noise_floor, _spread(shown))
-    notes = [*fit.warnings, *(on_test.warnings if on_test is not None else ())]
-    return Evaluation(
-        exact=not (effort.held or effort.thinned),
-        complete=effort == Effort(),
-        errors=StepErrors(*(tuple(numbers_or_none(values)) for values in columns)),
-        train=on_train,
-        test=on_test,
-        sentence="\n".join(verdict_sentences(shown, SEARCH_EFFECTS if train else SEARCH_CHANGES)),
-        effects=_effect_rows(fit) + _change_rows(changes),
-        warnings=tuple(dict.fromkeys(str(w) for w in notes)),
-        shapes={s.label: float(v) for s, v in zip(fit.model.shapes, fit.shapes, strict=True)},
-        cutoff=fit.processing.cutoff or shown.cutoff,
-        processing=fit.processing,
-    )
-
-
-def _spread(comparison: Comparison) -> Array:
-    """Return the standard deviation of the measured torque in motion (n,), NaN at rest, N·m."""
-    measured = np.concatenate([s.measured for s in comparison.series])
-    moving = np.concatenate([s.moving for s in comparison.series])
-    values = [torque[use] for torque, use in zip(measured.T, moving.T, strict=True)]
-    return np.array([part.std() if part.size else np.nan for part in values])
-
-
-def _effect_rows(fit: Fit) -> tuple[EffectRow, ...]:
-    """Return one row per effect and joint, in the model's order."""
+def effect_rows(fit: Fit, changes: Sequence[ProposedEffect]) -> tuple[EffectRow, ...]:
+    """Return one row per effect and joint, in the model's order, then the changes since."""
     values: dict[tuple[str, int], list[str]] = {}
     for row in fit.parameter_table():
         name, _, parameter = row["name"].rpartition(".")
         values.setdefault((name, row["joint"] - 1), []).append(
             value_text(parameter, row["value"], row["std"], row["unit"])
         )
-    return tuple(
-        EffectRow(
-            label=placement.label,
-            effect=placement.effect.name,
-            joint=None if placement.whole_arm else placement.joint,
-            formula=placement.effect.formula,
-            values=tuple(values.get((placement.effect.label, placement.joint), ()))
-            or (_not_identified(placement),),
+    rows = []
+    for p in fit.model.placements:
+        label, joint = p.effect.label, None if p.whole_arm else p.joint
+        absorbed = f"{label} is not identifiable apart from the other parameters"
+        shown = tuple(values.get((label, p.joint), ())) or (absorbed,)
+        rows.append(EffectRow(p.label, p.effect.name, joint, p.effect.formula, shown))
+    for c in changes:
+        joint, formula = (
+            c.joints[0] - 1 if c.joints else None,
+            make(c.label.partition(":")[0]).formula,
         )
-        for placement in fit.model.placements
-    )
-
-
-def _change_rows(changes: Sequence[ProposedEffect]) -> tuple[EffectRow, ...]:
-    """Return one row per change since a fit."""
-    return tuple(
-        EffectRow(
-            label=change.label,
-            effect=change.effect,
-            joint=change.joints[0] - 1 if change.joints else None,
-            formula=make(change.label.partition(":")[0]).formula,
-            values=(f"change: {change.value}",),
-        )
-        for change in changes
-    )
+        rows.append(EffectRow(c.label, c.effect, joint, formula, (f"change: {c.value}",)))
+    return tuple(rows)
 
 
 def value_text(name: str, value: float, std: float | None, unit: str) -> str:
@@ -281,10 +202,6 @@ def value_text(name: str, value: float, std: float | None, unit: str) -> str:
     """
     deviation = "" if std is None else f" ± {std:.2g}"
     return f"{name} = {value:.4g}{deviation}{'' if unit in ('', '1') else ' ' + unit}"
-
-
-def _not_identified(placement: Placement) -> str:
-    return f"{placement.effect.label} is not identifiable apart from the other parameters"
 
 
 @dataclass(frozen=True)
@@ -303,21 +220,18 @@ def effect_curves(fit: Fit, recording: Recording) -> dict[str, EffectCurve]:
     part = recording if recording.duration <= LONGEST else recording.cut(start, start + LONGEST)
     segment = process([part], fit.processing)[0]
     load = fit.compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, fit.link_parameters)
+    signals = {"load": load, "time": np.repeat(segment.t[:, None], segment.n, axis=1)}
     curves = {}
     for each in effect_torques(fit, segment):
-        joint, effect = each.placement.joint, each.placement.effect
-        if each.placement.whole_arm:
+        placement, name = each.placement, _axis(each.placement.effect)
+        values = signals.get(name, getattr(segment, name, None))
+        if placement.whole_arm or values is None:
             continue
-        name = _axis(effect)
-        source = joint if each.placement.source is None else each.placement.source
-        signal = _signal(name, segment, load)
-        if signal is None:
-            continue
-        x = signal if signal.ndim == 1 else signal[:, source]
+        joint = placement.joint
+        x = values[:, joint if placement.source is None else placement.source]
         rows = np.linspace(0, len(x) - 1, POINTS).astype(int)
-        units = next(units for n, *units in AXES if n == name)
-        unit = units[0] if fit.model.robot.joints[joint].revolute else units[1]
-        curves[each.placement.label] = EffectCurve(
+        unit = AXES[name][0 if fit.model.robot.joints[joint].revolute else 1]
+        curves[placement.label] = EffectCurve(
             name, unit, tuple(x[rows].tolist()), tuple(each.torque[rows, joint].tolist())
         )
     return curves
@@ -328,15 +242,7 @@ def _axis(effect: Effect) -> str:
     if "q" in effect.signals and "sign" not in effect.signals:
         return "q"
     used = {*effect.signals, *(["dq"] if "sign" in effect.signals else [])}
-    return next((name for name, _, _ in AXES if name in used), "dq")
-
-
-def _signal(name: str, segment: Processed, load: Array) -> Array | None:
-    if name == "load":
-        return load
-    if name == "time":
-        return segment.t
-    return getattr(segment, name)  # type: ignore[no-any-return]
+    return next((name for name in AXES if name in used), "dq")
 
 
 def found_effects(diagnosis: Diagnosis, effects: tuple[str, ...]) -> FoundEffects:

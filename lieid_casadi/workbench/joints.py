@@ -1,30 +1,36 @@
-"""The joints with their errors, and the history of models."""
+"""The joints with their errors, the history of models, and all joints at a glance."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 
+import numpy as np
+from markupsafe import Markup
 from nicegui import ui
 
+from lieid_casadi.comparison.plot_style import ERROR, MEASURED, PREDICTED, envelope
+from lieid_casadi.comparison.series import Series
 from lieid_casadi.workbench.elements import (
+    BAND,
     UNKNOWN,
+    Parts,
     View,
-    acting,
+    cut_part,
     figures,
-    icon_button,
+    icon_part,
     named,
-    on_action,
+    part,
     ratio,
     ratio_colour,
     set_text,
     text,
-    toggle_class,
 )
-from lieid_casadi.workbench.evaluation import SimulationError
+from lieid_casadi.workbench.evaluation import SimulationError, series_of
 from lieid_casadi.workbench.session import ModelStep, StepErrors
 from lieid_casadi.workbench.workbench import Workbench
 
+SMALL_COLUMNS = 150  # of the plot of one joint in the overview
 HEADINGS = {
     "new": "RMS error in motion on the new recordings",
     "held out": "RMS error in motion, cross-validated (no test)",
@@ -37,90 +43,79 @@ class JointsView(View):
 
     def __init__(self, workbench: Workbench) -> None:
         super().__init__(workbench)
-        self._rows: list[_JointRow] = []
+        self._errors: StepErrors | None = None  # the last that were known
         with ui.column().classes("panel w-full"):
             self._title = ui.label("Error of each joint").classes("panel-title")
-            self._list = ui.column().classes("w-full gap-0")
+            self._list = Parts("joint-list", self._select)
             self._reason = text("", "muted small w-full ellipsis", "not-simulated")
-        on_action(self._list, self._select)
 
     async def _select(self, joint: str) -> None:
         self.workbench.show(replace(self.workbench.session, joint=int(joint)))
 
     def update(self) -> None:
-        """Show the errors of the current step."""
-        opened = self.workbench.opened
-        names = [] if opened is None else list(opened.joint_names)
-        if [row.name for row in self._rows] != names:
-            self._list.clear()
-            with self._list:
-                self._rows = [_JointRow(self.workbench, j, name) for j, name in enumerate(names)]
-        set_text(self._title, HEADINGS[self.workbench.session.error_name])
-        simulation = self.workbench.simulation
-        for row in self._rows:
-            row.update(simulation)
+        """Show the errors of the current step; while it is fitted, the last ones, in grey."""
+        workbench, opened = self.workbench, self.workbench.opened
+        session, simulation = workbench.session, workbench.simulation
+        set_text(self._title, HEADINGS[session.error_name])
         reason = "" if simulation is None else simulation.reason
         set_text(self._reason, reason and f"Not simulated: {reason}.")
         self._reason.set_visibility(bool(reason))
+        errors = None if session.step is None else session.step.errors
+        outdated = "" if errors is not None else "outdated"
+        self._errors = errors or (self._errors if session.can_undo else None)
+        count = 0 if opened is None else len(opened.joint_names)
+        if self._errors is not None and len(self._errors.shown) != count:
+            self._errors = None
+        self._list.show(*(self._row(j, self._errors, outdated) for j in range(count)))
 
-
-class _JointRow:
-    def __init__(self, workbench: Workbench, joint: int, name: str) -> None:
-        self._workbench, self._joint, self.name = workbench, joint, name
-        number = joint + 1
-        self._row = acting(named(ui.row(), f"joint-{number}").classes("joint-row"), str(joint))
-        self._row.props["role"], self._row.props["tabindex"] = "button", "0"
-        with self._row:
-            self._swatch = ui.element("span").classes("swatch")
-            text(f"{number} {name}", "joint-name")
-            self._other = text("", "number compared", f"compared-{number}")
-            self._error = text(UNKNOWN, "number strong", f"error-{number}")
-            with ui.row().classes("joint-facts muted small"):
-                self._noise = text(UNKNOWN, "number noise", f"noise-{number}")
-                self._ratio = text("", "number noise")
-                self._fit = text("", "number", f"fit-percent-{number}")
-                self._simulated = text("", "number ellipsis", f"simulated-{number}")
-
-    def update(self, simulation: SimulationError | None) -> None:
-        """Show the errors of the current step, and the simulation error once it is computed."""
-        workbench, j = self._workbench, self._joint
-        step = workbench.session.step
-        errors = None if step is None else step.errors
-        toggle_class(self._row, "selected", workbench.session.joint == j)
-        # While a changed model is fitted the last errors stay, in grey.
-        toggle_class(self._row, "outdated", errors is None)
-        if errors is None:
-            if not workbench.session.can_undo:
-                set_text(self._error, UNKNOWN)
-            return
-        evaluation = workbench.evaluation
+    def _row(self, j: int, errors: StepErrors | None, state: str) -> Markup:
+        workbench, opened, evaluation = (
+            self.workbench,
+            self.workbench.opened,
+            self.workbench.evaluation,
+        )
+        assert opened is not None
         # The noise floor of the last model stays, in grey, until that of this one is computed.
-        preliminary = evaluation is None or not evaluation.complete
-        toggle_class(self._row, "preliminary", preliminary)
-        self._show(errors, "" if simulation is None else self._drift(simulation))
+        preliminary = "preliminary" if evaluation is None or not evaluation.complete else ""
+        selected = "selected" if workbench.session.joint == j else ""
+        error, number = UNKNOWN, j + 1
+        noise = multiple = fit = other = drift = ""
+        colour = ratio_colour(None)
+        if errors is not None:
+            error = f"{figures(errors.shown[j])} {opened.units[j]}"
+            noise = f"noise {figures(errors.noise_floor[j], digits=2)}"
+            over, percent = ratio(errors.shown[j], errors.noise_floor[j]), errors.fit_percent(j)
+            multiple = "" if over is None else f"{over:.1f} ×"
+            fit = "" if percent is None else f"{percent:.1f} % fit"
+            colour = ratio_colour(over)
+            if workbench.simulation is not None and not state:
+                drift = self._drift(workbench.simulation, j)
+            if workbench.compared is not None:
+                other = _difference(workbench.compared.errors.shown[j], errors.shown[j])
+        return part(
+            f"joint-row {state or preliminary} {selected}",
+            part("swatch", style=f"background: {colour}"),
+            cut_part("joint-name", f"{number} {opened.joint_names[j]}"),
+            cut_part("number compared", other, id=f"compared-{number}") if other else "",
+            cut_part("number strong", error, id=f"error-{number}"),
+            part(
+                "joint-facts muted small",
+                cut_part("number noise", noise or UNKNOWN, id=f"noise-{number}"),
+                cut_part("number noise", multiple),
+                cut_part("number", fit, id=f"fit-percent-{number}"),
+                cut_part("number ellipsis", drift, id=f"simulated-{number}"),
+            ),
+            id=f"joint-{number}",
+            action=str(j),
+        )
 
-    def _show(self, errors: StepErrors, drift: str) -> None:
-        workbench, j = self._workbench, self._joint
-        assert workbench.opened is not None
-        error, floor, fit = errors.shown[j], errors.noise_floor[j], errors.fit_percent(j)
-        multiple, compared = ratio(error, floor), workbench.compared
-        set_text(self._error, f"{figures(error)} {workbench.opened.units[j]}")
-        set_text(self._noise, f"noise {figures(floor, digits=2)}")
-        set_text(self._ratio, "" if multiple is None else f"{multiple:.1f} ×")
-        set_text(self._fit, "" if fit is None else f"{fit:.1f} % fit")
-        other = None if compared is None else compared.errors.shown[j]
-        set_text(self._other, "" if compared is None else _difference(other, error))
-        self._other.set_visibility(compared is not None)
-        self._swatch.style(f"background: {ratio_colour(multiple)}")
-        set_text(self._simulated, drift)
-
-    def _drift(self, simulation: SimulationError) -> str:
-        """Return the simulation error of the joint as text."""
-        rms, opened = simulation.rms[self._joint], self._workbench.opened
+    def _drift(self, simulation: SimulationError, j: int) -> str:
+        """Return the simulation error of a joint as text."""
+        rms, opened = simulation.rms[j], self.workbench.opened
         if rms is None or opened is None:
             return ""
-        turns = opened.revolute[self._joint]
-        degrees = turns and self._workbench.session.degrees
+        turns = opened.revolute[j]
+        degrees = turns and self.workbench.session.degrees
         value, unit = (math.degrees(rms), "°") if degrees else (rms, " rad" if turns else " m")
         return f"{figures(value, digits=2)}{unit} off after {simulation.window:g} s"
 
@@ -139,8 +134,7 @@ class HistoryView(View):
         super().__init__(workbench)
         with ui.column().classes("panel w-full"):
             self._title = ui.label("History").classes("panel-title")
-            self._list = ui.column().classes("w-full gap-0 scroll")
-        on_action(self._list, self._act)
+            self._list = Parts("scroll", self._act)
 
     async def _act(self, action: str) -> None:
         """Return to a step, or compare it with the one that is shown."""
@@ -153,30 +147,90 @@ class HistoryView(View):
 
     def update(self) -> None:
         """Show the steps."""
-        session, compared = self.workbench.session, self.workbench.view.compared
-        if not self.is_new(session.history, session.position, session.joint, compared):
-            return
-        set_text(self._title, f"History, error of joint {session.joint + 1} [N·m]")
-        self._list.clear()
-        with self._list:
-            for k, step in enumerate(session.history):
-                self._row(k, step)
-
-    def _row(self, k: int, step: ModelStep) -> None:
         session = self.workbench.session
-        row = named(ui.row(), f"step-{k + 1}").classes("history-row")
-        row.props["role"], row.props["tabindex"] = "button", "0"
-        toggle_class(row, "selected", k == session.position)
-        toggle_class(row, "undone", k > session.position)
-        with acting(row, f"show {k}"):
-            text(f"{k + 1}. {step.title}", "grow ellipsis")
-            if step.errors is not None:
-                trained, shown = (e[session.joint] for e in (step.errors.train, step.errors.shown))
-                ui.label(f"train {figures(trained)}").classes("number muted")
-                ui.label(f"{session.error_name} {figures(shown)}").classes("number")
-            other = self.workbench.view.compared == k
-            if k == session.position and not other:
-                return
+        set_text(self._title, f"History, error of joint {session.joint + 1} [N·m]")
+        self._list.show(*(self._row(k, step) for k, step in enumerate(session.history)))
+
+    def _row(self, k: int, step: ModelStep) -> Markup:
+        session, other = self.workbench.session, self.workbench.view.compared == k
+        shown = [cut_part("grow ellipsis", f"{k + 1}. {step.title}")]
+        if step.errors is not None:
+            trained, unseen = (e[session.joint] for e in (step.errors.train, step.errors.shown))
+            shown.append(part("number muted", f"train {figures(trained)}"))
+            shown.append(part("number", f"{session.error_name} {figures(unseen)}"))
+        if other or k != session.position:
             meaning = "end the comparison" if other else "compare with the step that is shown"
-            look = "size=xs color=accent" if other else "size=xs"
-            acting(icon_button("compare_arrows", f"compare-{k + 1}", meaning, look), f"compare {k}")
+            css = "accent" if other else ""
+            act = f"compare {k}"
+            shown.append(icon_part("compare_arrows", act, meaning, id=f"compare-{k + 1}", css=css))
+        state = "selected" if k == session.position else "undone" if k > session.position else ""
+        return part(f"history-row {state}", *shown, id=f"step-{k + 1}", action=f"show {k}")
+
+
+class Overview(View):
+    """Torque and error of every joint along the recording that is shown; a click selects one."""
+
+    def __init__(self, workbench: Workbench) -> None:
+        super().__init__(workbench)
+        self._pictures: list[Markup] = []
+        with ui.column().classes("panel w-full"):
+            title = "All joints: measured and predicted torque, error below"
+            ui.label(title).classes("panel-title")
+            self._list = Parts("overview", self._select)
+            named(self._list.element, "overview")
+
+    async def _select(self, joint: str) -> None:
+        self.workbench.show(replace(self.workbench.session, joint=int(joint)))
+
+    def update(self) -> None:
+        """Draw the recording."""
+        evaluation, opened = self.workbench.evaluation, self.workbench.opened
+        session = self.workbench.session
+        if evaluation is None or opened is None:
+            return
+        floors = evaluation.errors.noise_floor
+        if self.is_new(evaluation.train, evaluation.test, floors, session.recording):
+            series = series_of(evaluation, opened.recordings[session.recording].name)
+            drawn = enumerate(opened.units)
+            self._pictures = [_joint_svg(series, j, floors[j], unit) for j, unit in drawn]
+        self._list.show(
+            *(
+                part(
+                    f"overview-joint {'selected' if j == session.joint else ''}",
+                    part("small ellipsis", f"{j + 1} {name}"),
+                    picture,
+                    tip=f"joint {j + 1} {name}",
+                    action=str(j),
+                )
+                for j, (name, picture) in enumerate(
+                    zip(opened.joint_names, self._pictures, strict=True)
+                )
+            )
+        )
+
+
+def _joint_svg(series: list[Series], joint: int, floor: float | None, unit: str) -> Markup:
+    """Return a picture of the torque of a joint, and of its error with the noise band."""
+    if not series:
+        return Markup()
+    start, end = series[0].time[0], series[-1].time[-1]
+    size = max(float(np.abs(s.measured[:, joint]).max()) for s in series) or 1.0
+    error = max(float(np.abs(s.error[:, joint]).max()) for s in series) or 1.0
+    band = 14.0 * min((floor or 0.0) / error, 1.0)
+    lines = [f'<rect x="0" width="200" y="{76 - band:.1f}" height="{2 * band:.1f}" fill="{BAND}"/>']
+    for name, colour, width, middle, half in (
+        ("measured", MEASURED, 2.2, 28.0, 26.0 / size),
+        ("predicted", PREDICTED, 1.0, 28.0, 26.0 / size),
+        ("error", ERROR, 0.9, 76.0, 14.0 / error),
+    ):
+        for s in series:
+            t, y = envelope(s.time, getattr(s, name)[:, joint], SMALL_COLUMNS)
+            x = 200.0 * (t - start) / max(end - start, 1e-9)
+            points = np.column_stack([x, middle - half * y]).round(1)
+            line = " ".join(f"{a:g},{b:g}" for a, b in points.tolist())
+            lines.append(
+                f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="{width}"/>'
+            )
+    ranges = f"±{figures(size, digits=2)}, error ±{figures(error, digits=2)} {unit}"
+    lines.append(f'<text x="0" y="102" font-size="13" fill="#52606d">{ranges}</text>')
+    return Markup(f'<svg viewBox="0 0 200 106" width="100%" role="img">{"".join(lines)}</svg>')

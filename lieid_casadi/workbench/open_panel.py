@@ -6,7 +6,7 @@ import contextlib
 import gzip
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path, PurePath
 
@@ -31,6 +31,10 @@ LARGEST_UPLOAD = 4 << 30  # bytes
 RECENT = 6
 #: Options of the command line that are fields of the form.
 OPTIONS = {
+    "tip": "last link (URDF)",
+    "lock": "joints to lock (URDF)",
+    "torque-constants": "torque constants K1,…,Kn [N·m/A]",
+    "units": "units: deg, ms; empty: SI",
     "stiffness": "stiffness K1,…,Kn [N·m/rad], or unknown",
     "damping": "damping D1,…,Dn [N·m·s/rad]",
     "servo": "servo, such as sts3215",
@@ -47,6 +51,7 @@ SIGNALS = {
     "i": "motor currents [A]",
     "qcmd": "commanded positions [rad]",
 }
+IN_SIGHT = 4  # of these options; the others are folded
 HEADER_LINES, HEADER_LENGTH = 1000, 1 << 16
 _DROP = """<script>
 addEventListener('dragover', (event) => event.preventDefault());
@@ -62,20 +67,6 @@ MODES = {
 }
 
 
-@dataclass(frozen=True)
-class _Fields:
-    """The inputs of the form."""
-
-    robot: ui.input
-    mode: ui.select
-    effects: ui.input
-    constants: ui.input
-    units: ui.input
-    tip: ui.input
-    lock: ui.input
-    options: dict[str, ui.input]
-
-
 class OpenPanel(View):
     """A form for the inputs; errors are shown beside the field that they are about."""
 
@@ -86,7 +77,7 @@ class OpenPanel(View):
         with ui.column().classes("panel open-panel") as self._panel:
             with ui.element("div").classes("open-columns"):
                 with ui.column().classes("gap-1 w-full"):
-                    self._fields = self._robot_fields()
+                    self._robot_fields()
                 with ui.column().classes("gap-1 w-full"):
                     self._recording_fields()
                 with ui.column().classes("gap-1 w-full"):
@@ -125,23 +116,19 @@ class OpenPanel(View):
             self._error_place = below
             self._error.move(below)
 
-    def _robot_fields(self) -> _Fields:
+    def _robot_fields(self) -> None:
         ui.label("Robot or fit").classes("panel-title")
         with ui.column().classes("gap-1 w-full") as self._robot_row:
-            robot = named(_field("URDF, MJCF, YAML or fit file, or a bundled name"), "open-robot")
-        with ui.row().classes("w-full no-wrap gap-2"):
-            tip, lock = _field("last link (URDF)"), _field("joints to lock (URDF)")
-        mode = ui.select(MODES, value="missing", label="with a fit").props("dense")
-        named(mode.classes("w-full"), "open-mode")
-        effects = _field("effects; empty: coulomb, viscous, offset, or the fit's")
-        with ui.row().classes("w-full no-wrap gap-2"):
-            constants = named(_field("torque constants K1,…,Kn [N·m/A]"), "open-constants")
-            units = named(_field("units: deg, ms; empty: SI"), "open-units")
+            self._robot = _field("URDF, MJCF, YAML or fit file, or a bundled name", "open-robot")
+        self._mode = ui.select(MODES, value="missing", label="with a fit").props("dense")
+        named(self._mode.classes("w-full"), "open-mode")
+        effects = "effects; empty: coulomb, viscous, offset, or the fit's"
+        self._effects = _field(effects, "open-effects")
+        fields = list(OPTIONS.items())
+        with ui.element("div").classes("field-grid"):
+            self._options = {name: _option_field(name, text) for name, text in fields[:IN_SIGHT]}
         with ui.expansion("commanded positions, datasets").props("dense").classes("w-full"):
-            options = {name: named(_field(text), f"open-{name}") for name, text in OPTIONS.items()}
-        return _Fields(
-            robot, mode, named(effects, "open-effects"), constants, units, tip, lock, options
-        )
+            self._options |= {name: _option_field(name, text) for name, text in fields[IN_SIGHT:]}
 
     def _recording_fields(self) -> None:
         ui.label("Recordings").classes("panel-title")
@@ -164,29 +151,25 @@ class OpenPanel(View):
         """Show what is open, and the sessions that can be restored."""
         inputs = self.workbench.session.inputs
         self._recordings = list(inputs.recordings)
-        self._fields.robot.value = inputs.fit or inputs.robot
-        self._fields.mode.value = inputs.mode
-        self._fields.effects.value = ",".join(inputs.effects)
-        self._fields.constants.value = inputs.torque_constants
-        self._fields.units.value = inputs.units
-        self._fields.tip.value = inputs.tip
-        self._fields.lock.value = " ".join(inputs.lock)
-        for name, field in self._fields.options.items():
-            field.value = dict(inputs.options).get(name, "")
+        self._robot.value = inputs.fit or inputs.robot
+        self._mode.value = inputs.mode
+        self._effects.value = ",".join(inputs.effects)
+        for name, field in self._options.items():
+            field.value = " ".join(dict(inputs.options).get(name, ()))
         self._list_recordings()
         self._recent.clear()
         with self._recent:
-            for saved in saved_sessions()[:RECENT]:
-                if saved.name == self.workbench.name:
+            for name, saved, session in saved_sessions()[:RECENT]:
+                if name == self.workbench.name:
                     continue
-                given = saved.session.inputs
-                when = datetime.fromtimestamp(saved.saved).strftime("%d %b %H:%M")
+                given = session.inputs
+                when = datetime.fromtimestamp(saved).strftime("%d %b %H:%M")
                 names = ", ".join(PurePath(r.path).name for r in given.recordings)
                 robot = PurePath(given.fit or given.robot).name
-                row = ui.item(f"{when}  {robot}: {names}; {saved.session.summary}").props(
-                    "dense clickable"
+                row = ui.item(f"{when}  {robot}: {names}; {session.summary}")
+                row.props("dense clickable").on_click(
+                    lambda session=session: self._restore(session)
                 )
-                row.on_click(lambda session=saved.session: self._restore(session))
                 named(row, "restore-session").classes("history-row small")
 
     async def _restore(self, session: Session) -> None:
@@ -229,7 +212,7 @@ class OpenPanel(View):
         self._list_recordings()
 
     def _set_columns(self, stated: str) -> None:
-        self._fields.options["columns"].value = stated
+        self._options["columns"].value = stated
 
     def _set_role(self, k: int, role: Role) -> None:
         self._recordings[k] = replace(self._recordings[k], role=role)
@@ -247,25 +230,28 @@ class OpenPanel(View):
         if not self._panel.visible:  # they were dropped elsewhere on the page
             self.toggle()
         if target.suffix.lower() in ROBOT_FILES:
-            self._fields.robot.value = str(target)
+            self._robot.value = str(target)
         else:
             self._add(str(target))
 
     async def _open(self) -> None:
-        given = self._fields
-        source = (given.robot.value or "").strip()
+        source = (self._robot.value or "").strip()
         is_fit = Path(source).suffix.lower() == ".json"
+        # options of the command line that the form does not show stay
+        options = [o for o in self.workbench.session.inputs.options if o[0] not in OPTIONS]
+        given = {name: (field.value or "").strip() for name, field in self._options.items()}
+        options += [
+            (name, tuple(text.split()) if name == "lock" else (text,))
+            for name, text in given.items()
+            if text
+        ]
         inputs = WorkbenchInputs(
             robot="" if is_fit else source,
             fit=source if is_fit else "",
-            mode=given.mode.value if is_fit else "missing",
+            mode=self._mode.value if is_fit else "missing",
             recordings=tuple(self._recordings),
-            effects=tuple(e for e in (given.effects.value or "").split(",") if e.strip()),
-            torque_constants=(given.constants.value or "").strip(),
-            units=(given.units.value or "").strip(),
-            options=self._options(),
-            tip=(given.tip.value or "").strip(),
-            lock=tuple((given.lock.value or "").split()),
+            effects=tuple(e for e in (self._effects.value or "").split(",") if e.strip()),
+            options=tuple(options),
         )
         if await self.workbench.open(inputs) and self.workbench.opened is not None:
             if any(r.warnings for r in self.workbench.opened.recordings):
@@ -273,15 +259,13 @@ class OpenPanel(View):
             else:
                 self._panel.set_visibility(False)
 
-    def _options(self) -> tuple[tuple[str, str], ...]:
-        """Return the options of the form, and those of the command line that it does not show."""
-        hidden = [o for o in self.workbench.session.inputs.options if o[0] not in OPTIONS]
-        given = [(name, (f.value or "").strip()) for name, f in self._fields.options.items()]
-        return (*((name, text) for name, text in given if text), *hidden)
+
+def _field(label: str, test_id: str) -> ui.input:
+    return named(ui.input(label).props("dense").classes("w-full"), test_id)
 
 
-def _field(label: str) -> ui.input:
-    return ui.input(label).props("dense").classes("w-full")
+def _option_field(name: str, label: str) -> ui.input:
+    return _field(label, f"open-{name.removeprefix('torque-')}")
 
 
 class _ColumnsDialog:

@@ -11,12 +11,18 @@ from nicegui import ui
 from lieid_casadi.workbench.arm_view import ArmView
 from lieid_casadi.workbench.commands import python_lines, shell_lines
 from lieid_casadi.workbench.effects import EffectsView, FindingsView
-from lieid_casadi.workbench.elements import View, button, icon_button, named, set_text, text
-from lieid_casadi.workbench.error_plots import CorrelationPlot, ResidualPlot, WaterfallView
-from lieid_casadi.workbench.joints import HistoryView, JointsView
+from lieid_casadi.workbench.elements import (
+    KEEP_FOCUS,
+    View,
+    button,
+    icon_button,
+    named,
+    set_text,
+    text,
+)
+from lieid_casadi.workbench.joints import HistoryView, JointsView, Overview
 from lieid_casadi.workbench.open_panel import OpenPanel
-from lieid_casadi.workbench.session import Session
-from lieid_casadi.workbench.torque_plot import Overview, TorquePlot
+from lieid_casadi.workbench.plots import CorrelationPlot, ResidualPlot, TorquePlot, WaterfallView
 from lieid_casadi.workbench.workbench import Workbench
 
 EXPORTS = {
@@ -32,6 +38,7 @@ def build_page(workbench: Workbench, token: str) -> Callable[[], None]:
     """Build the page of a workbench; return the function that updates it."""
     style = resources.files("lieid_casadi.workbench").joinpath("page.css").read_text("utf-8")
     ui.add_css(style)
+    ui.add_body_html(KEEP_FOCUS)
     ui.colors(primary="#0b4f8a")
     address = f"/?token={token}&session={workbench.name}"
     ui.add_head_html(f"<script>history.replaceState(null, '', {address!r})</script>")
@@ -73,8 +80,7 @@ class Toolbar(View):
             button("Open", "open-files-panel", open_panel, outline)
             self._what = text("", "muted grow ellipsis")
             self._spinner = ui.spinner(size="20px")
-            self._undo = self._step("undo", lambda: workbench.session.undone())
-            self._redo = self._step("redo", lambda: workbench.session.redone())
+            self._undo, self._redo = self._step("undo", -1), self._step("redo", 1)
             self._find = button(
                 "Find what is missing", "find-missing", workbench.find_missing,
                 "unelevated color=primary",
@@ -118,9 +124,11 @@ class Toolbar(View):
         self._save_fit.set_enabled(workbench.saving is None)
         self._spinner.set_visibility(workbench.computing)
 
-    def _step(self, name: str, change: Callable[[], Session]) -> ui.button:
+    def _step(self, name: str, by: int) -> ui.button:
         workbench = self.workbench
-        return icon_button(name, name, name, "").on_click(lambda: workbench.apply(change()))
+        return icon_button(name, name, name, "").on_click(
+            lambda: workbench.apply(workbench.session.at(workbench.session.position + by))
+        )
 
     async def _save(self, kind: str) -> None:
         client = self._what.client

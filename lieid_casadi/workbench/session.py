@@ -6,6 +6,7 @@ by their owner alone, and nothing in them is executed.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
@@ -13,7 +14,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -23,9 +24,10 @@ from lieid_casadi.errors import LieidError
 Role = Literal["train", "test"]
 Mode = Literal["missing", "changed"]
 Numbers = tuple[float | None, ...]  # one per joint, None where unknown
+Options = tuple[tuple[str, tuple[str, ...]], ...]
 
 START = "first model"
-SCHEMA = 1
+SCHEMA = 2
 KEPT_DAYS = 30.0
 _NAME = re.compile(r"[0-9a-f]{16}")
 
@@ -42,21 +44,10 @@ class RecordingInput:
 class WorkbenchInputs:
     """What is open on a page.
 
-    Attributes
-    ----------
-    robot : str
-        Path or bundled name; empty if nothing is open.
-    fit : str
-        Path of a fit in place of the robot, empty without one.
-    mode : str
-        ``missing``: the model is fitted to the training recordings. ``changed``: the fit is kept,
-        and all recordings were measured after it.
-    effects : tuple of str
-        Of the first model; of a fit in place of the robot if empty.
-    torque_constants, units : str
-        As on the command line.
-    options : tuple of (str, str)
-        Further options of the command line: name without dashes, and text (``stiffness``, ``12``).
+    ``robot`` is a path or bundled name, ``fit`` the path of a fit in its place. In the mode
+    ``missing`` the model is fitted to the training recordings; in ``changed`` the fit is kept, and
+    all recordings were measured after it. ``effects`` are those of the first model, of the fit if
+    empty. ``options`` are those of the command line: name without dashes, and values.
     """
 
     robot: str = ""
@@ -64,11 +55,7 @@ class WorkbenchInputs:
     mode: Mode = "missing"
     recordings: tuple[RecordingInput, ...] = ()
     effects: tuple[str, ...] = ()
-    torque_constants: str = ""
-    units: str = ""
-    options: tuple[tuple[str, str], ...] = ()
-    tip: str = ""
-    lock: tuple[str, ...] = ()
+    options: Options = ()
 
     @property
     def lacking(self) -> tuple[str, str] | None:
@@ -80,6 +67,11 @@ class WorkbenchInputs:
         if self.mode == "missing" and not self.paths("train"):
             return "no recording to fit; set at least one of them to “fit”", "recordings"
         return None
+
+    @property
+    def words(self) -> list[str]:
+        """The options as words of a command line."""
+        return [word for name, values in self.options for word in (f"--{name}", *values)]
 
     def paths(self, role: Role) -> list[str]:
         """Return the paths of the recordings with this role."""
@@ -114,32 +106,13 @@ def kept_parts(
 
 @dataclass(frozen=True)
 class ProposedEffect:
-    """An effect that a diagnosis found.
+    """An effect that a diagnosis found, such as ``load_friction:2``.
 
-    Attributes
-    ----------
-    label : str
-        ``load_friction:2``.
-    joints : tuple of int
-        From 1; none for effects on the whole arm.
-    joint : int
-        That the effect is listed under, from 0.
-    before, after : float or None
-        Unseen error of that joint without the effect and with it, N·m.
-    selected : float or None
-        Fraction of the searches without a held-out part that contain it.
-    confirmed : bool or None
-        Whether the error on the test falls; None without a test.
-    rivals : tuple of (str, str)
-        Labels of rivals, and their kind, ``exact`` or ``data``.
-    value : str
-        Parameters as text, with deviation and unit.
-    parameters : tuple of (str, float)
-        Names and values of coefficients and shape parameters.
-    status : str
-        ``named``, ``one_of`` or ``shape``.
-    group : int
-        Of the same effect on several joints, from 1; 0 without.
+    It is listed under ``joint``, from 0, of ``joints``, from 1 (none: on the whole arm), whose
+    unseen error is ``before`` and ``after``, N·m. ``selected`` is the fraction of the searches
+    without a held-out part that contain it, ``confirmed`` whether the error on the test falls;
+    ``rivals`` have a label and a kind, ``exact`` or ``data``; ``group`` is that of the same effect
+    on several joints, from 1.
     """
 
     label: str
@@ -160,20 +133,11 @@ class ProposedEffect:
 
 @dataclass(frozen=True)
 class FoundEffects:
-    """Result of a diagnosis.
+    """Result of a diagnosis of a model with ``effects``.
 
-    Attributes
-    ----------
-    effects : tuple of str
-        Of the model that was diagnosed.
-    unexplained : tuple of str
-        Sentences on the unexplained residual.
-    shapes : tuple of (str, float)
-        Labels and values of the shape parameters with all proposed effects.
-    model : tuple of str
-        Effects of the final model; empty if a fit is kept.
-    path : tuple of tuple of float or None
-        Unseen error of every joint after each step, N·m, from the first model to the last.
+    ``unexplained`` are sentences on the residual, ``shapes`` the shape parameters with all
+    proposed effects, ``model`` the effects of the final model (none if a fit is kept), and
+    ``path`` the unseen error of every joint after each step, N·m.
     """
 
     verdict: str
@@ -241,18 +205,9 @@ class ModelStep:
 
 @dataclass(frozen=True)
 class Session:
-    """What a page shows, as it is saved.
+    """What a page shows, as it is saved; steps after ``position`` can be restored.
 
-    Attributes
-    ----------
-    position : int
-        Of the step that is shown; those after it can be restored by `redone`.
-    found : FoundEffects or None
-        Of the last diagnosis.
-    joint, recording : int
-        The selected joint, and the recording that is replayed and plotted, from 0.
-    degrees : bool
-        Whether angles are shown in degrees.
+    ``found`` is the last diagnosis, ``joint`` and ``recording`` are selected, from 0.
     """
 
     inputs: WorkbenchInputs = field(default_factory=WorkbenchInputs)
@@ -307,11 +262,7 @@ class Session:
             return self
         return self._then(replace(self.step, title=title, effects=tuple(effects), errors=None))
 
-    def with_effect(self, label: str) -> Session:
-        """Return the session with an effect added; unchanged if the model has it."""
-        return self.with_added([label])
-
-    def with_added(self, labels: Sequence[str]) -> Session:
+    def with_added(self, *labels: str) -> Session:
         """Return the session with those effects added that the model does not have."""
         assert self.step is not None
         new = [label for label in labels if label not in self.step.effects]
@@ -354,23 +305,13 @@ class Session:
         errors = None if self.step is None else self.step.errors
         if errors is None:
             return self
-        ratios = [
-            error / floor if error and floor else 0.0
-            for error, floor in zip(errors.shown, errors.noise_floor, strict=True)
-        ]
+        both = zip(errors.shown, errors.noise_floor, strict=True)
+        ratios = [error / floor if error and floor else 0.0 for error, floor in both]
         return replace(self, joint=ratios.index(max(ratios)))
 
     def at(self, position: int) -> Session:
         """Return the session at the nearest step of its history."""
         return replace(self, position=min(max(position, 0), max(len(self.history) - 1, 0)))
-
-    def undone(self) -> Session:
-        """Return the session one step back."""
-        return self.at(self.position - 1)
-
-    def redone(self) -> Session:
-        """Return the session one step forward."""
-        return self.at(self.position + 1)
 
     def _then(self, step: ModelStep) -> Session:
         history = (*self.history[: self.position + 1], step)
@@ -385,15 +326,6 @@ class SessionContent(msgspec.Struct, forbid_unknown_fields=True):
     """Content of a file."""
 
     schema: int
-    session: Session
-
-
-@dataclass(frozen=True)
-class SavedSession:
-    """A session on disk: its name, when it was saved (s since 1970), and its content."""
-
-    name: str
-    saved: float
     session: Session
 
 
@@ -438,14 +370,15 @@ def load_session(name: str) -> Session | None:
     Raises
     ------
     SessionFileError
-        The file is damaged, or of another schema.
+        The file is damaged, or of a later schema.
     """
     file = _file(name)
     if not is_name(name) or not file.is_file():
         return None
     try:
-        content = msgspec.json.decode(file.read_bytes(), type=SessionContent)
-    except (msgspec.MsgspecError, UnicodeDecodeError, OSError) as error:
+        stored = msgspec.json.decode(file.read_bytes())
+        content = msgspec.convert(_migrated(stored), SessionContent)
+    except (msgspec.MsgspecError, ValueError, OSError) as error:
         raise SessionFileError(f"{file}: not a saved session ({error})") from error
     if content.schema != SCHEMA:
         raise SessionFileError(f"{file}: schema {content.schema}; expected {SCHEMA}")
@@ -455,8 +388,31 @@ def load_session(name: str) -> Session | None:
     return session
 
 
-def saved_sessions() -> list[SavedSession]:
-    """Return the readable sessions, the last saved first; files older than a month are deleted."""
+def _migrated(content: Any) -> Any:
+    """Return the content of a file of schema 1 as that of schema 2, in which all options are one.
+
+    Other content is returned as it is.
+    """
+    if not isinstance(content, dict) or content.get("schema") != 1:
+        return content
+    with contextlib.suppress(KeyError, TypeError, AttributeError):  # damaged: an error of the type
+        inputs = content["session"]["inputs"]
+        options = [[name, [text]] for name, text in inputs.pop("options", [])]
+        for name in ("torque_constants", "units", "tip", "lock"):
+            stated = inputs.pop(name, None)
+            if stated:
+                values = [stated] if isinstance(stated, str) else stated
+                options.append([name.replace("_", "-"), values])
+        inputs["options"] = options
+        content["schema"] = SCHEMA
+    return content
+
+
+def saved_sessions() -> list[tuple[str, float, Session]]:
+    """Return name, time of saving (s since 1970) and content of readable sessions, latest first.
+
+    Files older than a month are deleted.
+    """
     found = []
     for file in session_folder().glob("*.json"):
         if not (is_name(file.stem) and file.is_file()):  # is_file: not a link to nothing
@@ -466,13 +422,11 @@ def saved_sessions() -> list[SavedSession]:
             file.unlink(missing_ok=True)
             shutil.rmtree(file.with_suffix(""), ignore_errors=True)
             continue
-        try:
+        with contextlib.suppress(SessionFileError):
             session = load_session(file.stem)
-        except SessionFileError:
-            continue
-        if session is not None and session.history:
-            found.append(SavedSession(file.stem, saved, session))
-    return sorted(found, key=lambda each: -each.saved)
+            if session is not None and session.history:
+                found.append((file.stem, saved, session))
+    return sorted(found, key=lambda each: -each[1])
 
 
 def _file(name: str) -> Path:

@@ -11,22 +11,22 @@ from typing import Any
 from lieid_casadi.diagnosis import Proposal
 from lieid_casadi.errors import LieidError
 from lieid_casadi.workbench.arm import ArmMotion
-from lieid_casadi.workbench.evaluation import (
-    EffectCurve,
-    Evaluation,
-    OpenedInputs,
-    SimulationError,
-)
-from lieid_casadi.workbench.recordings import WorkerSetup
+from lieid_casadi.workbench.evaluation import EffectCurve, Evaluation, OpenedInputs, SimulationError
 from lieid_casadi.workbench.session import (
-    FoundEffects,
     ModelStep,
     Numbers,
     Session,
     WorkbenchInputs,
     save_session,
 )
-from lieid_casadi.workbench.worker import Failure, Worker, WorkerError, WorkerStopped
+from lieid_casadi.workbench.worker import (
+    Failure,
+    Task,
+    Worker,
+    WorkerError,
+    WorkerSetup,
+    WorkerStopped,
+)
 
 KEPT_RESULTS = 72  # evaluations, curves and simulations
 PLAY_SECONDS = 0.35  # for which the errors of each model are shown on the way to the last
@@ -36,16 +36,8 @@ PLAY_SECONDS = 0.35  # for which the errors of each model are shown on the way t
 class PlotView:
     """What the plots show; not saved.
 
-    Attributes
-    ----------
-    window : (float, float) or None
-        First and last time that is visible, s; None for the whole recording.
-    selection : (float, float) or None
-        Range of time that the user has selected, s.
-    compared : int or None
-        Position of the step in the history that the current one is compared with.
-    instant : float or None
-        That the arm shows, s.
+    Of the recording: the range of time that is visible (None: all), that is selected, and the
+    instant that the arm shows, s; the position of the step that the current one is compared with.
     """
 
     window: tuple[float, float] | None = None
@@ -59,39 +51,20 @@ class Workbench:
 
     Fits that the user waits for run in one; the search for missing effects, exact fits after quick
     ones and simulations run in the other, which can be stopped.
-
-    Attributes
-    ----------
-    error : str
-        Of the last action, one line; empty if it succeeded.
-    failure : Failure or None
-        Why the last opening failed.
-    started : bool
-        Whether something was opened, or the form was shown.
-    computing : bool
-        Whether a fit that the user waits for is computed.
-    searching, saving : (str, float) or None
-        Stage and fraction of the search, and of the export, that runs.
-    arriving : list of Proposal
-        What the search has found so far.
-    playing : tuple of float or None, or None
-        Errors that are shown on the way to those of a model with several new effects.
-    motion : ArmMotion or None
-        Of the arm along the recording that is shown.
     """
 
     def __init__(self, name: str, setup: WorkerSetup, *, worker: Worker | None = None) -> None:
         self.name = name
         self.session = Session()
         self.opened: OpenedInputs | None = None
-        self.error = ""
-        self.failure: Failure | None = None
-        self.started = False
-        self.computing = True  # until `open` has ended
-        self.searching: tuple[str, float] | None = None
+        self.error = ""  # of the last action, one line
+        self.failure: Failure | None = None  # of the last opening
+        self.started = False  # whether something was opened, or the form was shown
+        self.computing = True  # a fit that the user waits for, until `open` has ended
+        self.searching: tuple[str, float] | None = None  # stage and fraction
         self.saving: tuple[str, float] | None = None
-        self.arriving: list[Proposal] = []
-        self.playing: Numbers | None = None
+        self.arriving: list[Proposal] = []  # what the search has found so far
+        self.playing: Numbers | None = None  # errors on the way to those of a model
         self.view = PlotView()
         self.motion: ArmMotion | None = None
         self._results: dict[tuple[str, object], Any] = {}
@@ -106,8 +79,7 @@ class Workbench:
     @property
     def evaluation(self) -> Evaluation | None:
         """Of the step that is shown; None while it is computed."""
-        found: Evaluation | None = self._result("evaluation", self.session.step)
-        return found
+        return self._result("evaluation", self.session.step)  # type: ignore[no-any-return]
 
     @property
     def compared(self) -> Evaluation | None:
@@ -115,8 +87,7 @@ class Workbench:
         position, history = self.view.compared, self.session.history
         if position is None or position >= len(history) or position == self.session.position:
             return None
-        found: Evaluation | None = self._result("evaluation", history[position])
-        return found
+        return self._result("evaluation", history[position])  # type: ignore[no-any-return]
 
     @property
     def curves(self) -> dict[str, EffectCurve]:
@@ -126,8 +97,7 @@ class Workbench:
     @property
     def simulation(self) -> SimulationError | None:
         """Simulation error of the step that is shown; None until computed."""
-        found: SimulationError | None = self._result("simulate", self.session.step)
-        return found
+        return self._result("simulate", self.session.step)  # type: ignore[no-any-return]
 
     def _result(self, kind: str, step: ModelStep | None) -> Any:
         return None if step is None else self._results.get((kind, step.key))
@@ -163,7 +133,7 @@ class Workbench:
         for listener in list(self._listeners):
             listener()
 
-    def background(self, work: Coroutine[Any, Any, None]) -> None:
+    def background(self, work: Coroutine[Any, Any, object]) -> None:
         """Run a coroutine beside what the user does."""
         task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
@@ -193,12 +163,22 @@ class Workbench:
         With a saved session of these inputs, its history is restored.
         """
         self.stop()
-        opened = await self._opened(inputs)
+        self.computing, self.error, self.failure = True, "", None
+        self.changed()
+        opened: OpenedInputs | None = None
+        try:
+            if inputs.lacking is not None:
+                raise WorkerError(Failure(*inputs.lacking))
+            opened = await self._front.request("opened", inputs)
+        except WorkerError as error:
+            self.failure = error.failure
+        except WorkerStopped:
+            pass
+        self.computing = opened is not None
+        self.changed()
         if opened is None:
             return False
-        self.opened, self.motion = opened, None
-        self._results = {}
-        self.view = PlotView()
+        self.opened, self.motion, self.view, self._results = opened, None, PlotView(), {}
         self.session = saved or self.session.opened(inputs, opened.effects)
         await self._evaluate()
         if saved is None:
@@ -223,20 +203,15 @@ class Workbench:
         if session.inputs.mode == "changed":
             await self.apply(session.with_changes(chosen))
             return
-        whole = len(chosen) == len(found.proposed) and session.step.effects == found.effects
-        if whole and found.model:  # the diagnosis' own fit
-            count = len(chosen)
-            title = f"+ {chosen[0].label}" if count == 1 else f"+ all {count} effects found"
-            self.playing = found.path[0] if found.path else None
-            await self.apply(session.with_effects(title, found.model))
-            await self._play(found)
-        else:
-            known = {p.label for p in chosen}
-            rivals = [label for label in labels if label not in known]
-            await self.apply(session.with_added([*(p.label for p in chosen), *rivals]))
-
-    async def _play(self, found: FoundEffects) -> None:
-        """Show the errors of the models between the first and the last one."""
+        if not (
+            found.model and chosen == list(found.proposed) and session.step.effects == found.effects
+        ):
+            await self.apply(session.with_added(*labels))
+            return
+        count = len(chosen)  # all of them: the diagnosis' own fit
+        title = f"+ {chosen[0].label}" if count == 1 else f"+ all {count} effects found"
+        self.playing = found.path[0] if found.path else None
+        await self.apply(session.with_effects(title, found.model))
         for errors in found.path[1:-1]:
             self.playing = errors
             self.changed()
@@ -259,28 +234,19 @@ class Workbench:
         step, inputs = self.session.step, self.session.inputs
         if step is None or self.searching is not None:
             return
-        self.error, self.searching, self.arriving = "", ("start", 0.0), []
-        self.changed()
-        try:
-            found, content = await self._back.request(
-                "find",
-                inputs,
-                step=step,
-                processing=self.evaluation and self.evaluation.processing,
-                progress=self._search_reports,
-                found=self._arrived,
-            )
-            if self.session.inputs is inputs:
-                self.session = replace(self.session, found=found)
-                self._save()
-                if found.proposed and content:
-                    self.background(self._adopt(replace(step, effects=found.model), content))
-        except WorkerStopped:
-            pass
-        except LieidError as error:
-            self.error = str(error)
-        self.searching = None
-        self.changed()
+        self.error, self.arriving = "", []
+        processing = self.evaluation and self.evaluation.processing
+        options = {"processing": processing, "found": self._arrived}
+        made = await self._long("searching", self._back, "find", step, **options)
+        if made is not None and self.session.inputs is inputs:
+            found, content = made
+            self.session = replace(self.session, found=found)
+            self._save()
+            if found.proposed and content:  # its fit is kept until its effects are added
+                final = replace(step, effects=found.model)
+                adopted = self._follow(self._front, "adopt", final, content=content)
+                self.background(adopted)
+            self.changed()
         await self._simulate()
 
     def stop(self) -> None:
@@ -293,17 +259,10 @@ class Workbench:
         step = self.session.step
         if step is None or self.saving is not None:
             return None
-        self.error, self.saving = "", ("start", 0.0)
-        self.changed()
-        made: tuple[str, bytes] | None = None
-        try:
-            made = await self._front.request(
-                "save", self.session.inputs, step=step, kind=kind, progress=self._save_reports
-            )
-        except LieidError as error:
-            self.error = str(error)
-        self.saving = None
-        self.changed()
+        self.error = ""
+        made: tuple[str, bytes] | None = await self._long(
+            "saving", self._front, "save", step, kind=kind
+        )
         return made
 
     def close(self) -> None:
@@ -314,34 +273,34 @@ class Workbench:
 
     # -- computations
 
-    def _search_reports(self, stage: str, fraction: float) -> None:
-        self.searching = stage, fraction
-        self.changed()
+    async def _long(
+        self, name: str, worker: Worker, task: Task, step: ModelStep, **options: Any
+    ) -> Any:
+        """Return the result of long work, whose progress is the attribute ``name``.
 
-    def _save_reports(self, stage: str, fraction: float) -> None:
-        self.saving = stage, fraction
+        None if it is stopped or, with ``error``, fails.
+        """
+
+        def reports(stage: str, fraction: float) -> None:
+            setattr(self, name, (stage, fraction))
+            self.changed()
+
+        reports("start", 0.0)
+        made = None
+        try:
+            inputs = self.session.inputs
+            made = await worker.request(task, inputs, step=step, progress=reports, **options)
+        except WorkerStopped:
+            pass
+        except LieidError as error:
+            self.error = str(error)
+        setattr(self, name, None)
         self.changed()
+        return made
 
     def _arrived(self, proposal: Proposal) -> None:
         self.arriving.append(proposal)
         self.changed()
-
-    async def _opened(self, inputs: WorkbenchInputs) -> OpenedInputs | None:
-        """Return what was opened; None, with ``failure``, if it cannot be."""
-        self.computing, self.error, self.failure = True, "", None
-        self.changed()
-        opened: OpenedInputs | None = None
-        try:
-            if inputs.lacking is not None:
-                raise WorkerError(Failure(*inputs.lacking))
-            opened = await self._front.request("opened", inputs)
-        except WorkerError as error:
-            self.failure = error.failure
-        except WorkerStopped:
-            pass
-        self.computing = opened is not None
-        self.changed()
-        return opened
 
     async def _evaluate(self) -> None:
         """Fit the step that is shown, quickly; the rest follows in the background."""
@@ -385,14 +344,6 @@ class Workbench:
             return None
         return made
 
-    async def _adopt(self, step: ModelStep, content: bytes) -> None:
-        """Keep the fit of a diagnosis, and its evaluation, until its effects are added."""
-        inputs = self.session.inputs
-        with contextlib.suppress(LieidError):  # otherwise they are fitted when they are added
-            made = await self._front.request("adopt", inputs, step=step, content=content)
-            if self.session.inputs is inputs:
-                self._keep("evaluation", step, made)
-
     async def _complete(self, step: ModelStep, shown: Evaluation) -> None:
         """Compute what a quick evaluation of a step left out, then what follows an exact fit.
 
@@ -429,13 +380,13 @@ class Workbench:
             if not await self._follow(self._back, "simulate", step):
                 return
 
-    async def _follow(self, worker: Worker, kind: Any, step: ModelStep, **options: Any) -> bool:
+    async def _follow(self, worker: Worker, task: Task, step: ModelStep, **options: Any) -> bool:
         """Compute what the page is complete without, and show it; what fails is left out."""
-        inputs = self.session.inputs
-        if self._result(kind, step) is not None:
+        inputs, kind = self.session.inputs, "evaluation" if task == "adopt" else task
+        if task != "adopt" and self._result(kind, step) is not None:
             return True
         with contextlib.suppress(LieidError):
-            made = await worker.request(kind, inputs, step=step, **options)
+            made = await worker.request(task, inputs, step=step, **options)
             if self.session.inputs is inputs:
                 self._keep(kind, step, made)
                 return True

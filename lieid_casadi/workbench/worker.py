@@ -16,14 +16,31 @@ from dataclasses import dataclass
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from lieid_casadi.errors import LieidError, RecordingError
-from lieid_casadi.workbench.recordings import WorkerSetup
 from lieid_casadi.workbench.session import WorkbenchInputs
+
+if TYPE_CHECKING:
+    from lieid_casadi.identification import Fit
+    from lieid_casadi.recording import Recording
+    from lieid_casadi.robot import Robot
 
 Task = Literal["opened", "evaluate", "find", "adopt", "motion", "curves", "simulate", "save"]
 Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class WorkerSetup:
+    """What a worker process runs with: picklable functions of the command line.
+
+    ``prepare`` is called once, before anything is opened: it loads the user's file of effects.
+    ``robot`` and ``read`` load the robot and the recordings of inputs with all of their options.
+    """
+
+    prepare: Callable[[], None]
+    robot: Callable[[WorkbenchInputs], Robot]
+    read: Callable[[WorkbenchInputs, Robot | Fit], list[Recording]]
 
 
 @dataclass(frozen=True)
@@ -112,17 +129,10 @@ class Worker:
         found: Callable[[Any], None] | None = None,
         **arguments: Any,
     ) -> Any:
-        """Return the result of a task.
+        """Return the result of a task; raises `WorkerError` or `WorkerStopped`.
 
         ``progress`` is called with the stage and fraction, ``found`` with what was found, both in
         this thread.
-
-        Raises
-        ------
-        WorkerError
-            It failed; the text says why.
-        WorkerStopped
-            `stop` was called.
         """
         self.start()
         assert self._pipe is not None
@@ -202,8 +212,10 @@ def _run(pipe: Connection, setup: WorkerSetup) -> None:
             reply = failure and _Reply(request.number, "error", failure)
             try:
                 if reply is None and (state is None or state.inputs != request.inputs):
+                    from lieid_casadi.workbench.computation import Computation
+
                     state = None  # its memory is free before the next inputs are read
-                    state = _opened(setup, request.inputs)
+                    state = Computation(setup, request.inputs)
                 reply = reply or _Reply(request.number, "result", _answer(state, request, pipe))
             except Exception as error:  # noqa: BLE001 - the outermost frame of this process
                 reply = _Reply(request.number, "error", _failure(error))
@@ -219,12 +231,6 @@ def _prepared(setup: WorkerSetup) -> Failure | None:
     except Exception as error:  # noqa: BLE001 - reported with every request
         return _failure(error)
     return None
-
-
-def _opened(setup: WorkerSetup, inputs: WorkbenchInputs) -> Any:
-    from lieid_casadi.workbench.computation import Computation
-
-    return Computation(setup, inputs)
 
 
 def _answer(state: Any, request: _Request, pipe: Connection) -> Any:

@@ -7,8 +7,7 @@ import pytest
 
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import UsageError
-from lieid_casadi.workbench.application import AccessControl
-from lieid_casadi.workbench.server import ServerOptions, listening_socket
+from lieid_casadi.workbench.server import AccessControl, ServerOptions, listening_socket
 
 TOKEN, HOST = "secret-token", "127.0.0.1:8765"
 COOKIE = f"lieid-workbench-8765={TOKEN}"

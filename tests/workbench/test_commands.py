@@ -14,8 +14,8 @@ from lieid_casadi.cli.main import build_parser, main
 from lieid_casadi.cli.workbench import inputs_of, load_robot, read_recordings
 from lieid_casadi.workbench.commands import python_lines, shell_lines
 from lieid_casadi.workbench.computation import Computation
-from lieid_casadi.workbench.recordings import WorkerSetup
 from lieid_casadi.workbench.session import Session
+from lieid_casadi.workbench.worker import WorkerSetup
 
 STIFFNESS, DAMPING = np.array([300.0, 200.0]), np.array([4.0, 2.5])
 
@@ -43,14 +43,14 @@ def shown(words):
     args = build_parser().parse_args(["workbench", *words])
     setup = WorkerSetup(
         prepare=functools.partial(int),
-        robot=functools.partial(load_robot, args),
-        read=functools.partial(read_recordings, args),
+        robot=load_robot,
+        read=read_recordings,
     )
     inputs = inputs_of(args)
     computation = Computation(setup, inputs)
     session = Session().opened(inputs, computation.opened().effects)
     computation.evaluate(session.step, quick=True, shapes={}, report=ignored)
-    session = replace(session.with_effect("load_friction:1"), recording=0).excluding(3.123, 4.5)
+    session = replace(session.with_added("load_friction:1"), recording=0).excluding(3.123, 4.5)
     evaluation = computation.evaluate(session.step, quick=False, shapes={}, report=ignored)
     return session, evaluation, computation.fit(session.step, ignored)
 

@@ -13,11 +13,11 @@ import lieid_casadi as lieid
 from lieid_casadi.errors import UsageError
 from lieid_casadi.simulation import window_drift
 from lieid_casadi.workbench.arm import TRIANGLE, arm_meshes, arm_motion, stl_bytes
-from lieid_casadi.workbench.computation import Computation
-from lieid_casadi.workbench.error_plots import errors_over_signals
-from lieid_casadi.workbench.recordings import WorkerSetup, recording_titles, used_parts
+from lieid_casadi.workbench.computation import Computation, recording_titles, used_parts
+from lieid_casadi.workbench.evaluation import series_of
+from lieid_casadi.workbench.plots import errors_over_signals, torque_lines
 from lieid_casadi.workbench.session import ProposedEffect, RecordingInput, Session, WorkbenchInputs
-from lieid_casadi.workbench.torque_plot import series_of, torque_lines
+from lieid_casadi.workbench.worker import WorkerSetup
 
 
 def robot(inputs):
@@ -25,7 +25,10 @@ def robot(inputs):
 
 
 def read(inputs, source):
-    return [lieid.Recording.load(r.path, units=inputs.units) for r in inputs.recordings]
+    return [
+        lieid.Recording.load(r.path, units=dict(inputs.options).get("units", ("",))[0])
+        for r in inputs.recordings
+    ]
 
 
 def ignored(stage, fraction):
@@ -68,27 +71,27 @@ def test_errors_are_those_of_identify_and_compare(computation, first, two_link_f
     np.testing.assert_allclose(shown.errors.noise_floor, lieid.compare(fit, test).noise_floor)
     assert "systematic; “Find what is missing” searches" in shown.sentence  # a button of the page
     larger = lieid.identify(model.with_effect("load_friction:1"), train, processing=fit.processing)
-    shown = evaluate(computation, first.with_effect("load_friction:1"))
+    shown = evaluate(computation, first.with_added("load_friction:1"))
     np.testing.assert_allclose(shown.errors.shown, lieid.compare(larger, test).rms_moving)
 
 
 def test_a_quick_fit_holds_shapes_and_the_exact_one_replaces_it(inputs, first):
     computation = Computation(SETUP, inputs)
     evaluate(computation, first)
-    session = first.with_effect("stribeck:1")
+    session = first.with_added("stribeck:1")
     quick = evaluate(computation, session, quick=True)
     exact = evaluate(computation, session)
     assert not quick.exact
     assert exact.exact
     assert exact.errors.train[0] <= quick.errors.train[0] * (1 + 1e-9)
-    assert evaluate(computation, session, quick=True) is exact
+    assert evaluate(computation, session, quick=True).exact  # its fit is kept
 
 
 def test_a_quick_result_leaves_out_what_takes_longer_than_the_fit(inputs, first):
     computation = Computation(SETUP, inputs)
     begun = evaluate(computation, first, quick=True)
     assert begun.complete  # the first model has no noise floor before it
-    session = first.with_effect("load_friction:1")
+    session = first.with_added("load_friction:1")
     quick = evaluate(computation, session, quick=True)
     whole = evaluate(computation, session)
     assert (quick.exact, quick.complete, whole.complete) == (True, False, True)
@@ -194,8 +197,8 @@ def test_lines_keep_the_extremes_of_every_pixel(computation, first, inputs):
     title = recording_titles(inputs)[1]
     series = series_of(evaluate(computation, first), title)
     lines = torque_lines(series, 0, (0.0, 18.0), 40)
-    assert len(lines.measured) <= 2 * 41
-    values = [y for _, y in lines.measured]
+    assert len(lines["measured"]) <= 2 * 41
+    values = [y for _, y in lines["measured"]]
     assert max(values) == pytest.approx(series[0].measured[:, 0].max(), abs=1e-5)
     assert min(values) == pytest.approx(series[0].measured[:, 0].min(), abs=1e-5)
     panels = errors_over_signals(series, 0, (2.0, 5.0), degrees=True)

@@ -29,7 +29,6 @@ def evaluation(*, exact, complete, series):
         test=None,
         sentence="",
         effects=(),
-        warnings=(),
         shapes={},
         cutoff=10.0,
     )
@@ -90,7 +89,7 @@ async def settle():
 def test_the_same_process_adds_what_a_linear_fit_left_out(page):
     async def run():
         workbench, shown = page()
-        await workbench.apply(workbench.session.with_effect("viscous:1"))
+        await workbench.apply(workbench.session.with_added("viscous:1"))
         await settle()
         assert not workbench.computing
         assert shown[-1] == (True, False, "quick series")
@@ -107,7 +106,7 @@ def test_the_same_process_adds_what_a_linear_fit_left_out(page):
 def test_the_other_process_fits_shapes_exactly(page):
     async def run():
         workbench, shown = page()
-        await workbench.apply(workbench.session.with_effect("stribeck:1"))
+        await workbench.apply(workbench.session.with_added("stribeck:1"))
         await settle()
         assert shown[-1] == (False, False, "quick series")
         workbench._back.go.set()
@@ -121,9 +120,9 @@ def test_the_other_process_fits_shapes_exactly(page):
 def test_a_result_that_lands_after_undo_belongs_to_its_step(page):
     async def run():
         workbench, shown = page()
-        await workbench.apply(workbench.session.with_effect("viscous:1"))
+        await workbench.apply(workbench.session.with_added("viscous:1"))
         await settle()
-        await workbench.apply(workbench.session.undone())
+        await workbench.apply(workbench.session.at(0))
         await settle()
         before = workbench.evaluation
         workbench._front.go.set()
@@ -132,7 +131,7 @@ def test_a_result_that_lands_after_undo_belongs_to_its_step(page):
         assert before is not workbench._results["evaluation", added.key]
         assert workbench._results["evaluation", added.key].complete
         assert added.errors.noise_floor == (0.1,)
-        await workbench.apply(workbench.session.redone())
+        await workbench.apply(workbench.session.at(1))
         assert shown[-1] == (True, True, "quick series")
         assert workbench._front.asked.count(("quick", "viscous:1")) == 1
 
@@ -161,7 +160,7 @@ def test_a_busy_process_is_not_asked_to_simulate(page):
 def test_the_step_that_is_shown_meanwhile_is_simulated_next_and_each_once(page):
     async def run():
         workbench, _ = page()
-        one, two = workbench.session, workbench.session.with_effect("viscous:1")
+        one, two = workbench.session, workbench.session.with_added("viscous:1")
         simulating(workbench, one.step, two.step)
         workbench._back.meanwhile = lambda: setattr(workbench, "session", two)
         for _ in range(2):
@@ -209,7 +208,7 @@ def test_all_effects_are_added_with_the_fit_of_the_diagnosis(page):
         assert workbench._front.asked == []  # no further fit
         assert workbench.session.step.effects == model
         assert list(dict.fromkeys(played)) == [(1.0,), (0.5,), None]
-        await workbench.apply(workbench.session.undone())
+        await workbench.apply(workbench.session.at(0))
         await workbench.add_found(["stribeck:1"])
         assert workbench.session.step.effects == (*first.effects, "stribeck:1")
 
