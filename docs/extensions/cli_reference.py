@@ -23,6 +23,8 @@ stdout; progress and notices go to stderr, and only if it is a terminal.
      - bad input or usage: one line on stderr, and nothing is written
    * - 3
      - no solution (infeasible or not converged), with the reason and what to relax
+   * - 4
+     - robot and recording do not belong together (``--despite-check`` continues)
    * - 5, 6, 7
      - ``lieid fleet --exit-code``: a new alarm, arms that have not recorded, both
    * - 130

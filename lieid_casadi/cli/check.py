@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.options import Command, option, several
+from lieid_casadi.cli.options import Command
 from lieid_casadi.errors import LieidError, PremiseError
 
 if TYPE_CHECKING:
@@ -15,11 +15,9 @@ if TYPE_CHECKING:
     from lieid_casadi.premises import PremiseCheck
     from lieid_casadi.recording import Recording
     from lieid_casadi.robot import Robot
+    from lieid_casadi.tables import Table
 
 WRONG = 4  # exit status
-DESPITE_CHECK = option(
-    "--despite-check", "continue although robot and recordings do not belong together"
-)
 
 
 def run(args: argparse.Namespace) -> output.Outcome:
@@ -32,14 +30,9 @@ def run(args: argparse.Namespace) -> output.Outcome:
     test = inputs.recordings_of(args.test, args, source)
     with output.progress("check") as report:
         found = check(source, recordings, test=test, progress=report)
-
-    def show() -> None:
-        print_check(found)
-        for premise, why in found.not_checkable:
-            output.say(f"Not checked: {premise} ({why}).")
-
+    unchecked = [f"Not checked: {premise} ({why})." for premise, why in found.not_checkable]
     status = WRONG if found.verdict == "wrong" else 0
-    return output.Outcome(show, json=found.to_dict(), status=status)
+    return output.Outcome((*shown(found), *unchecked), json=found.to_dict(), status=status)
 
 
 COMMANDS = (
@@ -51,8 +44,10 @@ COMMANDS = (
         "certainly wrong.",
         (
             *options.ROBOT_OR_FIT,
-            several("recordings REC", "recordings of one arm"),
-            several("--test T", "recordings to test a fit on: whether they are another motion"),
+            """
+            recordings REC …: input  recordings of one arm
+            --test T …: input  recordings to test a fit on: whether they are another motion
+            """,
             *options.RECORDING,
             options.JSON,
         ),
@@ -84,7 +79,7 @@ def premises_of(
     except LieidError:  # too short for this test; the command says what it lacks
         return []
     if found.findings:
-        print_check(found)
+        output.show(*shown(found))
     if found.verdict == "wrong" and not args.despite_check:
         names = ", ".join(f.premise for f in found.findings if f.certain)
         raise PremiseError(
@@ -94,9 +89,7 @@ def premises_of(
     return [finding.to_dict() for finding in found.findings]
 
 
-def print_check(found: PremiseCheck) -> None:
-    """Print the verdict, the findings, and the errors without and with each correction."""
-    output.say(found.sentence)
-    for finding in found.findings:
-        output.say(f"  {'!!' if finding.certain else '!'} {finding.sentence}")
-    output.show(found.table)
+def shown(found: PremiseCheck) -> tuple[str | Table, ...]:
+    """Return the verdict, the findings, and the errors without and with each correction."""
+    findings = (f"  {'!!' if f.certain else '!'} {f.sentence}" for f in found.findings)
+    return (found.sentence, *findings, found.table)

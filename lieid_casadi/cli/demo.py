@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lieid_casadi.cli import options, output
-from lieid_casadi.cli.option_types import InputPath
-from lieid_casadi.cli.options import Command, option
-from lieid_casadi.tables import make_table
+from lieid_casadi.cli.options import Command
+from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.demo import Demo
@@ -24,8 +23,13 @@ def run(args: argparse.Namespace) -> output.Outcome:
     with output.progress("demo") as report:
         demo = run_demo(Robot.load(args.robot), seed=args.seed, progress=report)
     return output.Outcome(
-        lambda: show(demo, folder),
-        json=content(demo),
+        shown(demo, folder),
+        json={
+            "excitation": demo.excitation.to_dict(),
+            "before": {"effects": demo.fit.model.effects, **demo.comparison.to_dict()},
+            "diagnosis": demo.diagnosis.to_dict(),
+            "after": {"effects": demo.better.model.effects, **demo.better_comparison.to_dict()},
+        },
         folder=lambda: write(demo, folder, force=args.force),
     )
 
@@ -37,9 +41,12 @@ COMMANDS = (
         "Run the whole workflow on a simulated arm: excitation, identification, comparison, "
         "diagnosis, C code.",
         (
-            *options.output_folder("lieid-demo"),
-            option("--robot ROBOT", "robot to simulate", InputPath, "panda"),
-            options.random_seed("random seed"),
+            "-o/--output DIR: folder = lieid-demo  folder to write",
+            options.FORCE,
+            """
+            --robot ROBOT: input = panda  robot to simulate
+            --seed N: seed = 0  random seed
+            """,
             options.JSON,
         ),
         run,
@@ -70,48 +77,21 @@ def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
         export(demo.better, fresh / "c", to="c")
 
 
-def content(demo: Demo) -> dict[str, Any]:
-    """Return the results of the demo as JSON content."""
-    return {
-        "excitation": demo.excitation.to_dict(),
-        "before": {"effects": demo.fit.model.effects, **demo.comparison.to_dict()},
-        "diagnosis": demo.diagnosis.to_dict(),
-        "after": {"effects": demo.better.model.effects, **demo.better_comparison.to_dict()},
-    }
-
-
-def show(demo: Demo, folder: Path) -> None:
-    """Print the excitation, the verdict, and the error per joint before and after."""
+def shown(demo: Demo, folder: Path) -> tuple[str | Table, ...]:
+    """Return the excitation, the verdict, and the error per joint before and after."""
     before, after = demo.comparison, demo.better_comparison
-    output.say(
+    joints = [f"{j} {name}" for j, name in enumerate(before.joint_names, start=1)]
+    numbers = (before.rms_moving, after.rms_moving, demo.diagnosis.noise_floor, after.torque_rms)
+    errors = make_table(
+        "RMS error on a run that was not fitted, joints in motion, N·m",
+        ["joint", "+".join(demo.fit.model.effects), "diagnosed", "noise floor", "measured torque"],
+        zip(joints, *(x.tolist() for x in numbers), strict=True),
+    )
+    return (
         f"Excitation: condition number {demo.excitation.condition_number:.3g}, "
-        f"{demo.excitation.duration:.0f} s."
-    )
-    output.say(demo.diagnosis.sentence)
-    rows: list[list[object]] = [
-        [
-            f"{j + 1} {name}",
-            float(before.rms_moving[j]),
-            float(after.rms_moving[j]),
-            float(demo.diagnosis.noise_floor[j]),
-            float(after.torque_rms[j]),
-        ]
-        for j, name in enumerate(before.joint_names)
-    ]
-    output.show(
-        make_table(
-            "RMS error on a run that was not fitted, joints in motion, N·m",
-            [
-                "joint",
-                "+".join(demo.fit.model.effects),
-                "diagnosed",
-                "noise floor",
-                "measured torque",
-            ],
-            rows,
-        )
-    )
-    output.say(
+        f"{demo.excitation.duration:.0f} s.",
+        demo.diagnosis.sentence,
+        errors,
         f"The report is {folder}/report.html; {folder} also has the excitation, recordings, fits "
-        "and C code."
+        "and C code.",
     )

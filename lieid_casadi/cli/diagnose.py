@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.check import DESPITE_CHECK, premises_of
-from lieid_casadi.cli.option_types import part
-from lieid_casadi.cli.options import Command, option, several
-from lieid_casadi.errors import UsageError
+from lieid_casadi.cli.check import premises_of
+from lieid_casadi.cli.options import Command
+from lieid_casadi.errors import LieidWarning, UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis import Diagnosis, DiagnosisOptions, Proposal
+    from lieid_casadi.tables import Table
 
 
 def run(args: argparse.Namespace) -> output.Outcome:
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     changed = inputs.is_fit(args) and not args.train
     diagnosis, premises = _changed(args) if changed else _missing(args)
     return output.Outcome(
-        lambda: print_diagnosis(diagnosis),
+        tuple(shown(diagnosis)),
         fit=diagnosis.fit,
         json=diagnosis.to_dict() | {"premises": premises},
         html=lambda: diagnosis_report(diagnosis),
@@ -39,18 +39,13 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
 #: Options of a search for missing effects; what has changed is judged with the model of the fit.
 ONLY_WITH_TRAIN = (
-    options.TIP,
-    options.LOCK,
-    option(
-        "--method",
-        "ordinary, weighted or robust least squares",
-        default="wls",
-        choices=("ols", "wls", "robust"),
-    ),
-    option("--interactive", "ask before each effect is added"),
-    options.effects(None),
-    options.MOTOR_SIDE,
-    *options.PROCESSING,
+    options.TIP_AND_LOCK,
+    """
+    --method {ols,wls,robust} = wls  ordinary, weighted or robust least squares
+    --interactive  ask before each effect is added
+    """,
+    options.EFFECTS_BY_RECORDING,
+    options.PROCESSING,
 )
 COMMANDS = (
     Command(
@@ -60,25 +55,20 @@ COMMANDS = (
         "effects of its model) or what has changed since a fit (FIT REC…).",
         (
             options.ROBOT_OR_FIT[0],
-            several(
-                "recordings REC",
-                "with a FIT and without --train: recordings measured since the fit",
-                nargs="*",
-            ),
-            several("--train A", "recordings to fit"),
-            several("--test B", options.TEST),
-            options.random_seed("stated in the result; a diagnosis draws no random numbers"),
-            option(
-                "--worth PART",
-                "least relative fall of a joint's held-out error that is a finding; default: 0.03 "
-                "for missing effects, 0.1 of the error for changes since a fit",
-                part,
-            ),
-            options.output_file("fit.json", "write the fit with the effects that were found"),
-            options.plot("draw the error after each step"),
+            """
+            recordings [REC …]: input  with a FIT and without --train: recordings measured since the
+                fit
+            --train A …: input  recordings to fit
+            --test B …: input  recordings to test on, which are not fitted
+            --seed N: seed = 0  stated in the result; a diagnosis draws no random numbers
+            --worth PART: part  least relative fall of a joint's held-out error that is a finding;
+                default: 0.03 for missing effects, 0.1 of the error for changes since a fit
+            -o/--output fit.json: output  write the fit with the effects that were found
+            --plot FILE: picture  draw the error after each step
+            """,
             *ONLY_WITH_TRAIN,
             *options.RECORDING,
-            DESPITE_CHECK,
+            options.DESPITE_CHECK,
             options.JSON,
             options.HTML,
         ),
@@ -135,8 +125,7 @@ def _changed(args: argparse.Namespace) -> tuple[Diagnosis, list[dict[str, Any]]]
             f"{args.robot}: a fit; expected the recordings measured since (lieid diagnose FIT "
             "REC…), or --train A… for the effects that its model lacks"
         )
-    names = [name for each in ONLY_WITH_TRAIN if (name := each.given(args))]
-    if names:
+    if names := options.given(ONLY_WITH_TRAIN, args):
         raise UsageError(
             f"{', '.join(names)}: without --train, model and filter are those of the fit; "
             "expected --train A… too, or the command without this option"
@@ -166,7 +155,7 @@ def _asker() -> Callable[[Proposal], bool]:
         )
 
     def ask(proposal: Proposal) -> bool:
-        output.say(
+        output.show(
             f"{proposal.label}: held-out error on joint {proposal.joint + 1} falls from "
             f"{proposal.before:.4g} to {proposal.after:.4g} N·m. Add it? [Y/n]"
         )
@@ -175,22 +164,18 @@ def _asker() -> Callable[[Proposal], bool]:
     return ask
 
 
-def print_diagnosis(diagnosis: Diagnosis) -> None:
-    """Print the verdict, the errors of all models, rivals, and rejected candidates."""
-    from lieid_casadi.diagnosis.result import (
-        alias_sentence,
-        evidence_table,
-        rejected_table,
-    )
+def shown(diagnosis: Diagnosis) -> Iterator[str | Table | LieidWarning]:
+    """Yield the verdict, the errors of all models, rivals, and rejected candidates."""
+    from lieid_casadi.diagnosis.result import alias_sentence, evidence_table, rejected_table
 
-    for line in diagnosis.sentences:
-        output.say(line)
-    output.show(diagnosis.error_table(), evidence_table(diagnosis))
+    yield from diagnosis.sentences
+    yield diagnosis.error_table()
+    yield evidence_table(diagnosis)
     if diagnosis.steps:
-        output.say("lieid effects NAME describes an effect and what it is confused with.")
+        yield "lieid effects NAME describes an effect and what it is confused with."
         if diagnosis.mode == "missing":
             effects = ",".join(diagnosis.fit.model.effects)
-            output.say(f"The model with these effects: --effects '{effects}'")
-    output.show(rejected_table(diagnosis))
-    output.say(f"{diagnosis.tried} candidates were tried. {alias_sentence(diagnosis)}".rstrip())
-    output.show_warnings(diagnosis.warnings)
+            yield f"The model with these effects: --effects '{effects}'"
+    yield rejected_table(diagnosis)
+    yield f"{diagnosis.tried} candidates were tried. {alias_sentence(diagnosis)}".rstrip()
+    yield from diagnosis.warnings

@@ -6,8 +6,8 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import options, output
-from lieid_casadi.cli.options import Command, option
-from lieid_casadi.tables import make_table
+from lieid_casadi.cli.options import Command
+from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.effects import Effect
@@ -19,25 +19,23 @@ def run(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.effects.description import describe
     from lieid_casadi.effects.registry import REGISTER
 
-    labels = sorted(REGISTER) if args.name is None else [args.name]
-    effects = [make(label) for label in labels]
-
-    def show() -> None:
-        if args.name is not None:
-            facts = [("effect", args.name), *describe(effects[0])]
-            facts.append(("documentation", f"effects/{effects[0].name}.html"))
-            width = max(len(name) for name, _ in facts) + 2
-            output.say("\n".join(f"{name:<{width}}{text}" for name, text in facts))
-            return
-        output.show(
-            make_table(
-                f"{len(effects)} effects and options (lieid effects NAME describes one)",
-                ("effect", "torque on the joint", "coefficients"),
-                [(effect.label, effect.formula, _names(effect)) for effect in effects],
-            )
+    effects = [make(label) for label in (sorted(REGISTER) if args.name is None else [args.name])]
+    shown: str | Table
+    if args.name is None:
+        shown = make_table(
+            f"{len(effects)} effects and options (lieid effects NAME describes one)",
+            ("effect", "torque on the joint", "coefficients"),
+            [
+                (e.label, e.formula, ", ".join(f"{c.name} [{c.unit}]" for c in e.coefficients))
+                for e in effects
+            ],
         )
-
-    return output.Outcome(show, json={"effects": [_to_dict(effect) for effect in effects]})
+    else:
+        facts = [("effect", args.name), *describe(effects[0])]
+        facts.append(("documentation", f"effects/{effects[0].name}.html"))
+        width = max(len(name) for name, _ in facts) + 2
+        shown = "\n".join(f"{name:<{width}}{text}" for name, text in facts)
+    return output.Outcome([shown], json={"effects": [_to_dict(effect) for effect in effects]})
 
 
 COMMANDS = (
@@ -46,7 +44,7 @@ COMMANDS = (
         "the library of effects, or one effect of it",
         "List the library of effects, or describe one effect.",
         (
-            option("name NAME", "effect to describe; default: list all effects", nargs="?"),
+            "name [NAME]  effect to describe; default: list all effects",
             options.EFFECTS_FILE,
             options.JSON,
         ),
@@ -55,11 +53,8 @@ COMMANDS = (
 )
 
 
-def _names(effect: Effect) -> str:
-    return ", ".join(f"{c.name} [{c.unit}]" for c in effect.coefficients)
-
-
 def _to_dict(effect: Effect) -> dict[str, Any]:
+    """Return an effect as JSON content."""
     return {
         "name": effect.label,
         "formula": effect.formula,

@@ -5,11 +5,8 @@ from __future__ import annotations
 import argparse
 
 from lieid_casadi.cli import options, output
-from lieid_casadi.cli.option_types import InputPath
-from lieid_casadi.cli.options import Command, option
+from lieid_casadi.cli.options import Command
 from lieid_casadi.errors import UsageError
-
-FORMATS = ("c", "urdf", "mjcf", "isaaclab", "ur-friction")
 
 
 def run(args: argparse.Namespace) -> output.Outcome:
@@ -36,13 +33,8 @@ def run(args: argparse.Namespace) -> output.Outcome:
         compensated=None if args.compensated is None else Fit.load(args.compensated),
         force=args.force,
     )
-
-    def show() -> None:
-        output.say(f"{', '.join(path.name for path in made.files)} written to {args.output}")
-        for note in made.notes:
-            output.say(f"  ! {note}")
-
-    return output.Outcome(show)
+    written = f"{', '.join(path.name for path in made.files)} written to {args.output}"
+    return output.Outcome([written, *(f"  ! {note}" for note in made.notes)])
 
 
 COMMANDS = (
@@ -51,29 +43,22 @@ COMMANDS = (
         "write a fit as C code, as a URDF or as a MuJoCo model",
         "Write a fit as C code for a controller, or as a URDF or a MuJoCo model for simulators.",
         (
-            option("fit FIT", "fit to export", InputPath),
-            option(
-                "--to",
-                "C99 code, URDF, MuJoCo model, Isaac Lab's actuators, friction of UR's driver",
-                choices=FORMATS,
-                required=True,
-            ),
-            *options.output_folder(),
-            option("--prefix NAME", "prefix of all C names; default: arm"),
-            option(
-                "--functions NAME,NAME…",
-                "C functions to write, such as torque,mass_matrix; default: all that the fit has",
-            ),
-            option(
-                "--runtime NAME,NAME…",
-                "numbers that are arguments of the C functions: payload, parameters; default: none",
-            ),
-            option("--float32", "C in single precision"),
-            option(
-                "--compensated FIT2",
-                "for ur-friction: fit of motion under direct torque with the default scales",
-                InputPath,
-            ),
+            """
+            fit FIT: input  fit to export
+            --to {c,urdf,mjcf,isaaclab,ur-friction} required  C99 code, URDF, MuJoCo model, Isaac
+                Lab's actuators, friction of UR's driver
+            """,
+            options.FOLDER,
+            """
+            --prefix NAME  prefix of all C names; default: arm
+            --functions NAME,NAME…  C functions to write, such as torque,mass_matrix; default: all
+                that the fit has
+            --runtime NAME,NAME…  numbers that are arguments of the C functions: payload,
+                parameters; default: none
+            --float32  C in single precision
+            --compensated FIT2: input  for ur-friction: fit of motion under direct torque with the
+                default scales
+            """,
             options.EFFECTS_FILE,
         ),
         run,

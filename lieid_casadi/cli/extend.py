@@ -7,9 +7,9 @@ from math import isnan
 from typing import TYPE_CHECKING
 
 from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.option_types import InputPath
-from lieid_casadi.cli.options import Command, option, several
-from lieid_casadi.tables import make_table
+from lieid_casadi.cli.options import Command
+from lieid_casadi.errors import LieidWarning
+from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.arrays import Array
@@ -25,10 +25,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     with output.progress("extend") as report:
         extension = extend(fit, args.add, train, test or None, progress=report)
     return output.Outcome(
-        lambda: print_extension(extension),
-        fit=extension.after,
-        json=extension.to_dict(),
-        plot=extension.plot,
+        shown(extension), fit=extension.after, json=extension.to_dict(), plot=extension.plot
     )
 
 
@@ -38,12 +35,14 @@ COMMANDS = (
         "add an effect, fit again, compare the errors",
         "Add effects to a fit, fit again, and compare the errors before and after.",
         (
-            option("fit FIT", "fit to extend", InputPath),
-            option("--add A,B:2+3,…", "effects to add", required=True),
-            several("--train A", "recordings to fit", required=True),
-            several("--test B", options.TEST),
-            options.output_file("fit2.json", "write the new fit"),
-            options.plot("draw the errors before and after"),
+            """
+            fit FIT: input  fit to extend
+            --add A,B:2+3,… required  effects to add
+            --train A …: input required  recordings to fit
+            --test B …: input  recordings to test on, which are not fitted
+            -o/--output fit2.json: output  write the new fit
+            --plot FILE: picture  draw the errors before and after
+            """,
             *options.RECORDING,
             options.JSON,
         ),
@@ -52,8 +51,8 @@ COMMANDS = (
 )
 
 
-def print_extension(extension: Extension) -> None:
-    """Print errors per joint before and after, and the new parameters."""
+def shown(extension: Extension) -> tuple[Table | LieidWarning, ...]:
+    """Return errors per joint before and after, and the new parameters."""
     held_out = "cross-validated" if extension.rms_test is None else "test"
     columns = ["joint", f"{held_out} in motion", "after", "%"]
     pairs: list[Array] = [extension.held_out, extension.rms_train]
@@ -69,13 +68,10 @@ def print_extension(extension: Extension) -> None:
             change = 100.0 * (after / before - 1.0)
             row += [before, after, None if isnan(change) else f"{change:+.1f}"]
         rows.append(row)
-    added = ", ".join(extension.added)
-    output.show(make_table(f"RMS error, N·m, with {added}", columns, rows))
-    output.show(
-        make_table(
-            "New parameters",
-            ["parameter", "value", "std", "unit"],
-            [[r["expression"], r["value"], r["std"], r["unit"]] for r in extension.parameters],
-        )
+    parameters = make_table(
+        "New parameters",
+        ["parameter", "value", "std", "unit"],
+        [[r["expression"], r["value"], r["std"], r["unit"]] for r in extension.parameters],
     )
-    output.show_warnings(extension.after.warnings)
+    errors = make_table(f"RMS error, N·m, with {', '.join(extension.added)}", columns, rows)
+    return (errors, parameters, *extension.after.warnings)

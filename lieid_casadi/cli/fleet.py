@@ -12,12 +12,12 @@ from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import options, output
-from lieid_casadi.cli.option_types import InputPath, OutputFile, OutputFolder, night, number
-from lieid_casadi.cli.options import Command, Group, option
+from lieid_casadi.cli.options import Command, Group
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.fleet.run import FleetProgress, FleetRun
+    from lieid_casadi.tables import Table
 
 NEW_ALARM, SILENT, BOTH = 5, 6, 7  # exit status with --exit-code
 MOST_SHOWN = 10  # faults and silent arms that are printed; the history has all
@@ -51,11 +51,11 @@ def run(args: argparse.Namespace) -> int:
     new = {(alarm.serial, alarm.series, alarm.raised) for alarm in result.new_alarms}
     _print_run(args, result)
     if removed is not None:
-        output.say(f"{removed} runs of nights more than {args.keep} days ago were removed.")
+        output.show(f"{removed} runs of nights more than {args.keep} days ago were removed.")
     for alarm in changed:
         kind = "New" if (alarm.serial, alarm.series, alarm.raised) in new else "Worse"
-        output.say(f"{kind} alarm: {alarm.serial}: {alarm.sentence}")
-    output.say(f"Open alarms: {len(alarms)}. lieid fleet report {args.output} lists them.")
+        output.show(f"{kind} alarm: {alarm.serial}: {alarm.sentence}")
+    output.show(f"Open alarms: {len(alarms)}. lieid fleet report {args.output} lists them.")
     if args.on_alarm is not None:
         _notify(args.on_alarm, lines)
     silent = len(result.silent) > args.most_failed
@@ -78,7 +78,7 @@ def _check(args: argparse.Namespace) -> None:
 def _print_run(args: argparse.Namespace, result: FleetRun) -> None:
     """Print counts, faults, and arms that have not recorded."""
     counts = ", ".join(f"{number} {status}" for status, number in sorted(result.counts.items()))
-    output.say(
+    output.show(
         f"Arm-nights of this call: {counts or 'none'}; {result.finished_before} were in the "
         f"history. {result.seconds:.1f} s."
     )
@@ -88,11 +88,11 @@ def _print_run(args: argparse.Namespace, result: FleetRun) -> None:
         (f"Arms whose newest night is not diagnosed: {len(silent)}.", silent, "table nights"),
     ):
         if title and lines:
-            output.say(title)
+            output.show(title)
         for line in lines[:MOST_SHOWN]:
-            output.say(f"  {line}")
+            output.show(f"  {line}")
         if len(lines) > MOST_SHOWN:
-            output.say(f"  and {len(lines) - MOST_SHOWN} more: {rest}")
+            output.show(f"  and {len(lines) - MOST_SHOWN} more: {rest}")
 
 
 def _notify(command: str, lines: list[dict[str, Any]]) -> None:
@@ -102,11 +102,11 @@ def _notify(command: str, lines: list[dict[str, Any]]) -> None:
     text = "".join(json.dumps(line, ensure_ascii=False) + "\n" for line in lines)
     done = subprocess.run(command, shell=True, input=text.encode(), check=False)
     if done.returncode:
-        output.say(f"  ! --on-alarm: the command ended with status {done.returncode}")
+        output.show(f"  ! --on-alarm: the command ended with status {done.returncode}")
 
 
 def _connected(dashboard: str) -> None:
-    output.say(f"Dask dashboard: {dashboard}")
+    output.show(f"Dask dashboard: {dashboard}")
     sys.stdout.flush()
 
 
@@ -146,15 +146,13 @@ def report(args: argparse.Namespace) -> output.Outcome:
         page = fleet_report(history, since=args.since) if args.html is not None else ""
     active = [alarm for alarm in alarms if alarm.closed is None]
 
-    def show() -> None:
-        output.show(alarm_table(active, with_action=False))
-        for alarm in active:
-            action = suggested_action(alarm.quantity)
-            output.say(f"{alarm.serial}: {alarm.sentence}. Action: {action}.")
-        if not active:
-            output.say("No open alarm.")
-
-    return output.Outcome(show, json=content, html=lambda: page)
+    actions = [
+        f"{alarm.serial}: {alarm.sentence}. Action: {suggested_action(alarm.quantity)}."
+        for alarm in active
+    ]
+    shown: list[str | Table] = [alarm_table(active, with_action=False)]
+    shown += actions or ["No open alarm."]
+    return output.Outcome(shown, json=content, html=lambda: page)
 
 
 def export(args: argparse.Namespace) -> output.Outcome:
@@ -192,7 +190,7 @@ def acknowledge(args: argparse.Namespace) -> output.Outcome:
             "the arm again and enter the fit with from: DATE into the fleet file; with the old fit "
             "another motion can look like a change."
         )
-    return output.Outcome(lambda: output.say(text))
+    return output.Outcome([text])
 
 
 def backup(args: argparse.Namespace) -> output.Outcome:
@@ -201,7 +199,7 @@ def backup(args: argparse.Namespace) -> output.Outcome:
 
     is_of_now = backup(args.history, args.copy)
     when = "" if is_of_now else ", as it was at the latest batch of the run in progress"
-    return output.Outcome(lambda: output.say(f"{args.copy}: a complete copy{when}."))
+    return output.Outcome([f"{args.copy}: a complete copy{when}."])
 
 
 def retire(args: argparse.Namespace) -> output.Outcome:
@@ -212,17 +210,16 @@ def retire(args: argparse.Namespace) -> output.Outcome:
     with History(args.history, new=False, wait=args.wait) as history:
         count = retire(history, args.serial, args.date or datetime.now(UTC).date())
     return output.Outcome(
-        lambda: output.say(
+        [
             f"{args.serial}: retired, {count} alarm{'' if count == 1 else 's'} closed; its runs "
             "are kept. Remove it from the fleet file, too: an arm of the file is in service."
-        )
+        ]
     )
 
 
-HISTORY = option("history HISTORY", "history (DuckDB)", InputPath)
-CHANGED = option("history HISTORY", "history (DuckDB) to change")
-SERIAL = option("serial SERIAL", "serial number of the arm")
-WAIT = option("--wait S", "seconds to wait for a run that has the history open", number, 0.0)
+HISTORY = "history HISTORY: input  history (DuckDB)"
+CHANGED = "history HISTORY  history (DuckDB) to change\nserial SERIAL  serial number of the arm"
+WAIT = "--wait S: number = 0  seconds to wait for a run that has the history open"
 COMMANDS = (
     Command(
         "fleet",
@@ -231,49 +228,29 @@ COMMANDS = (
         "results in a history. See also: lieid fleet report, lieid fleet export, lieid fleet "
         "acknowledge.",
         (
-            option("fleet FLEET.yaml", "fleet file"),
+            "fleet FLEET.yaml  fleet file",
             Group(
                 "diagnosis of recordings",
-                (
-                    options.output_file("HISTORY", "history (DuckDB) to add to"),
-                    option(
-                        "--scheduler ADDRESS", "Dask scheduler; default: a cluster on this machine"
-                    ),
-                    option("--workers N", "processes on this machine; default: one per core", int),
-                    option("--memory SIZE", "limit of each process", default="2GB"),
-                    option(
-                        "--timeout S", "seconds after which an arm-night has failed", float, 600.0
-                    ),
-                    option("--since DATE", "first night to run, such as 2026-11-20", night),
-                    option(
-                        "--keep DAYS",
-                        "remove runs of nights that are older than this, after the run; alarms "
-                        "are kept",
-                        int,
-                    ),
-                    option(
-                        "--night DATE",
-                        "newest night on which every arm is expected to have recorded; default: "
-                        "yesterday, UTC",
-                        night,
-                    ),
-                    option("--rerun", "compute results of an earlier method of diagnosis again"),
-                    WAIT,
-                    option(
-                        "--exit-code",
-                        "exit with status 5 if a new alarm was raised, 6 if the newest night of an "
-                        "arm is missing, refused or failed, 7 if both",
-                    ),
-                    option("--most-failed N", "arms that may be so without status 6", int, 0),
-                    option(
-                        "--on-alarm COMMAND",
-                        "shell command that gets a line of JSON on its standard input for each "
-                        "alarm that is new, or worse: twice as large, or near its limit",
-                    ),
-                    option(
-                        "--horizon DAYS", "time before a limit is reached that is near", int, 30
-                    ),
-                ),
+                """
+                -o/--output HISTORY: output  history (DuckDB) to add to
+                --scheduler ADDRESS  Dask scheduler; default: a cluster on this machine
+                --workers N: int  processes on this machine; default: one per core
+                --memory SIZE = 2GB  limit of each process
+                --timeout S: number = 600  seconds after which an arm-night has failed
+                --since DATE: night  first night to run, such as 2026-11-20
+                --keep DAYS: int  remove runs of nights that are older than this, after the run;
+                    alarms are kept
+                --night DATE: night  newest night on which every arm is expected to have recorded;
+                    default: yesterday, UTC
+                --rerun  compute results of an earlier method of diagnosis again
+                --wait S: number = 0  seconds to wait for a run that has the history open
+                --exit-code  exit with status 5 if a new alarm was raised, 6 if the newest night of
+                    an arm is missing, refused or failed, 7 if both
+                --most-failed N: int = 0  arms that may be so without status 6
+                --on-alarm COMMAND  shell command that gets a line of JSON on its standard input for
+                    each alarm that is new, or worse: twice as large, or near its limit
+                --horizon DAYS: int = 30  time before a limit is reached that is near
+                """,
             ),
         ),
         run,
@@ -286,9 +263,11 @@ COMMANDS = (
         "arm.",
         (
             HISTORY,
-            option("--html FILE", "write the report", OutputFile),
-            option("--since DATE", "first night of trends and recordings", night),
-            option("--json FILE", "write the alarms as JSON", OutputFile),
+            """
+            --html FILE: output  write the report
+            --since DATE: night  first night of trends and recordings
+            --json FILE: output  write the alarms as JSON
+            """,
         ),
         report,
     ),
@@ -299,8 +278,10 @@ COMMANDS = (
         "the tables of its history as Parquet files.",
         (
             HISTORY,
-            option("--prometheus FILE.prom", "write metrics to this file", OutputFile),
-            option("--parquet DIR", "write one file per table", OutputFolder),
+            """
+            --prometheus FILE.prom: output  write metrics to this file
+            --parquet DIR: folder  write one file per table
+            """,
             options.FORCE,
         ),
         export,
@@ -312,14 +293,12 @@ COMMANDS = (
         "judged against each other, not against those before it.",
         (
             CHANGED,
-            SERIAL,
-            option("--joint J", "only alarms and baselines of this joint, from 1", int),
-            option("--note TEXT", "what was found or done", required=True),
-            option(
-                "--date DATE",
-                "last night before the repair; default: the arm's last night in the history",
-                night,
-            ),
+            """
+            --joint J: int  only alarms and baselines of this joint, from 1
+            --note TEXT required  what was found or done
+            --date DATE: night  last night before the repair; default: the arm's last night in the
+                history
+            """,
             WAIT,
         ),
         acknowledge,
@@ -328,14 +307,14 @@ COMMANDS = (
         "fleet backup",
         "one complete copy of a history",
         "Write one file with everything that a history contains, also while a run is in progress.",
-        (HISTORY, option("copy COPY", "file to write", OutputFile)),
+        (HISTORY, "copy COPY: output  file to write"),
         backup,
     ),
     Command(
         "fleet retire",
         "take an arm out of service",
         "Take an arm out of reports, metrics and expected nights, and close its alarms.",
-        (CHANGED, SERIAL, option("--date DATE", "day; default: today, UTC", night), WAIT),
+        (CHANGED, "--date DATE: night  day; default: today, UTC", WAIT),
         retire,
     ),
 )

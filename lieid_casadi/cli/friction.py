@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.option_types import InputPath, number
-from lieid_casadi.cli.options import Command, option, several
+from lieid_casadi.cli.options import Command
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     robot = inputs.robot_of(args)
     if not 1 <= args.joint <= robot.n:
         raise UsageError(f"--joint {args.joint}: {robot.name} has joints 1 to {robot.n}")
-    whole = _whole(args, robot)
+    whole = None if args.fit is None else _whole(args.fit, robot)
     curve = friction_curve(
         whole or robot,
         inputs.recordings_of(args.recordings, args, robot),
@@ -48,17 +47,20 @@ def run(args: argparse.Namespace) -> output.Outcome:
             ranked = rank_friction_models(curve, seed=args.seed, progress=report)
         fit = ranked[0].fit
     agreement = None if whole is None else compare_friction(fit, whole)
-
-    def show() -> None:
-        output.show(curve_table(curve), *([ranking_table(ranked)] if ranked else []))
-        for model in (c.model for c in ranked if c.model.note):
-            output.say(f"  * {model.form} ({model.name}): {model.note}.")
-        output.show(parameter_table(fit))
-        if agreement is not None:
-            output.say(f"Friction curve and {args.fit}: {agreement}.")
-        output.show_warnings([*curve.warnings, *fit.warnings])
-
-    return output.Outcome(show, json=result(fit, ranked, agreement), plot=fit.plot)
+    models = (c.model for c in ranked if c.model.note)
+    return output.Outcome(
+        (
+            curve_table(curve),
+            *([ranking_table(ranked)] if ranked else []),
+            *(f"  * {model.form} ({model.name}): {model.note}." for model in models),
+            parameter_table(fit),
+            *([] if agreement is None else [f"Friction curve and {args.fit}: {agreement}."]),
+            *curve.warnings,
+            *fit.warnings,
+        ),
+        json=content(fit, ranked, agreement),
+        plot=fit.plot,
+    )
 
 
 COMMANDS = (
@@ -69,25 +71,19 @@ COMMANDS = (
         "models.",
         (
             *options.ROBOT,
-            several("recordings REC", "recordings in which the joint moves in both directions"),
-            option("--joint J", "number of the joint, from 1", int, required=True),
-            option(
-                "--effects A,B,…",
-                "friction model: effects, or the name of a model such as paper; default: all "
-                "models of the literature are fitted and ranked",
-            ),
-            option(
-                "--fit FIT",
-                "fit of the whole arm: its rigid torque is used, and its friction is compared",
-                InputPath,
-            ),
-            option(
-                "--load", "source of the load torque; default: model", choices=("model", "measured")
-            ),
-            options.plot("draw the curve and the fit"),
-            options.random_seed("seed of the search"),
+            """
+            recordings REC …: input  recordings in which the joint moves in both directions
+            --joint J: int required  number of the joint, from 1
+            --effects A,B,…  friction model: effects, or the name of a model such as paper; default:
+                all models of the literature are fitted and ranked
+            --fit FIT: input  fit of the whole arm: its rigid torque is used, and its friction is
+                compared
+            --load {model,measured}  source of the load torque; default: model
+            --plot FILE: picture  draw the curve and the fit
+            --seed N: seed = 0  seed of the search
+            """,
             *options.RECORDING,
-            option("--cutoff HZ", "cut-off frequency of the low-pass filter", number),
+            "--cutoff HZ: number  cut-off frequency of the low-pass filter",
             options.JSON,
         ),
         run,
@@ -95,16 +91,16 @@ COMMANDS = (
 )
 
 
-def result(
+def content(
     fit: FrictionFit, ranked: Sequence[RankedFrictionModel], agreement: FrictionAgreement | None
 ) -> dict[str, Any]:
     """Return the JSON of ``lieid friction``."""
-    curve = fit.curve.to_dict()
-    warnings = [*curve.pop("warnings"), *fit.to_dict()["warnings"]]
+    curve, own = fit.curve.to_dict(), fit.to_dict()
+    warnings = [*curve.pop("warnings"), *own.pop("warnings")]
     return {
         "joint": curve["joint"],
         "curve": curve,
-        "fit": {k: v for k, v in fit.to_dict().items() if k != "warnings"},
+        "fit": own,
         "models": [
             {
                 "name": c.model.name,
@@ -124,12 +120,11 @@ def result(
     }
 
 
-def _whole(args: argparse.Namespace, robot: Robot) -> Fit | None:
+def _whole(path: str, robot: Robot) -> Fit:
+    """Return a fit of the whole arm."""
     from lieid_casadi.identification import Fit
 
-    if args.fit is None:
-        return None
-    fit = Fit.load(args.fit)
+    fit = Fit.load(path)
     if fit.model.n != robot.n:
-        raise UsageError(f"{args.fit}: a fit of {fit.model.n} joints; {robot.name} has {robot.n}")
+        raise UsageError(f"{path}: a fit of {fit.model.n} joints; {robot.name} has {robot.n}")
     return fit

@@ -6,12 +6,12 @@ import argparse
 from typing import TYPE_CHECKING
 
 from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.option_types import OutputFile, number
-from lieid_casadi.cli.options import Command, option, several
-from lieid_casadi.errors import UsageError
+from lieid_casadi.cli.options import Command
+from lieid_casadi.errors import LieidWarning, UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.gains import DriveGains
+    from lieid_casadi.tables import Table
 
 
 def run(args: argparse.Namespace) -> output.Outcome:
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
             progress=report,
         )
     return output.Outcome(
-        lambda: print_gains(gains),
+        shown(gains),
         json=gains.to_dict(),
         plot=gains.plot,
         files={"yaml": lambda: write_yaml(gains.robot_with_gains()).encode()},
@@ -49,22 +49,19 @@ COMMANDS = (
         "known mass.",
         (
             *options.ROBOT,
-            several("--unloaded REC", "recordings of currents without the payload", required=True),
-            several("--loaded REC", "recordings of currents with the payload", required=True),
-            option("--mass KG", "mass of the payload", number, required=True),
-            option(
-                "--com",
-                "the payload's centre of mass in the tool frame, m, if it was measured",
-                number,
-                nargs=3,
-                metavar=("X", "Y", "Z"),
-            ),
-            option("--yaml FILE", "write the robot with its torque constants", OutputFile),
-            options.plot("draw the gains"),
-            options.effects(),
+            """
+            --unloaded REC …: input required  recordings of currents without the payload
+            --loaded REC …: input required  recordings of currents with the payload
+            --mass KG: number required  mass of the payload
+            --com X Y Z: number  the payload's centre of mass in the tool frame, m, if it was
+                measured
+            --yaml FILE: output  write the robot with its torque constants
+            --plot FILE: picture  draw the gains
+            """,
+            options.EFFECTS,
             options.EFFECTS_FILE,
             *options.READING,
-            *options.PROCESSING,
+            options.PROCESSING,
             options.JSON,
             options.THREADS,
         ),
@@ -73,18 +70,21 @@ COMMANDS = (
 )
 
 
-def print_gains(gains: DriveGains) -> None:
-    """Print the gains, those not identified, and the option for other commands."""
+def shown(gains: DriveGains) -> tuple[str | Table | LieidWarning, ...]:
+    """Return the gains, those not identified, and the option for other commands."""
     from lieid_casadi.gains.identify import gain_table
 
-    output.show(gain_table(gains))
-    for part in gains.not_identified:
-        output.say(f"  * the gain of joint {part.joint + 1} cannot be identified: {part.reason}.")
     centre = ", ".join(
         "not identified" if c != c else f"{1000 * c:.1f} ± {1000 * s:.1f}"
         for c, s in zip(gains.com, gains.com_std, strict=True)
     )
-    output.say(f"Centre of mass of the payload in the tool frame: ({centre}) mm.")
-    if gains.option is not None:
-        output.say(f"Option for the other commands:\n{gains.option}")
-    output.show_warnings(gains.warnings)
+    return (
+        gain_table(gains),
+        *(
+            f"  * the gain of joint {part.joint + 1} cannot be identified: {part.reason}."
+            for part in gains.not_identified
+        ),
+        f"Centre of mass of the payload in the tool frame: ({centre}) mm.",
+        *([] if gains.option is None else [f"Option for the other commands:\n{gains.option}"]),
+        *gains.warnings,
+    )

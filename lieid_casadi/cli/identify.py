@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.check import DESPITE_CHECK, premises_of
-from lieid_casadi.cli.option_types import FrictionRun, known_mass
-from lieid_casadi.cli.options import Command, Group, option, several
-from lieid_casadi.errors import UsageError
-from lieid_casadi.tables import make_table
+from lieid_casadi.cli.check import premises_of
+from lieid_casadi.cli.options import Command, Group
+from lieid_casadi.errors import LieidWarning, UsageError
+from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.comparison import Comparison
@@ -20,13 +19,12 @@ if TYPE_CHECKING:
     from lieid_casadi.model import Model
     from lieid_casadi.recording import Recording
 
-METHODS = ("ols", "wls", "robust", "feasible")
-
 
 def run(args: argparse.Namespace) -> output.Outcome:
     """Fit, and compare with the test recordings."""
     from lieid_casadi.comparison import compare
     from lieid_casadi.identification import identify
+    from lieid_casadi.identification.known_mass import identify_with_known_masses
     from lieid_casadi.report import comparison_report, fit_report
 
     robot = inputs.robot_of(args)
@@ -35,60 +33,46 @@ def run(args: argparse.Namespace) -> output.Outcome:
     premises = premises_of(args, robot, train, test)
     model = inputs.model_for(args, robot, train)
     stages = _in_stages(model, train, args) if args.friction_runs else None
-    if stages is not None:
-        fit = stages.fit
-    elif args.known_mass:
-        fit = _with_known_masses(model, train, args)
-        if laws := fit.model.robot.drives:
-            test = [recording.with_drives(laws) for recording in test]
-    else:
-        with output.progress("identify") as report:
-            fit = identify(
+    processing = inputs.processing_of(args)
+    with output.progress("identify") as report:
+        if stages is not None:
+            fit = stages.fit
+        elif args.known_mass:
+            fit = identify_with_known_masses(
                 model,
                 train,
+                dict(args.known_mass),
                 method=args.method,
-                processing=inputs.processing_of(args),
+                processing=processing,
                 progress=report,
             )
+            if laws := fit.model.robot.drives:
+                test = [recording.with_drives(laws) for recording in test]
+        else:
+            fit = identify(model, train, method=args.method, processing=processing, progress=report)
     comparison = compare(fit, test) if test else None
-    content = result(fit, comparison) | {"premises": premises}
+    found = content(fit, comparison) | {"premises": premises}
     if stages is not None:
-        content["stages"] = {"refit": not args.no_refit, **stages.to_dict()}
-
-    def show() -> None:
-        if stages is not None:
-            _print_stages(stages)
-        print_fit(fit, comparison)
-
+        found["stages"] = {"refit": not args.no_refit, **stages.to_dict()}
     return output.Outcome(
-        show,
+        (*(() if stages is None else [stage_table(stages)]), *shown(fit, comparison)),
         fit=fit,
-        json=content,
+        json=found,
         html=lambda: fit_report(fit) if comparison is None else comparison_report(fit, comparison),
     )
 
 
 STAGES = Group(
     "identification in stages",
-    (
-        several(
-            "--friction-runs J=REC",
-            "recordings in which joint J moves forward and backward and the others stand still",
-            FrictionRun,
-        ),
-        option(
-            "--friction-effects A,B,…",
-            "friction model of these joints: effects, or the name of a model",
-            default="paper",
-        ),
-        option(
-            "--friction-load",
-            "source of the load torque of the friction runs; measured for runs with a payload; "
-            "default: model",
-            choices=("model", "measured"),
-        ),
-        option("--no-refit", "leave out the third stage, as the paper does"),
-    ),
+    """
+    --friction-runs J=REC …: run  recordings in which joint J moves forward and backward and the
+        others stand still
+    --friction-effects A,B,… = paper  friction model of these joints: effects, or the name of a
+        model
+    --friction-load {model,measured}  source of the load torque of the friction runs; measured for
+        runs with a payload; default: model
+    --no-refit  leave out the third stage, as the paper does
+    """,
     "With --friction-runs, TRAIN identifies the links, the friction runs of single joints identify "
     "friction over speed and load, and TRAIN identifies the links and the friction that grows with "
     "speed again (Luo et al. 2024, Eqs. 11 to 16, and a third stage).",
@@ -100,27 +84,22 @@ COMMANDS = (
         "Identify the base parameters and the effects of a model from recordings.",
         (
             *options.ROBOT,
-            several("train TRAIN", "recording to fit; REC@T0:T1 is the part from T0 to T1 seconds"),
-            several("--test T", options.TEST),
-            option(
-                "--method",
-                "ordinary, weighted or robust least squares, or weighted least squares with "
-                "physically consistent masses and inertias (feasible)",
-                default="wls",
-                choices=METHODS,
-            ),
-            options.output_file("fit.json", "write the fit"),
-            options.effects(None),
-            options.MOTOR_SIDE,
+            """
+            train TRAIN …: input  recording to fit; REC@T0:T1 is the part from T0 to T1 seconds
+            --test T …: input  recordings to test on, which are not fitted
+            --method {ols,wls,robust,feasible} = wls  ordinary, weighted or robust least squares, or
+                weighted least squares with physically consistent masses and inertias (feasible)
+            -o/--output fit.json: output  write the fit
+            """,
+            options.EFFECTS_BY_RECORDING,
             STAGES,
             *options.RECORDING,
-            several(
-                "--known-mass LINK=KG",
-                "masses of links that determine an unknown stiffness (--stiffness unknown)",
-                known_mass,
-            ),
-            *options.PROCESSING,
-            DESPITE_CHECK,
+            """
+            --known-mass LINK=KG …: mass  masses of links that determine an unknown stiffness
+                (--stiffness unknown)
+            """,
+            options.PROCESSING,
+            options.DESPITE_CHECK,
             options.JSON,
             options.HTML,
         ),
@@ -129,25 +108,10 @@ COMMANDS = (
 )
 
 
-def _with_known_masses(
-    model: Model, recordings: Sequence[Recording], args: argparse.Namespace
-) -> Fit:
-    from lieid_casadi.identification.known_mass import identify_with_known_masses
-
-    with output.progress("identify") as report:
-        return identify_with_known_masses(
-            model,
-            recordings,
-            dict(args.known_mass),
-            method=args.method,
-            processing=inputs.processing_of(args),
-            progress=report,
-        )
-
-
 def _in_stages(
     model: Model, recordings: Sequence[Recording], args: argparse.Namespace
 ) -> StagedFit:
+    """Identify links, friction of single joints, and both again."""
     from lieid_casadi.friction_curves import identify_in_stages
     from lieid_casadi.recording import Processing
 
@@ -172,38 +136,25 @@ def _in_stages(
     )
 
 
-def _print_stages(stages: StagedFit) -> None:
-    """Print how well the friction model fits each joint, and the errors of the first stage."""
-    output.show(
-        make_table(
-            "Friction of single joints (second stage)",
-            [
-                "joint",
-                "points",
-                "RMS",
-                "correlation",
-                "unit",
-                "train error of the first stage, N·m",
-            ],
-            [
-                [
-                    f"{joint + 1} {own.curve.joint_name}",
-                    len(own.curve),
-                    own.rms,
-                    f"{own.correlation:.4f}",
-                    own.curve.unit,
-                    float(stages.first_stage.rms_train[joint]),
-                ]
-                for joint, own in stages.friction.items()
-            ],
-        )
+def stage_table(stages: StagedFit) -> Table:
+    """Return how well the friction model fits each joint, and the errors of the first stage."""
+    error = "train error of the first stage, N·m"
+    rows = []
+    for joint, own in stages.friction.items():
+        quality = [len(own.curve), own.rms, f"{own.correlation:.4f}", own.curve.unit]
+        first = float(stages.first_stage.rms_train[joint])
+        rows.append([f"{joint + 1} {own.curve.joint_name}", *quality, first])
+    return make_table(
+        "Friction of single joints (second stage)",
+        ["joint", "points", "RMS", "correlation", "unit", error],
+        rows,
     )
 
 
-def result(fit: Fit, comparison: Comparison | None) -> dict[str, Any]:
+def content(fit: Fit, comparison: Comparison | None) -> dict[str, Any]:
     """Return the JSON of ``lieid identify``."""
-    content = fit.to_dict()
-    tested = comparison.to_dict() if comparison is not None else None
+    found = fit.to_dict()
+    tested = {} if comparison is None else comparison.to_dict()
     for key, name in (
         ("rms_test", "rms"),
         ("rms_test_moving", "rms_moving"),
@@ -211,17 +162,17 @@ def result(fit: Fit, comparison: Comparison | None) -> dict[str, Any]:
         ("rms_test_raw", "rms_raw"),
         ("correlation_test", "correlation"),
     ):
-        content[key] = tested[name] if tested is not None else None
-    if tested is not None:
-        content["test"] = tested
-        del content["rms_cv"]
-        seen = content["warnings"]
-        content["warnings"] = seen + [w for w in tested["warnings"] if w not in seen]
-    return content
+        found[key] = tested.get(name)
+    if tested:
+        found["test"] = tested
+        del found["rms_cv"]
+        seen = found["warnings"]
+        found["warnings"] = seen + [w for w in tested["warnings"] if w not in seen]
+    return found
 
 
-def print_fit(fit: Fit, comparison: Comparison | None) -> None:
-    """Print errors per joint, parameters and warnings."""
+def shown(fit: Fit, comparison: Comparison | None) -> Iterator[str | Table | LieidWarning]:
+    """Yield errors per joint, parameters and warnings."""
     from lieid_casadi.identification.fit_view import parameter_table
 
     columns, values = ["joint"], list[tuple[float, ...]]()
@@ -240,17 +191,17 @@ def print_fit(fit: Fit, comparison: Comparison | None) -> None:
         for j, (joint, own) in enumerate(zip(fit.model.robot.joints, values, strict=True))
     ]
     filter_ = f"low-pass {fit.processing.cutoff:.3g} Hz on measured and predicted torque"
-    output.show(make_table(f"RMS error, N·m ({filter_})", columns, rows))
-    output.show(parameter_table(fit))
+    yield make_table(f"RMS error, N·m ({filter_})", columns, rows)
+    yield parameter_table(fit)
     c = fit.conditioning
-    output.say(
+    yield (
         f"Condition number {c.condition_number:.4g} (σ₁ {c.largest:.4g}, σ_r {c.smallest:.4g}, "
         f"σ_r+1 {c.beyond:.1g}; full regressor, SI). "
         f"Physically consistent: {'yes' if fit.physically_consistent else 'no'}."
     )
     if fit.certificate is not None:
-        output.say(fit.certificate.summary())
-    output.show_warnings(fit.warnings)
+        yield fit.certificate.summary()
+    yield from fit.warnings
     if comparison is not None:
         printed = {str(w) for w in fit.warnings}
-        output.show_warnings([w for w in comparison.warnings if str(w) not in printed])
+        yield from (w for w in comparison.warnings if str(w) not in printed)

@@ -81,7 +81,7 @@ def model_for(args: argparse.Namespace, robot: Robot, recordings: Sequence[Recor
         return Model(robot, args.effects)
     default = default_effects(robot, recordings, motor_side=args.motor_side)
     if default.reason:
-        output.say(
+        output.show(
             f"Effects: {', '.join(default.names)}. Rotor inertia (armature) is among them because "
             f"{default.reason}; --effects states others."
         )

@@ -6,8 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs
-from lieid_casadi.cli.option_types import InputPath, number
-from lieid_casadi.cli.options import DEFAULT_EFFECTS, Group, option, removed, several
+from lieid_casadi.cli.options import EFFECTS, TIP_AND_LOCK, Group, given
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -16,85 +15,26 @@ if TYPE_CHECKING:
     from lieid_casadi.model import Model
     from lieid_casadi.robot import Robot
 
-MARGIN, TOOL_SPEED, FLOOR, CLEARANCE = 0.8, 1.5, 0.0, 0.02  # of `default_limits`
-BOX = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
-
-
-def _height(text: str) -> float | None:
-    """Return a height in m, or None for ``none``."""
-    return None if text == "none" else number(text)
-
-
-START_POSE = option(
-    "--start-pose Q",
-    "pose at the start and the end, rad; default: a pose found within all limits",
-    number,
-    nargs="+",
-)
+#: The defaults are those of `default_limits`.
 LIMITS = Group(
     "limits in addition to those of position and velocity",
-    (
-        option(
-            "--acceleration A",
-            "acceleration limits, rad/s², one or one per joint; default: the robot's, or 3",
-            number,
-            nargs="+",
-        ),
-        option(
-            "--jerk J",
-            "jerk limits, rad/s³, one or one per joint; default: none",
-            number,
-            nargs="+",
-        ),
-        option(
-            "--margin F", "fraction of the velocity and torque limits that is used", number, MARGIN
-        ),
-        removed("--torque-fraction", "use --margin, for velocity and torque limits"),
-        option("--no-torque", "do not check torque limits"),
-        option(
-            "--cartesian-speed M/S",
-            "highest speed of the tool and of the joint centres, m/s",
-            number,
-            TOOL_SPEED,
-        ),
-        option(
-            "--floor Z",
-            "height of the floor in the base frame, m, or none",
-            _height,
-            FLOOR,
-            nargs="?",
-            const=FLOOR,
-        ),
-        option("--unchecked-workspace", "do not check floor, self-collision and tool speed"),
-        several(
-            "--wall",
-            "keep the arm where n·x ≤ d, base frame, m",
-            number,
-            nargs=4,
-            action="append",
-            metavar=("NX", "NY", "NZ", "D"),
-        ),
-        *(
-            several(name, text, number, nargs=6, action="append", metavar=BOX)
-            for name, text in (
-                ("--workspace-box", "keep the arm inside this box, base frame, m"),
-                ("--obstacle", "keep the arm outside this box, base frame, m"),
-            )
-        ),
-        option(
-            "--self-collision M",
-            "least distance between links, m",
-            number,
-            CLEARANCE,
-            nargs="?",
-            const=CLEARANCE,
-        ),
-        option(
-            "--capsules FILE",
-            "YAML file with capsules around the links; default: fitted to their geometry",
-            InputPath,
-        ),
-    ),
+    """
+    --acceleration A …: number  acceleration limits, rad/s², one or one per joint; default: the
+        robot's, or 3
+    --jerk J …: number  jerk limits, rad/s³, one or one per joint; default: none
+    --margin F: number = 0.8  fraction of the velocity and torque limits that is used
+    --torque-fraction X removed  use --margin, for velocity and torque limits
+    --no-torque  do not check torque limits
+    --cartesian-speed M/S: number = 1.5  highest speed of the tool and of the joint centres, m/s
+    --floor [Z]: height = 0  height of the floor in the base frame, m, or none
+    --unchecked-workspace  do not check floor, self-collision and tool speed
+    --wall NX NY NZ D: number repeated  keep the arm where n·x ≤ d, base frame, m
+    --workspace-box X0 Y0 Z0 X1 Y1 Z1: number repeated  keep the arm inside this box, base frame, m
+    --obstacle X0 Y0 Z0 X1 Y1 Z1: number repeated  keep the arm outside this box, base frame, m
+    --self-collision [M]: number = 0.02  least distance between links, m
+    --capsules FILE: input  YAML file with capsules around the links; default: fitted to their
+        geometry
+    """,
 )
 
 
@@ -117,17 +57,16 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
         links = load_capsules(args.capsules, robot)
     elif workspace or args.wall or args.workspace_box or args.obstacle:
         links = capsules_of(robot)
-    limits: list[Limit] = [
-        limit
-        for limit in default_limits(
-            robot, margin=args.margin, capsules=links,
-            floor_height=args.floor if workspace else None,
-            cartesian_speed=args.cartesian_speed if workspace else None,
-            clearance=args.self_collision if workspace else None,
-        )
-        if not (args.no_torque and isinstance(limit, Torque))
-    ]  # fmt: skip
-    if args.jerk is not None:
+    defaults = default_limits(
+        robot,
+        margin=args.margin,
+        capsules=links,
+        floor_height=args.floor if workspace else None,
+        cartesian_speed=args.cartesian_speed if workspace else None,
+        clearance=args.self_collision if workspace else None,
+    )
+    limits = [x for x in defaults if not (args.no_torque and isinstance(x, Torque))]
+    if args.jerk:
         limits.append(jerk_limit(args.jerk if len(args.jerk) > 1 else args.jerk[0]))
     limits += [Wall((x, y, z), d, capsules=links) for x, y, z, d in args.wall]
     for corners in args.workspace_box:
@@ -149,13 +88,7 @@ def arm_of(args: argparse.Namespace) -> tuple[Model | Fit, Robot]:
         return model, model.robot
     from lieid_casadi.identification import Fit
 
-    given = {
-        "--effects": args.effects != DEFAULT_EFFECTS,
-        "--tip": args.tip is not None,
-        "--lock": bool(args.lock),
-    }
-    for name, is_given in given.items():
-        if is_given:
-            raise UsageError(f"{name}: a fit ({args.robot}) has its own robot and effects")
+    if names := given([EFFECTS, TIP_AND_LOCK], args):
+        raise UsageError(f"{next(iter(names))}: a fit ({args.robot}) has its own robot and effects")
     fit = Fit.load(args.robot)
     return fit, fit.model.robot

@@ -7,9 +7,10 @@ import contextlib
 import math
 import os
 import stat
-from collections.abc import Sequence
+from collections.abc import Callable
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 from lieid_casadi.errors import UsageError
 
@@ -60,62 +61,60 @@ class OutputFolder(str):
     """A folder that a command writes."""
 
 
-def seed(text: str) -> int:
-    """Return a whole number, 0 or more."""
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text}: expected a whole number, 0 or more")
-    return value
+def _checked(
+    convert: Callable[[str], Any], holds: Callable[[Any], bool], message: str
+) -> Callable[[str], Any]:
+    """Return a type of options: a value that can be converted and for which a condition holds."""
+
+    def kind(text: str) -> Any:
+        with contextlib.suppress(ValueError):
+            if holds(value := convert(text)):
+                return value
+        raise argparse.ArgumentTypeError(message.format(text))
+
+    return kind
 
 
 def number(text: str) -> float:
     """Return a finite number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        several = ", several are separated by spaces" if "," in text else ""
-        raise argparse.ArgumentTypeError(f"{text}: expected a number{several}")
+    several = ", several are separated by spaces" if "," in text else ""
+    value: float = _checked(float, math.isfinite, "{}: expected a number" + several)(text)
     return value
 
 
-def port(text: str) -> int:
-    """Return the number of a port."""
-    if not (text.isdecimal() and len(text) < 6 and 1 <= int(text) < 65536):
-        raise argparse.ArgumentTypeError(f"{text}: expected a port, 1 to 65535")
-    return int(text)
-
-
-def night(text: str) -> date:
-    """Return a date."""
-    try:
-        return date.fromisoformat(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text}: expected a date such as 2026-11-20") from None
+def height(text: str) -> float | None:
+    """Return a height in m, or None for ``none``."""
+    return None if text == "none" else number(text)
 
 
 def known_mass(text: str) -> tuple[str, float]:
     """Return link and mass of ``LINK=KG``."""
-    link, equals, mass = text.rpartition("=")
-    try:
-        value = float(mass)
-    except ValueError:
-        value = math.nan
-    if not (equals and link and 0.0 < value < math.inf):
-        raise argparse.ArgumentTypeError(f"{text}: expected LINK=KG, a link and kg above 0")
-    return link, value
+    link, _, mass = text.rpartition("=")
+    message = f"{text}: expected LINK=KG, a link and kg above 0"
+    return link, _checked(float, lambda kg: bool(link) and 0.0 < kg < math.inf, message)(mass)
 
 
-def part(text: str) -> float:
-    """Return a number of at least 0 and less than 1."""
-    value = number(text)
-    if not 0.0 <= value < 1.0:
-        raise argparse.ArgumentTypeError(f"expected a number from 0 to less than 1, found {text!r}")
-    return value
+#: The kinds of values in the options of commands, by the names that they have there.
+KINDS: dict[str, Callable[[str], Any]] = {
+    "input": InputPath,
+    "run": FrictionRun,
+    "calibration": Calibration,
+    "output": OutputFile,
+    "picture": PictureFile,
+    "folder": OutputFolder,
+    "int": int,
+    "number": number,
+    "height": height,
+    "mass": known_mass,
+    "seed": _checked(int, lambda x: x >= 0, "{}: expected a whole number, 0 or more"),
+    "port": _checked(int, lambda x: 1 <= x < 65536, "{}: expected a port, 1 to 65535"),
+    "night": _checked(date.fromisoformat, bool, "{}: expected a date such as 2026-11-20"),
+    "part": _checked(
+        float,
+        lambda x: 0.0 <= x < 1.0,
+        "expected a number from 0 to less than 1, found {!r}",
+    ),
+}
 
 
 def check_paths(args: argparse.Namespace) -> None:
@@ -132,9 +131,8 @@ def check_paths(args: argparse.Namespace) -> None:
     from lieid_casadi.output_folder import check_folder
 
     values = _values(args)
-    inputs = [value for value in values if isinstance(value, InputPath)]
-    outputs = [value for value in values if isinstance(value, (OutputFile, OutputFolder))]
-    for output in outputs:
+    seen: set[str] = set()
+    for output in (value for value in values if isinstance(value, (OutputFile, OutputFolder))):
         if isinstance(output, OutputFolder):
             check_folder(output, force=args.force)
         else:
@@ -144,10 +142,13 @@ def check_paths(args: argparse.Namespace) -> None:
                 f"{output}: cannot draw {Path(output).suffix!r} files; "
                 "expected e.g. .png, .pdf or .svg"
             )
-        for given in inputs:
+        for given in (value for value in values if isinstance(value, InputPath)):
             if _overwrites(output, given.file):
                 raise UsageError(f"{output}: is also an input ({given}); expected another output")
-    _check_different(outputs)
+        place = os.path.realpath(output)
+        if place in seen and (os.path.isfile(place) or not os.path.exists(place)):
+            raise UsageError(f"{output}: is written by two options; expected different files")
+        seen.add(place)
 
 
 def writes_to_stdout(args: argparse.Namespace) -> bool:
@@ -161,6 +162,7 @@ def writes_to_stdout(args: argparse.Namespace) -> bool:
 
 
 def _values(args: argparse.Namespace) -> list[object]:
+    """Return the values of all options, one by one."""
     values: list[object] = []
     for value in vars(args).values():
         values += value if isinstance(value, (list, tuple)) else (value,)
@@ -181,12 +183,3 @@ def _overwrites(output: str, given: Path) -> bool:
     if isinstance(output, OutputFolder):
         inner, outer = outer, inner
     return outer.is_dir() and inner.is_relative_to(outer)
-
-
-def _check_different(outputs: Sequence[str]) -> None:
-    seen: set[str] = set()
-    for output in outputs:
-        place = os.path.realpath(output)
-        if place in seen and (os.path.isfile(place) or not os.path.exists(place)):
-            raise UsageError(f"{output}: is written by two options; expected different files")
-        seen.add(place)

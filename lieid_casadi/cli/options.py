@@ -1,39 +1,36 @@
-"""Options as data: the notation of one option, and the options that several commands share."""
+"""Options as data: the text that states them, and the options that several commands share.
+
+A command states its options as its help shows them, one after the other::
+
+    train TRAIN …: input  recording to fit
+    -o/--output fit.json: output  write the fit
+    --method {ols,wls,robust} = wls  ordinary, weighted or robust least squares
+    --joint J: int required  number of the joint, from 1
+    --no-refit  leave out the third stage
+
+that is: names; the value, or ``VALUE …`` (one or more), ``[VALUE]`` (may be left out),
+``[VALUE …]``, ``X Y Z`` (three), or choices in braces; its kind of `KINDS` (default: text); its
+default; and two spaces before the text, which goes on in indented lines. ``repeated`` options may
+be given several times, ``removed`` ones are refused with the text as advice. An option without
+value is a switch.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import re
+import textwrap
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from lieid_casadi.cli.option_types import (
-    Calibration,
-    InputPath,
-    OutputFile,
-    OutputFolder,
-    PictureFile,
-    number,
-    seed,
-)
+from lieid_casadi.cli.option_types import KINDS
 
 DEFAULT_EFFECTS = "coulomb,viscous,offset"
-
-
-@dataclass(frozen=True)
-class Option:
-    """An option or argument of a command: its names, and the settings of argparse."""
-
-    names: tuple[str, ...]
-    settings: dict[str, Any]
-
-    def given(self, args: argparse.Namespace) -> str | None:
-        """Return the option as written if its value is not the default."""
-        name = self.names[-1]
-        switch = self.settings.get("action") == "store_true"
-        default = False if switch else self.settings.get("default")
-        value = getattr(args, name.removeprefix("--").replace("-", "_"))
-        return name if value != default else None
+NOTATION = re.compile(
+    r"(?P<names>\S+)(?P<values>(?: \S+?)*?)(?:: (?P<kind>\w+))?(?: = (?P<default>\S+))?"
+    r"(?: (?P<rule>required|repeated|removed))?"
+)
 
 
 @dataclass(frozen=True)
@@ -41,7 +38,7 @@ class Group:
     """Options under a title of their own in the help."""
 
     title: str
-    options: tuple[Option, ...]
+    options: str
     about: str | None = None
 
 
@@ -52,7 +49,7 @@ class Command:
     name: str
     help: str
     description: str
-    options: tuple[Option | Group, ...]
+    options: tuple[str | Group, ...]
     run: Callable[[argparse.Namespace], Any]
     usage: str | None = None
 
@@ -62,186 +59,188 @@ class Command:
             self.name, help=self.help, description=self.description, usage=self.usage
         )
         for item in self.options:
-            if isinstance(item, Option):
-                parser.add_argument(*item.names, **item.settings)
-            else:
+            if isinstance(item, Group):
                 group = parser.add_argument_group(item.title, item.about)
-                for each in item.options:
-                    group.add_argument(*each.names, **each.settings)
+                _add(group, item.options)
+            else:
+                _add(parser, item)
         parser.set_defaults(run=self.run)
 
 
-def option(notation: str, text: str, kind: Any = None, default: Any = None, **more: Any) -> Option:
-    """Return an option from its notation, such as ``-o/--output FILE`` or ``fit FIT``.
+def given(items: Sequence[str | Group], args: argparse.Namespace) -> dict[str, Any]:
+    """Return those options, as written, whose values are not their defaults, and the values."""
+    parser = argparse.ArgumentParser()
+    for item in items:
+        _add(parser, item.options if isinstance(item, Group) else item)
+    return {
+        f"--{name.replace('_', '-')}": value
+        for name, default in vars(parser.parse_args([])).items()
+        if (value := getattr(args, name)) != default
+    }
 
-    Without a name for the value and without choices it is a switch. A default that is stated is
-    appended to the text.
-    """
-    names, _, value = notation.partition(" ")
-    settings: dict[str, Any] = {"help": text} | more
-    if value:
-        settings["metavar"] = value
-    elif not {"choices", "metavar"} & more.keys() and names.startswith("-"):
-        return Option(tuple(names.split("/")), {"action": "store_true"} | settings)
+
+def _add(parser: Any, text: str) -> None:
+    """Add the options of a text to a parser or group."""
+    for entry in re.split(r"\n(?=\S)", textwrap.dedent(text).strip()):
+        notation, words = re.split(r" {2,}|\n\s*", entry, maxsplit=1)
+        match = NOTATION.fullmatch(notation)
+        if match is None:
+            raise ValueError(f"option {notation!r}: expected NAMES VALUE: KIND = DEFAULT")
+        names = match["names"].split("/")
+        parser.add_argument(*names, **_settings(match, " ".join(words.split())))
+
+
+def _settings(match: re.Match[str], words: str) -> dict[str, Any]:
+    """Return what argparse calls the properties of an option."""
+    names, values, kind, default, rule = match.groups()
+    settings: dict[str, Any] = {"help": words}
+    if names.startswith("-") and not values:
+        return settings | {"action": "store_true"}
+    settings |= _shape(values.split())
     if kind is not None:
-        settings["type"] = kind
+        settings["type"] = KINDS[kind]
+    if rule == "removed":
+        settings |= {"help": argparse.SUPPRESS, "type": _refused(words)}
+    elif rule == "required":
+        settings["required"] = True
+    elif rule == "repeated":
+        settings |= {"action": "append", "default": []}
+    elif names.startswith("-") and settings.get("nargs") == "+":
+        settings["default"] = []
     if default is not None:
-        settings["default"] = default
-        if not isinstance(default, list) and default != "" and "default" not in text:
-            shown = f"{default:g}" if isinstance(default, float) else str(default)
+        shown = default.strip("'")
+        settings["default"] = settings.get("type", str)(shown)
+        if names.startswith("-") and settings.get("nargs") == "?":
+            settings["const"] = settings["default"]
+        if shown and "default" not in words:
             settings["help"] += f"; default: {shown}"
-    return Option(tuple(names.split("/")), settings)
+    return settings
 
 
-def several(notation: str, text: str, kind: Any = InputPath, **more: Any) -> Option:
-    """Return an option or argument with one or more values; an option is empty by default."""
-    if notation.startswith("-") and "required" not in more:
-        more = {"default": []} | more
-    return option(notation, text, kind, **({"nargs": "+"} | more))
+def _shape(values: list[str]) -> dict[str, Any]:
+    """Return how many values an option has, and how its help shows them."""
+    if not values:
+        return {}
+    shown = " ".join(values)
+    if shown.startswith("{"):
+        return {"choices": shown[1:-1].split(",")}
+    if shown.startswith("["):
+        inner = shown[1:-1]
+        return {"metavar": inner.removesuffix(" …"), "nargs": "*" if inner.endswith("…") else "?"}
+    if values[-1] == "…":
+        return {"metavar": values[0], "nargs": "+"}
+    if len(values) > 1:
+        return {"metavar": tuple(values), "nargs": len(values)}
+    return {"metavar": shown}
 
 
-def removed(name: str, advice: str) -> Option:
-    """Return an option that was removed: it refuses every value with advice."""
+def _refused(advice: str) -> Callable[[str], NoReturn]:
+    """Return the type of an option that was removed: it refuses every value with advice."""
 
     def refuse(text: str) -> NoReturn:
         raise argparse.ArgumentTypeError(f"{text}: removed; {advice}")
 
-    return option(f"{name} X", argparse.SUPPRESS, refuse)
+    return refuse
 
 
 # Robots, fits and recordings.
 
-TIP = option("--tip LINK", "last link of the chain (URDF, MJCF)")
-LOCK = several("--lock JOINT", "joints to lock", None)
-_ROBOT = "URDF, MJCF or YAML file, or a bundled name"
-ROBOT = (option("robot ROBOT", f"{_ROBOT}; the robot of a fit (JSON)", InputPath), TIP, LOCK)
-ROBOT_OR_FIT = (option("robot ROBOT|FIT", f"{_ROBOT}, or a fit (JSON)", InputPath), TIP, LOCK)
-TEST = "recordings to test on, which are not fitted"
-
-TORQUE_CONSTANTS = option(
-    "--torque-constants K1,…,Kn", "torque constants, N·m/A, for recordings with currents i1…in"
+TIP_AND_LOCK = """
+    --tip LINK  last link of the chain (URDF, MJCF)
+    --lock JOINT …  joints to lock
+"""
+ROBOT = (
+    "robot ROBOT: input  URDF, MJCF or YAML file, or a bundled name; the robot of a fit (JSON)",
+    TIP_AND_LOCK,
 )
+ROBOT_OR_FIT = (
+    "robot ROBOT|FIT: input  URDF, MJCF or YAML file, or a bundled name, or a fit (JSON)",
+    TIP_AND_LOCK,
+)
+EFFECTS_FILE = (
+    "--effects-file F.py: input  Python file that registers your own effects; it is executed"
+)
+THREADS = "--threads N: int  threads to use; default: 2"
 DRIVES = Group(
     "position-controlled drives",
-    (
-        option(
-            "--stiffness K1,…,Kn",
-            "N·m/rad per joint, or one number for all; unknown: torques in units of K",
-        ),
-        option(
-            "--damping D1,…,Dn",
-            "N·m·s/rad per joint, or one number for all (s if the stiffness is unknown); "
-            "default: 0",
-        ),
-        option("--servo NAME[,…]", "preset of a servo, such as sts3215, for all or each"),
-    ),
+    """
+    --stiffness K1,…,Kn  N·m/rad per joint, or one number for all; unknown: torques in units of K
+    --damping D1,…,Dn  N·m·s/rad per joint, or one number for all (s if the stiffness is unknown);
+        default: 0
+    --servo NAME[,…]  preset of a servo, such as sts3215, for all or each
+    """,
     "Torque of recordings with commanded positions qcmd1…qcmdn and without tau: "
     "K·(qcmd − q) − D·dq, limited by the robot's torque limits.",
 )
 DATASETS = Group(
     "LeRobot datasets",
-    (
-        option("--episodes A:B", "episodes A to B − 1, counted from 0; default: all"),
-        option(
-            "--calibration FILE|limits",
-            "LeRobot's calibration file, or limits: normalised ranges end at the position limits",
-            Calibration,
-        ),
-    ),
+    """
+    --episodes A:B  episodes A to B − 1, counted from 0; default: all
+    --calibration FILE|limits: calibration  LeRobot's calibration file, or limits: normalised ranges
+        end at the position limits
+    """,
 )
 CORRECTIONS = Group(
     "what corrects a recording or the mounting",
-    (
-        option("--base-rpy X", "mounting of the base: roll, pitch, yaw, rad", nargs=3),
-        option("--joint-order J", "the recorded joint at the place of each joint", nargs="+"),
-        option("--joint-sign S", "1 or -1 per joint: direction of its axis", nargs="+"),
-        option("--joint-coupling I+J", "angle I is that of a motor, plus or minus J", nargs="+"),
-        option("--joint-zero X", "rad per joint, added to its angle", nargs="+"),
-        option("--torque-sign S", "1 or -1 per torque of the recording", nargs="+"),
-        option("--time-offset S", "time by which the torque is late, s"),
-        option("--derive-velocity", "take velocities from the positions, not from the recording"),
-    ),
+    """
+    --base-rpy X X X  mounting of the base: roll, pitch, yaw, rad
+    --joint-order J …  the recorded joint at the place of each joint
+    --joint-sign S …  1 or -1 per joint: direction of its axis
+    --joint-coupling I+J …  angle I is that of a motor, plus or minus J
+    --joint-zero X …  rad per joint, added to its angle
+    --torque-sign S …  1 or -1 per torque of the recording
+    --time-offset S  time by which the torque is late, s
+    --derive-velocity  take velocities from the positions, not from the recording
+    """,
     "`lieid check` tests what these options correct, and prints them. They are stored in a fit and "
     "used for recordings that are compared with it, unless others are given.",
 )
 #: What every command that reads recordings accepts, whatever it takes as torque.
 READING = (
-    option(
-        "--units UNIT[,UNIT]",
-        "units of the recordings that are not SI: deg, and ms, us or ns",
-        default="",
-    ),
-    option(
-        "--columns NAME=COLUMN,…",
-        "columns of other names than those of the file format, such as t=stamp,q=pos_*,tau1=effort",
-    ),
-    option(
-        "--inflate-limit MIB",
-        "size that a compressed recording may inflate to; default: 1024",
-        number,
-    ),
+    """
+    --units UNIT[,UNIT] = ''  units of the recordings that are not SI: deg, and ms, us or ns
+    --columns NAME=COLUMN,…  columns of other names than those of the file format, such as
+        t=stamp,q=pos_*,tau1=effort
+    --inflate-limit MIB: number  size that a compressed recording may inflate to; default: 1024
+    """,
     DATASETS,
     CORRECTIONS,
 )
-EFFECTS_FILE = option(
-    "--effects-file F.py", "Python file that registers your own effects; it is executed", InputPath
-)
-THREADS = option("--threads N", "threads to use; default: 2", int)
 #: What every command has that computes torques along recordings.
-RECORDING = (TORQUE_CONSTANTS, DRIVES, *READING, EFFECTS_FILE, THREADS)
+RECORDING = (
+    "--torque-constants K1,…,Kn  torque constants, N·m/A, for recordings with currents i1…in",
+    DRIVES,
+    *READING,
+    EFFECTS_FILE,
+    THREADS,
+)
+DESPITE_CHECK = "--despite-check  continue although robot and recordings do not belong together"
 
 # Models and filters.
 
-MOTOR_SIDE = option(
-    "--motor-side",
-    "torque is measured at the motors, as from their currents: adds armature to the default "
-    "effects; implied by --torque-constants",
+EFFECTS = (
+    f"--effects A,B:2+3,… = {DEFAULT_EFFECTS}  effects of the model; B:2+3 is B on joints 2 and 3"
 )
-CUTOFF = option(
-    "--cutoff HZ", "cut-off frequency of the low-pass filter; default: chosen from the data", number
+NO_EFFECTS = (
+    "--effects A,B:2+3,… = ''  effects of the model; B:2+3 is B on joints 2 and 3; default: none"
 )
-PROCESSING = (
-    CUTOFF,
-    option("--average-periods", "average periodic recordings over periods"),
-    option(
-        "--smoothing",
-        "filter; rloess smooths acceleration and torque by robust local regression before it",
-        choices=["butterworth", "rloess"],
-        default="butterworth",
-    ),
-)
+#: Effects whose defaults the recordings decide.
+EFFECTS_BY_RECORDING = f"""
+    --effects A,B:2+3,…  effects of the model; B:2+3 is B on joints 2 and 3; default:
+        {DEFAULT_EFFECTS}
+    --motor-side  torque is measured at the motors, as from their currents: adds armature to the
+        default effects; implied by --torque-constants
+"""
+PROCESSING = """
+    --cutoff HZ: number  cut-off frequency of the low-pass filter; default: chosen from the data
+    --average-periods  average periodic recordings over periods
+    --smoothing {butterworth,rloess} = butterworth  filter; rloess smooths acceleration and torque
+        by robust local regression before it
+"""
 
+# Outputs.
 
-def effects(default: str | None = DEFAULT_EFFECTS) -> Option:
-    """Return --effects; None stands for defaults that the recordings decide."""
-    stated = DEFAULT_EFFECTS if default is None else default or "none"
-    text = f"effects of the model; B:2+3 is B on joints 2 and 3; default: {stated}"
-    return option("--effects A,B:2+3,…", text, default=default)
-
-
-# Outputs and resources.
-
-JSON = option("--json FILE", "write the result as JSON", OutputFile)
-HTML = option("--html FILE", "write a self-contained report", OutputFile)
-FORCE = option("--force", "replace the files that lieid wrote into the folder; others are kept")
-
-
-def output_file(value: str, text: str, **more: Any) -> Option:
-    """Return -o FILE."""
-    return option(f"-o/--output {value}", text, OutputFile, **more)
-
-
-def output_folder(default: str | None = None) -> tuple[Option, Option]:
-    """Return -o DIR and --force."""
-    needed = {"required": True} if default is None else {"default": default}
-    return option("-o/--output DIR", "folder to write", OutputFolder, **needed), FORCE
-
-
-def plot(text: str) -> Option:
-    """Return --plot FILE."""
-    return option("--plot FILE", text, PictureFile)
-
-
-def random_seed(text: str) -> Option:
-    """Return --seed N."""
-    return option("--seed N", text, seed, 0)
+JSON = "--json FILE: output  write the result as JSON"
+HTML = "--html FILE: output  write a self-contained report"
+FORCE = "--force  replace the files that lieid wrote into the folder; others are kept"
+FOLDER = f"-o/--output DIR: folder required  folder to write\n{FORCE}"

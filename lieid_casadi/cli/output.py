@@ -57,30 +57,39 @@ def visible(text: str) -> str:
     )
 
 
-def show(*tables: Table) -> None:
-    """Print tables that have rows; the first column is aligned left, the others right."""
+def show(*items: str | Table | LieidWarning) -> None:
+    """Print paragraphs, tables that have rows, and warnings on stdout."""
+    for item in items:
+        if isinstance(item, LieidWarning):
+            item = f"  ! {type(item).__name__.removesuffix('Warning')}: {item}"
+        if isinstance(item, str):
+            lines = "\n".join(visible(line) for line in item.split("\n"))
+            console().print(lines, markup=False, soft_wrap=True)
+        elif item.rows:
+            _show_table(item)
+
+
+def _show_table(table: Table) -> None:
+    """Print a table whose first column is aligned left, the others right."""
     from rich import box
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    for table in tables:
-        if not table.rows:
-            continue
-        shown = RichTable(
-            title=Text(visible(table.title)),
-            title_justify="left",
-            box=box.SIMPLE_HEAD,
-            title_style="bold",
-        )
-        widths = _word_widths(table)
-        fits = sum(widths) + 2 * len(widths) <= console().width
-        for k, (name, width) in enumerate(zip(table.headings, widths, strict=True)):
-            justify: Literal["left", "right"] = "left" if k == 0 else "right"
-            least = width if fits else None
-            shown.add_column(Text(visible(name)), justify=justify, overflow="fold", min_width=least)
-        for row in table.cells:
-            shown.add_row(*(Text(visible(cell)) for cell in row))
-        console().print(shown)
+    shown = RichTable(
+        title=Text(visible(table.title)),
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        title_style="bold",
+    )
+    widths = _word_widths(table)
+    fits = sum(widths) + 2 * len(widths) <= console().width
+    for k, (name, width) in enumerate(zip(table.headings, widths, strict=True)):
+        justify: Literal["left", "right"] = "left" if k == 0 else "right"
+        least = width if fits else None
+        shown.add_column(Text(visible(name)), justify=justify, overflow="fold", min_width=least)
+    for row in table.cells:
+        shown.add_row(*(Text(visible(cell)) for cell in row))
+    console().print(shown)
 
 
 def _word_widths(table: Table) -> list[int]:
@@ -88,18 +97,6 @@ def _word_widths(table: Table) -> list[int]:
     columns = zip(table.headings, *table.cells, strict=True)
     longest = (max(map(len, visible(" ".join(cells)).split()), default=0) for cells in columns)
     return [min(width, LONGEST_WORD) for width in longest]
-
-
-def say(text: str) -> None:
-    """Print paragraphs on stdout."""
-    lines = "\n".join(visible(line) for line in text.split("\n"))
-    console().print(lines, markup=False, soft_wrap=True)
-
-
-def show_warnings(warnings: Sequence[LieidWarning]) -> None:
-    """Print named warnings under a result."""
-    for warning in warnings:
-        say(f"  ! {type(warning).__name__.removesuffix('Warning')}: {warning}")
 
 
 def json_bytes(content: dict[str, Any]) -> bytes:
@@ -122,13 +119,6 @@ def csv_bytes(t: Array, **signals: Array) -> bytes:
     return text.getvalue().encode()
 
 
-def fit_bytes(fit: Fit) -> bytes:
-    """Return the content of a fit's file."""
-    from lieid_casadi.identification.fit_file import content_of
-
-    return content_of(fit)
-
-
 def html_bytes(page: str) -> bytes:
     """Return a page as UTF-8; bytes of names that are not UTF-8 become question marks."""
     return page.encode(errors="replace")
@@ -142,10 +132,6 @@ def picture_bytes(path: str, figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def nothing() -> None:
-    """Print nothing."""
-
-
 @dataclass(frozen=True)
 class Outcome:
     """What a command found: its files are written, all or none, and then it is printed.
@@ -153,13 +139,13 @@ class Outcome:
     Content belongs to the option of its name, ``fit`` to -o; it is computed if the option is given.
     """
 
-    show: Callable[[], None] = nothing
+    shown: Sequence[str | Table | LieidWarning] = ()
     json: Mapping[str, Any] | None = None
     html: Callable[[], str] | None = None
     plot: Callable[[], Figure] | None = None
     fit: Fit | None = None
     files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)  # of other options
-    folder: Callable[[], object] = nothing  # writes the folder of -o, before the files
+    folder: Callable[[], object] | None = None  # writes the folder of -o, before the files
     status: int = 0
 
     def finish(self, args: argparse.Namespace) -> int:
@@ -172,21 +158,24 @@ class Outcome:
         from lieid_casadi.atomic_file import atomic_binary
 
         contents = list(self._contents(args))
-        self.folder()
+        if self.folder is not None:
+            self.folder()
         with ExitStack() as stack:
             for path, content in contents:
                 file = stack.enter_context(atomic_binary(path))
                 file.write(content)
                 file.flush()
-        self.show()
+        show(*self.shown)
         return self.status
 
     def _contents(self, args: argparse.Namespace) -> Iterator[tuple[str, bytes]]:
         """Yield path and content of the files that the options name."""
+        from lieid_casadi.identification.fit_file import content_of
+
         fit, json, html, plot = self.fit, self.json, self.html, self.plot
         contents = dict(self.files)
         if fit is not None:
-            contents["output"] = lambda: fit_bytes(fit)
+            contents["output"] = lambda: content_of(fit)
         if json is not None:
             contents["json"] = lambda: json_bytes({"schema": SCHEMA} | dict(json))
         if html is not None:

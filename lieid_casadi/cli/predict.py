@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 
 from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.option_types import InputPath
-from lieid_casadi.cli.options import Command, option
+from lieid_casadi.cli.options import Command
 
 
 def run(args: argparse.Namespace) -> output.Outcome:
@@ -14,7 +13,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     fit, (recording,) = inputs.fit_and_recordings(args, [args.recording])
     torque = fit.predict(recording)
     return output.Outcome(
-        lambda: output.say(f"{len(torque)} rows written to {args.output}"),
+        [f"{len(torque)} rows written to {args.output}"],
         files={"output": lambda: output.csv_bytes(recording.t, tau=torque)},
     )
 
@@ -25,9 +24,11 @@ COMMANDS = (
         "torque of a fit along a recording",
         "Compute the torque of a fit at the times of a recording.",
         (
-            option("fit FIT", "fit to evaluate", InputPath),
-            option("recording REC", "recording that states the motion", InputPath),
-            options.output_file("pred.csv", "CSV file with the columns t,tau1…taun", required=True),
+            """
+            fit FIT: input  fit to evaluate
+            recording REC: input  recording that states the motion
+            -o/--output pred.csv: output required  CSV file with the columns t,tau1…taun
+            """,
             *options.RECORDING,
         ),
         run,

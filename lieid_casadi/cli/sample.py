@@ -5,11 +5,8 @@ from __future__ import annotations
 import argparse
 
 from lieid_casadi.cli import options, output
-from lieid_casadi.cli.option_types import InputPath
-from lieid_casadi.cli.options import Command, option
+from lieid_casadi.cli.options import Command
 from lieid_casadi.errors import UsageError
-
-FORMATS = ("npz", "mjcf", "urdf")
 
 
 def run(args: argparse.Namespace) -> output.Outcome:
@@ -24,14 +21,13 @@ def run(args: argparse.Namespace) -> output.Outcome:
     with output.progress("sample") as report:
         samples = sample_fits(fit, args.n, seed=args.seed, progress=report)
     made = export_samples(samples, args.output, to=args.to, force=args.force)
-
-    def show() -> None:
-        output.say(f"{len(samples)} samples written to {args.output}: {len(made.files)} files")
-        output.say("They state the uncertainty of the parameters, not errors of the model.")
-        for note in made.notes:
-            output.say(f"  ! {note}")
-
-    return output.Outcome(show)
+    return output.Outcome(
+        [
+            f"{len(samples)} samples written to {args.output}: {len(made.files)} files",
+            "They state the uncertainty of the parameters, not errors of the model.",
+            *(f"  ! {note}" for note in made.notes),
+        ]
+    )
 
 
 COMMANDS = (
@@ -41,13 +37,13 @@ COMMANDS = (
         "Draw physically consistent parameters from the posterior of a fit of method feasible, for "
         "ensembles and domain randomisation.",
         (
-            option("fit FIT", "fit to sample", InputPath),
-            option("-n N", "number of samples", int, 100),
-            option(
-                "--to", "models of every sample besides samples.npz", None, "npz", choices=FORMATS
-            ),
-            *options.output_folder(),
-            options.random_seed("seed of the draws"),
+            """
+            fit FIT: input  fit to sample
+            -n N: int = 100  number of samples
+            --to {npz,mjcf,urdf} = npz  models of every sample besides samples.npz
+            """,
+            options.FOLDER,
+            "--seed N: seed = 0  seed of the draws",
             options.EFFECTS_FILE,
         ),
         run,

@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.options import Command, option
+from lieid_casadi.cli.options import Command
 from lieid_casadi.errors import warning_list
 from lieid_casadi.tables import Table, make_table
 
@@ -22,13 +22,13 @@ def run(args: argparse.Namespace) -> output.Outcome:
     robot = model.robot
     joints = _joints(robot)
     lengths: list[dict[str, Any]] = []
-    shown = model
+    general = model
     if args.symbolic:
-        shown, lengths = _with_symbols(model)
-    base = shown.base
+        general, lengths = _with_symbols(model)
+    base = general.base
     parameters = [
         {"name": base.names[k], "expression": base.expression(i), "unit": column.unit}
-        for i, (k, column) in enumerate(zip(base.kept, shown.base_columns, strict=True))
+        for i, (k, column) in enumerate(zip(base.kept, general.base_columns, strict=True))
     ]
     content = {
         "robot": robot.name,
@@ -43,26 +43,23 @@ def run(args: argparse.Namespace) -> output.Outcome:
     if args.symbolic:
         content["lengths"] = lengths
 
-    def show() -> None:
-        output.show(
-            _joint_table(robot, joints),
-            make_table(
-                f"{base.count} base parameters (of {len(base.names)} parameters, "
-                f"{len(base.invisible)} of them without effect on the torque)",
-                ["base parameter", "unit"],
-                [[p["expression"], p["unit"]] for p in parameters],
-            ),
-            make_table(
-                "lengths",
-                ["symbol", "value, m", "length"],
-                [[x["name"], x["value"], x["meaning"]] for x in lengths],
-            ),
-        )
-        if not robot.has_inertia:
-            output.say(f"No inertia stated for: {', '.join(robot.links_without_inertia)}")
-        output.show_warnings(robot.warnings)
-
-    return output.Outcome(show, json=_null_for_nan(content))
+    shown = [
+        _joint_table(robot, joints),
+        make_table(
+            f"{base.count} base parameters (of {len(base.names)} parameters, "
+            f"{len(base.invisible)} of them without effect on the torque)",
+            ["base parameter", "unit"],
+            [[p["expression"], p["unit"]] for p in parameters],
+        ),
+        make_table(
+            "lengths",
+            ["symbol", "value, m", "length"],
+            [[x["name"], x["value"], x["meaning"]] for x in lengths],
+        ),
+    ]
+    no_inertia = ", ".join(robot.links_without_inertia)
+    notes = [] if robot.has_inertia else [f"No inertia stated for: {no_inertia}"]
+    return output.Outcome((*shown, *notes, *robot.warnings), json=_null_for_nan(content))
 
 
 COMMANDS = (
@@ -72,11 +69,9 @@ COMMANDS = (
         "Show the joints, screws and limits of a robot, and its base parameters.",
         (
             *options.ROBOT,
-            options.effects(""),
+            options.NO_EFFECTS,
             options.EFFECTS_FILE,
-            option(
-                "--symbolic", "base parameters with symbols for the lengths between link frames"
-            ),
+            "--symbolic  base parameters with symbols for the lengths between link frames",
             options.JSON,
         ),
         run,

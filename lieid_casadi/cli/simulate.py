@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 
 from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.option_types import InputPath, number
-from lieid_casadi.cli.options import Command, option, several
+from lieid_casadi.cli.options import Command
 from lieid_casadi.errors import UsageError
 
 
@@ -37,14 +36,9 @@ def run(args: argparse.Namespace) -> output.Outcome:
             train=train,
             progress=report,
         )
-
-    def show() -> None:
-        output.show(drift_table(simulation), effects_table(simulation))
-        output.show_warnings(simulation.warnings)
-
     motion = {"q": simulation.q, "dq": simulation.dq}
     return output.Outcome(
-        show,
+        (drift_table(simulation), effects_table(simulation), *simulation.warnings),
         json=simulation.to_dict(),
         plot=simulation.plot,
         files={"output": lambda: output.csv_bytes(simulation.t, **motion)},
@@ -58,26 +52,20 @@ COMMANDS = (
         "Integrate a fit from measured states under the torques or commands of recordings, and "
         "report how far the simulated motion leaves the measured one.",
         (
-            option("fit FIT", "fit to simulate", InputPath),
-            several("recordings REC", "recordings to follow"),
-            options.output_file(
-                "sim.csv",
-                "CSV file with the simulated motion t,q1…qn,dq1…dqn, restarted in every window",
-            ),
-            option("--window S", "length of the windows", number, 1.0),
-            option(
-                "--under",
-                "input; default: commands if the fit has a drive law and the recordings have them",
-                choices=("command", "torque"),
-            ),
-            option("--no-effects", "leave out the models without one effect of the fit each"),
-            several(
-                "--train REC",
-                "recordings from which the models without an effect are identified; default: the "
-                "simulated recordings",
-            ),
-            option("--train-episodes A:B", "episodes of datasets after --train; default: all"),
-            options.plot("draw the drift per joint"),
+            """
+            fit FIT: input  fit to simulate
+            recordings REC …: input  recordings to follow
+            -o/--output sim.csv: output  CSV file with the simulated motion t,q1…qn,dq1…dqn,
+                restarted in every window
+            --window S: number = 1  length of the windows
+            --under {command,torque}  input; default: commands if the fit has a drive law and the
+                recordings have them
+            --no-effects  leave out the models without one effect of the fit each
+            --train REC …: input  recordings from which the models without an effect are identified;
+                default: the simulated recordings
+            --train-episodes A:B  episodes of datasets after --train; default: all
+            --plot FILE: picture  draw the drift per joint
+            """,
             *options.RECORDING,
             options.JSON,
         ),

@@ -7,8 +7,7 @@ import functools
 from typing import TYPE_CHECKING, NoReturn
 
 from lieid_casadi.cli import effects_file, inputs, options, output
-from lieid_casadi.cli.option_types import InputPath, port
-from lieid_casadi.cli.options import Command, Group, option, several
+from lieid_casadi.cli.options import Command, Group
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 #: Options that a page keeps, but for the number of threads.
-KEPT_OPTIONS = (options.TIP, options.LOCK, *options.RECORDING)
+KEPT_OPTIONS = (options.TIP_AND_LOCK, *options.RECORDING)
 COMMANDS = (
     Command(
         "workbench",
@@ -45,34 +44,24 @@ COMMANDS = (
         "the error falls with each of them. Without arguments it opens the simulated arm of the "
         "demo.",
         (
-            option(
-                "robot ROBOT|FIT",
-                "robot to fit a model of, or a fit (.json) to compare with recordings measured "
-                "since",
-                InputPath,
-                "",
-                nargs="?",
-            ),
-            several(
-                "recordings REC",
-                "recordings; of a robot, the last of several is the test and the others are fitted",
-                nargs="*",
-            ),
-            several("--train REC", "recordings to fit"),
-            several("--test REC", "recordings to test on"),
-            options.effects(""),
+            """
+            robot [ROBOT|FIT]: input = ''  robot to fit a model of, or a fit (.json) to compare with
+                recordings measured since
+            recordings [REC …]: input  recordings; of a robot, the last of several is the test and
+                the others are fitted
+            --train REC …: input  recordings to fit
+            --test REC …: input  recordings to test on
+            """,
+            options.NO_EFFECTS,
             *KEPT_OPTIONS,
             Group(
                 "server",
-                (
-                    option("--port N", "port to listen on", port, 8765),
-                    option("--no-browser", "do not open a browser"),
-                    option("--host ADDRESS", "address to listen on", default="127.0.0.1"),
-                    option(
-                        "--yes-expose",
-                        "confirm a --host that other machines can reach; an SSH tunnel is safer",
-                    ),
-                ),
+                """
+                --port N: port = 8765  port to listen on
+                --no-browser  do not open a browser
+                --host ADDRESS = 127.0.0.1  address to listen on
+                --yes-expose  confirm a --host that other machines can reach; an SSH tunnel is safer
+                """,
             ),
         ),
         run,
@@ -146,13 +135,10 @@ def demo_inputs() -> WorkbenchInputs:
 def stated_options(args: argparse.Namespace) -> Options:
     """Return the options that a page keeps, and shows in its commands: name and values."""
     found = []
-    for item in KEPT_OPTIONS:
-        for each in item.options if isinstance(item, Group) else [item]:
-            name = each.given(args)
-            if name is not None and each is not options.THREADS:
-                value = getattr(args, name.removeprefix("--").replace("-", "_"))
-                values = [] if value is True else value if isinstance(value, list) else [value]
-                found.append((name.removeprefix("--"), tuple(map(str, values))))
+    for name, value in options.given(KEPT_OPTIONS, args).items():
+        if name != "--threads":
+            values = [] if value is True else value if isinstance(value, list) else [value]
+            found.append((name.removeprefix("--"), tuple(map(str, values))))
     return tuple(found)
 
 
