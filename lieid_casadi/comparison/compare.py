@@ -82,26 +82,15 @@ def compare_segments(
 ) -> Comparison:
     """Compare a fit with segments of recordings that were checked and processed before.
 
-    Parameters
-    ----------
-    fit : Fit
-    recordings : sequence of Recording
-    segments : sequence of Processed
-        Of these recordings, with temperatures relative to the fit's mean.
-    added : sequence of (K, n), optional
-        Torque in addition to the fit's on each segment's grid, N·m: of changes since the fit.
-    warnings : sequence of LieidWarning
-        Found so far.
-    with_noise : bool
-        Whether the noise floor is estimated, which takes as long as the rest; NaN otherwise.
+    Temperatures of the segments are relative to the fit's mean. ``added`` (K, n) is torque in
+    addition to the fit's on the grid of each, N·m: of changes since the fit. Without
+    ``with_noise``, the noise floor, which takes as long as the rest, is NaN.
     """
-    found = list(warnings)
     both = [
         series_along(fit, segment, added=torque)
         for segment, torque in zip(segments, added or [0.0] * len(segments), strict=True)
     ]
     series = tuple(each for each, _ in both)
-    raw_errors = [raw for _, raw in both]
     measured = np.concatenate([s.measured for s in series])
     predicted = np.concatenate([s.predicted for s in series])
     moving = np.concatenate([s.moving for s in series])
@@ -115,7 +104,7 @@ def compare_segments(
         joint_names=tuple(joint.name for joint in fit.model.robot.joints),
         units=tuple("N·m" if joint.revolute else "N" for joint in fit.model.robot.joints),
         rms=rms,
-        rms_raw=_rms(np.concatenate(raw_errors)),
+        rms_raw=_rms(np.concatenate([raw for _, raw in both])),
         rms_moving=rms_moving,
         rms_at_rest=_rms_where(error, ~moving),
         at_rest=1.0 - moving.mean(axis=0),
@@ -132,8 +121,8 @@ def compare_segments(
         duration=float(sum(s.time[-1] - s.time[0] for s in series)),
         warnings=(),
     )
-    found += [w for segment in segments for w in segment.warnings]
-    found += comparison_warnings(fit, comparison)
+    found = [*warnings, *(w for segment in segments for w in segment.warnings)]
+    found += [*_trained_on(fit, comparison), *_rest(fit, comparison)]
     return replace(comparison, warnings=unique_warnings(found))
 
 
@@ -162,11 +151,6 @@ def _correlation(a: Array, b: Array) -> Array:
 
 _NUMBER = r"(?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?"
 _PART = re.compile(rf"(?:@| episodes )(?P<start>{_NUMBER}):(?P<end>{_NUMBER})$")
-
-
-def comparison_warnings(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
-    """Return warnings about the comparison, without those of its recordings."""
-    return [*_trained_on(fit, comparison), *_rest(fit, comparison)]
 
 
 def _trained_on(fit: Fit, comparison: Comparison) -> list[LieidWarning]:

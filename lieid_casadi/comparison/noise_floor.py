@@ -40,43 +40,24 @@ SOURCES = {
 def noise_floor(
     fit: Fit, recordings: Sequence[Recording], segments: Sequence[Processed], error: Array
 ) -> tuple[Array, str]:
-    """Return the noise of the torque after the fit's filter (n,), N·m, and its source.
+    """Return the noise of the torque after the fit's filter (n,), N·m, and its key of `SOURCES`.
 
-    Parameters
-    ----------
-    fit : Fit
-    recordings : sequence of Recording
-        If the motion of at least one is periodic, its periods are compared with each other.
-    segments : sequence of Processed
-        Of the recordings.
-    error : (n,)
-        RMS error in motion, N·m; NaN for joints that do not move.
-
-    Returns
-    -------
-    (n,) ndarray
-        NaN for joints that hardly move. Noise at the frequencies of the motion cannot be
-        distinguished from a function of the motion and is underestimated in short recordings,
-        by a factor of up to two if its correlation time is some tenths of a second.
-    str
-        Key of `SOURCES`.
+    ``segments`` are those of the recordings, ``error`` (n,) is the RMS error in motion, N·m. The
+    noise is NaN for joints that hardly move. At the frequencies of the motion it cannot be
+    distinguished from a function of the motion and is underestimated in short recordings, by a
+    factor of up to two if its correlation time is some tenths of a second.
     """
     cutoff = segments[0].cutoff
     repeated = [(period_noise(r, cutoff=cutoff), r.duration) for r in recordings]
-    periodic = [(noise, duration) for noise, duration in repeated if noise is not None]
-    if periodic:
-        floor, source = _pooled(periodic), "period_to_period"
+    squares = [noise**2 for noise, _ in repeated if noise is not None]
+    if squares:
+        durations = [duration for noise, duration in repeated if noise is not None]
+        floor = np.asarray(np.sqrt(np.average(squares, axis=0, weights=durations)))
+        source = "period_to_period"
     else:
         floor, source = _independent_of_motion(fit, segments), "motion"
     floor = np.where(np.isfinite(error), np.minimum(floor, error), np.nan)
     return floor, source if np.isfinite(floor).any() else "none"
-
-
-def _pooled(parts: Sequence[tuple[Array, float]]) -> Array:
-    """Return the root of the mean square (n,), weighted by duration."""
-    squares = [values**2 for values, _ in parts]
-    durations = [duration for _, duration in parts]
-    return np.asarray(np.sqrt(np.average(squares, axis=0, weights=durations)))
 
 
 def _independent_of_motion(fit: Fit, segments: Sequence[Processed]) -> Array:
@@ -137,12 +118,6 @@ def motion_columns(fit: Fit, segment: Processed) -> Array:
 
     Those of common effects of a joint's own motion, of the rate of its torque (a delay), of its
     position, and of the velocities and directions of all joints (couplings).
-
-    Parameters
-    ----------
-    fit : Fit
-    segment : Processed
-        With M filtered instants.
     """
     links = fit.link_parameters
     q, dq = (segment.filter(x) for x in (segment.q, segment.dq))

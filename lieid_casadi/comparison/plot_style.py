@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 # Okabe and Ito's colours, distinguishable for colour-blind readers
 MEASURED, PREDICTED, ERROR = "#a3a9ae", "#0b4f8a", "#c44e00"
@@ -61,14 +61,7 @@ def title(ax: Axes, text: str) -> None:
 
 
 def label(ax: Axes, *, x: str = "", y: str = "") -> None:
-    """Set the labels of the axes.
-
-    Parameters
-    ----------
-    ax : Axes
-    x, y : str
-        Quantity and unit; unchanged if empty.
-    """
+    """Set the labels of the axes, quantity and unit; an empty one stays."""
     if x:
         ax.set_xlabel(x, fontsize=SMALL, color=TEXT)
     if y:
@@ -86,14 +79,7 @@ def shortened(text: str, most: int = 22) -> str:
 
 
 def envelope(x: Array, y: Array, columns: int = MOST_COLUMNS) -> tuple[Array, Array]:
-    """Decimate a line for drawing; keep the smallest and largest value of each interval.
-
-    Parameters
-    ----------
-    x, y : (N,)
-    columns : int
-        Number of intervals.
-    """
+    """Decimate a line (N,) for drawing; keep the smallest and largest value of each interval."""
     if len(x) <= 2 * columns:
         return x, y
     length = -(-len(x) // columns)
@@ -111,16 +97,9 @@ def thin(marked: NDArray[np.bool_], most: int = MOST_POINTS) -> NDArray[np.intp]
 
 
 def axis_times(recordings: Sequence[str], times: Sequence[Array]) -> tuple[list[Array], str]:
-    """Return the times of each segment on one axis, and the label of the axis.
+    """Return the times of each segment, s, on one axis, and the label of the axis.
 
     One recording keeps its own clock; several are drawn one after another with small gaps.
-
-    Parameters
-    ----------
-    recordings : sequence of str
-        Name of each segment's recording.
-    times : sequence of (M,)
-        s.
     """
     if len(set(recordings)) <= 1:
         return list(times), "time [s]"

@@ -73,14 +73,11 @@ def plot_joint(
     plot_style.title(ax, f"joint {label.name}: {label.error}")
     plot_style.label(ax, x=_clock(series)[1], y=f"τ [{label.unit}]")
     lines = ax.get_lines()[-3 * len(series) :]
-    ax.legend(
+    handles, names = (
         [lines[0], lines[1], lines[2 * len(series)]],
         ["measured", "predicted", "error"],
-        loc="best",
-        ncols=3,
-        fontsize=plot_style.SMALL,
-        framealpha=0.8,
     )
+    ax.legend(handles, names, loc="best", ncols=3, fontsize=plot_style.SMALL, framealpha=0.8)
     return plot_style.root_figure(ax)
 
 
@@ -229,14 +226,11 @@ def _legend(figure: Figure, *, noise: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    names = {1.0: "moving forward", -1.0: "moving backward", 0.0: "at rest"}
+    names = {1.0: ("moving forward", 1.8), -1.0: ("moving backward", 1.8), 0.0: ("at rest", 0.0)}
     handles: list[Line2D | Patch] = [
-        Line2D([], [], color=colour, marker="o", markersize=4, linewidth=1.8, label=names[key])
-        for key, colour in DIRECTIONS
+        Line2D([], [], color=c, marker="o", markersize=4, linewidth=names[k][1], label=names[k][0])
+        for k, c in DIRECTIONS
     ]
-    handles[2] = Line2D(
-        [], [], color=plot_style.REST, marker="o", markersize=4, linewidth=0, label="at rest"
-    )
     if noise:
         handles.append(Patch(color=plot_style.NOISE, label="± noise floor"))
     figure.legend(

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import correlate
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects import Placement
@@ -21,22 +22,9 @@ from lieid_casadi.recording import Processed
 class Series:
     """One segment of a test at M instants; all signals are filtered as in the fit.
 
-    Attributes
-    ----------
-    recording : str
-        Name of the recording.
-    time : (M,)
-        s, on the recording's own clock.
-    measured, predicted : (M, n)
-        N·m.
-    q, dq, ddq : (M, n)
-        rad, rad/s, rad/s².
-    sign : (M, n)
-        Direction of motion: −1, 1, or 0 at rest.
-    load : (M, n)
-        τ_load, rigid torque of the model, N·m.
-    temperature : (M, n) or None
-        °C.
+    ``time`` (M,) is on the clock of the recording with the name ``recording``, s. All others are
+    (M, n): torques in N·m, ``q`` and derivatives in rad, the direction of motion ``sign`` (0 at
+    rest), the rigid torque of the model ``load`` (τ_load), and °C.
     """
 
     recording: str
@@ -103,13 +91,8 @@ class EffectTorque:
 def effect_torques(fit: Fit, segment: Processed) -> tuple[EffectTorque, ...]:
     """Return the torque of every placed effect: its columns times its coefficients.
 
-    Their sum and the rigid torque are the model's torque, not filtered.
-
-    Parameters
-    ----------
-    fit : Fit
-    segment : Processed
-        As `process` returns it.
+    Their sum and the rigid torque are the model's torque, not filtered, along a segment as
+    `process` returns it.
     """
     segment = relative_temperature(segment, fit.temperature_mean)
     columns = effects_along(fit.compiled, segment, fit.shapes, fit.parameters)
@@ -131,20 +114,9 @@ APART = 1.0  # s, smallest time between two errors of one joint
 
 @dataclass(frozen=True)
 class LargeError:
-    """An instant at which a joint's error is large.
+    """An instant at which the error (measured − predicted) of a joint, from 0, is large.
 
-    Attributes
-    ----------
-    recording : str
-    time : float
-        On the recording's clock, s.
-    joint : int
-        From 0.
-    error, measured : float
-        Measured − predicted torque, and measured torque, N·m (N for a prismatic joint).
-    q, dq : float
-        Position and velocity, rad and rad/s (m and m/s for a prismatic joint).
-    moving : bool
+    ``time`` is on the recording's clock, s; units are N·m and rad, N and m for a prismatic joint.
     """
 
     recording: str
@@ -201,15 +173,7 @@ def residual_correlations(series: Sequence[Series], joint: int, cutoff: float) -
     The error is taken at the distance at which white noise through its filter, a Butterworth filter
     of fourth order in both directions, is hardly correlated; what the filter leaves is subtracted.
     Within the bands (Ljung, System Identification, 1999, section 16.6) the error may be noise that
-    does not depend on the motion. Segments are not joined.
-
-    Parameters
-    ----------
-    series : sequence of Series
-    joint : int
-        From 0.
-    cutoff : float
-        Hz.
+    does not depend on the motion. Segments are not joined; ``cutoff`` is in Hz.
     """
     parts = [s for s in series if len(s.time) > 1]
     if not parts:
@@ -241,11 +205,9 @@ def _covariance(first: Sequence[Array], second: Sequence[Array]) -> Array:
     means = [np.mean(np.concatenate(parts)) for parts in (first, second)]
     total = np.zeros(2 * LAGS + 1)
     for a, b in zip(first, second, strict=True):
-        x, y = a - means[0], b - means[1]
-        for lag in range(-min(LAGS, len(x) - 1), min(LAGS, len(x) - 1) + 1):
-            total[lag + LAGS] += (
-                x[max(lag, 0) : len(x) + min(lag, 0)] @ y[max(-lag, 0) : len(y) - max(lag, 0)]
-            )
+        lags = np.arange(-len(a) + 1, len(a))
+        near = np.abs(lags) <= LAGS
+        total[lags[near] + LAGS] += correlate(a - means[0], b - means[1])[near]
     return total
 
 

@@ -19,19 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Section:
-    """One part of a report.
+    """One part of a report: the ``data`` that a file in ``report/templates`` shows.
 
-    Attributes
-    ----------
-    title : str
-        Heading; empty for none.
-    template : str
-        File in ``report/templates`` that shows ``data``.
-    data : mapping
-        Variables of the template. Text is escaped there, since names of joints and recordings
-        come from files of others.
-    folded : bool
-        Shown as a heading that opens with a click.
+    Text is escaped there, since names of joints and recordings come from files of others. A
+    ``folded`` section is a heading that opens with a click.
     """
 
     title: str
@@ -53,31 +44,12 @@ def table_section(
     weak: Sequence[bool] = (),
     folded: bool = False,
 ) -> Section:
-    """Return a section of sentences, facts and tables, in this order.
+    """Return a section of emphasized sentences, facts, tables and notes, in this order.
 
-    Parameters
-    ----------
-    title : str
-        Heading; empty for none.
-    tables : Table
-        Those without rows are left out.
-    sentences : sequence of str
-        Emphasized; several as a list.
-    facts : sequence of (name, value)
-    notes : sequence of str
-        Shown last.
-    titles : bool
-        Whether each table has its own heading.
-    links : mapping, optional
-        Text of cells → anchor in the page that they link to.
-    text : collection of str
-        Headings of columns that are aligned left, as long texts are anyway.
-    bars : mapping, optional
-        Heading of a column → a bar in each of its cells, 0 to 100.
-    weak : sequence of bool
-        Rows that are shown in grey.
-    folded : bool
-        As in `Section`.
+    Tables without rows are left out; with ``titles``, each has its own heading. ``links`` are texts
+    of cells and their anchors in the page, ``text`` headings of columns that are aligned left (as
+    long texts are anyway), ``bars`` are shown in the cells of a column, 0 to 100, and ``weak`` rows
+    are grey.
     """
     data = {
         "tables": tables,

@@ -16,7 +16,6 @@ from lieid_casadi.errors import (
     RecordingError,
     SameRecordingWarning,
 )
-from lieid_casadi.recording import process
 
 
 @pytest.fixture(scope="module")
@@ -30,38 +29,27 @@ def white_through_filter(sigma, cutoff, *, samples=200_000):
     return sosfiltfilt(butter(4, cutoff, fs=arm.RATE, output="sos"), noise).std()
 
 
-def test_errors_per_joint_are_those_of_the_filtered_torques(fit):
+def test_errors_are_those_of_the_torques(fit):
     test = arm.recording(14.0, seed=2, noise=0.3, still_after=9.0)
-    (segment,) = process(test, fit.processing)
-    measured, predicted = segment.filter(segment.tau), fit.predict_processed(segment)
-    error, moving = measured - predicted, segment.filtered_moving
-
-    comparison = lieid.compare(fit, test)
-
-    np.testing.assert_allclose(comparison.rms, np.sqrt((error**2).mean(axis=0)))
-    np.testing.assert_allclose(comparison.bias, error.mean(axis=0))
-    np.testing.assert_allclose(comparison.torque_rms, np.sqrt((measured**2).mean(axis=0)))
-    np.testing.assert_allclose(comparison.relative_rms, comparison.rms / comparison.torque_rms)
-    for j in range(2):
-        expected = np.corrcoef(measured[:, j], predicted[:, j])[0, 1]
-        assert comparison.correlation[j] == pytest.approx(expected)
-    went, rested = error[moving[:, 1], 1], error[~moving[:, 1], 1]
-    assert comparison.rms_moving[1] == pytest.approx(np.sqrt(np.mean(went**2)))
-    assert comparison.rms_at_rest[1] == pytest.approx(np.sqrt(np.mean(rested**2)))
-    assert comparison.at_rest[1] == pytest.approx(len(rested) / len(error))
-    assert comparison.error_at_rest[1] == pytest.approx(
-        np.sum(rested**2) / np.sum(error[:, 1] ** 2)
-    )
-    assert 0.3 < comparison.at_rest[1] < 0.45  # 4.5 of 13 s
-    assert comparison.cutoff == 6.0
-
-
-def test_raw_error_is_of_torques_without_filter(fit):
-    test = arm.recording(14.0, seed=2, noise=0.3)
     error = test.tau - fit.predict(test)
     comparison = lieid.compare(fit, test)
-    np.testing.assert_allclose(comparison.rms_raw, np.sqrt((error**2).mean(axis=0)), rtol=1e-3)
+    np.testing.assert_allclose(comparison.rms_raw, np.sqrt((error**2).mean(axis=0)), rtol=0.02)
     assert np.all(comparison.rms_raw > 2.0 * comparison.rms)
+    both = zip(comparison.rms_moving, comparison.rms_at_rest, comparison.at_rest, strict=True)
+    for rms, (moving, resting, part) in zip(comparison.rms, both, strict=True):
+        assert rms**2 == pytest.approx((1 - part) * moving**2 + part * np.nan_to_num(resting) ** 2)
+    assert 0.3 < comparison.at_rest[1] < 0.45  # 4.5 of 13 s
+    assert comparison.to_dict()["rms_at_rest"][0] is None  # joint 1 never rests
+
+
+@pytest.mark.parametrize(
+    ("seconds", "source"),
+    [(30.0, "period_to_period"), (10.0, "motion")],  # of a period of 6 s
+)
+def test_the_noise_floor_is_the_noise_that_was_added(fit, seconds, source):
+    comparison = lieid.compare(fit, arm.recording(seconds, seed=1, noise=0.4))
+    assert comparison.noise_source == source
+    np.testing.assert_allclose(comparison.noise_floor, white_through_filter(0.4, 6.0), rtol=0.12)
 
 
 def test_training_recordings_give_the_training_error():
@@ -72,22 +60,6 @@ def test_training_recordings_give_the_training_error():
     np.testing.assert_allclose(comparison.rms_raw, fit.rms_train_raw)
 
 
-def test_noise_from_period_to_period_is_the_noise_that_was_added(fit):
-    sigma = 0.4
-    comparison = lieid.compare(fit, arm.recording(30.0, seed=1, noise=sigma))
-    assert comparison.noise_source == "period_to_period"
-    expected = white_through_filter(sigma, 6.0)
-    np.testing.assert_allclose(comparison.noise_floor, expected, rtol=0.12)
-
-
-def test_noise_without_periods_is_the_noise_that_was_added(fit):
-    sigma = 0.4  # 10 s of a 6 s period: nothing repeats
-    comparison = lieid.compare(fit, arm.recording(10.0, seed=1, noise=sigma))
-    assert comparison.noise_source == "motion"
-    expected = white_through_filter(sigma, 6.0)
-    np.testing.assert_allclose(comparison.noise_floor, expected, rtol=0.12)
-
-
 def coloured(correlation_time, size, seed, samples):
     """Return noise (samples, 2) of first order with a correlation time, s."""
     random = np.random.default_rng(seed)
@@ -96,7 +68,7 @@ def coloured(correlation_time, size, seed, samples):
     return lfilter([1.0], [1.0, -memory], white, axis=0)
 
 
-@pytest.mark.parametrize("correlation_time", [0.0, 0.02, 0.1, 0.3])
+@pytest.mark.parametrize("correlation_time", [0.0, 0.02, 0.3])
 @pytest.mark.parametrize("missing", [False, True])
 def test_noise_floor_of_white_and_coloured_noise(fit, correlation_time, missing):
     """The estimate is near the noise, and never above the error, whatever the model lacks."""
@@ -186,27 +158,6 @@ def test_error_at_rest_is_reported_for_the_joint_that_rests(fit):
     assert comparison.rms_moving[1] < 0.3
 
 
-def test_a_recording_at_rest_is_not_said_to_have_an_error_in_motion(fit):
-    test = arm.recording(10.0, seed=2, still_after=0.0, extra=np.tile([0.0, 1.4], (2000, 1)))
-    (warning,) = lieid.compare(fit, test).warnings[-1:]
-    assert isinstance(warning, FrictionAtRestWarning)
-    assert str(warning).endswith("never in motion): compare a recording in motion")
-
-
-def test_a_joint_that_never_rests_has_no_error_at_rest(fit):
-    comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.1))
-    assert comparison.to_dict()["rms_at_rest"] == [None, None]
-    assert not any(isinstance(w, FrictionAtRestWarning) for w in comparison.warnings)
-
-
-def test_rest_is_not_reported_without_dry_friction():
-    fit = arm.fit(effects="viscous,offset")
-    t = arm.motion(14.0)[0]
-    stuck = np.where((t >= 7.0)[:, None], [0.0, 8.0], 0.0)
-    test = arm.recording(14.0, seed=2, noise=0.1, still_after=7.0, extra=stuck)
-    assert not any(isinstance(w, FrictionAtRestWarning) for w in lieid.compare(fit, test).warnings)
-
-
 @pytest.mark.parametrize(
     ("train", "test", "reported"),
     [
@@ -222,13 +173,6 @@ def test_testing_on_training_data_is_reported(tmp_path, train, test, reported):
     part = whole if test == (None, None) else whole.cut(*test)
     comparison = lieid.compare(arm.fit(whole.cut(*train)), part)
     assert any(isinstance(w, SameRecordingWarning) for w in comparison.warnings) is reported
-
-
-def test_warnings_of_recordings_are_kept(fit):
-    t, q, dq, ddq = arm.motion(12.0, seed=2)
-    test = lieid.Recording.from_arrays(t, q, -dq, arm.torque(q, dq, ddq))
-    names = {type(w).__name__ for w in lieid.compare(fit, test).warnings}
-    assert "VelocityMismatchWarning" in names
 
 
 def test_recordings_that_cannot_be_compared_are_refused(fit):
@@ -277,19 +221,10 @@ def test_series_contain_the_signals_of_the_plots(fit):
     np.testing.assert_allclose(series.load[inside, 1], at(rigid[:, 1]), atol=0.25)
 
 
-def test_a_test_is_never_averaged_over_periods():
-    train = arm.recording(30.0, seed=1, noise=0.2)
-    model = lieid.Model(lieid.robots.two_link(), arm.EFFECTS)
-    averaged = lieid.Processing(cutoff=6.0, average_periods=True)
-    fit = lieid.identify(model, train, processing=averaged)
-    comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.2))  # nothing repeats
-    assert comparison.duration == pytest.approx(9.0, abs=0.1)
-
-
 def test_the_error_of_a_complete_model_is_uncorrelated_noise(fit):
     """About one in a hundred values of white noise lies outside the bands."""
     outside = []
-    for seed in range(5, 10):
+    for seed in range(5, 8):
         test = arm.recording(40.0, seed=seed, noise=0.3)
         segments = compared_segments(fit, [test])
         comparison = compare_segments(fit, [test], segments, with_noise=False)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 import lieid_casadi as lieid
 from lieid_casadi.comparison import plot_style
-from lieid_casadi.comparison.plots import binned_mean, intervals
+from lieid_casadi.comparison.plots import intervals
 
 
 @pytest.fixture(scope="module")
@@ -56,19 +56,6 @@ def test_plot_draws_one_joint_into_given_axes(comparison):
     np.testing.assert_array_equal(measured, comparison.series[0].measured[:, 1])
 
 
-def test_the_joint_with_the_largest_error_is_drawn_by_default(comparison):
-    ax = Figure().subplots()
-    comparison.plot(ax)
-    worst = int(np.argmax(comparison.relative_rms))
-    assert ax.get_title("left").startswith(f"joint {worst + 1} ")
-
-
-def test_axes_of_a_subfigure_are_accepted(comparison):
-    figure = Figure()
-    ax = figure.subfigures(1, 2)[0].subplots()
-    assert comparison.plot(ax, joint=0) is figure
-
-
 def test_errors_are_drawn_against_each_signal(comparison):
     axes = np.reshape(comparison.plot_errors().axes, (2, 5))
     (series,) = comparison.series
@@ -105,13 +92,6 @@ def test_several_recordings_are_drawn_one_after_another():
     assert "recordings one after another" in figure.axes[-1].get_xlabel()
 
 
-def test_segments_of_one_recording_keep_its_clock():
-    times = [np.arange(3.0), np.arange(7.0, 9.0)]
-    shown, text = plot_style.axis_times(["a", "a"], times)
-    np.testing.assert_array_equal(np.concatenate(shown), np.concatenate(times))
-    assert text == "time [s]"
-
-
 def test_decimated_lines_keep_their_peaks():
     x = np.arange(200_000.0)
     y = np.sin(x / 900.0)
@@ -122,23 +102,6 @@ def test_decimated_lines_keep_their_peaks():
     assert thin_y.min() == -7.0
     assert np.all(np.diff(thin_x) > 0.0)
     np.testing.assert_array_equal(y[thin_x.astype(int)], thin_y)
-
-
-def test_scatter_plots_are_decimated_evenly():
-    marked = np.ones(100_000, dtype=bool)
-    marked[:1000] = False
-    kept = plot_style.thin(marked)
-    assert 0.5 * plot_style.MOST_POINTS < len(kept) <= plot_style.MOST_POINTS
-    assert kept[0] == 1000
-    assert np.unique(np.diff(kept)).size == 1
-
-
-def test_means_of_intervals():
-    x = np.array([0.1] * 6 + [1.5] * 3 + [2.5] * 8)
-    y = np.array([1.0] * 3 + [2.0] * 3 + [9.0] * 3 + [4.0] * 8)
-    centre, mean = binned_mean(x, y, np.array([0.0, 1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(centre, [0.5, 1.5, 2.5])
-    np.testing.assert_allclose(mean, [1.5, np.nan, 4.0])
 
 
 def test_zero_speed_separates_intervals():
