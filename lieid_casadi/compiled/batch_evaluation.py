@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +29,10 @@ _ROLES = {"sin": 2, "cos": 3}
 
 @dataclass(frozen=True)
 class MatrixLayout:
-    """The places of the values of a matrix (rows, columns).
-
-    ``rows``, ``columns`` (nnz,) give the place of each value, row after row, columns ascending.
-    """
+    """The places of the values of a matrix."""
 
     shape: tuple[int, int]
-    rows: Indices
+    rows: Indices  # (nnz,) of each value, row after row, columns ascending
     columns: Indices
 
     @cached_property
@@ -51,12 +47,11 @@ class MatrixLayout:
         return len(self.rows)
 
 
-class Evaluation(ABC):
+class Evaluation(Protocol):
     """A matrix function of samples, made of parts side by side."""
 
     layout: MatrixLayout
 
-    @abstractmethod
     def bind(self, values: Mapping[str, Array]) -> BoundEvaluation:
         """Return the function on given samples.
 
@@ -65,23 +60,17 @@ class Evaluation(ABC):
         """
 
 
-class BoundEvaluation(ABC):
+class BoundEvaluation(Protocol):
     """An evaluation on given samples."""
 
-    @abstractmethod
     def dense(self, out: Array, threads: int) -> None:
         """Write the matrices of all samples to ``out`` (N, rows, columns), C-contiguous."""
 
-    @abstractmethod
     def columns(self, first: int, last: int, out: Array) -> None:
-        """Write the values of some samples.
-
-        ``first``, ``last``: samples first … last − 1; ``out`` (nnz, ≥ last − first): row k receives
-        value k of the layout.
-        """
+        """Write value k of the layout, of samples first … last − 1, to row k of ``out``."""
 
 
-class CompiledEvaluation(Evaluation):
+class CompiledEvaluation:
     """Evaluation by compiled kernels; part k begins at column ``first_columns[k]``."""
 
     def __init__(
@@ -92,19 +81,20 @@ class CompiledEvaluation(Evaluation):
         shape: tuple[int, int],
     ) -> None:
         self.runtime = runtime
-        self.kernels = kernels
-        names = _names(kernels)
+        # q first, of which the runtime takes sines
+        given = dict.fromkeys(name for kernel in kernels for name, _ in kernel.arguments)
+        names = sorted(given, key=lambda name: name != "q")
         self.names = {name: k for k, name in enumerate(names)}
         self.layout, _ = _side_by_side(kernels, first_columns, shape)
-        self.calls = self._make_calls()
+        self.calls = self._make_calls(kernels)
         self.arguments = _make_arguments(names, kernels)
         self.offsets, self.sources = _chunks(self.layout, runtime.lanes)
 
-    def _make_calls(self) -> ctypes.Array[KernelCall]:
-        calls = (KernelCall * len(self.kernels))()
+    def _make_calls(self, kernels: Sequence[Kernel]) -> ctypes.Array[KernelCall]:
+        calls = (KernelCall * len(kernels))()
         start = self.layout.row_starts[:-1].copy()
         self._kept: list[Indices] = []  # keeps alive the memory that the calls point to
-        for call, kernel in zip(calls, self.kernels, strict=True):
+        for call, kernel in zip(calls, kernels, strict=True):
             arguments = np.array([self.names[name] for name, _ in kernel.arguments])
             starts = start.copy()
             start += np.bincount(kernel.rows, minlength=len(start))
@@ -119,7 +109,7 @@ class CompiledEvaluation(Evaluation):
         return _BoundKernels(self, values)
 
 
-class _BoundKernels(BoundEvaluation):
+class _BoundKernels:
     def __init__(self, evaluation: CompiledEvaluation, values: Mapping[str, Array]) -> None:
         self._evaluation, self._values = evaluation, values
         self._arguments = type(evaluation.arguments).from_buffer_copy(evaluation.arguments)
@@ -164,7 +154,7 @@ class _BoundKernels(BoundEvaluation):
             raise MemoryError
 
 
-class MachineEvaluation(Evaluation):
+class MachineEvaluation:
     """Evaluation by CasADi's virtual machine, on blocks of samples."""
 
     def __init__(
@@ -181,33 +171,21 @@ class MachineEvaluation(Evaluation):
         return _BoundMachine(self, values)
 
     def values(self, values: Mapping[str, Array], first: int, last: int) -> Array:
-        """Return the values (nnz, last − first) of some samples in the layout's order.
-
-        ``values``: arrays by the names of arguments; ``first``, ``last``: samples first … last − 1.
-        """
-        parts = []
+        """Return the values (nnz, last − first) of samples first … last − 1, in their order."""
+        part = {name: x[first:last].T if x.ndim == 2 else x for name, x in values.items()}
+        part |= {"sin": np.sin(part["q"]), "cos": np.cos(part["q"])}
+        found = [np.zeros((0, last - first))]
         for sparse in self.functions:
-            inputs = [
-                self._input(values, sparse, k, first, last) for k in range(sparse.function.n_in())
-            ]
-            parts.append(np.asarray(sparse.function(*inputs).full()))
-        if not parts:
-            return np.zeros((0, last - first))
-        return np.concatenate(parts)[self._order]
-
-    def _input(
-        self, values: Mapping[str, Array], sparse: SparseFunction, k: int, first: int, last: int
-    ) -> Array:
-        name, width = sparse.function.name_in(k), sparse.function.size1_in(k)
-        if name in _ROLES:
-            return np.asarray((np.sin if name == "sin" else np.cos)(values["q"][first:last])).T
-        array = values.get(name)
-        if array is None:
-            return np.zeros((width, last - first))
-        return array[first:last].T if array.ndim == 2 else array
+            f = sparse.function
+            inputs = (
+                part.get(f.name_in(k), np.zeros((f.size1_in(k), last - first)))
+                for k in range(f.n_in())
+            )
+            found.append(np.asarray(f(*inputs).full()))
+        return np.concatenate(found)[self._order]
 
 
-class _BoundMachine(BoundEvaluation):
+class _BoundMachine:
     def __init__(self, evaluation: MachineEvaluation, values: Mapping[str, Array]) -> None:
         self._evaluation, self._values = evaluation, values
 
@@ -253,12 +231,6 @@ def _address(array: NDArray[Any]) -> int:
     return int(array.__array_interface__["data"][0])  # half the time of array.ctypes.data
 
 
-def _names(kernels: Sequence[Kernel]) -> list[str]:
-    """Return the arguments of all kernels, q first, of which the runtime takes sines."""
-    names = [name for kernel in kernels for name, _ in kernel.arguments]
-    return sorted(dict.fromkeys(names), key=lambda name: name != "q")
-
-
 def _chunks(layout: MatrixLayout, lanes: int) -> tuple[Indices, NDArray[np.int32]]:
     """Return the pieces of ``lanes`` entries that hold values: offsets (c,), sources (c·lanes,).
 
@@ -279,20 +251,12 @@ PADDING = 8  # doubles between rows: strides of a power of two map to the same c
 
 
 class BaseBlocks:
-    """Blocks of samples of a base regressor.
+    """Blocks of ``size`` samples of a base regressor.
 
     Each joint has only its structurally nonzero columns, so that joint i's block has no zeros of
-    the links before it. Iterate, or call `evaluate` from several threads with a buffer each.
-
-    Attributes
-    ----------
-    columns : tuple of (p_i,) int
-        Which of the base regressor's columns each joint has, ascending.
-    starts : (n + 1,) int
-        Where each joint's values begin among those of one sample.
-    samples : int
-    size : int
-        Samples per block.
+    the links before it: ``columns[i]`` (p_i,) says which, ``starts`` (n + 1,) where its values
+    begin among those of one sample. Iterate, or call `evaluate` from several threads with a buffer
+    each.
 
     Examples
     --------
@@ -330,16 +294,10 @@ class BaseBlocks:
         return memory[start : start + rows * columns].reshape(rows, columns)
 
     def evaluate(self, first: int, last: int, buffer: Array) -> tuple[Array, ...]:
-        """Return some samples as one array (p_i, m) per joint, m = last − first.
+        """Return samples first … last − 1, at most ``size``, as one array (p_i, m) per joint.
 
-        Rows are contiguous, so that the transpose is a Fortran-ordered matrix of m samples.
-
-        Parameters
-        ----------
-        first, last : int
-            Samples first … last − 1, at most ``size``.
-        buffer : array
-            From `buffer`; the results are views of it.
+        Rows are contiguous, so that the transpose is a Fortran-ordered matrix of m samples. The
+        results are views of ``buffer``, which is from `buffer`.
         """
         self._bound.columns(first, last, buffer)
         ends = zip(self._starts[:-1], self._starts[1:], strict=True)

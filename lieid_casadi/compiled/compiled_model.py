@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from typing import TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +30,7 @@ _PARTS = {
     "base_regressor": ("base_regressor", "base_effects"),
     "rigid_base_regressor": ("base_regressor",),
 }
+_VECTORS = ("inverse_dynamics", "gravity", "effect_torque")
 _FLOAT = np.dtype(np.float64)
 
 
@@ -164,7 +165,7 @@ class Compiled:
 
     def regressor(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, **call: Unpack[Call]) -> Array:
         """Return the full regressor Y (N, n, 10 n) of the rigid torque."""
-        return self._matrix("regressor", self._samples(q=q, dq=dq, ddq=ddq), **call)
+        return self._evaluate("regressor", self._samples(q=q, dq=dq, ddq=ddq), call)
 
     def slotine_li_regressor(
         self,
@@ -180,7 +181,7 @@ class Compiled:
         "On the adaptive control of robot manipulators", IJRR 1987), rad/s, rad/s².
         """
         values = self._samples(q=q, dq=dq, dq_r=dq_r, ddq_r=ddq_r)
-        return self._matrix("slotine_li_regressor", values, **call)
+        return self._evaluate("slotine_li_regressor", values, call)
 
     def inverse_dynamics(
         self,
@@ -192,26 +193,26 @@ class Compiled:
     ) -> Array:
         """Return the rigid torque (N, n) of link parameters, N·m."""
         values = self._samples(q=q, dq=dq, ddq=ddq) | self._links(parameters)
-        return self._vector("inverse_dynamics", values, **call)
+        return self._evaluate("inverse_dynamics", values, call)
 
     def mass_matrix(self, q: ArrayLike, parameters: ArrayLike, **call: Unpack[Call]) -> Array:
         """Return M(q) (N, n, n) of link parameters, kg·m²."""
-        return self._matrix("mass_matrix", self._samples(q=q) | self._links(parameters), **call)
+        return self._evaluate("mass_matrix", self._samples(q=q) | self._links(parameters), call)
 
     def coriolis_matrix(
         self, q: ArrayLike, dq: ArrayLike, parameters: ArrayLike, **call: Unpack[Call]
     ) -> Array:
         """Return C(q, q̇) (N, n, n) of link parameters, with Ṁ − 2C skew-symmetric."""
         values = self._samples(q=q, dq=dq) | self._links(parameters)
-        return self._matrix("coriolis_matrix", values, **call)
+        return self._evaluate("coriolis_matrix", values, call)
 
     def gravity(self, q: ArrayLike, parameters: ArrayLike, **call: Unpack[Call]) -> Array:
         """Return G(q) (N, n) of link parameters, N·m."""
-        return self._vector("gravity", self._samples(q=q) | self._links(parameters), **call)
+        return self._evaluate("gravity", self._samples(q=q) | self._links(parameters), call)
 
     def jacobian(self, q: ArrayLike, **call: Unpack[Call]) -> Array:
         """Return the tool's Jacobian (N, 6, n), [ω; v] in base axes."""
-        return self._matrix("jacobian", self._samples(q=q), **call)
+        return self._evaluate("jacobian", self._samples(q=q), call)
 
     def base_regressor(
         self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, **given: Unpack[EffectCall]
@@ -223,15 +224,13 @@ class Compiled:
         ModelError
             The model has effects on the whole arm or on the measurement.
         """
-        self._require_joint_effects()
-        values = self._signals(self._samples(q=q, dq=dq, ddq=ddq), given)
-        return self._matrix("base_regressor", values, given.get("out"), given.get("threads"))
+        return self._evaluate("base_regressor", self._signals(q, dq, ddq, given, False), given)
 
     def rigid_base_regressor(
         self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, **call: Unpack[Call]
     ) -> Array:
         """Return Y_b (N, n, p) with zeros in the columns of effects."""
-        return self._matrix("rigid_base_regressor", self._samples(q=q, dq=dq, ddq=ddq), **call)
+        return self._evaluate("rigid_base_regressor", self._samples(q=q, dq=dq, ddq=ddq), call)
 
     def base_blocks(
         self,
@@ -243,7 +242,7 @@ class Compiled:
         **signals: Unpack[EffectSignals],
     ) -> BaseBlocks:
         """See `base_regressor`; in blocks of ``size`` samples, by default fitting in cache."""
-        values = self._signals(self._samples(q=q, dq=dq, ddq=ddq), signals)
+        values = self._signals(q, dq, ddq, signals, True)
         return BaseBlocks(self._evaluation("base_regressor"), values, len(values["q"]), size)
 
     def effect_columns(
@@ -262,10 +261,8 @@ class Compiled:
         ModelError
             The model has effects on the whole arm or on the measurement.
         """
-        if not joint_effects_only:
-            self._require_joint_effects()
-        values = self._signals(self._samples(q=q, dq=dq, ddq=ddq), given)
-        return self._matrix("effect_columns", values, given.get("out"), given.get("threads"))
+        values = self._signals(q, dq, ddq, given, joint_effects_only)
+        return self._evaluate("effect_columns", values, given)
 
     def effect_torque(
         self,
@@ -284,21 +281,49 @@ class Compiled:
         ModelError
             The model has effects on the whole arm or on the measurement.
         """
-        if not joint_effects_only:
-            self._require_joint_effects()
-        values = self._signals(self._samples(q=q, dq=dq, ddq=ddq), given)
+        values = self._signals(q, dq, ddq, given, joint_effects_only)
         width = len(self.model.columns)
         values["coefficients"] = _constants("coefficients", coefficients, width)
-        return self._vector("effect_torque", values, given.get("out"), given.get("threads"))
+        return self._evaluate("effect_torque", values, given)
 
-    def _require_joint_effects(self) -> None:
+    def _signals(
+        self,
+        q: ArrayLike,
+        dq: ArrayLike,
+        ddq: ArrayLike,
+        given: EffectSignals,
+        joint_effects_only: bool,
+    ) -> dict[str, Array]:
+        """Return the motion with the other signals of effects."""
         labels = [p.label for p in self.model.placements if isinstance(p.effect, ArmEffect)]
-        if labels:
+        if labels and not joint_effects_only:
             raise ModelError(
                 f"{', '.join(labels)}: effects on the whole arm or on the measurement do not "
                 "follow from the signals of one joint; use Fit.torque or lieid.symbolic, or pass "
                 "joint_effects_only=True where the function takes it"
             )
+        unknown = given.keys() - EffectCall.__annotations__.keys()
+        if unknown:
+            raise TypeError(f"unexpected keyword argument {sorted(unknown)[0]!r}")
+        own: dict[str, Any] = {name: x for name, x in given.items() if x is not None}
+        values = self._samples(q=q, dq=dq, ddq=ddq)
+        count = len(values["q"])
+        for name, default in (
+            ("shapes", self.model.initial_shapes),
+            ("dead_zone", np.zeros(self.n)),
+        ):
+            values[name] = _constants(name, own.get(name, default), len(default))
+        for name in ("load", "temperature", "command_error"):
+            if name in own:
+                values[name] = samples(name, own[name], self.n, count)
+        if "time" in own:
+            time = _real("time", own["time"])
+            if time.shape not in ((count,), (count, 1)):
+                raise ModelError(f"time: shape {time.shape}; expected ({count},)")
+            values["time"] = time.reshape(count, 1)
+        if self.model.states:
+            values["states"] = states_along(self._memory, values)
+        return values
 
     def _samples(self, **signals: ArrayLike) -> dict[str, Array]:
         """Check signals (N, n) of equal N."""
@@ -309,63 +334,22 @@ class Compiled:
             count = len(values[name])
         return values
 
-    def _signals(self, motion: dict[str, Array], given: EffectSignals) -> dict[str, Array]:
-        """Return the motion with the other signals of effects."""
-        unknown = given.keys() - EffectCall.__annotations__.keys()
-        if unknown:
-            raise TypeError(f"unexpected keyword argument {sorted(unknown)[0]!r}")
-        start, count = self.model.initial_shapes, len(motion["q"])
-        shapes, dead_zone = given.get("shapes"), given.get("dead_zone")
-        values = motion | {
-            "shapes": _constants("shapes", start if shapes is None else shapes, len(start)),
-            "dead_zone": _constants(
-                "dead_zone", np.zeros(self.n) if dead_zone is None else dead_zone, self.n
-            ),
-        }
-        for name in ("load", "temperature", "command_error"):
-            signal: ArrayLike | None = given.get(name)  # type: ignore[assignment]
-            if signal is not None:
-                values[name] = samples(name, signal, self.n, count)
-        time = given.get("time")
-        if time is not None:
-            values["time"] = _times(time, count)
-        if self.model.states:
-            values["states"] = states_along(self._memory, values)
-        return values
-
     def _links(self, parameters: ArrayLike) -> dict[str, Array]:
         return {"parameters": _constants("parameters", parameters, 10 * self.n)}
 
-    def _matrix(
-        self,
-        name: str,
-        values: Mapping[str, Array],
-        out: Array | None = None,
-        threads: int | None = None,
+    def _evaluate(
+        self, name: str, values: Mapping[str, Array], call: Call | EffectCall | None = None
     ) -> Array:
-        evaluation = self._evaluation(name)
-        result = _output(out, (len(values["q"]), *evaluation.layout.shape))
-        self._run(evaluation, values, result, threads)
+        """Evaluate a function; matrices that are columns become vectors."""
+        given: Mapping[str, Any] = call or {}
+        evaluation, threads = self._evaluation(name), given.get("threads")
+        rows, columns = evaluation.layout.shape
+        shape = (rows,) if name in _VECTORS else (rows, columns)
+        result = _output(given.get("out"), (len(values["q"]), *shape))
+        apart = {k: v.copy() if np.may_share_memory(v, result) else v for k, v in values.items()}
+        matrices = result[:, :, None] if name in _VECTORS else result
+        evaluation.bind(apart).dense(matrices, self.threads if threads is None else threads)
         return result
-
-    def _vector(
-        self,
-        name: str,
-        values: Mapping[str, Array],
-        out: Array | None = None,
-        threads: int | None = None,
-    ) -> Array:
-        """Evaluate a function whose matrices are columns."""
-        evaluation = self._evaluation(name)
-        result = _output(out, (len(values["q"]), evaluation.layout.shape[0]))
-        self._run(evaluation, values, result[:, :, None], threads)
-        return result
-
-    def _run(
-        self, evaluation: Evaluation, values: Mapping[str, Array], out: Array, threads: int | None
-    ) -> None:
-        apart = {k: v.copy() if np.may_share_memory(v, out) else v for k, v in values.items()}
-        evaluation.bind(apart).dense(out, self.threads if threads is None else threads)
 
     def _evaluation(self, name: str) -> Evaluation:
         if name not in self._evaluations:
@@ -419,14 +403,6 @@ def samples(name: str, values: ArrayLike, width: int, count: int | None = None) 
         rows = "N" if count is None else str(count)
         raise ModelError(f"{name}: shape {array.shape}; expected ({rows}, {width})")
     return array
-
-
-def _times(values: ArrayLike, count: int) -> Array:
-    """Return times (N,) as (N, 1)."""
-    array = _real("time", values)
-    if array.shape not in ((count,), (count, 1)):
-        raise ModelError(f"time: shape {array.shape}; expected ({count},)")
-    return array.reshape(count, 1)
 
 
 def _constants(name: str, values: ArrayLike, width: int) -> Array:

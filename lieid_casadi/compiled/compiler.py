@@ -97,12 +97,9 @@ def find_compiler() -> Compiler:
 
 
 def build(compiler: Compiler, target: Target, source: Path, library: Path, include: Path) -> None:
-    """Compile one C file to a shared library.
+    """Compile one C file to a shared library, with headers of the folder ``include``.
 
-    ``target``: instruction set; ``source``, ``library``: the C file, and the file to write;
-    ``include``: folder of the headers.
-    Raises `CompilerError`: the compiler failed, or took longer than ``LIEID_COMPILER_TIMEOUT``
-    seconds (30).
+    `CompilerError`: the compiler failed, or took longer than ``LIEID_COMPILER_TIMEOUT`` s (30).
     """
     command = [
         *compiler.command, *FLAGS, *target.flags, f"-DLIEID_LANES={target.lanes}", f"-I{include}",

@@ -40,10 +40,10 @@ from lieid_casadi.errors import CompilerError
 from lieid_casadi.expressions.c_writer import UnsupportedOperation
 from lieid_casadi.expressions.model_functions import SparseFunction
 from lieid_casadi.robot import Joint
-from lieid_casadi.robot.robot import Robot
 
 logger = logging.getLogger("lieid_casadi")
 
+T = TypeVar("T")
 Loaded = TypeVar("Loaded", Kernel, Reducer, Runtime)
 
 # Functions of the robot's geometry alone: their cache key is made of its numbers, so that a hit
@@ -71,17 +71,7 @@ class Kernels:
 
         The first failure of a process is logged once, with its remedy.
         """
-        names = tuple(names)
-        if CompilerFailure.reason is None:
-            try:
-                return self._runtime_and(names)
-            except UnsupportedOperation as error:
-                logger.warning("%s; CasADi's virtual machine evaluates it", error)
-            except CompilerError as error:
-                CompilerFailure.report(str(error))
-            except OSError as error:
-                CompilerFailure.report(f"compiled code cannot be stored: {error}")
-        return None
+        return CompilerFailure.unless(lambda: self._runtime_and(tuple(names)))
 
     def _runtime_and(self, names: tuple[str, ...]) -> tuple[Runtime, tuple[Kernel, ...]]:
         missing = [name for name in names if name not in self._loaded]
@@ -89,7 +79,7 @@ class Kernels:
             built = [self._kernel(name) for name in missing]
         else:
             with ThreadPoolExecutor(2) as pool:  # two compilers at once
-                runtime = pool.submit(_runtime, self.target)
+                runtime = pool.submit(_own_library, load_runtime, self.target, "lieid_batch.c")
                 built = list(pool.map(self._kernel, missing))
             self._runtime = runtime.result()
         self._loaded.update(zip(missing, built, strict=True))
@@ -114,8 +104,19 @@ class CompilerFailure:
     reason: str | None = None
 
     @classmethod
-    def report(cls, reason: str) -> None:
-        """Keep and log the first reason."""
+    def unless(cls, build: Callable[[], T]) -> T | None:
+        """Return what a function builds; None without a compiler. The first reason is logged."""
+        if cls.reason is not None:
+            return None
+        try:
+            return build()
+        except UnsupportedOperation as error:
+            logger.warning("%s; CasADi's virtual machine evaluates it", error)
+            return None
+        except CompilerError as error:
+            reason = str(error)
+        except OSError as error:
+            reason = f"compiled code cannot be stored: {error}"
         if cls.reason is None:
             cls.reason = reason
             logger.warning(
@@ -123,6 +124,7 @@ class CompilerFailure:
                 "Remedy: install a C compiler (e.g. apt install gcc) or set CC to one that works",
                 reason,
             )
+        return None
 
 
 def target_of(lanes: int | None) -> Target:
@@ -142,25 +144,23 @@ def target_of(lanes: int | None) -> Target:
 
 def reducer(lanes: int | None = None) -> Reducer | None:
     """Return the reduction to triangular factors; None without a working compiler."""
-    if CompilerFailure.reason is None:
-        try:
-            return _reducer(lanes)
-        except CompilerError as error:
-            CompilerFailure.report(str(error))
-        except OSError as error:
-            CompilerFailure.report(f"compiled code cannot be stored: {error}")
-    return None
+    return CompilerFailure.unless(lambda: _reducer(lanes))
 
 
 @cache
 def _reducer(lanes: int | None) -> Reducer:
-    text = (codegen_folder() / "lieid_reduce.c").read_text(encoding="utf-8")
-    return _library(load_reducer, target_of(lanes), text, lambda: text)
+    return _own_library(load_reducer, target_of(lanes), "lieid_reduce.c")
 
 
-def _runtime(target: Target) -> Runtime:
-    text = (codegen_folder() / "lieid_batch.c").read_text(encoding="utf-8")
-    return _library(load_runtime, target, text, lambda: text)
+def _own_library(load: Callable[[Path], Loaded], target: Target, name: str) -> Loaded:
+    """Return a library whose source is a file of ``codegen``."""
+    text = _source(name)
+    return _library(load, target, text, lambda: text)
+
+
+@cache
+def _source(name: str) -> str:
+    return (codegen_folder() / name).read_text(encoding="utf-8")
 
 
 _libraries: dict[str, Kernel | Reducer | Runtime] = {}  # by key, for every model of this process
@@ -171,7 +171,11 @@ def _library(
     load: Callable[[Path], Loaded], target: Target, content: str, source: Callable[[], str]
 ) -> Loaded:
     compiler = find_compiler()
-    key = _key(compiler, target, content)
+    parts = (
+        platform.machine(), target.name, *FLAGS, *target.flags, compiler.identity,
+        _source("lieid_lanes.h"), content,
+    )  # fmt: skip
+    key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:40]
     with _lock:
         loaded_before = _libraries.get(key)
     if loaded_before is not None:
@@ -210,30 +214,16 @@ def _compiled(compiler: Compiler, target: Target, text: str) -> bytes:
         return library.read_bytes()
 
 
-def _key(compiler: Compiler, target: Target, content: str) -> str:
-    flags = (*FLAGS, *target.flags)
-    parts = (platform.machine(), target.name, *flags, compiler.identity, _header(), content)
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:40]
-
-
 def _rigid_content(functions: KernelFunctions, name: str) -> str:
     """Return all that a rigid function depends on: geometry, kept columns, deriving code."""
     model = functions.model
-    digest = hashlib.sha256(_robot_numbers(model.robot))
+    robot, digest = model.robot, hashlib.sha256()
+    for array in (robot.gravity, robot.tool, *(a for j in robot.joints for a in (j.screw, j.home))):
+        digest.update(np.ascontiguousarray(array, dtype=np.float64).tobytes())
     if name == "base_regressor":
         kept = model.base.kept
         digest.update(kept[kept < 10 * model.n].astype(np.int64).tobytes())
     return f"{name} {digest.hexdigest()} {_derivation()}"
-
-
-def _robot_numbers(robot: Robot) -> bytes:
-    arrays = [robot.gravity, robot.tool, *(a for j in robot.joints for a in (j.screw, j.home))]
-    return b"".join(np.ascontiguousarray(array, dtype=np.float64).tobytes() for array in arrays)
-
-
-@cache
-def _header() -> str:
-    return (codegen_folder() / "lieid_lanes.h").read_text(encoding="utf-8")
 
 
 @cache

@@ -19,87 +19,59 @@ Indices = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """One matrix function, compiled.
-
-    Attributes
-    ----------
-    address : int
-        Of ``lieid_kernel``.
-    arguments : tuple of (name, width)
-    shape : (rows, columns) of the matrix
-    rows, columns : (nnz,) int
-        Place of each value, row after row, columns ascending.
-    """
+    """One matrix function, compiled."""
 
     library: ctypes.CDLL
-    address: int
-    arguments: tuple[tuple[str, int], ...]
+    address: int  # of ``lieid_kernel``
+    arguments: tuple[tuple[str, int], ...]  # names and widths
     shape: tuple[int, int]
-    rows: Indices
+    rows: Indices  # (nnz,) place of each value, row after row, columns ascending
     columns: Indices
 
 
 def load_kernel(path: Path) -> Kernel:
     """Load a kernel; `CompilerError` if the system refuses it or it lacks a symbol."""
     with _opened(path) as library:
-        return _kernel(library)
+        rows, columns, count = (ctypes.c_int32 * 3).in_dll(library, "lieid_shape")
+        names = ctypes.cast(library.lieid_arguments, ctypes.c_char_p).value or b""
+        arguments = (argument.partition(":") for argument in names.decode().split())
+        address = ctypes.cast(library.lieid_kernel, ctypes.c_void_p).value
+        assert address is not None
+        places = (
+            np.array((ctypes.c_int32 * count).in_dll(library, name), dtype=np.int32)
+            for name in ("lieid_rows", "lieid_columns")
+        )
+        widths = tuple((name, int(width)) for name, _, width in arguments)
+        return Kernel(library, address, widths, (rows, columns), *places)
 
 
-def _kernel(library: ctypes.CDLL) -> Kernel:
-    rows, columns, count = (ctypes.c_int32 * 3).in_dll(library, "lieid_shape")
-    names = ctypes.cast(library.lieid_arguments, ctypes.c_char_p).value or b""
-    arguments = tuple(
-        (name, int(width)) for name, _, width in (a.partition(":") for a in names.decode().split())
-    )
-    address = ctypes.cast(library.lieid_kernel, ctypes.c_void_p).value
-    assert address is not None
-    return Kernel(
-        library,
-        address,
-        arguments,
-        (rows, columns),
-        _indices(library, "lieid_rows", count),
-        _indices(library, "lieid_columns", count),
-    )
-
-
-def _indices(library: ctypes.CDLL, name: str, count: int) -> Indices:
-    return np.array((ctypes.c_int32 * count).in_dll(library, name), dtype=np.int32)
+POINTER, WHOLE = ctypes.c_void_p, ctypes.c_int64
 
 
 class BatchArgument(ctypes.Structure):
     """``lieid_argument`` of ``codegen/lieid_batch.c``."""
 
     _fields_ = (
-        ("data", ctypes.c_void_p),
-        ("width", ctypes.c_int64),
-        ("sample_bytes", ctypes.c_int64),
-        ("value_bytes", ctypes.c_int64),
-        ("role", ctypes.c_int64),
-    )
+        ("data", POINTER), ("width", WHOLE), ("sample_bytes", WHOLE), ("value_bytes", WHOLE),
+        ("role", WHOLE),
+    )  # fmt: skip
 
 
 class KernelCall(ctypes.Structure):
     """``lieid_call``."""
 
     _fields_ = (
-        ("kernel", ctypes.c_void_p),
-        ("argument_count", ctypes.c_int64),
-        ("arguments", ctypes.c_void_p),
-        ("row_count", ctypes.c_int64),
-        ("row_starts", ctypes.c_void_p),
-    )
+        ("kernel", POINTER), ("argument_count", WHOLE), ("arguments", POINTER),
+        ("row_count", WHOLE), ("row_starts", POINTER),
+    )  # fmt: skip
 
 
 class BatchPlan(ctypes.Structure):
     """``lieid_plan``."""
 
     _fields_ = (
-        ("argument_count", ctypes.c_int64),
-        ("arguments", ctypes.c_void_p),
-        ("call_count", ctypes.c_int64),
-        ("calls", ctypes.c_void_p),
-    )
+        ("argument_count", WHOLE), ("arguments", POINTER), ("call_count", WHOLE), ("calls", POINTER)
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,23 +90,18 @@ class Runtime:
 def load_runtime(path: Path) -> Runtime:
     """Load the runtime; `CompilerError` if the system refuses it or it lacks a symbol."""
     with _opened(path) as library:
-        return _runtime(library)
-
-
-def _runtime(library: ctypes.CDLL) -> Runtime:
-    pointer, whole = ctypes.c_void_p, ctypes.c_int64
-    dense, columns = library.lieid_dense, library.lieid_columns
-    dense.argtypes = [
-        pointer, whole, whole, pointer, whole, whole, whole, pointer, pointer, ctypes.c_int,
-    ]  # fmt: skip
-    columns.argtypes = [pointer, whole, whole, pointer, whole, whole]
-    count = library.lieid_lane_count
-    count.restype = whole
-    lanes, states = int(count()), None
-    if lanes == 1:
-        states = library.lieid_states
-        states.argtypes = [pointer, whole, pointer, pointer, whole, pointer, whole]
-    return Runtime(lanes, dense, columns, states)
+        dense, columns = library.lieid_dense, library.lieid_columns
+        dense.argtypes = [
+            POINTER, WHOLE, WHOLE, POINTER, WHOLE, WHOLE, WHOLE, POINTER, POINTER, ctypes.c_int,
+        ]  # fmt: skip
+        columns.argtypes = [POINTER, WHOLE, WHOLE, POINTER, WHOLE, WHOLE]
+        count = library.lieid_lane_count
+        count.restype = WHOLE
+        lanes, states = int(count()), None
+        if lanes == 1:
+            states = library.lieid_states
+            states.argtypes = [POINTER, WHOLE, POINTER, POINTER, WHOLE, POINTER, WHOLE]
+        return Runtime(lanes, dense, columns, states)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,15 +114,10 @@ class Reducer:
 def load_reducer(path: Path) -> Reducer:
     """Load the reducer; `CompilerError` if the system refuses it or it lacks a symbol."""
     with _opened(path) as library:
-        return _reducer(library)
-
-
-def _reducer(library: ctypes.CDLL) -> Reducer:
-    pointer, whole = ctypes.c_void_p, ctypes.c_int64
-    matrix = library.lieid_reduce_matrix
-    matrix.argtypes = [pointer, whole, whole, whole, pointer, pointer]
-    matrix.restype = None
-    return Reducer(matrix)
+        matrix = library.lieid_reduce_matrix
+        matrix.argtypes = [POINTER, WHOLE, WHOLE, WHOLE, POINTER, POINTER]
+        matrix.restype = None
+        return Reducer(matrix)
 
 
 @contextmanager

@@ -31,12 +31,9 @@ def triangular(matrix: Array) -> Array:
 
 
 class Triangle:
-    """Triangular factor of rows added piece by piece.
+    """Triangular factor ``r`` (k, k) of rows added piece by piece.
 
-    Attributes
-    ----------
-    r : (k, k)
-        Upper triangular: rᵀ·r is the Gram matrix of the rows so far, which is never formed.
+    rᵀ·r is the Gram matrix of the rows so far, which is never formed.
 
     Examples
     --------

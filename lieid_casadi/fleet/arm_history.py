@@ -199,17 +199,17 @@ def motions_of(labels: Sequence[str], positions: Array) -> NDArray[np.intp]:
     Positions (N, 4, n) are the lowest, highest and mean one and the standard deviation of each
     joint; nights without positions (NaN) have one motion.
     """
-    unknown = np.isnan(positions).any(axis=(1, 2))
-    span = positions[:, 1] - positions[:, 0]
+    unknown = np.isnan(positions.reshape(len(labels), -1)).any(axis=1)
+    span: Array = positions[:, 1] - positions[:, 0]
     numbers = np.full(len(labels), -1, dtype=np.intp)
     for number in range(len(labels)):
         rest = np.flatnonzero(numbers < 0)
         if not len(rest):
             break
         first = rest[0]
-        tolerance = SAME_MOTION * np.maximum(span, span[first])[:, None] + SAME_POSITION
-        alike = (np.abs(positions - positions[first]) <= tolerance).all(axis=(1, 2))
-        alike = np.where(unknown, unknown[first], alike)
+        tolerance = SAME_MOTION * np.maximum(span, span[first]) + SAME_POSITION
+        farthest = np.abs(positions - positions[first]).max(axis=1) - tolerance
+        alike = np.where(unknown, unknown[first], (farthest <= 0.0).all(axis=1))
         same_label = np.array([label == labels[first] for label in labels])
         numbers[alike & same_label & (numbers < 0)] = number
     return numbers
