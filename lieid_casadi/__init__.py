@@ -21,6 +21,7 @@ __all__ = [
     "DriveGains",
     "Effect",
     "Excitation",
+    "Experiment",
     "Export",
     "ExpressionLimit",
     "Fit",
@@ -34,6 +35,7 @@ __all__ = [
     "ModifiedFourier",
     "Obstacle",
     "PayloadEstimate",
+    "PlannedMotion",
     "PremiseCheck",
     "Processing",
     "Recording",
@@ -58,6 +60,7 @@ __all__ = [
     "drive_gains",
     "effect",
     "excite",
+    "experiment",
     "export",
     "extend",
     "floor",
@@ -90,6 +93,7 @@ _HOME = {
             "ModifiedFourier Obstacle SelfCollision Symbols Torque Wall default_limits "
             "excite floor jerk_limit workspace_box"
         ),
+        "experiments": "Experiment PlannedMotion experiment",
         "exporters.export": "Export export",
         "expressions.symbolic": "SymbolicDynamics symbolic",
         "friction_curves": "FrictionFit StagedFit friction identify_in_stages",
@@ -137,6 +141,9 @@ if TYPE_CHECKING:
         workspace_box,
     )
     from lieid_casadi.excitation.excite import Excitation, excite
+    from lieid_casadi.experiments.experiment import experiment
+    from lieid_casadi.experiments.motion import PlannedMotion
+    from lieid_casadi.experiments.result import Experiment
     from lieid_casadi.exporters.export import Export, export
     from lieid_casadi.expressions.symbolic import SymbolicDynamics, symbolic
     from lieid_casadi.friction_curves.friction_fit import FrictionFit, friction

@@ -53,6 +53,10 @@ class OutputError(LieidError):
     """A file or folder that cannot be written, or may not be replaced."""
 
 
+class RecordError(LieidError):
+    """A command or function of an experiment that did not record the motion."""
+
+
 class FleetError(LieidError):
     """A fleet file, a history or a cluster that cannot be used."""
 

@@ -23,9 +23,8 @@ from lieid_casadi.errors import LieidError, NoSolution, PremiseError, UsageError
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, WRONG_PREMISE, INTERRUPTED = 0, 1, 2, 3, 4, 130
 COMMANDS = (
     "demo", "show", "excite", "check", "identify", "predict", "compare", "friction", "diagnose",
-    "extend", "discriminate", "payload", "gains", "simulate", "sample", "export", "effects",
-    "workbench",
-    "fleet",
+    "extend", "discriminate", "experiment", "payload", "gains", "simulate", "sample", "export",
+    "effects", "workbench", "fleet",
 )  # fmt: skip
 
 

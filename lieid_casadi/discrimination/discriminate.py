@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
-from lieid_casadi.discrimination.discrimination import Discrimination
+from lieid_casadi.discrimination.discrimination import Discrimination, RivalPair
 from lieid_casadi.discrimination.motion_search import (
     FeasibleMotions,
     SearchedMotion,
@@ -22,6 +22,7 @@ from lieid_casadi.discrimination.motion_search import (
 )
 from lieid_casadi.discrimination.rival_effects import (
     RivalEffects,
+    groups_of,
     noncentrality,
     noncentrality_needed,
     rival_pairs,
@@ -41,7 +42,7 @@ REFINED = 3  # of the best random motions
 @blas_on_one_thread
 def discriminate(
     fit: Fit,
-    effects: Sequence[str],
+    effects: Sequence[str] | Sequence[Sequence[str]],
     *,
     sizes: Mapping[str, Sequence[float]] | None = None,
     recordings: Sequence[Recording] = (),
@@ -66,8 +67,9 @@ def discriminate(
     fit : Fit
         Its noise, link parameters and effects are used. Rivals that it contains keep their
         fitted size.
-    effects : sequence of str
-        ``stribeck:1``, each on one joint; two at least.
+    effects : sequence of str, or of sequences
+        ``stribeck:1``, each on one joint; two at least. Several groups of rivals are separated by
+        one motion: pairs are those within a group, beside the fit's effects of the other groups.
     sizes : mapping, optional
         Label of an effect → its coefficients, optionally followed by its shape parameters. An
         effect without a stated or fitted size gets the RMS torque of the largest of these, or of
@@ -139,18 +141,26 @@ def discriminate(
     if limits is None:
         limits = default_limits(robot, margin=margin)
     feasible = feasible_motions(
-        arm, motion_range(robot, acceleration, margin=margin), limits,
+        robot, arm, motion_range(robot, acceleration, margin=margin), limits,
         duration=duration, harmonics=harmonics, samples=samples, start_pose=start_pose,
     )  # fmt: skip
-    rivals = RivalEffects(
-        fit, effects, sizes or {}, independent_rate=independent_rate(fit, recordings),
-        duration=duration, velocity=feasible.range.velocity,
-    )  # fmt: skip
+    groups = groups_of(effects, sizes or {})
+    rate_of_samples = independent_rate(fit, recordings)
+    rivals = [
+        RivalEffects(
+            fit, group, sizes or {}, independent_rate=rate_of_samples,
+            duration=duration, velocity=feasible.range.velocity,
+        )
+        for group in groups
+    ]  # fmt: skip
     random = np.random.default_rng([seed, 20])
     drawn = [feasible.drawn(random) for _ in range(starts)]
     first = [feasible.motion(z) for z in drawn[:TRIED]]
-    rivals.assign_sizes(first)
-    separable = separable_pairs(rivals, [rivals.columns_along(motion) for motion in first])
+    separable = []
+    for group in rivals:
+        group.assign_sizes(first)
+        tried = [group.columns_along(motion) for motion in first]
+        separable.append(separable_pairs(group, tried))
     criterion = _WorstPair.of(rivals, feasible, separable, level)
     values = []
     for k, z in enumerate(drawn):
@@ -161,19 +171,24 @@ def discriminate(
         evaluations=max((evaluations - starts) // REFINED, 1), random=random, progress=progress,
     )  # fmt: skip
     best, violation = feasible.verified(max(refined, key=lambda motion: motion.value).z)
-    rivals.refine_grids()
-    stacked = rivals.columns_along(feasible.motion(best))
-    pairs = rival_pairs(rivals, stacked, separable, level=level, samples=feasible.samples)
+    pairs: list[RivalPair] = []
+    for group, apart in zip(rivals, separable, strict=True):
+        group.refine_grids()
+        stacked = group.columns_along(feasible.motion(best))
+        pairs += rival_pairs(group, stacked, apart, level=level, samples=feasible.samples)
     worst = max(p.needed / p.noncentrality for p in pairs if p.separable)
     median = float(np.median(values))
     trajectory = feasible.parametrization.trajectory(best)
     times = np.append(np.arange(0.0, duration, 1.0 / rate), duration)
     verified = verify(robot, trajectory.at(times), feasible.range, feasible.limits, arm)
     return Discrimination(
-        model=rivals.common, trajectory=trajectory,
+        model=rivals[0].common, trajectory=trajectory,
         periods=int(np.ceil(worst)), level=level,
-        sizes={r.label: [*r.coefficients.tolist(), *r.shapes.tolist()] for r in rivals.effects},
-        pairs=pairs, random_seconds=duration / median if median > 0.0 else float("inf"),
+        sizes={
+            r.label: [*r.coefficients.tolist(), *r.shapes.tolist()]
+            for group in rivals for r in group.effects
+        },
+        pairs=tuple(pairs), random_seconds=duration / median if median > 0.0 else float("inf"),
         max_violation=violation, evaluations=len(values) + sum(r.evaluations for r in refined),
         solve_seconds=time.monotonic() - began, rate=rate, interrupted=refined[-1].interrupted,
         checked=verified.checked, unchecked=verified.unchecked,
@@ -187,28 +202,30 @@ class _WorstPair:
     Its inverse is the number of periods after which the test separates all pairs.
     """
 
-    rivals: RivalEffects
     feasible: FeasibleMotions
-    needed: Mapping[tuple[int, int], float]
+    needed: Sequence[tuple[RivalEffects, Mapping[tuple[int, int], float]]]
 
     @classmethod
     def of(
         cls,
-        rivals: RivalEffects,
+        rivals: Sequence[RivalEffects],
         feasible: FeasibleMotions,
-        pairs: Sequence[tuple[int, int]],
+        separable: Sequence[Sequence[tuple[int, int]]],
         level: float,
     ) -> _WorstPair:
-        effects = rivals.effects
-        needed = {(a, b): noncentrality_needed(effects[a].parameters, level) for a, b in pairs}
-        return cls(rivals, feasible, needed)
+        needed = []
+        for group, pairs in zip(rivals, separable, strict=True):
+            parameters = [effect.parameters for effect in group.effects]
+            chi2 = {pair: noncentrality_needed(parameters[pair[0]], level) for pair in pairs}
+            needed.append((group, chi2))
+        return cls(feasible, needed)
 
     def __call__(self, z: Array) -> float:
-        stacked = self.rivals.columns_along(self.feasible.motion(z))
-        return min(
-            noncentrality(self.rivals, stacked, *pair) / needed
-            for pair, needed in self.needed.items()
-        )
+        motion, ratios = self.feasible.motion(z), []
+        for group, needed in self.needed:
+            stacked = group.columns_along(motion)
+            ratios += [noncentrality(group, stacked, *pair) / x for pair, x in needed.items()]
+        return min(ratios)
 
 
 def _refined(

@@ -32,6 +32,7 @@ from lieid_casadi.excitation.trajectory import (
 )
 from lieid_casadi.identification import Fit
 from lieid_casadi.recording import Recording, process
+from lieid_casadi.robot import Robot
 
 SAMPLES = 200  # fewest of the criterion over a period, where the number is not given
 COARSE = 4  # points per sample of the criterion, on which limits are checked during the search
@@ -131,7 +132,8 @@ class FeasibleMotions:
 
 
 def feasible_motions(
-    fit: FittedArm,
+    robot: Robot,
+    fit: FittedArm | None,
     joints: MotionRange,
     limits: Sequence[Limit],
     *,
@@ -141,7 +143,6 @@ def feasible_motions(
     start_pose: ArrayLike | None,
 ) -> FeasibleMotions:
     """Return the motions of a Fourier basis within limits; they start and end at rest."""
-    robot = fit.model.robot
     basis = make("fourier", duration=duration, harmonics=harmonics)
     if samples is None:
         samples = max(SAMPLES, 8 * basis.size)

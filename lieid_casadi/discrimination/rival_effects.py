@@ -132,9 +132,6 @@ class RivalEffects:
     ) -> None:
         self.fit, self.duration, self.independent_rate = fit, duration, independent_rate
         placements = rival_placements(effects, fit.model.n)
-        unknown = sorted(set(sizes) - {p.label for p in placements})
-        if unknown:
-            raise EffectError(f"size of {unknown[0]}: not one of the rival effects")
         labels = {p.label for p in placements}
         kept = [p for p in fit.model.placements if p.label not in labels]
         self.common = Model.of_placements(fit.model.robot, kept)
@@ -152,7 +149,7 @@ class RivalEffects:
         segment = self._segment(motion)
         weight = self._weight(motion)
         links = self.fit.link_parameters
-        coefficients, shapes = self._fitted(self.common.placements)
+        coefficients, shapes = fitted_numbers(self.fit, self.common.placements)
         parameters = np.concatenate([links, coefficients])
         effects = effects_along(self.compiled, segment, shapes, parameters)
         rigid = self.compiled.regressor(motion.q, motion.dq, motion.ddq)
@@ -246,26 +243,37 @@ class RivalEffects:
                     f"size of {placement.label}: zero; expected a coefficient that is not zero"
                 )
         elif placement.label in have:
-            numbers = np.concatenate(self._fitted([placement]))
+            numbers = np.concatenate(fitted_numbers(self.fit, [placement]))
         model = Model.of_placements(self.common.robot, (*self.common.placements, placement))
         own = numbers[count:]
         return RivalEffect(placement, compile(model), numbers[:count], own, _grid(placement, own))
 
-    def _fitted(self, placements: Sequence[Placement]) -> tuple[Array, Array]:
-        """Return the coefficients and the shape parameters that the fit has for placements."""
-        coefficients: dict[str, Array] = {}
-        shapes: dict[str, Array] = {}
-        c = s = 0
-        for p in self.fit.model.placements:
-            last_c, last_s = c + len(p.effect.coefficients), s + len(p.effect.shapes)
-            coefficients[p.label] = self.fit.effect_coefficients[c:last_c]
-            shapes[p.label] = self.fit.shapes[s:last_s]
-            c, s = last_c, last_s
-        empty = np.zeros(0)
-        return (
-            np.concatenate([empty, *(coefficients[p.label] for p in placements)]),
-            np.concatenate([empty, *(shapes[p.label] for p in placements)]),
-        )
+
+def fitted_numbers(fit: Fit, placements: Sequence[Placement]) -> tuple[Array, Array]:
+    """Return the coefficients and the shape parameters that a fit has for placements."""
+    numbers: dict[str, tuple[Array, Array]] = {}
+    c = s = 0
+    for p in fit.model.placements:
+        last_c, last_s = c + len(p.effect.coefficients), s + len(p.effect.shapes)
+        numbers[p.label] = fit.effect_coefficients[c:last_c], fit.shapes[s:last_s]
+        c, s = last_c, last_s
+    found = [(np.zeros(0), np.zeros(0)), *(numbers[p.label] for p in placements)]
+    coefficients, shapes = zip(*found, strict=True)
+    return np.concatenate(coefficients), np.concatenate(shapes)
+
+
+def groups_of(
+    effects: Sequence[str] | Sequence[Sequence[str]], sizes: Mapping[str, Sequence[float]]
+) -> list[list[str]]:
+    """Return the groups of rivals; a sequence of effects is one group."""
+    groups = [list(effect) for effect in effects if not isinstance(effect, str)]
+    alone = [effect for effect in effects if isinstance(effect, str)]
+    if alone or not groups:
+        groups.insert(0, alone)
+    unknown = sorted(set(sizes).difference(*groups))
+    if unknown:
+        raise EffectError(f"size of {unknown[0]}: not one of the rival effects")
+    return groups
 
 
 def rival_placements(effects: Sequence[str], n: int) -> list[Placement]:

@@ -4,6 +4,7 @@ from lieid_casadi.report.page import Section, data_uri, render
 from lieid_casadi.report.reports import (
     comparison_report,
     diagnosis_report,
+    experiment_report,
     fit_report,
     payload_report,
 )
@@ -13,6 +14,7 @@ __all__ = [
     "comparison_report",
     "data_uri",
     "diagnosis_report",
+    "experiment_report",
     "fit_report",
     "payload_report",
     "render",

@@ -26,6 +26,7 @@ from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis import Diagnosis
+    from lieid_casadi.experiments import Experiment
     from lieid_casadi.payload import PayloadEstimate
     from lieid_casadi.simulation import WindowDrift
 
@@ -93,6 +94,31 @@ def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None)
             _provenance(fit, comparison),
         ],
     )
+
+
+def experiment_report(result: Experiment) -> str:
+    """Return the HTML report of an experiment: round by round, then the last diagnosis."""
+    sections = [
+        table_section("Result", result.table(), sentences=result.sentences),
+        picture_section("From round to round", result.plot()),
+    ]
+    for each in result.rounds:
+        motion = [("motion for", each.purpose.why), ("design", each.promise)] if each.purpose else []
+        facts = [
+            *motion,
+            ("seconds of motion", f"{each.seconds:.3g}"),
+            ("open after it", "; ".join(" or ".join(group) for group in each.open) or "nothing"),
+            ("doubts", " ".join(each.warnings) or "none"),
+            ("checked", "; ".join(each.checked)),
+            ("not checked", "; ".join(each.unchecked)),
+        ]
+        title = f"Recording {each.number}" if each.purpose else "Given recordings"
+        sections.append(table_section(title, sentences=each.sentences, facts=facts))
+    found = result.diagnosis
+    if found is not None:
+        sections.append(table_section("Last diagnosis", found.error_table()))
+        sections.append(table_section("Evidence", evidence_table(found)))
+    return render(f"{result.robot}: experiment", sections)
 
 
 def payload_report(fit: Fit, payload: PayloadEstimate) -> str:

@@ -1,0 +1,303 @@
+"""The next motion: designed for a purpose within limits, after a probe that never changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lieid_casadi.discrimination import discriminate
+from lieid_casadi.discrimination.motion_search import feasible_motions
+from lieid_casadi.discrimination.rival_effects import fitted_numbers
+from lieid_casadi.errors import EffectError, LieidError, NoSolution
+from lieid_casadi.excitation import excite, friction_sweep
+from lieid_casadi.excitation.checks import verify
+from lieid_casadi.excitation.limits import Limit, MotionRange, on_arm
+from lieid_casadi.excitation.sample_functions import FittedArm
+from lieid_casadi.excitation.trajectory import MotionSamples, csv_text
+from lieid_casadi.experiments.purpose import Group, Purpose
+from lieid_casadi.identification import Fit, identify
+from lieid_casadi.model import Model
+from lieid_casadi.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Progress = Callable[[str, float], None]
+
+PROBE_SIZE = 0.5  # of the largest motion within the limits
+HARMONICS = 5
+STARTS, EVALUATIONS = 60, 400  # of the search for a separating motion
+PARTS = (1, 2)  # periods in one motion that are compared: a long one and short ones
+SWEEP_SPEEDS = (0.03, 0.1, 0.3, 0.7)  # of the velocity limit
+SWEEP_SECONDS = 1.5  # at each speed and direction
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedMotion:
+    """A motion that is to be run, at rest at the same pose at both ends.
+
+    Attributes
+    ----------
+    number : int
+        Of its recording, from 1.
+    purpose : Purpose
+    samples : MotionSamples
+        Times t (N,), positions, velocities and accelerations q, dq, ddq (N, n).
+    probe : float
+        Length of the probe motion at the start, the same in every recording, s.
+    promise : str
+        What the design predicts.
+    checked, unchecked : tuple of str
+        Limits that the whole motion was verified to keep, and limits that it was not.
+    folder : Path or None
+        With ``trajectory.csv``, and where ``recording.csv`` belongs; None without a folder.
+    """
+
+    number: int
+    purpose: Purpose
+    samples: MotionSamples
+    probe: float
+    promise: str
+    checked: tuple[str, ...]
+    unchecked: tuple[str, ...]
+    folder: Path | None = None
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion, s."""
+        return float(self.samples.t[-1])
+
+    def csv(self) -> str:
+        """Return ``trajectory.csv``: t, q, dq, ddq, after comments with what was checked."""
+        return csv_text(self.samples, self.checked, self.unchecked)
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the positions over time; not shown."""
+        from matplotlib.figure import Figure
+
+        figure: Figure
+        if ax is None:
+            figure = Figure(figsize=(9.0, 4.0), layout="constrained")
+            ax = figure.add_subplot()
+        else:
+            figure = ax.get_figure(root=True)  # type: ignore[assignment]
+        for j, position in enumerate(self.samples.q.T):
+            ax.plot(self.samples.t, position, linewidth=1.2, label=f"q{j + 1}")
+        ax.set_xlabel("time, s")
+        ax.set_ylabel("position, rad")
+        ax.legend(ncols=self.samples.q.shape[1], fontsize="small")
+        return figure
+
+
+@dataclass(frozen=True, eq=False)
+class MotionDesign:
+    """How the motions of an experiment are designed.
+
+    Attributes
+    ----------
+    model : Model
+        Without the effects that were found.
+    fit : Fit or None
+        From which the experiment started.
+    range : MotionRange
+    limits : tuple of Limit
+    margin : float
+        Part of the velocity limits that is used.
+    longest : float
+        Length of a whole motion, s.
+    rate : float
+        Of the trajectory files, Hz.
+    probe : MotionSamples
+        At rest at the start pose at both ends; of no length without a probe.
+    """
+
+    model: Model
+    fit: Fit | None
+    range: MotionRange
+    limits: tuple[Limit, ...]
+    acceleration: ArrayLike | None
+    margin: float
+    longest: float
+    rate: float
+    seed: int
+    probe: MotionSamples
+
+    @property
+    def seconds(self) -> float:
+        """Time of a motion that is left beside the probe, s."""
+        return self.longest - float(self.probe.t[-1])
+
+    def next(
+        self,
+        purpose: Purpose,
+        number: int,
+        found: Fit | None,
+        recordings: Sequence[Recording],
+        *,
+        most: int,
+        progress: Progress,
+    ) -> PlannedMotion:
+        """Return the motion of recording ``number`` for a purpose; ``most`` can still be recorded.
+
+        Raises
+        ------
+        NoSolution
+            No motion within the limits does what it is for.
+        """
+        fit = found or self.fit
+        if purpose.kind == "rivals":
+            assert fit is not None
+            main, promise = self._separating(purpose.groups, fit, recordings, most, progress)
+        elif purpose.kind == "range" and fit is not None:
+            main, promise = self._ranging(purpose, number, fit, progress)
+        elif purpose.kind == "parameters":
+            main, promise = self._exciting(fit, number, "logdet", progress)
+        else:  # recordings of little motion cannot bound the torque of larger motion
+            fit = self.fit
+            main, promise = self._exciting(fit, number, "combined", progress)
+        whole = joined(self.probe, main)
+        arm = None if fit is None else FittedArm.of(fit)
+        robot = self.model.robot
+        verified = verify(robot, whole, self.range, on_arm(self.limits, robot, arm), arm)
+        return PlannedMotion(
+            number, purpose, whole, float(self.probe.t[-1]), promise,
+            verified.checked, verified.unchecked,
+        )  # fmt: skip
+
+    def _exciting(
+        self, fit: Fit | None, number: int, criterion: str, progress: Progress
+    ) -> tuple[MotionSamples, str]:
+        """Return an excitation of all parameters."""
+        design = excite(
+            self.model if fit is None else fit,
+            criterion=criterion,  # type: ignore[arg-type]
+            limits=self.limits, start_pose=self.probe.q[0], acceleration=self.acceleration,
+            margin=self.margin, duration=self.seconds, harmonics=HARMONICS, rate=self.rate,
+            starts=2, seed=self.seed + 10 * number, progress=progress,
+        )  # fmt: skip
+        return design.motion(), f"Condition number {design.condition_number:.3g}."
+
+    def _ranging(
+        self, purpose: Purpose, number: int, fit: Fit, progress: Progress
+    ) -> tuple[MotionSamples, str]:
+        """Return runs of one joint at constant speeds, or an excitation of another seed."""
+        joints = {int(signal.lstrip("dqloatu")) - 1 for signal in purpose.signals if signal != "t"}
+        if len(joints) == 1:
+            (joint,) = joints
+            speeds = np.array(SWEEP_SPEEDS) * self.range.velocity[joint]
+            try:
+                sweep = friction_sweep(
+                    fit, joint, speeds=speeds, seconds=SWEEP_SECONDS, start_pose=self.probe.q[0],
+                    acceleration=self.acceleration, margin=self.margin, limits=self.limits,
+                    rate=self.rate,
+                )  # fmt: skip
+            except NoSolution:
+                pass
+            else:
+                if sweep.motion.t[-1] <= self.seconds + SWEEP_SECONDS:
+                    count = len(sweep.parts) // 2
+                    return sweep.motion, f"{count} speeds of joint {joint + 1}, forward and back."
+        return self._exciting(fit, number, "combined", progress)
+
+    def _separating(
+        self,
+        groups: Sequence[Group],
+        fit: Fit,
+        recordings: Sequence[Recording],
+        most: int,
+        progress: Progress,
+    ) -> tuple[MotionSamples, str]:
+        """Return the motion that separates the rivals of all groups that can be separated.
+
+        One long period and several short ones are compared by the time that they need.
+        """
+        sizes = {
+            label: values
+            for group in groups
+            for label, values in rival_sizes(fit, group, recordings).items()
+        }
+        tried = [tuple(groups)] + ([(group,) for group in groups] if len(groups) > 1 else [])
+        reasons = list[str]()
+        for chosen in tried:
+            known = {label: sizes[label] for group in chosen for label in group if label in sizes}
+            try:
+                designs = [
+                    discriminate(
+                        fit, chosen, sizes=known, recordings=recordings,
+                        duration=self.seconds / parts, limits=self.limits,
+                        start_pose=self.probe.q[0], acceleration=self.acceleration,
+                        margin=self.margin, rate=self.rate, seed=self.seed,
+                        starts=STARTS, evaluations=EVALUATIONS, progress=progress,
+                    )
+                    for parts in PARTS
+                ]  # fmt: skip
+            except (NoSolution, EffectError) as failure:
+                reasons.append(str(failure))
+                continue
+            best = min(designs, key=lambda design: (design.seconds, design.exact_seconds))
+            names = "; ".join(" from ".join(group) for group in chosen)
+            if best.exact_seconds <= most * self.seconds:
+                periods = min(best.periods, round(self.seconds / best.trajectory.duration))
+                promise = f"{best.exact_seconds:.3g} s of this motion separate {names}"
+                if np.isfinite(best.random_seconds):
+                    promise += f"; a random motion needs about {best.random_seconds:.3g} s"
+                return best.motion(periods=periods), f"{promise}."
+            reasons.append(
+                f"{names}: the best motion found within the limits would have to run for "
+                f"{best.exact_seconds:.3g} s; {most} recordings of {self.seconds:.3g} s are left."
+            )
+        raise NoSolution(" ".join(dict.fromkeys(reasons)))
+
+
+def probe_motion(
+    model: Model,
+    joints: MotionRange,
+    limits: Sequence[Limit],
+    *,
+    fit: Fit | None,
+    seconds: float,
+    start_pose: ArrayLike | None,
+    rate: float,
+    seed: int,
+) -> MotionSamples:
+    """Return a small random motion of all joints from the start pose and back."""
+    arm = None if fit is None else FittedArm.of(fit)
+    feasible = feasible_motions(
+        model.robot, arm, joints, limits,
+        duration=seconds or 1.0, harmonics=2, samples=None, start_pose=start_pose,
+    )  # fmt: skip
+    z, _ = feasible.verified(PROBE_SIZE * feasible.drawn(np.random.default_rng([seed, 31])))
+    times = np.linspace(0.0, seconds, round(seconds * rate) + 1)
+    return feasible.parametrization.trajectory(z).at(times)
+
+
+def joined(first: MotionSamples, second: MotionSamples) -> MotionSamples:
+    """Return two motions in a row; the first ends where the second begins, at rest."""
+    kinds = [
+        np.concatenate([getattr(first, name)[:-1], getattr(second, name)])
+        for name in ("q", "dq", "ddq")
+    ]
+    return MotionSamples(np.concatenate([first.t[:-1], first.t[-1] + second.t]), *kinds)
+
+
+def rival_sizes(fit: Fit, group: Group, recordings: Sequence[Recording]) -> dict[str, list[float]]:
+    """Return coefficients and shape parameters of rivals, each fitted in the first one's place."""
+    others = [p.label for p in fit.model.placements if p.label not in group]
+    sizes = {}
+    for label in group[1:]:
+        model = Model(fit.model.robot, [*others, label])
+        try:
+            refit = identify(model, recordings, processing=fit.processing)
+        except LieidError:
+            continue  # it gets the size of the effect in the model
+        placement = next(p for p in model.placements if p.label == label)
+        numbers = np.concatenate(fitted_numbers(refit, [placement]))
+        if numbers[: len(placement.effect.coefficients)].any():
+            sizes[label] = numbers.tolist()
+    return sizes

@@ -1,0 +1,159 @@
+"""What a diagnosis leaves open, and what the next motion is for."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis import Diagnosis
+from lieid_casadi.recording import Recording
+
+Group = tuple[str, ...]
+Kind = Literal["excitation", "rivals", "range", "parameters"]
+
+SLOW = 0.4  # of the velocity limit: a joint that never was faster has not shown its friction
+FASTEST = 98.0  # percentile of the speed of a recording that stands for its range
+UNCERTAIN = 0.5  # standard deviation of every coefficient of an effect, relative to its value
+TRIES = {"rivals": 2, "range": 1, "parameters": 1}  # motions for one open question at most
+MOST_RIVALS = 4  # of one effect that a motion separates from it, nearest first
+
+
+@dataclass(frozen=True)
+class Purpose:
+    """What a motion is for.
+
+    Attributes
+    ----------
+    kind : str
+        ``excitation`` (all parameters), ``rivals`` (to separate the effects of each group),
+        ``range`` (of ``signals``, where no effect describes the error) or ``parameters`` (of
+        effects with uncertain coefficients).
+    groups : tuple of tuple of str
+        Labels of the effects that are open, such as ``stribeck:2``; the one in the model first.
+    signals : tuple of str
+        With ``range``: such as ``dq2``.
+    why : str
+        One sentence.
+    """
+
+    kind: Kind
+    groups: tuple[Group, ...] = ()
+    signals: tuple[str, ...] = ()
+    why: str = ""
+
+
+def purposes(
+    diagnosis: Diagnosis | None,
+    asked: Sequence[Purpose],
+    *,
+    speeds: Array,
+    velocity: Array,
+) -> list[Purpose]:
+    """Return what the next motion could be for, the most important first.
+
+    A question is dropped after as many motions as `TRIES` states.
+
+    Parameters
+    ----------
+    asked : sequence of Purpose
+        Of the motions so far.
+    speeds, velocity : (n,)
+        Speed that each joint reached in the recordings, and its limit, rad/s.
+    """
+    if diagnosis is None:
+        return [Purpose("excitation", why="There is no recording yet.")]
+    found = []
+    slow = np.flatnonzero(speeds < SLOW * velocity)
+    if len(slow) and not any(purpose.kind == "excitation" for purpose in asked):
+        joints = ", ".join(f"{j + 1}" for j in slow)
+        why = (
+            f"The recordings do not show fast motion of joint {joints}: "
+            f"{speeds[slow[0]]:.2g} of {velocity[slow[0]]:.2g} rad/s."
+        )
+        found.append(Purpose("excitation", why=why))
+    tried = Counter((p.kind, frozenset(group)) for p in asked for group in p.groups)
+
+    def new(kind: Kind, groups: Sequence[Group]) -> tuple[Group, ...]:
+        return tuple(g for g in groups if tried[kind, frozenset(g)] < TRIES[kind])
+
+    if groups := new("rivals", separable_groups(diagnosis)):
+        text = "; ".join(" or ".join(group) for group in groups)
+        found.append(Purpose("rivals", groups, why=f"The recordings do not separate {text}."))
+    for label, signals in shapes(diagnosis):
+        if groups := new("range", [(label,)]):
+            why = f"{label}: no effect of the library describes it, on {', '.join(signals)}."
+            found.append(Purpose("range", groups, signals, why))
+    if groups := new("parameters", uncertain(diagnosis)):
+        text = ", ".join(label for (label,) in groups)
+        found.append(Purpose("parameters", groups, why=f"The size of {text} is uncertain."))
+    return found
+
+
+def open_groups(diagnosis: Diagnosis) -> list[Group]:
+    """Return the effects of every step that is not named, with those that would do as well."""
+    return [
+        (step.label, *(rival.label for rival in step.rivals))
+        for step in diagnosis.steps
+        if step.status != "named"
+    ]
+
+
+def separable_groups(diagnosis: Diagnosis) -> list[Group]:
+    """Return the groups of effects that other data could separate."""
+    groups = [
+        (step.label, *[r.label for r in step.rivals if r.kind == "data"][:MOST_RIVALS])
+        for step in diagnosis.steps
+        if step.status == "one_of"
+    ]
+    return [group for group in groups if len(group) > 1]
+
+
+def shapes(diagnosis: Diagnosis) -> list[tuple[str, tuple[str, ...]]]:
+    """Return smooth functions and unexplained errors, with the signals that they depend on."""
+    smooth = [(s.label, s.depends_on) for s in diagnosis.steps if s.status == "shape"]
+    rest = [
+        (f"unexplained:{part.joint + 1}", part.depends_on or (f"dq{part.joint + 1}",))
+        for part in diagnosis.unexplained
+    ]
+    return smooth + rest
+
+
+def uncertain(diagnosis: Diagnosis) -> list[Group]:
+    """Return the effects that were added, every number of which is uncertain."""
+    return [
+        (step.label,)
+        for step in diagnosis.steps
+        if step.status != "shape"
+        and all(step.std[k] > UNCERTAIN * abs(v) for k, v in step.parameters.items())
+    ]
+
+
+def remaining(diagnosis: Diagnosis) -> list[str]:
+    """Return a sentence for everything that is neither named nor explained."""
+    parts = []
+    for group, step in zip(
+        open_groups(diagnosis), [s for s in diagnosis.steps if s.status != "named"], strict=True
+    ):
+        if step.status == "shape":
+            parts.append(f"{step.label}: no effect of the library describes it.")
+        elif all(rival.kind == "exact" for rival in step.rivals):
+            parts.append(f"No data can separate {' from '.join(group)}.")
+        else:
+            parts.append(f"{' or '.join(group)}: not separated.")
+    return parts + [f"Joint {part.joint + 1}: {part.relation}." for part in diagnosis.unexplained]
+
+
+def speeds_of(recordings: Sequence[Recording], n: int) -> Array:
+    """Return the speed that each joint reached in recordings (n,), rad/s."""
+    fastest = np.zeros(n)
+    for recording in recordings:
+        dq = recording.dq
+        if dq is None:
+            dq = np.gradient(recording.q, recording.t, axis=0)
+        fastest = np.maximum(fastest, np.percentile(np.abs(dq), FASTEST, axis=0))
+    return fastest

@@ -1,0 +1,183 @@
+"""Result of an experiment: its rounds, the last diagnosis, and why it ended."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from lieid_casadi.diagnosis import Diagnosis
+from lieid_casadi.experiments.purpose import Group, Purpose
+from lieid_casadi.tables import Table, html, make_table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Stopped = Literal["all_named", "most", "not_separable", "record_failed"]
+
+
+@dataclass(frozen=True)
+class Round:
+    """One recording and what all recordings up to it showed.
+
+    Attributes
+    ----------
+    number : int
+        From 1; 0 for the recordings that were given.
+    purpose : Purpose or None
+        Of its motion; None for given recordings.
+    promise : str
+        What the design predicted.
+    seconds : float
+        Of the motion; for given recordings of the recordings.
+    trajectory, recording : str or None
+        Files, relative to the folder.
+    verdict : str
+        Of the diagnosis; empty before it.
+    open : tuple of tuple of str
+        Effects of each step that is not named, with those that would do as well.
+    named : tuple of str
+        Effects that are named.
+    sentences : tuple of str
+        Of the diagnosis.
+    error, first_error, noise_floor : tuple of float
+        Held-out RMS error in motion of the final and of the first model, and noise, N·m.
+    starts : float
+        Time at which the motion starts in the recording, s.
+    unseen : tuple of float
+        RMS error in motion of the previous fit on this recording, N·m; empty in the first round.
+    warnings : tuple of str
+        Doubts about the recording: premises, deviations from the trajectory, repeatability.
+    """
+
+    number: int
+    purpose: Purpose | None
+    promise: str
+    seconds: float
+    trajectory: str | None
+    recording: str | None
+    verdict: str = ""
+    open: tuple[Group, ...] = ()
+    named: tuple[str, ...] = ()
+    sentences: tuple[str, ...] = ()
+    error: tuple[float, ...] = ()
+    first_error: tuple[float, ...] = ()
+    noise_floor: tuple[float, ...] = ()
+    starts: float = 0.0
+    unseen: tuple[float, ...] = ()
+    warnings: tuple[str, ...] = ()
+    checked: tuple[str, ...] = ()
+    unchecked: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Result of :func:`lieid_casadi.experiment`.
+
+    Attributes
+    ----------
+    robot : str
+        Its name.
+    rounds : tuple of Round
+    diagnosis : Diagnosis or None
+        Of all recordings; None if there is no recording.
+    stopped : str
+        ``all_named``, ``most`` (recordings), ``not_separable`` or ``record_failed``.
+    reason : str
+        One sentence.
+    folder : Path or None
+    """
+
+    robot: str
+    rounds: tuple[Round, ...]
+    diagnosis: Diagnosis | None
+    stopped: Stopped
+    reason: str
+    folder: Path | None = field(default=None)
+
+    @property
+    def seconds(self) -> float:
+        """Time of all motions that were recorded, s."""
+        return sum(each.seconds for each in self.rounds if each.purpose is not None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of ``experiment.json``."""
+        return {
+            "robot": self.robot,
+            "stopped": self.stopped,
+            "reason": self.reason,
+            "seconds": self.seconds,
+            "rounds": [asdict(each) for each in self.rounds],
+            "steps": [] if self.diagnosis is None else self.diagnosis.to_dict()["steps"],
+            "sentences": [] if self.diagnosis is None else self.diagnosis.sentences,
+        }
+
+    @property
+    def sentences(self) -> list[str]:
+        """Why it ended, and what the last diagnosis found."""
+        found = [] if self.diagnosis is None else self.diagnosis.sentences
+        count = sum(each.purpose is not None for each in self.rounds)
+        return [
+            f"{self.reason} {count} recording{'s' * (count != 1)}, {self.seconds:.3g} s of motion.",
+            *found,
+        ]
+
+    def table(self) -> Table:
+        """Return one row per round: purpose, open effects and errors."""
+        rows = [
+            (
+                f"{each.number or 'given'}",
+                each.purpose.kind if each.purpose else None,
+                each.seconds,
+                ", ".join(each.named) or None,
+                "; ".join(" or ".join(group) for group in each.open) or None,
+                _worst(each.first_error, each.noise_floor),
+                _worst(each.error, each.noise_floor),
+            )
+            for each in self.rounds
+        ]
+        headings = ("round", "for", "s", "named", "open", "first model", "with effects found")
+        note = (
+            "Errors: held-out error in motion relative to the noise floor, of the joint where it "
+            "is largest, on all recordings up to the round."
+        )
+        return make_table("Rounds; errors relative to the noise", headings, rows, note=note)
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw each joint's held-out error relative to its noise over the rounds; not shown."""
+        from matplotlib.figure import Figure
+
+        figure: Figure
+        if ax is None:
+            figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+            ax = figure.add_subplot()
+        else:
+            figure = ax.get_figure(root=True)  # type: ignore[assignment]
+        names = [str(each.number or "given") for each in self.rounds]
+        for j in range(len(self.rounds[0].error) if self.rounds else 0):
+            for style, what in (("--", "first_error"), ("-", "error")):
+                values = [getattr(each, what)[j] / each.noise_floor[j] for each in self.rounds]
+                label = f"joint {j + 1}" if what == "error" else None
+                ax.plot(names, values, style, marker="o", color=f"C{j % 10}", label=label)
+        ax.axhline(1.0, color="black", linewidth=0.8)
+        ax.set_xlabel("round")
+        ax.set_ylabel("held-out error in motion / noise floor")
+        ax.set_title("dashed: first model; solid: with the effects found")
+        ax.legend(fontsize="small")
+        return figure
+
+    def _repr_html_(self) -> str:
+        return html(*self.sentences, self.table())
+
+    def __repr__(self) -> str:
+        return f"<Experiment of {self.robot}: {len(self.rounds)} rounds, {self.stopped}>"
+
+
+def _worst(error: tuple[float, ...], noise: tuple[float, ...]) -> str | None:
+    """Return the largest error relative to the noise, and its joint."""
+    ratios = [e / n for e, n in zip(error, noise, strict=True)]
+    if not ratios:
+        return None
+    worst = max(range(len(ratios)), key=ratios.__getitem__)
+    return f"{ratios[worst]:.3g} (joint {worst + 1})"
