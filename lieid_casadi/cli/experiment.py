@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lieid_casadi.cli import inputs, motion_limits, options, output
-from lieid_casadi.cli.check import DESPITE_CHECK
-from lieid_casadi.cli.option_types import number
-from lieid_casadi.cli.options import Command, option, several
-from lieid_casadi.errors import UsageError
+from lieid_casadi.cli.options import Command
+from lieid_casadi.errors import NoSolution, UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.experiments import Experiment, PlannedMotion
     from lieid_casadi.recording import Recording
-
-NO_RECORDING = 3  # exit status where the command failed; everything before it is kept
+    from lieid_casadi.tables import Table
 
 
 def run(args: argparse.Namespace) -> output.Outcome:
@@ -40,26 +38,23 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
     command = RecordCommand.parse(args.record, load)
     given = inputs.recordings_of(args.recordings, args, source)
-    if args.effects is not None or args.motor_side:
-        model = inputs.model_for(args, robot, given)
-    elif isinstance(source, Fit):
-        model = source
-    else:
-        model = robot
+    stated = args.effects is not None or args.motor_side
     with output.progress("experiment") as report:
         result = experiment(
-            model, given, record=command, folder=args.output, most=args.most,
+            inputs.model_for(args, robot, given) if stated else source, given,
+            record=command, folder=args.output, most=args.most,
             confirm=None if args.yes else _confirmed, load=load,
-            despite_check=args.despite_check, start_pose=args.start_pose,
-            acceleration=args.acceleration, margin=args.margin,
+            despite_check=args.despite_check, start_pose=args.start_pose or None,
+            acceleration=args.acceleration or None, margin=args.margin,
             limits=motion_limits.limits_of(args, robot), longest=args.longest, probe=args.probe,
             rate=args.rate, seed=args.seed, progress=report,
         )  # fmt: skip
+    if result.stopped == "record_failed":
+        raise NoSolution(
+            f"{result.reason} The same command resumes the experiment in {args.output}"
+        )
     return output.Outcome(
-        lambda: show(result),
-        json=result.to_dict(),
-        html=lambda: experiment_report(result),
-        status=NO_RECORDING if result.stopped == "record_failed" else 0,
+        tuple(shown(result)), json=result.to_dict(), html=lambda: experiment_report(result)
     )
 
 
@@ -71,53 +66,51 @@ COMMANDS = (
         "still open, until every effect is named. A second call with the same folder resumes.",
         (
             *options.ROBOT_OR_FIT,
-            several("recordings REC", "recordings from which to start", nargs="*"),
-            option(
-                "--record COMMAND",
-                "command that runs {trajectory} (CSV) on the robot and writes {recording} (CSV); "
-                "split into arguments as by a shell, but run without one",
-                required=True,
-            ),
-            option("-o/--output DIR", "folder of the experiment", required=True),
-            option("--most N", "recordings at most", int, 5),
-            option("--yes", "run every motion without a question"),
-            option("--longest S", "length of a motion, s", number, 20.0),
-            option("--probe S", "length of the probe motion at its start, s; 0: none", number, 3.0),
-            option("--rate HZ", "sampling rate of the trajectories, Hz", number, 1000.0),
-            motion_limits.START_POSE,
+            """
+            recordings [REC …]: input  recordings from which to start
+            --record COMMAND required  command that runs {trajectory} (CSV) on the robot and writes
+                {recording} (CSV); split into arguments as by a shell, but run without one
+            -o/--output DIR required  folder of the experiment
+            --most N: int = 5  recordings at most
+            --yes  run every motion without a question
+            --longest S: number = 20  length of a motion, s
+            --probe S: number = 3  length of the probe motion at the start of each, s; 0 for none
+            --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
+                within all limits
+            --rate HZ: number = 1000  sampling rate of the trajectories, Hz
+            --seed N: seed = 0  seed of the searches for motions
+            """,
             motion_limits.LIMITS,
-            options.effects(None),
-            options.MOTOR_SIDE,
-            options.random_seed("seed of the searches for motions"),
+            options.EFFECTS_BY_RECORDING,
             *options.RECORDING,
-            DESPITE_CHECK,
+            options.DESPITE_CHECK,
             options.JSON,
             options.HTML,
         ),
         run,
-        usage="lieid experiment ROBOT|FIT [REC…] --record 'COMMAND {trajectory} {recording}' -o DIR",
+        usage="lieid experiment ROBOT|FIT [REC…] --record 'COMMAND {trajectory} {recording}' "
+        "-o DIR",
     ),
 )
 
 
 def _confirmed(motion: PlannedMotion) -> bool:
     """Show a motion and ask whether to run it."""
-    output.say(f"Recording {motion.number}: {motion.purpose.why} {motion.promise}")
-    output.say(f"The robot moves for {motion.duration:.3g} s along {motion.folder}/trajectory.csv.")
-    output.say(f"Checked: {'; '.join(motion.checked)}.")
-    output.say(f"Not checked: {'; '.join(motion.unchecked)}.")
-    output.say("Run it on the robot? [y/N]")
+    output.show(
+        f"Recording {motion.number}: {motion.purpose.why} {motion.promise}",
+        f"The robot moves for {motion.duration:.3g} s along {motion.folder}/trajectory.csv.",
+        f"Checked: {'; '.join(motion.checked)}.",
+        f"Not checked: {'; '.join(motion.unchecked)}.",
+        "Run it on the robot? [y/N]",
+    )
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
-def show(result: Experiment) -> None:
-    """Print why it ended, what was found, and the rounds."""
-    if result.stopped == "record_failed":
-        print(f"lieid experiment: {result.reason}", file=sys.stderr)
-    for line in result.sentences:
-        output.say(line)
-    output.show(result.table())
+def shown(result: Experiment) -> Iterator[str | Table]:
+    """Yield why it ended, what was found, the rounds, and doubts about recordings."""
+    yield from result.sentences
+    yield result.table()
     for each in result.rounds:
         for warning in each.warnings:
-            output.say(f"  ! Recording {each.number}: {warning}")
-    output.say(f"Files in {result.folder}; the same command resumes the experiment.")
+            yield f"  ! Recording {each.number}: {warning}"
+    yield f"Files in {result.folder}; with a larger --most the same command goes on."

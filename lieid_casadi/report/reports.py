@@ -103,7 +103,9 @@ def experiment_report(result: Experiment) -> str:
         picture_section("From round to round", result.plot()),
     ]
     for each in result.rounds:
-        motion = [("motion for", each.purpose.why), ("design", each.promise)] if each.purpose else []
+        motion = (
+            [("motion for", each.purpose.why), ("design", each.promise)] if each.purpose else []
+        )
         facts = [
             *motion,
             ("seconds of motion", f"{each.seconds:.3g}"),
