@@ -189,14 +189,6 @@ class VelocityMismatchWarning(LieidWarning):
     """dq is not the derivative of q."""
 
 
-class TorqueSignWarning(LieidWarning):
-    """A joint's torque has the opposite sign of the nominal torque or of friction."""
-
-
-class TorqueOrderWarning(LieidWarning):
-    """Torques of different joints seem to be exchanged."""
-
-
 class JointStillWarning(LieidWarning):
     """A joint that never moves: its friction and most of its inertia are not identifiable."""
 

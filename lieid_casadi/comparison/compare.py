@@ -25,10 +25,9 @@ from lieid_casadi.identification.recording_checks import (
     Source,
     check_recordings,
     check_torque_constants,
-    check_with_model,
 )
 from lieid_casadi.identification.regression.design_matrix import has_dry_friction
-from lieid_casadi.recording import Processed, Recording, process
+from lieid_casadi.recording import Processed, Recording, check, process
 from lieid_casadi.recording.recording import listed
 
 
@@ -56,7 +55,7 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
     """
     given = listed(recordings)
     check_recordings(fit.model, given)
-    found = [w for recording in given for w in check_with_model(fit.compiled, recording)]
+    found = [w for recording in given for w in check(recording, fit.model.robot)]
     found += [w for r in given for w in check_torque_constants(fit.provenance, r)]
     return compare_segments(fit, given, compared_segments(fit, given), warnings=found)
 

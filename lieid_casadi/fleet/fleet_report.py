@@ -88,10 +88,9 @@ def _logarithmic(ax: Axes) -> None:
 
 
 ARM_SECTIONS_FROM = 5  # number of the first arm's section in the page
-#: Warnings that many nights of sound arms have. A sign that differs from that of the fit changes
-#: the night's coefficients and errors, which are judged.
+#: Warnings that many nights of sound arms have.
 ORDINARY_CHECKS = (
-    "FrictionAtRestWarning", "UnidentifiableWarning", "AliasWarning", "TorqueSignWarning",
+    "FrictionAtRestWarning", "UnidentifiableWarning", "AliasWarning",
 )  # fmt: skip
 
 

@@ -20,7 +20,6 @@ from lieid_casadi.identification.recording_checks import (
     Provenance,
     Source,
     check_recordings,
-    check_with_model,
 )
 from lieid_casadi.identification.regression.cross_validation import (
     BLOCK_OVER_CUTOFF,
@@ -49,7 +48,7 @@ from lieid_casadi.identification.uncertainty.shape_intervals import (
     shape_intervals,
 )
 from lieid_casadi.model import Model, as_model
-from lieid_casadi.recording import Processed, Processing, Recording, process
+from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot import Robot
 
@@ -244,7 +243,7 @@ def _prepared(
     check_recordings(model, given)
     compiled = compile(model)
     report("check", 0.0)
-    found = [w for recording in given for w in check_with_model(compiled, recording)]
+    found = [w for recording in given for w in check(recording, model.robot)]
     report("process", 0.1)
     segments, mean = center_temperature(process(given, processing))
     found += fit_warnings.relative_torque(model.robot, given)

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from lieid_casadi.compiled import Compiled
 from lieid_casadi.errors import (
     EffectError,
     IdentificationError,
@@ -15,12 +12,9 @@ from lieid_casadi.errors import (
     ModelError,
     TorqueConstantsWarning,
 )
-from lieid_casadi.identification.prediction import predict_recording
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processing, Recording, check, require_plausible_units
+from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
-
-NOMINAL_CUTOFF = 5.0  # Hz, of the nominal torque that measured torque is checked against
 
 
 def check_recordings(model: Model, recordings: Sequence[Recording]) -> None:
@@ -85,23 +79,6 @@ def check_torque_constants(provenance: Provenance, recording: Recording) -> list
             f"{differing} N·m/A; use those of the fit, or fit again"
         )
     ]
-
-
-def check_with_model(compiled: Compiled, recording: Recording) -> tuple[LieidWarning, ...]:
-    """Return a recording's warnings; with inertias, torque is checked against the nominal one."""
-    robot = compiled.model.robot
-    require_plausible_units(recording, robot)  # before torques are computed from them
-    nominal = None
-    if robot.has_inertia and recording.tau is not None:
-        parameters = np.concatenate([robot.link_parameters, np.zeros(len(compiled.model.columns))])
-        nominal = predict_recording(
-            compiled,
-            recording,
-            Processing(cutoff=NOMINAL_CUTOFF),
-            parameters,
-            compiled.model.initial_shapes,
-        )
-    return check(recording, robot, nominal_torque=nominal)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from lieid_casadi.errors import (
     unique_warnings,
 )
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.prediction import center_temperature, predict_recording
+from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import (
     Source,
     check_recordings,
@@ -325,8 +325,7 @@ def identify_payload(
     report = progress or (lambda stage, fraction: None)
     check_recordings(fit.model, given)
     report("check", 0.0)
-    for recording in given:
-        check(recording, fit.model.robot)  # raises here; warnings need the torque with the payload
+    checked = [w for recording in given for w in check(recording, fit.model.robot)]
     found = _fit_warnings(fit, given)
     found += [w for r in given for w in check_torque_constants(fit.provenance, r)]
     report("process", 0.2)
@@ -349,8 +348,7 @@ def identify_payload(
             "from this motion with this fit; expected a motion of several joints, in both"
         )
     _require_same_arm(fit, estimate, run)
-    nominal = run.loaded_parameters(estimate.parameters)
-    found += [w for recording in given for w in _checked(fit, recording, nominal)]
+    found += checked
     if not refit_friction:
         found += _changed_friction(run, kept, refitted, frictional)
     report("feasible body", 0.8)
@@ -420,16 +418,6 @@ def _with_uncertain_constants(
     slopes = estimate.parameters[None] if shared else estimate.by_joint
     added = (sizes[:, None] * slopes).T @ (sizes[:, None] * slopes)
     return replace(estimate, covariance=estimate.covariance + added)
-
-
-def _checked(fit: Fit, recording: Recording, parameters: Array) -> tuple[LieidWarning, ...]:
-    """Check a recording against the rigid torque of the arm with the payload."""
-    rigid = parameters.copy()
-    rigid[10 * fit.model.n :] = 0.0
-    torque = predict_recording(
-        fit.compiled, recording, fit.processing, rigid, fit.shapes, fit.temperature_mean
-    )
-    return check(recording, fit.model.robot, nominal_torque=torque)
 
 
 def require_one_load(segments: Sequence[Processed]) -> None:

@@ -14,18 +14,15 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from lieid_casadi.errors import LieidWarning, OutlierWarning, RepairWarning, WrappedAngleWarning
 from lieid_casadi.messages import joints_text
 from lieid_casadi.recording import Recording
+from lieid_casadi.recording.plausibility import clipped_joints
 from lieid_casadi.recording.repairs import repaired
 from lieid_casadi.robot import Robot
 
 #: Positions that repeat while the arm moves count as held from this part of the rows, and this
 #: many; an arm moves if it covers this angle within a quarter of a second, rad.
 HELD, FEWEST_HELD, MOVES, WITHIN = 0.3, 20, 0.005, 0.25
-#: Part of the torques at their largest value, and their number, from which they are clipped.
-CLIPPED, FEWEST_CLIPPED = 0.005, 8
 #: Outliers, which are left out on reading, from which the sensors are in doubt.
 FEWEST_OUTLIERS = 3
-#: Different values from which a torque is no coarse signal.
-FINE = 200
 
 
 @dataclass(frozen=True)
@@ -93,14 +90,12 @@ def _held(recording: Recording) -> list[Damage]:
 def _clipped(recording: Recording) -> list[Damage]:
     """Return torques that stay at their largest value while the joint moves."""
     assert recording.tau is not None
-    tau = np.abs(np.asarray(recording.tau))
-    level = tau.max(axis=0)
-    counts = np.sum(tau >= level * (1.0 - 1e-9), axis=0)
-    fine = np.array([len(np.unique(column)) > FINE for column in tau.T])
-    moves = np.ptp(np.asarray(recording.q), axis=0) > 0.05
-    clipped = fine & moves & (counts > max(CLIPPED * len(tau), FEWEST_CLIPPED))
+    clipped = clipped_joints(recording)
     if not clipped.any():
         return []
+    tau = np.abs(np.asarray(recording.tau))
+    level = tau.max(axis=0)
+    counts = np.sum(tau >= 0.999 * level, axis=0)
     joints, count = np.flatnonzero(clipped), int(counts[clipped].sum())
     levels = ", ".join(f"{level[j]:.3g}" for j in joints)
     return [

@@ -1,12 +1,16 @@
-"""Checks of a recording: errors for what is certainly wrong, warnings for the rest."""
+"""Checks of a recording: errors for what is certainly wrong, warnings for the rest.
+
+Whether torque and motion belong to a robot (signs, order, mounting) is tested by
+`lieid_casadi.premises`.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import (
+    ConstantTorqueWarning,
     DropoutWarning,
     IrregularTimeWarning,
     JointLimitWarning,
@@ -14,11 +18,11 @@ from lieid_casadi.errors import (
     LieidWarning,
     LowRateWarning,
     RecordingError,
+    TorqueClippedWarning,
     UnitsWarning,
     VelocityMismatchWarning,
 )
 from lieid_casadi.messages import joints_text
-from lieid_casadi.recording.consistency import Blocks, block_means, check_torque
 from lieid_casadi.recording.measurement import require_sound
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.sample_timing import (
@@ -28,33 +32,15 @@ from lieid_casadi.recording.sample_timing import (
     require_plausible_rate,
     sample_period,
 )
-from lieid_casadi.recording.spectrum import motion_band
+from lieid_casadi.recording.spectrum import motion_band, resolution
 from lieid_casadi.robot.robot import Robot
 
 
-def check(
-    recording: Recording,
-    robot: Robot | None = None,
-    *,
-    nominal_torque: ArrayLike | None = None,
-) -> tuple[LieidWarning, ...]:
-    """Check a recording, against a robot where one is given.
+def check(recording: Recording, robot: Robot | None = None) -> tuple[LieidWarning, ...]:
+    """Return the warnings of a recording, checked against a robot where one is given.
 
-    Parameters
-    ----------
-    recording
-        Signals of one run.
-    robot
-        Adds the number of joints and the limits.
-    nominal_torque
-        (N, n) torque of the robot's nominal model at the recording's rows: adds sign and
-        order of the torques. Without it, signs are checked against friction only.
-
-    Returns
-    -------
-    tuple of LieidWarning
-        The recording's own warnings first, then dropouts and irregular stamps, units and
-        limits, velocity against position, joints at rest, rate, torque.
+    The recording's own warnings come first, then dropouts and irregular stamps, units and limits,
+    velocity against position, joints at rest, rate, torque.
 
     Raises
     ------
@@ -64,37 +50,20 @@ def check(
     """
     require_sound(recording)
     require_plausible_rate(recording.t, recording.title)
-    _require_joints(recording, robot)
-    nominal = _nominal(recording, nominal_torque)
-    blocks = block_means(recording, nominal)
-    return (
-        *recording.warnings,
-        *check_time(recording),
-        *check_units(recording, robot),
-        *check_velocity(recording, blocks),
-        *check_still(recording, robot),
-        *check_rate(recording),
-        *check_torque(recording, blocks, robot),
-    )
-
-
-def _require_joints(recording: Recording, robot: Robot | None) -> None:
     if robot is not None and robot.n != recording.n:
         raise RecordingError(
             f"{recording.title}: found {recording.n} joints "
             f"(q1…q{recording.n}), expected {robot.n} as the robot {robot.name} has"
         )
-
-
-def _nominal(recording: Recording, nominal_torque: ArrayLike | None) -> Array | None:
-    if nominal_torque is None:
-        return None
-    nominal = np.asarray(nominal_torque, dtype=np.float64)
-    if nominal.shape != recording.q.shape:
-        raise RecordingError(
-            f"nominal_torque has shape {nominal.shape}, expected {recording.q.shape}"
-        )
-    return nominal
+    return (
+        *recording.warnings,
+        *check_time(recording),
+        *check_units(recording, robot),
+        *check_velocity(recording),
+        *check_still(recording, robot),
+        *check_rate(recording),
+        *check_torque(recording, robot),
+    )
 
 
 #: Positions beyond the limits by this factor (and half a radian) are not in radians.
@@ -115,10 +84,10 @@ def require_plausible_units(recording: Recording, robot: Robot | None = None) ->
 def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
     """Refuse degrees; warn where values look like degrees or leave the robot's limits."""
     title = recording.title
-    revolute = np.ones(recording.n, dtype=bool)
+    revolute, lower, upper = np.ones(recording.n, dtype=bool), *np.full((2, recording.n), np.nan)
     if robot is not None:
         revolute = np.array([joint.revolute for joint in robot.joints])
-    lower, upper = _position_limits(recording, robot)
+        lower, upper = robot.limit("position_lower"), robot.limit("position_upper")
     largest = np.max(np.abs(recording.q), axis=0)
     stated = revolute & np.isfinite(lower) & np.isfinite(upper)
     reach = np.maximum(np.abs(lower), np.abs(upper))
@@ -138,64 +107,71 @@ def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]
             f"{largest[joint] / (2.0 * np.pi):.0f} turns, expected radians; if these are degrees, "
             f"{REMEDY}"
         )
-    return [
-        *_suspicious(recording, title, free, revolute),
-        *_beyond_limits(recording, title, lower, upper),
-    ]
-
-
-def _suspicious(recording: Recording, title: str, free: Mask, revolute: Mask) -> list[LieidWarning]:
-    largest = np.max(np.abs(recording.q), axis=0)
+    found: list[LieidWarning] = []
     turns = free & (largest > TWO_TURNS)
+    speed = np.zeros(recording.n) if recording.dq is None else np.max(np.abs(recording.dq), axis=0)
+    fast = revolute & (speed > FASTEST)
     if turns.any():
-        return [
+        found.append(
             UnitsWarning(
                 f"{title}: positions of {joints_text(turns)} exceed two turns "
                 f"({largest[turns].max():.4g} rad); if these are degrees, {REMEDY}"
             )
-        ]
-    if recording.dq is None:
-        return []
-    fast = revolute & (np.max(np.abs(recording.dq), axis=0) > FASTEST)
-    if not fast.any():
-        return []
-    top = float(np.abs(recording.dq[:, fast]).max())
-    return [
-        UnitsWarning(
-            f"{title}: {joints_text(fast)} reach {top:.4g} rad/s; if these are degrees per second, "
-            f"{REMEDY}"
         )
-    ]
-
-
-def _beyond_limits(
-    recording: Recording, title: str, lower: Array, upper: Array
-) -> list[LieidWarning]:
+    elif fast.any():
+        found.append(
+            UnitsWarning(
+                f"{title}: {joints_text(fast)} reach {speed[fast].max():.4g} rad/s; if these are "
+                f"degrees per second, {REMEDY}"
+            )
+        )
     with np.errstate(invalid="ignore"):
         over = np.maximum(recording.q.max(axis=0) - upper, lower - recording.q.min(axis=0))
         outside = over > 0.02
-    if not outside.any():
-        return []
-    return [
-        JointLimitWarning(
-            f"{title}: positions of {joints_text(outside)} exceed the robot's limits by up to "
-            f"{over[outside].max():.3g}: check the zero pose, the robot and the unit"
+    if outside.any():
+        found.append(
+            JointLimitWarning(
+                f"{title}: positions of {joints_text(outside)} exceed the robot's limits by up to "
+                f"{over[outside].max():.3g}: check the zero pose, the robot and the unit"
+            )
         )
-    ]
+    return found
 
 
-def _position_limits(recording: Recording, robot: Robot | None) -> tuple[Array, Array]:
-    if robot is None:
-        unknown = np.full(recording.n, np.nan)
-        return unknown, unknown
-    lower = np.array([joint.limits.position_lower for joint in robot.joints])
-    upper = np.array([joint.limits.position_upper for joint in robot.joints])
-    return lower, upper
+#: Mean step over median step beyond which stamps come in clusters.
+CLUSTERED = 2.0
+
+
+def check_time(recording: Recording) -> list[LieidWarning]:
+    """Report lost samples, gaps that split the recording into segments, and clustered stamps."""
+    found: list[LieidWarning] = []
+    steps = np.diff(recording.t)
+    steps[np.isin(recording.t[:-1], recording.pauses)] = 0.0
+    lost = steps > dropout_limit(recording.t)
+    if lost.any():
+        first = recording.t[int(np.argmax(lost))]
+        gaps = int(np.sum(steps > gap_limit(recording.t)))
+        split = f"; split into {gaps + 1} segments at the gaps" if gaps else "; interpolated"
+        found.append(
+            DropoutWarning(
+                f"{recording.title}: {int(lost.sum())} dropouts, the longest "
+                f"{steps.max():.3g} s at a sample period of {sample_period(recording.t):.3g} s, "
+                f"the first at t = {first:.6g} s{split}"
+            )
+        )
+    period, mean = sample_period(recording.t), 1.0 / mean_rate(recording.t)
+    if mean >= CLUSTERED * period:
+        found.append(
+            IrregularTimeWarning(
+                f"{recording.title}: the stamps come in clusters (median step {period:.3g} s, mean "
+                f"step {mean:.3g} s): these look like times of arrival; record the time of each "
+                "measurement, or velocities and accelerations are wrong"
+            )
+        )
+    return found
 
 
 DEGREES = 180.0 / np.pi
-#: Mean step over median step beyond which stamps come in clusters.
-CLUSTERED = 2.0
 #: Ratio of the integral of dq to the change of q, and the unit that it shows.
 UNIT_RATIOS = (
     (DEGREES, "dq in degrees per second and q in radians: convert dq with numpy.deg2rad"),
@@ -206,52 +182,21 @@ UNIT_RATIOS = (
 )
 #: A joint that stays within this never moves, rad (a tenth of it in m).
 STILL = 1e-3
+#: Length of a block in which a joint's way is compared with its velocity, s: short against the
+#: motion of an arm, long against sensor noise. Blocks that are compared, at least.
+BLOCK_SECONDS, FEWEST_BLOCKS = 0.04, 8
 
 
-def check_time(recording: Recording) -> list[LieidWarning]:
-    """Report lost samples, gaps that split the recording into segments, and clustered stamps."""
-    return [*_dropouts(recording), *_clusters(recording)]
-
-
-def _dropouts(recording: Recording) -> list[LieidWarning]:
-    steps = np.diff(recording.t)
-    steps[np.isin(recording.t[:-1], recording.pauses)] = 0.0
-    lost = steps > dropout_limit(recording.t)
-    if not lost.any():
-        return []
-    first = recording.t[int(np.argmax(lost))]
-    gaps = int(np.sum(steps > gap_limit(recording.t)))
-    split = f"; split into {gaps + 1} segments at the gaps" if gaps else "; interpolated"
-    return [
-        DropoutWarning(
-            f"{recording.title}: {int(lost.sum())} dropouts, the longest "
-            f"{steps.max():.3g} s at a sample period of {sample_period(recording.t):.3g} s, "
-            f"the first at t = {first:.6g} s{split}"
-        )
-    ]
-
-
-def _clusters(recording: Recording) -> list[LieidWarning]:
-    period, mean = sample_period(recording.t), 1.0 / mean_rate(recording.t)
-    if mean < CLUSTERED * period:
-        return []
-    return [
-        IrregularTimeWarning(
-            f"{recording.title}: the stamps come in clusters (median step {period:.3g} s, mean "
-            f"step {mean:.3g} s): these look like times of arrival; record the time of each "
-            "measurement, or velocities and accelerations are wrong"
-        )
-    ]
-
-
-def check_velocity(recording: Recording, blocks: Blocks) -> list[LieidWarning]:
+def check_velocity(recording: Recording) -> list[LieidWarning]:
     """Compare the integral of dq with q."""
-    if recording.dq is None or blocks.integrated is None or len(blocks.travelled) < 8:
+    if recording.dq is None:
         return []
     title = recording.title
-    way, integral = blocks.travelled, blocks.integrated
-    moving = _moving_enough(way, recording)
-    if not moving.any():
+    way, integral = _ways(recording, recording.dq)
+    per_block = np.sqrt(np.mean(way**2, axis=0)) if len(way) else np.zeros(recording.n)
+    moving = np.ptp(recording.q, axis=0) > 10.0 * STILL
+    moving &= per_block > 3.0 * resolution(recording.q)
+    if len(way) < FEWEST_BLOCKS or not moving.any():
         return []
     gain, correlation = _gain_and_correlation(way, integral)
     for factor, meaning in UNIT_RATIOS:
@@ -271,6 +216,44 @@ def check_velocity(recording: Recording, blocks: Blocks) -> list[LieidWarning]:
         for j in np.nonzero(wrong)[0].tolist()
     )
     return [VelocityMismatchWarning(f"{title}: dq is not the derivative of q: {details}")]
+
+
+def _ways(recording: Recording, dq: Array) -> tuple[Array, Array]:
+    """Return changes (B, n) of q over blocks within segments, and those of the integral of dq."""
+    size = max(1, round(BLOCK_SECONDS * recording.rate))
+    ways = [np.empty((0, recording.n))] * 2
+    for segment in recording.segments():
+        if len(segment) >= 3 * size and segment.dq is not None:
+            steps = 0.5 * (segment.dq[1:] + segment.dq[:-1]) * np.diff(segment.t)[:, None]
+            integral = np.vstack([np.zeros((1, segment.n)), np.cumsum(steps, axis=0)])
+            found = (segment.q, integral)
+            ways = [
+                np.vstack([w, np.diff(x[::size], axis=0)]) for w, x in zip(ways, found, strict=True)
+            ]
+    return ways[0], ways[1]
+
+
+def _gain_and_correlation(way: Array, integral: Array) -> tuple[Array, Array]:
+    """Return per joint the ratio of the integral's size to the way's, and their correlation."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        squares, products = np.sum(way**2, axis=0), np.sum(way * integral, axis=0)
+        others = np.sum(integral**2, axis=0)
+        gain = np.sqrt(others / squares)
+        correlation = products / np.sqrt(squares * others)
+    # a joint exactly at rest has no gain; it is not among those that move
+    return np.nan_to_num(gain, posinf=0.0), np.nan_to_num(correlation)
+
+
+def _runs_like(way: Array, integral: Array, moving: Mask, joint: int) -> str:
+    """Return a remark on the joint whose motion this column of dq shows instead."""
+    column = np.repeat(integral[:, [joint]], way.shape[1], axis=1)
+    _, correlation = _gain_and_correlation(way, column)
+    best = int(np.argmax(np.where(moving, np.abs(correlation), 0.0)))
+    if correlation[joint] < -0.9:
+        return ", sign swapped"
+    if best != joint and correlation[best] > 0.95:
+        return f", runs like joint {best + 1}"
+    return ""
 
 
 def check_still(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
@@ -303,31 +286,75 @@ def check_rate(recording: Recording) -> list[LieidWarning]:
     ]
 
 
-def _moving_enough(way: Array, recording: Recording) -> Mask:
-    """Return the joints whose change per block is above the resolution of q."""
-    per_block = np.sqrt(np.mean(way**2, axis=0))
-    distinct = [np.unique(column) for column in recording.q.T]
-    quantum = np.array([np.min(np.diff(d)) if d.size > 1 else np.inf for d in distinct])
-    return np.asarray((np.ptp(recording.q, axis=0) > 10.0 * STILL) & (per_block > 3.0 * quantum))
+#: Ratio of torque to the robot's limit from which the unit is in doubt, not the limit.
+FAR_BEYOND_TORQUE = 3.0
 
 
-def _gain_and_correlation(way: Array, integral: Array) -> tuple[Array, Array]:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        squares, products = np.sum(way**2, axis=0), np.sum(way * integral, axis=0)
-        others = np.sum(integral**2, axis=0)
-        gain = np.sqrt(others / squares)
-        correlation = products / np.sqrt(squares * others)
-    # a joint exactly at rest has no gain; it is not among those that move
-    return np.nan_to_num(gain, posinf=0.0), np.nan_to_num(correlation)
+def check_torque(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
+    """Report torques that are constant, clipped or beyond the robot's limits."""
+    if recording.tau is None:
+        return []
+    title, found = recording.title, list[LieidWarning]()
+    constant = np.ptp(recording.tau, axis=0) == 0.0
+    if constant.any():
+        values = ", ".join(f"{value:g}" for value in np.unique(recording.tau[0, constant])[:4])
+        found.append(
+            ConstantTorqueWarning(
+                f"{title}: torque of {joints_text(constant)} is {values} N·m in every row: was it "
+                "recorded? The parameters of these joints are not identifiable from it"
+            )
+        )
+    magnitude = np.abs(recording.tau)
+    at_limit, excess = np.zeros(recording.n, dtype=bool), 0.0
+    if robot is not None:
+        limits = robot.limit("torque")
+        with np.errstate(invalid="ignore", divide="ignore"):
+            at_limit = np.sum(magnitude >= 0.999 * limits, axis=0) >= 3
+            excess = float(np.max((magnitude / limits)[:, at_limit], initial=0.0))
+    clipped = clipped_joints(recording) & ~at_limit
+    if clipped.any():
+        level = float(magnitude[:, clipped].max(axis=0)[0])
+        found.append(
+            TorqueClippedWarning(
+                f"{title}: torque of {joints_text(clipped)} stays at its largest value "
+                f"({level:.4g}): it seems to be clipped"
+            )
+        )
+    if at_limit.any():
+        far = f", up to {excess:.3g} times: expected SI units (N·m)"
+        found.append(
+            TorqueClippedWarning(
+                f"{title}: torque of {joints_text(at_limit)} reaches the robot's torque limit"
+                + (far if excess > FAR_BEYOND_TORQUE else "")
+            )
+        )
+    return found
 
 
-def _runs_like(way: Array, integral: Array, moving: Mask, joint: int) -> str:
-    """Return a remark on the joint whose motion this column of dq shows instead."""
-    column = np.repeat(integral[:, [joint]], way.shape[1], axis=1)
-    _, correlation = _gain_and_correlation(way, column)
-    best = int(np.argmax(np.where(moving, np.abs(correlation), 0.0)))
-    if correlation[joint] < -0.9:
-        return ", sign swapped"
-    if best != joint and correlation[best] > 0.95:
-        return f", runs like joint {best + 1}"
-    return ""
+def clipped_joints(recording: Recording) -> Mask:
+    """Return the joints (n,) whose torque stays at its largest value while they move."""
+    if recording.tau is None:
+        return np.zeros(recording.n, dtype=bool)
+    magnitude = np.abs(recording.tau)
+    dq = recording.dq
+    if dq is None:
+        dq = np.gradient(recording.q, recording.t, axis=0)
+    top = magnitude >= 0.999 * magnitude.max(axis=0)
+    speed = np.array([np.median(np.abs(v[at])) for v, at in zip(dq.T, top.T, strict=True)])
+    moving = speed > 0.01 * np.abs(dq).max(axis=0)  # holding still is no clipping
+    return np.asarray(moving & [_stuck_at_top(column) for column in magnitude.T])
+
+
+def _stuck_at_top(magnitude: Array) -> bool:
+    """Return whether many values are at the top and few just below it.
+
+    A smooth peak has 2.4 times as many samples in its top slice as in the next one of the
+    same width; a clipped one has far more.
+    """
+    top = float(magnitude.max())
+    if top == 0.0:
+        return False
+    width = max(1e-3 * top, 0.75 * float(resolution(magnitude[:, None])[0] or top))
+    at_top = int(np.sum(magnitude > top - width))
+    below = int(np.sum((magnitude > top - 2.0 * width) & (magnitude <= top - width)))
+    return at_top >= max(10, 0.003 * magnitude.size) and at_top > 6 * below

@@ -28,12 +28,12 @@ from lieid_casadi.identification.default_effects import default_effects
 from lieid_casadi.identification.fit_file import content_of
 from lieid_casadi.identification.identify import identify_segments
 from lieid_casadi.identification.prediction import center_temperature
-from lieid_casadi.identification.recording_checks import check_recordings, check_with_model
+from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.identification.regression.design_matrix import FilteredColumns
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processed, Processing, Recording, process
+from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.report import comparison_report, fit_report
 from lieid_casadi.simulation import window_drift
 from lieid_casadi.workbench.arm import ArmMotion, arm_motion
@@ -402,7 +402,7 @@ class PreparedRecordings:
             segments, _ = center_temperature(averaged, fit.temperature_mean)
         else:
             segments = compared_segments(fit, recordings)
-        found = [w for r in recordings for w in check_with_model(fit.compiled, r)]
+        found = [w for r in recordings for w in check(r, fit.model.robot)]
         found += [w for segment in segments for w in segment.warnings]
         return cls(tuple(recordings), segments, tuple(found))
 

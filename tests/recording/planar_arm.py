@@ -47,8 +47,3 @@ def measured(duration=24.0, rate=200.0, noise=1.0, seed=0, jitter=0.0, **fields)
         "tau": tau + noise * 0.3 * random.normal(size=q.shape),
     }
     return Recording.from_arrays(t, **{**values, "name": "planar", **fields})
-
-
-def nominal_torque(recording):
-    t = recording.t
-    return rigid_torque(*motion(t))

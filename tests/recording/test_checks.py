@@ -2,13 +2,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recording.planar_arm import measured, motion, nominal_torque
-from scipy.signal import lfilter
+from recording.planar_arm import measured, motion
 
 from lieid_casadi import errors
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording import Recording, check
-from lieid_casadi.recording.consistency import block_means, check_torque
 from lieid_casadi.robot import Joint, Limits, Robot
 
 DEGREES = 180 / np.pi
@@ -43,7 +41,7 @@ def test_a_sound_recording_has_no_warnings(jitter, rate, noise):
     recording = measured(rate=rate, jitter=jitter, noise=noise)
     assert check(recording) == ()
     assert check(recording, robot(torque=100.0)) == ()
-    assert check(recording, robot(), nominal_torque=nominal_torque(recording)) == ()
+    assert check(recording, robot()) == ()
 
 
 def test_positions_alone_have_no_warnings(good):
@@ -106,11 +104,6 @@ def test_degrees_per_second_beside_radians(good):
         check(replace(good, dq=good.dq * DEGREES))
     with pytest.raises(RecordingError, match=r"column dq1: found 0\.0175 times the derivative"):
         check(replace(good, q=good.q * DEGREES * 0.1, dq=good.dq * 0.1))
-
-
-def test_nominal_torque_of_another_shape(good):
-    with pytest.raises(RecordingError, match="nominal_torque has shape"):
-        check(good, nominal_torque=np.zeros((3, 2)))
 
 
 # -- suspicious -----------------------------------------------------------------------
@@ -189,29 +182,6 @@ def test_a_rate_too_low_for_the_motion(good):
     assert check(replace(good, **fields)) == ()
 
 
-@pytest.mark.parametrize("joint", [0, 1])
-@pytest.mark.parametrize("model", [True, False])
-def test_swapped_sign(good, joint, model):
-    tau = good.tau.copy()
-    tau[:, joint] *= -1
-    nominal = nominal_torque(good) if model else None
-    text = only(check(replace(good, tau=tau), nominal_torque=nominal), errors.TorqueSignWarning)
-    assert f"joint {joint + 1}" in text
-
-
-@pytest.mark.parametrize("model", [True, False])
-def test_exchanged_torques(good, model):
-    nominal = nominal_torque(good) if model else None
-    swapped = replace(good, tau=good.tau[:, ::-1])
-    text = only(check(swapped, nominal_torque=nominal), errors.TorqueOrderWarning)
-    assert "tau1 fits joint 2, tau2 fits joint 1" in text
-
-
-def test_a_poor_nominal_model_causes_no_warning(good):
-    nominal = 0.5 * nominal_torque(good)[:, ::1] + [[5.0, -2.0]]
-    assert check(good, nominal_torque=nominal) == ()
-
-
 def test_clipped_torque(good):
     limit = 0.8 * np.abs(good.tau).max(axis=0)
     text = only(
@@ -258,51 +228,3 @@ def test_little_data_is_checked_as_far_as_it_goes():
         "JointStillWarning",
         "ConstantTorqueWarning",
     }
-
-
-# -- Signs of torque and velocity from friction alone, over draws of motion and noise --
-
-
-JOINTS, RATE, DURATION = 7, 100.0, 20.0
-VISCOUS = np.linspace(1.0, 0.2, JOINTS)
-
-
-def drawn(seed: int, coulomb: float, viscous: float) -> Recording:
-    """Return a recording of a light arm on one period of a Fourier motion.
-
-    Its velocities are almost sums of the columns that stand for gravity. The torque has parts that
-    no column describes (sines of sums of three angles, products of velocities), and the noise is
-    correlated.
-    """
-    random = np.random.default_rng([seed, 12])
-    t = np.arange(0.0, DURATION, 1.0 / RATE)
-    k = 2.0 * np.pi / DURATION * np.arange(1, 6)[:, None, None]
-    size, phase = random.normal(size=(5, 1, JOINTS)), random.uniform(0, 6.28, (5, 1, JOINTS))
-    scale = 0.5 / np.abs(size).sum(axis=0)
-    angle = k * t[:, None] + phase
-    q, dq, ddq = (
-        scale * np.sum(x, axis=0)
-        for x in (size * np.sin(angle), size * k * np.cos(angle), -size * k**2 * np.sin(angle))
-    )
-    three = q + np.roll(q, 1, axis=1) + np.roll(q, 2, axis=1)
-    rigid = np.sin(q) + 0.2 * np.sin(three) + 0.2 * ddq + 0.2 * dq * np.roll(dq, 1, axis=1)
-    noise = lfilter([1.0], [1.0, -0.9], random.normal(0.0, 0.05, q.shape), axis=0)
-    tau = rigid + coulomb * np.sign(dq) + viscous * VISCOUS * dq + noise
-    return Recording(t=t, q=q, dq=dq, tau=tau)
-
-
-def joints_reported(recording: Recording) -> int:
-    """Return the number of joints whose friction is reported to drive them."""
-    found = check_torque(recording, block_means(recording), None)
-    texts = [str(w) for w in found if isinstance(w, errors.TorqueSignWarning)]
-    return sum(text.partition("of joint")[2].count(str(j + 1)) for text in texts for j in range(7))
-
-
-@pytest.mark.parametrize(("coulomb", "viscous"), [(0.5, 1.0), (0.5, 0.0), (0.0, 0.0), (0.1, 0.3)])
-def test_friction_of_the_right_sign_causes_no_warning(coulomb, viscous):
-    assert sum(joints_reported(drawn(k, coulomb, viscous)) for k in range(8)) == 0
-
-
-def test_friction_of_the_wrong_sign_is_reported():
-    found = sum(joints_reported(drawn(k, -0.5, -1.0)) for k in range(8))
-    assert found >= 0.98 * 8 * JOINTS

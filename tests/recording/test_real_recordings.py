@@ -1,4 +1,3 @@
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -54,18 +53,6 @@ def test_it_is_processed_without_options(run):
     assert lowest <= processed.cutoff <= highest
     assert processed.rate < 30 * processed.cutoff or processed.rate < 110
     assert np.all(np.isfinite(processed.filter(processed.tau)))
-
-
-@pytest.mark.parametrize("joint", range(6))
-@pytest.mark.parametrize(
-    "name", ["ur10e/excitation_50s", "ur10e/point_to_point", "staubli_tx40/excitation"]
-)
-def test_a_swapped_sign_is_reported_without_a_model(recordings, name, joint):
-    recording = loaded(recordings / f"{name}.csv.gz")
-    signs = np.where(np.arange(6) == joint, -1.0, 1.0)
-    (warning,) = check(replace(recording, tau=recording.tau * signs))
-    assert type(warning).__name__ == "TorqueSignWarning"
-    assert f"joint {joint + 1} " in str(warning)
 
 
 def test_the_dwells_of_point_to_point_are_rest(recordings):
