@@ -199,7 +199,7 @@ def motions_of(labels: Sequence[str], positions: Array) -> NDArray[np.intp]:
     Positions (N, 4, n) are the lowest, highest and mean one and the standard deviation of each
     joint; nights without positions (NaN) have one motion.
     """
-    unknown = np.isnan(positions.reshape(len(labels), -1)).any(axis=1)
+    unknown = np.asarray(np.isnan(positions).any(axis=(1, 2)))
     span: Array = positions[:, 1] - positions[:, 0]
     numbers = np.full(len(labels), -1, dtype=np.intp)
     for number in range(len(labels)):

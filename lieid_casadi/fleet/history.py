@@ -412,12 +412,16 @@ def _connect(path: str, *, read_only: bool, wait: float) -> DuckDBPyConnection:
 
 def _prepare(connection: DuckDBPyConnection, path: str) -> None:
     """Make the tables of a new file, or migrate those of an older one."""
+    is_new = not connection.execute("SHOW TABLES").fetchall()
+    schema = 0 if is_new else _schema_of(connection, path)
+    if schema == SCHEMA:
+        return
     connection.execute("BEGIN")
-    if not connection.execute("SHOW TABLES").fetchall():
+    if is_new:
         for name, columns in TABLES.items():
             connection.execute(f"CREATE TABLE {name} ({columns})")
         connection.execute("INSERT INTO history VALUES (?, NULL)", [SCHEMA])
-    for step in range(_schema_of(connection, path), SCHEMA):
+    for step in range(schema, SCHEMA) if schema else ():
         for statement in MIGRATIONS[step]:
             connection.execute(statement)
     connection.execute("UPDATE history SET schema = ?", [SCHEMA])

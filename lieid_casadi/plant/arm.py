@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import EffectError
@@ -102,23 +102,25 @@ class Arm:
         """True gravity (3,) in the base frame, m/s²."""
         gravity = np.array(self.robot.gravity, dtype=float)
         for tilt in self.effects_of(BaseTilt):
-            cx, sx, cy, sy = *_cos_sin(tilt.about_x), *_cos_sin(tilt.about_y)
-            about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-            about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-            gravity = about_y @ about_x @ gravity
+            gravity = Rotation.from_euler("xy", [tilt.about_x, tilt.about_y]).apply(gravity)
         return gravity
 
     @property
     def armature(self) -> Array:
         """Motor inertia per joint (n,), kg·m²."""
-        values = ((e.joint, e.inertia) for e in self.effects_of(Armature))
-        return _summed(values, self.n)
+        own = self.effects_of(Armature)
+        return self._summed([e.joint for e in own], [e.inertia for e in own])
 
     @property
     def compliance(self) -> Array:
         """Compliance per joint (n,), rad/(N·m); 0 where the joint is rigid."""
-        values = ((e.joint, 1.0 / e.stiffness) for e in self.effects_of(JointElasticity))
-        return _summed(values, self.n)
+        own = self.effects_of(JointElasticity)
+        return self._summed([e.joint for e in own], [1.0 / e.stiffness for e in own])
+
+    def _summed(self, joints: list[int], values: list[float]) -> Array:
+        total = np.zeros(self.n)
+        np.add.at(total, joints, values)
+        return total
 
     @property
     def tool_wrench(self) -> Array:
@@ -131,17 +133,6 @@ class Arm:
     def rigid_model(self) -> Any:
         """Return the true rigid arm as ``pinocchio.Model``."""
         return build_pinocchio(self.robot, self.loaded_parameters, gravity=self.gravity)
-
-
-def _summed(values: Iterable[tuple[int, float]], n: int) -> Array:
-    total = np.zeros(n)
-    for joint, value in values:
-        total[joint] += value
-    return total
-
-
-def _cos_sin(angle: float) -> tuple[float, float]:
-    return float(np.cos(angle)), float(np.sin(angle))
 
 
 LEAST_MOMENT = 1e-3  # of the largest principal second moment of mass

@@ -19,71 +19,46 @@ class Drive:
     def __init__(self, arm: Arm) -> None:
         effects = [e for e in arm.effects if isinstance(e, JointEffect)]
         self._friction = arm.friction
-        self._levels = _defining(effects, "level")
-        self._slopes = _defining(effects, "level_slope")
-        self._level_scales = _defining(effects, "level_scale")
-        self._viscous = _defining(effects, "viscous")
-        self._viscous_scales = _defining(effects, "viscous_scale")
-        self._torques = _defining(effects, "torque")
+        terms = ("level", "level_slope", "level_scale", "viscous", "viscous_scale", "torque")
+        self._defining = {
+            term: [e for e in effects if getattr(type(e), term) is not getattr(JointEffect, term)]
+            for term in terms
+        }
         self.hysteresis_width = np.zeros(arm.n)
-        for effect in arm.effects:
-            if isinstance(effect, Presliding):
-                self.hysteresis_width[effect.joint] = effect.width
+        for effect in arm.effects_of(Presliding):
+            self.hysteresis_width[effect.joint] = effect.width
         self.hysteretic = self.hysteresis_width > 0.0
+
+    def _with(self, values: Array, s: JointState, term: str, scale: str = "") -> Array:
+        """Return values (…, n) with what effects add to their joints, times their scales."""
+        found = np.broadcast_to(values, s.dq.shape).copy()
+        for effect in self._defining[term] if term else ():
+            found[..., effect.joint] += getattr(effect, term)(s)
+        for effect in self._defining[scale] if scale else ():
+            found[..., effect.joint] *= getattr(effect, scale)(s)
+        return found
 
     def level(self, s: JointState) -> Array:
         """Level of dry friction (…, n) ≥ 0, N·m."""
-        if not self._levels and not self._level_scales:
-            return np.broadcast_to(self._friction.coulomb, s.dq.shape)
-        level = np.broadcast_to(self._friction.coulomb, s.dq.shape).copy()
-        for effect in self._levels:
-            level[..., effect.joint] += effect.level(s)
-        for effect in self._level_scales:
-            level[..., effect.joint] *= effect.level_scale(s)
-        return np.maximum(level, 0.0)
+        return np.maximum(self._with(self._friction.coulomb, s, "level", "level_scale"), 0.0)
 
     def level_slope(self, s: JointState) -> Array | None:
         """Derivative of the level by the load (…, n); None if it is zero everywhere."""
-        if not self._slopes:
+        if not self._defining["level_slope"]:
             return None
-        slope = np.zeros(s.dq.shape)
-        for effect in self._slopes:
-            slope[..., effect.joint] += effect.level_slope(s)
-        for effect in self._level_scales:
-            slope[..., effect.joint] *= effect.level_scale(s)
-        return slope
+        return self._with(np.zeros(()), s, "level_slope", "level_scale")
 
     def damping(self, s: JointState) -> Array:
         """Linear viscous coefficient (…, n), N·m·s/rad."""
-        if not self._viscous_scales:
-            return self._friction.viscous
-        damping = np.broadcast_to(self._friction.viscous, s.dq.shape).copy()
-        for effect in self._viscous_scales:
-            damping[..., effect.joint] *= effect.viscous_scale(s)
-        return damping
+        return self._with(self._friction.viscous, s, "", "viscous_scale")
 
     def smooth(self, s: JointState) -> Array:
         """All torques except those of the rigid arm, armature and dry friction (…, n), N·m."""
-        friction = self._friction.viscous * s.dq
-        for effect in self._viscous:
-            friction[..., effect.joint] += effect.viscous(s)
-        for effect in self._viscous_scales:
-            friction[..., effect.joint] *= effect.viscous_scale(s)
-        torque = friction + self._friction.offset
-        for effect in self._torques:
-            torque[..., effect.joint] += effect.torque(s)
-        return torque
+        friction = self._with(self._friction.viscous * s.dq, s, "viscous", "viscous_scale")
+        return self._with(friction + self._friction.offset, s, "torque")
 
     def next_hysteresis(self, z: Array, step: Array) -> Array:
         """Dahl's state (n,), −1…1, after the motor moved by ``step`` (n,); exact for any step."""
         direction = np.sign(step)
         left = np.exp(-np.abs(step) / np.where(self.hysteretic, self.hysteresis_width, 1.0))
         return np.where(self.hysteretic, direction + (z - direction) * left, 0.0)
-
-
-def _defining(effects: list[JointEffect], *methods: str) -> list[JointEffect]:
-    return [
-        effect
-        for effect in effects
-        if any(getattr(type(effect), name) is not getattr(JointEffect, name) for name in methods)
-    ]

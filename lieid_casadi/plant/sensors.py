@@ -119,11 +119,9 @@ def coloured_noise(t: Array, n: int, correlation_time: float, random: np.random.
     """Return first-order stationary noise (N, n) of unit variance, correlation exp(−Δt/time)."""
     white = random.standard_normal((t.size, n))
     keep = np.exp(-np.diff(t) / correlation_time)
-    noise = np.empty_like(white)
-    noise[0] = white[0]
     for k in range(1, t.size):
-        noise[k] = keep[k - 1] * noise[k - 1] + np.sqrt(1.0 - keep[k - 1] ** 2) * white[k]
-    return noise
+        white[k] = keep[k - 1] * white[k - 1] + np.sqrt(1.0 - keep[k - 1] ** 2) * white[k]
+    return white
 
 
 def _encoder(arm: Arm, motion: TrueMotion, sensors: Sensors, random: np.random.Generator) -> Array:

@@ -46,17 +46,10 @@ def plays_of(fit: Fit) -> tuple[Play, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """Coordinates (d): the angles of the motors (n), then those of the links with play (P).
+    """Coordinates (d): the angles of the motors (n), then those of the links with play (P)."""
 
-    Attributes
-    ----------
-    motors, links : (n, d)
-        Motor and link angles from the coordinates; equal on joints without play.
-    plays : tuple of Play, length P
-    """
-
-    motors: Array
-    links: Array
+    motors: Array  # (n, d) angles of the motors from the coordinates
+    links: Array  # (n, d) the same of the links; equal on joints without play
     plays: tuple[Play, ...]
 
     @classmethod

@@ -29,16 +29,9 @@ def with_torque_of_drives(fit: Fit, segment: Processed) -> Processed:
 
     A fit states the measured torque as that of the drives plus what effects on the measurement add
     (τ_measured = (1 + g)·τ, say). The addition along the measured motion is subtracted.
-
-    ``segment``: with torque, and with temperatures relative to those of the training recordings.
     """
-    own = np.concatenate(
-        [
-            np.full(len(p.effect.coefficients), _is_of_sensors(p.effect), dtype=bool)
-            for p in fit.model.placements
-        ]
-        or [np.zeros(0, dtype=bool)]
-    )
+    effects = [p.effect for p in fit.model.placements for _ in p.effect.coefficients]
+    own = np.array([_is_of_sensors(effect) for effect in effects], dtype=bool)
     if not own.any():
         return segment
     assert segment.tau is not None  # checked with the input
@@ -62,10 +55,9 @@ POSES = 500  # at which the mass matrix is checked
 
 
 def input_of(fit: Fit, recordings: Sequence[Recording], under: Input | None) -> Input:
-    """Return the input that all recordings have.
+    """Return the input that all recordings have: ``under``, or by default commands if possible.
 
-    ``under``: the wanted one; commands where all recordings and the fit have them if None.
-    Raises `ModelError`: a recording lacks it, or has another number of joints.
+    `ModelError`: a recording lacks it, or has another number of joints.
     """
     for recording in recordings:
         check_joints(fit.model, recording)
@@ -105,29 +97,14 @@ def require_positive_mass_matrix(fit: Fit, runs: Sequence[Run]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A segment and its time steps.
+    """A segment and its time steps."""
 
-    Attributes
-    ----------
-    segment : Processed
-        Of K instants.
-    under : {"command", "torque"}
-    temperature : (n, K)
-        °C.
-    substeps : int
-        Steps between two instants.
-    h : float
-        Step, s.
-    per_window : int
-        Instants between the start of a window and its end.
-    """
-
-    segment: Processed
+    segment: Processed  # of K instants
     under: Input
-    temperature: Array
-    substeps: int
-    h: float
-    per_window: int
+    temperature: Array  # (n, K), °C
+    substeps: int  # steps between two instants
+    h: float  # step, s
+    per_window: int  # instants between the start of a window and its end
 
     @property
     def windows(self) -> int:
@@ -152,10 +129,7 @@ class Run:
 
 
 def runs_of(fit: Fit, recording: Recording, window: float, under: Input) -> list[Run]:
-    """Return the segments of a recording; those too short for the filter are left out.
-
-    ``fit``: its filter is used; ``window``: length of the windows, s.
-    """
+    """Return the segments of a recording, for windows in s; too short ones are left out."""
     options = Processing(cutoff=fit.processing.cutoff, trim=0.0, order=fit.processing.order)
     made = []
     for raw in process(recording, options):
@@ -164,13 +138,10 @@ def runs_of(fit: Fit, recording: Recording, window: float, under: Input) -> list
         interval = float(t[-1] - t[0]) / (len(t) - 1)
         substeps = max(1, int(np.ceil(interval / STEP - 1e-9)))
         h = interval / substeps
-        warm = segment.temperature
-        if warm is not None and fit.temperature_mean is not None:
-            warm = warm + fit.temperature_mean
-        if warm is None:
-            warm = np.zeros_like(segment.q) + (
-                0.0 if fit.temperature_mean is None else fit.temperature_mean
-            )
+        mean = np.zeros(fit.model.n) if fit.temperature_mean is None else fit.temperature_mean
+        warm = mean + (
+            np.zeros_like(segment.q) if segment.temperature is None else segment.temperature
+        )
         per_window = max(1, round(window / interval))
         made.append(Run(segment, under, warm.T, substeps, h, per_window))
     return made
@@ -190,10 +161,7 @@ class Simulated:
 
 
 class Integrator:
-    """Integration of runs by the step function of a fit.
-
-    ``under``: the input.
-    """
+    """Integration of runs by the step function of a fit."""
 
     def __init__(self, fit: Fit, under: Input) -> None:
         self._fit = fit
@@ -229,13 +197,13 @@ class Integrator:
     def _paths(self, run: Run, starts: NDArray[np.int_], length: int) -> Array:
         """Return states (length + 1, W, d) from the measured states at the starts (W,)."""
         segment, m, windows = run.segment, run.substeps, len(starts)
-        chunk = self._step.mapaccum("chunk", m).map(windows) if windows else None
         x, dx = self._coordinates.along(self._fit, segment)
         state = initial_state(self._fit, x[starts], dx[starts])
         path = np.empty((length + 1, windows, len(state)))
         path[0] = state.T
-        if chunk is None:
+        if not windows:
             return path
+        chunk = self._step.mapaccum("chunk", m).map(windows)
         if run.under == "torque":
             run = replace(run, segment=with_torque_of_drives(self._fit, segment))
         inputs = run.inputs(self._delays())

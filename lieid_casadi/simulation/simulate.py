@@ -27,7 +27,7 @@ from lieid_casadi.identification import identify
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
-from lieid_casadi.json_numbers import numbers_or_none
+from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
@@ -148,29 +148,14 @@ MOST_WINDOWS = 60
 
 @dataclass(frozen=True, eq=False)
 class WindowDrift:
-    """How far a simulation leaves the measured motion within short windows.
-
-    Attributes
-    ----------
-    joint_names : tuple of str
-    window : float
-        Length of the windows, s.
-    under : {"command", "torque", ""}
-        Input of the simulation; empty if there is none.
-    windows : int
-        Number of windows that were simulated.
-    drift : Drift
-        At the ends of the windows, rad; NaN if there is none.
-    reason : str
-        Why there is no simulation; empty if there is one.
-    """
+    """How far a simulation leaves the measured motion within short windows."""
 
     joint_names: tuple[str, ...]
-    window: float
-    under: str
-    windows: int
-    drift: Drift
-    reason: str
+    window: float  # length of the windows, s
+    under: str  # input of the simulation: command, torque; empty if there is none
+    windows: int  # number of windows that were simulated
+    drift: Drift  # at the ends of the windows, rad; NaN if there is none
+    reason: str  # why there is no simulation; empty if there is one
 
     @property
     def degrees(self) -> NDArray[np.float64]:
@@ -195,11 +180,9 @@ def window_drift(
     window: float = WINDOW,
     most: int = MOST_WINDOWS,
 ) -> WindowDrift:
-    """Simulate a fit over short windows of recordings; a reason takes the place of an error.
+    """Simulate a fit over windows (s) of recordings; a reason takes the place of an error.
 
-    The windows are those of `simulate`, of long recordings every k-th.
-
-    ``window``: length of the windows, s; ``most``: largest number of windows.
+    The windows are those of `simulate`; of more than ``most`` every k-th.
     """
     names = tuple(joint.name for joint in fit.model.robot.joints)
     try:
@@ -208,8 +191,9 @@ def window_drift(
         runs = [run for recording in given for run in runs_of(fit, recording, window, under)]
         total = sum(run.windows for run in runs)
         if not total:
-            reason = f"no segment of the recordings has the length of a window of {window:g} s"
-            return WindowDrift(names, window, "", 0, Drift.unknown(len(names)), reason)
+            raise RecordingError(
+                f"no segment of the recordings has the length of a window of {window:g} s"
+            )
         require_positive_mass_matrix(fit, runs)
         integrator = Integrator(fit, under)
     except LieidError as error:
@@ -272,7 +256,7 @@ def effects_table(simulation: Simulation) -> Table:
 
 
 def _degrees(angle: float) -> float | None:
-    return float(np.degrees(angle)) if np.isfinite(angle) else None
+    return number_or_none(np.degrees(angle))
 
 
 def _draw(s: Simulation, ax: Axes | None) -> Figure:
@@ -355,6 +339,8 @@ def simulate(
         )
     require_positive_mass_matrix(fit, runs)
     integrator = Integrator(fit, chosen)
+    segments = [run.segment for run in runs]
+    warnings = [w for s in segments for w in (*s.recording.warnings, *s.warnings)]
     report("windows", 0.1)
     parts = [integrator.windows(run) for run in runs]
     without = []
@@ -380,40 +366,32 @@ def simulate(
         dq=np.concatenate([part.dq for part in parts]),
         refitted_to=tuple(Source.of(r) for r in training) if each_effect else (),
         recordings=tuple(Source.of(r) for r in given),
-        warnings=unique_warnings([*_not_simulated(fit), *_warnings(runs)]),
+        warnings=unique_warnings([*_not_simulated(fit), *warnings]),
     )
 
 
 def _not_simulated(fit: Fit) -> list[LieidWarning]:
     """Report effects by which links move differently from their motors."""
-    placements, simulated = fit.model.placements, {play.joint for play in plays_of(fit)}
-    elastic = [p.label for p in placements if isinstance(p.effect, JointElasticity)]
-    massless = [
-        p.label for p in placements if isinstance(p.effect, Backlash) and p.joint not in simulated
-    ]
-    reasons = (
-        (elastic, "links move with their motors there"),
-        (
-            massless,
-            f"it needs a play of up to {LARGEST:g} rad and the motor's inertia (effect armature)",
-        ),
-    )
-    return [
-        NotSimulatedWarning(f"{', '.join(labels)}: not part of the simulation; {why}")
-        for labels, why in reasons
-        if labels
-    ]
-
-
-def _warnings(runs: Sequence[Run]) -> list[LieidWarning]:
-    return [w for run in runs for w in (*run.segment.recording.warnings, *run.segment.warnings)]
+    simulated = {play.joint for play in plays_of(fit)}
+    reasons = {
+        JointElasticity: "links move with their motors there",
+        Backlash: f"it needs a play of up to {LARGEST:g} rad and the motor's inertia "
+        "(effect armature)",
+    }
+    found: list[LieidWarning] = []
+    for kind, why in reasons.items():
+        own = [p for p in fit.model.placements if isinstance(p.effect, kind)]
+        labels = [p.label for p in own if kind is JointElasticity or p.joint not in simulated]
+        if labels:
+            text = f"{', '.join(labels)}: not part of the simulation; {why}"
+            found.append(NotSimulatedWarning(text))
+    return found
 
 
 def _drift_without(label: str, fit: Fit, train: Sequence[Recording], runs: Sequence[Run]) -> Drift:
     """Return the drift of the model without an effect, identified again; NaN without a solution.
 
-    ``label``: of the effect; empty for the complete model; ``fit``: with the effect; ``runs``: to
-    follow.
+    An empty label stands for the complete model.
     """
     kept = [p for p in fit.model.placements if p.effect.label != label]
     model = Model.of_placements(fit.model.robot, kept)

@@ -29,14 +29,13 @@ def set_valued_forces(
 ) -> ca.SX:
     """Return the forces (n + P,) of dry friction and contact, N·m.
 
-    The first n belong to the velocities of motors. Dry friction λ satisfies |λ| ≤ level, opposing
-    the velocity at the end of the step or holding the joint. The others belong to the velocities
-    of motors relative to their links: λ keeps these within what the play leaves, and is zero
-    inside of it (Moreau, "Unilateral contact and dry friction", 1988).
+    The first n belong to the velocities of motors. Dry friction λ satisfies |λ| ≤ ``level`` (n,),
+    opposing the velocity at the end of the step or holding the joint. The others belong to the
+    velocities of motors relative to their links: λ keeps these within ``bounds``, which the play
+    leaves, and is zero inside of it (Moreau, "Unilateral contact and dry friction", 1988).
 
-    ``free`` (n + P,): velocities at the end of the step without these forces; ``gain`` (n + P, n +
-    P): change of velocity per force; ``level`` (n,): largest friction, N·m; ``bounds``: least and
-    largest relative velocity; ``start`` (n + P,): forces of the step before.
+    ``free`` are the velocities at the end of the step without these forces, ``gain`` their change
+    per force, ``start`` the forces of the step before.
     """
     n = level.size1()
     forces = ca.SX(start)
@@ -56,8 +55,7 @@ def set_valued_forces(
 def allowed_velocities(twist: ca.SX, half: ca.DM, h: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the least and the largest velocity (P,) of motors relative to their links.
 
-    ``twist`` (P,): angle of the motors minus that of their links, rad; ``half`` (P,): half of the
-    play, rad; ``h``: step, s.
+    ``twist`` (P,) is the angle of the motors minus that of their links, ``half`` half of the play.
     """
     upper, lower = half - twist, -half - twist
     return (
@@ -67,10 +65,7 @@ def allowed_velocities(twist: ca.SX, half: ca.DM, h: ca.SX) -> tuple[ca.SX, ca.S
 
 
 def clip(x: Any, lower: Any, upper: Any) -> Any:
-    """Return x within bounds.
-
-    ``x``, ``lower``, ``upper``: numbers or symbols.
-    """
+    """Return x, a number or symbol, within bounds."""
     return ca.fmin(ca.fmax(x, lower), upper)
 
 
@@ -172,8 +167,8 @@ def _forces(
 ) -> _Forces:
     """Return the forces of drives, links and friction as expressions of q and dq.
 
-    ``sign`` (n,): its symbol for the sign of the velocity; ``error`` (n,): its symbol for the
-    commanded minus the measured position; ``given`` (n,): torque, or commanded position.
+    ``sign`` and ``error`` (n,) are symbols of ``torque`` for the signs of the velocities and the
+    commanded minus the measured positions; ``given`` (n,) is the torque, or commanded position.
     """
     m, n = torque.motion, torque.n
     zero = ca.SX.zeros(n)
@@ -219,8 +214,7 @@ def _states(
 ) -> ca.SX:
     """Return the states of effects with memory at the end of the step.
 
-    ``start``, ``end``: positions and velocities of the motors at the start and at the end of the
-    step; ``h``: length of the step, s.
+    ``start``, ``end``: positions and velocities of the motors at both ends of the step.
     """
     if not torque.states.size1():
         return torque.states

@@ -1,13 +1,10 @@
 """Batches of any length and layout, threads, bad arrays, NaN."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.compiled import compile
-from lieid_casadi.compiled.batch_evaluation import _make_arguments
 from lieid_casadi.compiled.compiler import available_targets
 from lieid_casadi.errors import CompilerError, ModelError
 
@@ -58,26 +55,6 @@ def test_any_layout_of_the_input_gives_the_same(layout):
     arm, values = compile(MODEL), motion(37)
     expected = arm.regressor(*values)
     np.testing.assert_array_equal(arm.regressor(*(layout(x) for x in values)), expected)
-
-
-def test_unaligned_input_and_integers_are_accepted():
-    arm, values = compile(MODEL), motion(9)
-    packed = np.zeros((9, 2), dtype=[("flag", "u1"), ("value", "f8")])
-    packed["value"] = values[0]
-    assert not packed["value"].flags.aligned
-    expected = arm.regressor(*values)
-    np.testing.assert_array_equal(arm.regressor(packed["value"], *values[1:]), expected)
-    whole = np.arange(6).reshape(3, 2)
-    np.testing.assert_array_equal(
-        arm.regressor(whole, whole, whole), arm.regressor(*(3 * [whole.astype(float)]))
-    )
-
-
-def test_out_is_written_to_and_returned():
-    arm, values = compile(MODEL), motion(100)
-    out = np.full((100, 2, 20), np.nan)
-    assert arm.regressor(*values, out=out) is out
-    np.testing.assert_array_equal(out, arm.regressor(*values))
 
 
 def test_out_may_be_an_input():
@@ -204,21 +181,3 @@ def test_blocks_are_the_base_regressor_joint_by_joint(lanes):
     assert [len(columns) for columns in blocks.columns] == np.any(whole, axis=0).sum(
         axis=1
     ).tolist()
-
-
-def test_blocks_of_any_part_leave_the_rest_of_the_buffer():
-    arm, values = compile(panda()), motion(100, n=7)
-    blocks = arm.base_blocks(*values, size=64)
-    buffer = blocks.buffer()
-    for first, last in [(0, 1), (3, 20), (37, 100), (50, 50)]:
-        buffer[:] = -7.0
-        joints = blocks.evaluate(first, last, buffer)
-        whole = arm.base_regressor(*(x[first:last] for x in values))
-        np.testing.assert_array_equal(joints[6].T, whole[:, 6, blocks.columns[6]])
-        np.testing.assert_array_equal(buffer[:, last - first :], -7.0)
-
-
-def test_sines_have_memory_if_a_function_reads_cosines_only():
-    kernel = SimpleNamespace(arguments=(("q", 2), ("sin", 0), ("cos", 2), ("parameters", 20)))
-    arguments = _make_arguments(["q", "sin", "cos", "parameters"], [kernel])
-    assert [argument.width for argument in arguments] == [2, 2, 2, 20]

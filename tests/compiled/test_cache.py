@@ -158,13 +158,6 @@ def test_where_the_cache_is(monkeypatch, variables, folder):
     assert cache.cache_folder() == Path(folder)
 
 
-@pytest.mark.parametrize("mode", [0o770, 0o707, 0o777, 0o720, 0o702, 0o775])
-def test_modes_that_let_others_write_are_unsafe(tmp_path, mode):
-    assert not cache.unsafe(tmp_path)
-    tmp_path.chmod(mode)
-    assert cache.unsafe(tmp_path) == f"others may write to it (mode {mode:o})"
-
-
 def test_a_folder_that_others_may_write_to_is_not_used(fresh_process, monkeypatch, caplog):
     expected = gravity(two_link())
     forget(monkeypatch)

@@ -70,13 +70,6 @@ def test_one_alarm_per_cause_with_name_and_beginning(judged):
     assert alarms["A2"].severity > alarms["A1"].severity > 0.0
 
 
-def test_nothing_is_judged_twice(judged):
-    history, _ = judged
-    before = read_alarms(history)
-    assert judge_new_nights(history) == []
-    assert read_alarms(history) == before
-
-
 def test_an_acknowledged_alarm_starts_a_new_baseline(tmp_path):
     path = write_history(tmp_path / "h.duckdb", 12, ARMS, changed)
     with History(path) as history:

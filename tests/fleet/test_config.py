@@ -79,8 +79,3 @@ def test_errors_are_one_line_with_the_line_in_the_file(tmp_path, text, message):
         fleet_of(tmp_path, text)
     assert str(caught.value).startswith(str(tmp_path / "fleet.yaml"))
     assert "\n" not in str(caught.value)
-
-
-def test_a_fleet_file_that_does_not_exist(tmp_path):
-    with pytest.raises(FleetError, match="no such file"):
-        read_fleet(tmp_path / "none.yaml")

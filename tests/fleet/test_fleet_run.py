@@ -1,7 +1,6 @@
 """``lieid fleet``: every recording is run once, and every failure is a row with its reason."""
 
 import shutil
-from types import SimpleNamespace
 from urllib.request import urlopen
 
 import pytest
@@ -9,7 +8,6 @@ from fleet.simulated_fleet import healthy_arm, recorded
 
 from lieid_casadi.cli.main import main
 from lieid_casadi.fleet import cluster
-from lieid_casadi.fleet.cluster import dashboard_of
 from lieid_casadi.fleet.history import History
 
 
@@ -122,28 +120,6 @@ def test_a_fit_that_cannot_be_used_fails_its_arm_only(fleet_folder, scheduler, c
     (fleet_folder / "fits/A2.json").unlink()
     assert run(fleet_folder, scheduler) == 2
     assert capsys.readouterr().err.count("\n") == 1
-
-
-@pytest.mark.parametrize("link", ["http://127.0.0.1:9/status", None])
-def test_a_dashboard_that_does_not_answer_is_not_printed(link):
-    assert dashboard_of(SimpleNamespace(dashboard_link=link)) is None
-
-
-def test_a_second_writer_is_refused(fleet_folder, capsys):
-    import subprocess
-    import sys
-
-    path = fleet_folder / "history.duckdb"
-    code = "import duckdb, sys; c = duckdb.connect(sys.argv[1]); print('open', flush=True); input()"
-    with subprocess.Popen(
-        [sys.executable, "-c", code, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as other:
-        other.stdout.readline()
-        assert main(["fleet", str(fleet_folder / "fleet.yaml"), "-o", str(path)]) == 2
-        other.communicate(b"\n")
-    error = capsys.readouterr().err
-    assert f"in use by process {other.pid}" in error
-    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(

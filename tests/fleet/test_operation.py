@@ -16,7 +16,7 @@ from lieid_casadi.errors import FleetError
 from lieid_casadi.fleet import cluster
 from lieid_casadi.fleet.alarms import Alarm, alarms_to_report, judge_new_nights, read_alarms
 from lieid_casadi.fleet.arm_history import read_arms
-from lieid_casadi.fleet.history import History, snapshot_of
+from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.night_result import NightResult
 from lieid_casadi.fleet.recordings import RecordingFile, night_of
 
@@ -245,7 +245,3 @@ def test_an_expression_that_backtracks_for_ever_is_stopped(monkeypatch):
     path = RecordingFile("nights/" + "a" * 60 + ".csv", "", None)
     with pytest.raises(FleetError, match="nested repetitions"):
         night_of(path, re.compile(r"(?P<date>(a+)+)!"))
-
-
-def test_snapshots_have_a_name_of_their_own(tmp_path):
-    assert snapshot_of("x/history.duckdb").as_posix() == "x/history.read.duckdb"

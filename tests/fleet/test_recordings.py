@@ -10,9 +10,9 @@ from recording.bag_files import StoragePlugin, write
 
 from lieid_casadi import plant
 from lieid_casadi.errors import FleetError
-from lieid_casadi.fleet.arm_night import _fit, run_arm_night
+from lieid_casadi.fleet.arm_night import run_arm_night
 from lieid_casadi.fleet.night_result import ArmNight
-from lieid_casadi.fleet.recordings import RecordingFile, list_recordings, local_copy, night_of
+from lieid_casadi.fleet.recordings import RecordingFile, list_recordings, night_of
 from lieid_casadi.identification.fit_file import content_of
 
 DURATION = 15.0
@@ -96,19 +96,6 @@ def test_a_night_as_mcap(tmp_path, content):
     assert abs(friction.value - arm.friction.coulomb[0]) < 4.0 * friction.std
 
 
-def test_the_memory_file_system(content, tmp_path):
-    import fsspec
-
-    (tmp_path / "x.csv").write_text("t,q1\n")
-    store = fsspec.filesystem("memory")
-    store.put_file(str(tmp_path / "x.csv"), "/arm/2026-02-03.csv")
-    (file,) = list_recordings("memory://arm/*.csv")
-    assert file.location == "memory:///arm/2026-02-03.csv"
-    with local_copy(file.location) as path:
-        assert path.read_text() == "t,q1\n"
-    assert not path.exists()
-
-
 @pytest.mark.parametrize(
     ("path", "expected"),
     [
@@ -186,14 +173,3 @@ def test_a_known_payload_is_not_a_change(tmp_path, content):
     wrong = run_arm_night(night(tmp_path / "night.csv", payloads=(("box", body),)), content)
     assert wrong.status == "refused"
     assert "payload 'crate' is not in the fleet file; expected one of 'box'" in wrong.reason
-
-
-def test_a_fit_is_loaded_and_compiled_once(tmp_path, content):
-    recorded("two_link", healthy_arm("two_link", 1), motion_seed=3, seed=3, duration=DURATION).save(
-        tmp_path / "night.csv"
-    )
-    _fit.cache_clear()
-    for _ in range(2):
-        run_arm_night(night(tmp_path / "night.csv"), content)
-    assert _fit.cache_info().misses == 1
-    assert _fit(content, None, None).compiled is _fit(content, None, None).compiled

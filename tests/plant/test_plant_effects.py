@@ -114,8 +114,13 @@ def _residual(motion, robot):
     return motion.tau - rigid, rigid
 
 
-@pytest.mark.parametrize("simulated", [True, False])
-@pytest.mark.parametrize("case", FORMULAS)
+SIMULATED = ("none", "stribeck", "load, both terms", "armature", "temperature_friction")
+
+
+@pytest.mark.parametrize(
+    ("case", "simulated"),
+    [*((case, False) for case in FORMULAS), *((case, True) for case in SIMULATED)],
+)
 def test_torque_is_the_rigid_torque_and_the_formula(case, simulated):
     effect, formula = FORMULAS[case]
     arm = _arm(effect)

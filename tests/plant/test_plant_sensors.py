@@ -148,11 +148,3 @@ def test_temperature_approaches_its_end():
     tenths = recording.temperature * 10
     np.testing.assert_allclose(tenths, np.round(tenths), atol=1e-6)
     np.testing.assert_array_equal(recording.tau, TRUTH.tau[::5])
-
-
-def test_noise_is_reproducible():
-    sensors = Sensors(torque_noise=0.1, coloured_noise=0.1, position_noise=1e-4)
-    one, same, other = (_measure(sensors, seed=s) for s in (3, 3, 4))
-    np.testing.assert_array_equal(one.tau, same.tau)
-    assert np.all(one.tau != other.tau)
-    assert np.all(one.q != other.q)

@@ -7,7 +7,6 @@ from robot.random_arms import random_arm
 from lieid_casadi import robots
 from lieid_casadi.errors import RobotError
 from lieid_casadi.plant import FourierTrajectory, point_to_point, sweep
-from lieid_casadi.robot import Joint, Robot
 
 ARMS = [robots.panda, robots.two_link, lambda: random_arm(np.random.default_rng(1), 5)]
 
@@ -48,23 +47,6 @@ def test_fourier_trajectories_are_periodic_and_reproducible():
     np.testing.assert_array_equal(one.at(t)[0], _fourier(robot).at(t)[0])
     other = FourierTrajectory(robot, harmonics=6, base_frequency=0.2, seed=5)
     assert np.abs(one.at(t)[0] - other.at(t)[0]).max() > 0.1
-
-
-def test_default_limits():
-    plain = robots.two_link()
-    joints = tuple(Joint(j.name, j.screw, j.home, link=j.link) for j in plain.joints)
-    q, dq, ddq = FourierTrajectory(Robot("bare", joints), seed=1).at(np.linspace(0, 10, 5001))
-    assert np.abs(q).max() <= np.pi
-    assert np.abs(dq).max() <= 2.0
-    assert np.abs(ddq).max() <= 5.0
-
-
-def test_moves_dwell_at_their_poses():
-    path = _moves(robots.panda())
-    for pose, start in zip(path.poses[:-1], path.starts, strict=True):
-        q, dq, _ = path.at(np.linspace(start - 0.39, start, 10))
-        np.testing.assert_allclose(q, np.tile(pose, (10, 1)), atol=1e-12)
-        assert not dq.any()
 
 
 def test_sweep_moves_one_joint_at_constant_speeds():

@@ -82,15 +82,6 @@ def test_a_play_beyond_any_gear_is_not_simulated():
 
 
 @pytest.mark.slow
-def test_a_closed_play_changes_nothing():
-    """Motor and link that touch on both sides move as one."""
-    arm, run = arm_and_run((), seconds=3.0)
-    np.testing.assert_allclose(
-        drift(arm, run, [0.0, 1e-7]), drift(arm, run, [0.0, 0.0]), rtol=0.02, atol=1e-4
-    )
-
-
-@pytest.mark.slow
 def test_an_identified_play_reduces_the_drift():
     """Against the model that never had a play, on a recording that was not fitted."""
     train, test = (arm_and_run((1,), motion=motion, seconds=10.0)[1] for motion in (2, 3))

@@ -159,37 +159,11 @@ def test_torques_as_input(gain):
     assert simulation.drift.rms[0] < 2e-3
 
 
-def test_windows_start_at_the_measured_state():
-    fit = fit_of("coulomb,viscous,armature")
-    recording = in_mujoco(fit, seconds=3.0)
-    simulation = lieid.simulate(fit, recording, window=0.5, each_effect=False)
-    measured = np.column_stack([np.interp(simulation.t, recording.t, x) for x in recording.q.T])
-    starts = np.arange(0, len(simulation.t), round(0.5 / np.diff(simulation.t)[0]))
-    assert len(starts) == 5
-    np.testing.assert_allclose(simulation.q[starts], measured[starts], atol=1e-3)
-
-
-@pytest.mark.slow
-def test_memory_of_presliding_moves_along():
-    fit = fit_of("presliding,viscous,armature")
-    simulation = lieid.simulate(fit, in_mujoco(fit_of("coulomb,viscous,armature")))
-    assert np.isfinite(simulation.drift.rms).all()
-
-
 def test_an_indefinite_mass_matrix_is_refused():
     fit = fit_of("coulomb")
     fit = replace(fit, parameters=fit.parameters * np.r_[-np.ones(20), 1.0, 1.0])
     with pytest.raises(ModelError, match=r"not positive definite in 100 %.*--method feasible"):
         lieid.simulate(fit, in_mujoco(fit_of("coulomb"), seconds=2.0))
-
-
-def test_backlash_without_a_rotor_is_reported_as_not_simulated():
-    fit = fit_of("coulomb,backlash:2,stribeck:1")
-    t = np.arange(0.0, 2.0, 0.01)
-    q = np.sin(t)[:, None] * [1.0, 1.0]
-    plain = lieid.Recording.from_arrays(t, q, command=q)
-    simulation = lieid.simulate(fit, plain, window=0.5, each_effect=False)
-    assert "backlash:2: not part of the simulation; it needs" in str(simulation.warnings[0])
 
 
 def test_refusals():
