@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
+from scipy.interpolate import PPoly
 
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation.clearance import Obstacle, SelfCollision, Wall, floor, link_name
@@ -133,18 +134,25 @@ def at_control_rate(motion: MotionSamples) -> MotionSamples:
         stride = max(1, int(CONTROL_STEP / steps.min(initial=CONTROL_STEP) + 1e-6))
         return motion.at(np.unique(np.append(np.arange(0, len(motion), stride), len(motion) - 1)))
     t = np.append(np.arange(motion.t[0], motion.t[-1], CONTROL_STEP), motion.t[-1])
-    k = np.clip(np.searchsorted(motion.t, t, side="right") - 1, 0, len(steps) - 1)
-    h, u = steps[k, None], ((t - motion.t[k]) / steps[k])[:, None]
-    q0, v0, a0 = motion.q[k], h * motion.dq[k], h**2 * motion.ddq[k]
-    end = motion.q[k + 1] - q0 - v0 - 0.5 * a0
-    slope, bend = h * motion.dq[k + 1] - v0 - a0, h**2 * motion.ddq[k + 1] - a0
-    c3, c4 = 10.0 * end - 4.0 * slope + 0.5 * bend, -15.0 * end + 7.0 * slope - bend
-    c5 = 6.0 * end - 3.0 * slope + 0.5 * bend
-    q = q0 + v0 * u + 0.5 * a0 * u**2 + c3 * u**3 + c4 * u**4 + c5 * u**5
-    dq = v0 + a0 * u + 3.0 * c3 * u**2 + 4.0 * c4 * u**3 + 5.0 * c5 * u**4
-    ddq = a0 + 6.0 * c3 * u + 12.0 * c4 * u**2 + 20.0 * c5 * u**3
-    dddq = 6.0 * c3 + 24.0 * c4 * u + 60.0 * c5 * u**2
-    return MotionSamples(t, q, dq / h, ddq / h**2, dddq / h**3)
+    h = steps[:, None]
+    ends = [
+        signal
+        for part in (slice(None, -1), slice(1, None))
+        for signal in (motion.q[part], h * motion.dq[part], h**2 * motion.ddq[part])
+    ]
+    coefficients = np.tensordot(np.linalg.inv(_ENDS), np.stack(ends), axes=1)
+    quintics = PPoly(coefficients / h ** np.arange(5, -1, -1)[:, None, None], motion.t)
+    return MotionSamples(t, *(quintics(t, order) for order in range(4)))
+
+
+# powers 5 to 0 of u and their first two derivatives at the ends u = 0 and 1 of a step
+_ENDS = np.array(
+    [
+        [np.polyval(np.polyder(power, m=order), u) for power in np.eye(6)]
+        for u in (0, 1)
+        for order in range(3)
+    ]
+)
 
 
 @dataclass(eq=False)

@@ -43,18 +43,12 @@ class _Distance:
 
 @dataclass(frozen=True)
 class SelfCollision:
-    """Least distance between the links of the arm.
+    """Least distance between the links of the arm, ``clearance`` in m.
 
     Adjacent links are left out, and pairs for which capsules are too coarse: links two joints
     apart whose capsules touch in a third of random poses or more, and links farther apart that
-    touch in nearly all. The result of the design names these pairs.
-
-    Attributes
-    ----------
-    clearance : float
-        m.
-    capsules : tuple of Capsule
-        Links. Default: those of `capsules_of`.
+    touch in nearly all. The result of the design names these pairs. The ``capsules`` of the links
+    are by default those of `capsules_of`.
     """
 
     clearance: float = 0.02
@@ -284,17 +278,16 @@ def _clearance_set(
     """Return the set distance ≥ clearance, with a reason for each distance that is left out."""
     touching, low, high = _probed(robot, motion, distances, clearance)
     kept: list[_Distance] = []
-    always: list[str] = []
     left_out: dict[str, str] = {}
     for distance, touches, least, most in zip(distances, touching, low, high, strict=True):
         if most - least <= CONSTANT and least >= clearance:
-            always.append(distance.subject)
-        elif most - least <= CONSTANT and least < clearance - distance.inside - CONSTANT:
+            continue
+        if most - least <= CONSTANT and least < clearance - distance.inside - CONSTANT:
             raise NoSolution(
                 f"every pose violates a limit: {distance.label} is {least:.3g} m; expected "
                 f"{clearance:g} m at least: relax it, or leave it out"
             )
-        elif most - least <= CONSTANT or touches >= distance.often:
+        if most - least <= CONSTANT or touches >= distance.often:
             left_out[distance.subject] = f"its capsules touch in {100.0 * touches:.0f} % of poses"
         else:
             kept.append(distance)
@@ -305,7 +298,7 @@ def _clearance_set(
         ca.vertcat(*slopes) if slopes else None,
         title=title, labels=tuple(d.label for d in kept), subjects=tuple(d.subject for d in kept),
         units=("m",) * count, lower=np.full(count, clearance), upper=np.full(count, np.inf),
-        scale=np.full(count, SCALE), always=tuple(always), left_out=left_out,
+        scale=np.full(count, SCALE), left_out=left_out,
         remedy="another start pose, thinner capsules or a wider workspace",
     )  # fmt: skip
 

@@ -51,16 +51,10 @@ class Criterion(ABC):
 class Condition(Criterion):
     """Condition number of the full regressor, smoothed (C2).
 
-    The extreme eigenvalues λ of the full regressor's Gram matrix are not smooth where they meet.
-    (1/2p)·[log Σλᵖ + log Σλ⁻ᵖ] is, bounds log cond from above and comes within (log r)/p of it.
-
-    Attributes
-    ----------
-    metric : (p, p)
-        L with LLᵀ = K·Kᵀ (K the base combination): the eigenvalues of LᵀGL are the nonzero ones
-        of the full regressor's Gram matrix.
-    power : float
-        p; with a small one all directions contribute, with a large one the extremes.
+    The extreme eigenvalues λ of the full regressor's Gram matrix, which are the nonzero ones of
+    LᵀGL with the ``metric`` L (LLᵀ = K·Kᵀ, K the base combination), are not smooth where they meet.
+    (1/2p)·[log Σλᵖ + log Σλ⁻ᵖ] is, bounds log cond from above and comes within (log r)/p of it; p
+    is the ``power``.
     """
 
     metric: Array
@@ -218,18 +212,6 @@ def follows_from_motion(effect: Effect) -> bool:
     return not has_memory and "temperature" not in effect.signals and not effect.commanded
 
 
-@dataclass(frozen=True, eq=False)
-class StackedRegressor:
-    """Base regressor Y_b of N samples, transposed: rows (p, n·N), one per base parameter."""
-
-    motion: MotionSamples
-    rows: Array
-
-    def gram(self) -> Array:
-        """Return YᵀY (p, p)."""
-        return np.asarray(self.rows @ self.rows.T)
-
-
 class InformationMatrix:
     """The base regressor of [Y, effect columns] along a motion, and gradients through it.
 
@@ -246,7 +228,6 @@ class InformationMatrix:
         self._timed = any("time" in p.effect.signals for p in model.placements)
         further = {"time": time} if self._timed else {}
         matrix = base_regressor(model, symbols, sign_width, time, fit)
-        kept = model.base.count
         self._values = SampleKernel("base_columns", symbols, matrix, further)
         seed = ca.SX.sym("seed", len(self._values.rows))
         # nonzeros in the kernel's order: row after row
@@ -261,23 +242,21 @@ class InformationMatrix:
             "base_columns_reverse", symbols, reverse, {"seed": seed, **further}
         )
         self._columns, self._rows = self._values.columns, self._values.rows
-        self.size = kept
+        self.size = model.base.count
 
-    def at(self, motion: MotionSamples) -> StackedRegressor:
-        """Return the stacked base regressor of a motion."""
+    def rows(self, motion: MotionSamples) -> Array:
+        """Return the base regressor of a motion, transposed (p, n·N): G is rows @ rows.T."""
         n, samples = self.model.n, len(motion)
         stacked = np.zeros((self.size, n, samples))
         stacked[self._columns, self._rows] = self._values.values(motion, **self._time(motion))
-        return StackedRegressor(motion, stacked.reshape(self.size, n * samples))
+        return stacked.reshape(self.size, n * samples)
 
-    def gradient(self, stacked: StackedRegressor, slope: Array) -> Array:
+    def gradient(self, motion: MotionSamples, rows: Array, slope: Array) -> Array:
         """Return ∂f/∂(q, dq, ddq) (n, 3, N) of a function f(G) with the slope ∂f/∂G (p, p)."""
-        n, samples = self.model.n, len(stacked.motion)
-        seeds = (2.0 * slope @ stacked.rows).reshape(self.size, n, samples)
+        n, samples = self.model.n, len(motion)
+        seeds = (2.0 * slope @ rows).reshape(self.size, n, samples)
         seed = np.ascontiguousarray(seeds[self._columns, self._rows].T)
-        reverse = self._reverse.dense(stacked.motion, seed=seed, **self._time(stacked.motion))[
-            :, 0, :
-        ]
+        reverse = self._reverse.dense(motion, seed=seed, **self._time(motion))
         return np.ascontiguousarray(reverse.reshape(3, n, samples).transpose(1, 0, 2))
 
     def _time(self, motion: MotionSamples) -> dict[str, Array]:

@@ -68,20 +68,9 @@ FAR = 0.3  # distance of −log det per parameter from Δ₂ above which its gra
 class ExcitationDesign:
     """Specification of a design; picklable, so that another process can solve it.
 
-    Attributes
-    ----------
-    model : Model
-        Its regressor is the one that the criterion evaluates.
-    fit : FittedArm or None
-        Identified parameters; without them the stated inertias and initial shapes are used.
-    range : MotionRange
-        Joint limits; ``limits`` are the others.
-    pose : (n,) or None
-        Start pose, rad. None: found within all limits.
-    condition_threshold, neg_log_det_threshold : float, optional
-        Δ₁ and Δ₂ of the criterion ``combined`` (Eq. 20).
-    start : (N, n), optional
-        Positions over one period, equidistant in time, from which the first search starts; rad.
+    ``limits`` are those besides the joints'. Without a ``pose`` one is found within all limits;
+    ``start`` (N, n) are positions over one period, equidistant in time, from which the first
+    search starts.
     """
 
     model: Model
@@ -255,7 +244,8 @@ class ExcitationProblem:
 
     def gram(self, z: Array) -> Array:
         """Return G (p, p) of the base regressor at z."""
-        return self.information.at(self.samples.motion(z)).gram()
+        rows = self.information.rows(self.samples.motion(z))
+        return np.asarray(rows @ rows.T)
 
     def condition_number(self, gram: Array) -> float:
         """Return σ₁/σ_r of the regressor with G (p, p); for condition numbers below 1e6."""
@@ -266,11 +256,12 @@ class ExcitationProblem:
         """Return f(z) of a criterion, with −log det G / p ≤ ceiling where one is given."""
 
         def at(z: Array) -> ObjectiveValue:
-            stacked = self.information.at(self.samples.motion(z))
-            gram = stacked.gram()
+            motion = self.samples.motion(z)
+            rows = self.information.rows(motion)
+            gram = rows @ rows.T
 
             def in_variables(slope: Array) -> Array:
-                return self.samples.gradient(self.information.gradient(stacked, slope))
+                return self.samples.gradient(self.information.gradient(motion, rows, slope))
 
             value, slope = criterion.evaluate(gram)
             excess, slopes = np.zeros(0), np.zeros((0, len(z)))

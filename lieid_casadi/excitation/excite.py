@@ -185,8 +185,10 @@ def excite(
         basis=chosen, condition_threshold=condition_threshold,
         neg_log_det_threshold=neg_log_det_threshold, start=start,
     )  # fmt: skip
-    _check_counts(periods=periods, starts=starts, max_iterations=max_iterations, seed=seed)
-    _check_rows(rate, chosen.duration, periods)
+    _check(
+        rate=rate, duration=chosen.duration, seed=seed, periods=periods, starts=starts,
+        max_iterations=max_iterations,
+    )  # fmt: skip
     progress("compiling", 0.0)
     problem = ExcitationProblem(design)
     built = time.monotonic()
@@ -208,7 +210,11 @@ def excite(
             design.model, trajectory.at(period_grid(trajectory.duration, samples)), design.fit
         ),
         max_violation=max(0.0, *(excess.value for excess in excesses)),
-        active_limits=_active([(excess.label, 1.0 + excess.scaled) for excess in excesses]),
+        active_limits=tuple(
+            ActiveLimit(excess.label, 1.0 + excess.scaled)
+            for excess in sorted(excesses, key=lambda excess: -excess.scaled)
+            if excess.scaled > -0.01
+        ),
         starts=tuple(attempts), history=best.history,
         build_seconds=built - began, solve_seconds=time.monotonic() - built,
         checked=verified.checked, unchecked=verified.unchecked,
@@ -217,18 +223,16 @@ def excite(
     )  # fmt: skip
 
 
-def _check_counts(*, seed: int, **counts: int | None) -> None:
+def _check(*, rate: float, duration: float, seed: int, **counts: int | None) -> None:
+    """Refuse counts below 1, and a rate at which the trajectory file would be too long."""
     for name, count in counts.items():
         if count is not None and count < 1:
             raise ExcitationError(f"{name}: {count}; expected 1 at least")
     if seed < 0:
         raise ExcitationError(f"seed: {seed}; expected 0 or a positive integer")
-
-
-def _check_rows(rate: float, duration: float, periods: int) -> None:
-    """Refuse a rate at which the trajectory file would be too long."""
     if not rate > 0.0:
         raise ExcitationError(f"rate: {rate:g} Hz; expected a positive number")
+    periods = counts["periods"] or 1
     if rate * duration * periods > MOST_ROWS:
         raise ExcitationError(
             f"rate: {rate:g} Hz gives {rate * duration * periods:.3g} rows in {periods} periods of "
@@ -243,12 +247,6 @@ def best_of(attempts: Sequence[StartAttempt]) -> tuple[StartAttempt, Array]:
         count = f" ({len(attempts)} starts)" if len(attempts) > 1 else ""
         raise NoSolution(f"{attempts[0].reason}{count}")
     return min(found, key=lambda pair: pair[0].rank)
-
-
-def _active(quantities: Sequence[tuple[str, float]]) -> tuple[ActiveLimit, ...]:
-    """Return the quantities that come within 1 % of their limits, the closest first."""
-    active = [ActiveLimit(name, used) for name, used in quantities if used > 0.99]
-    return tuple(sorted(active, key=lambda limit: -limit.used))
 
 
 @dataclass(frozen=True)

@@ -59,14 +59,9 @@ class ConstantSpeed:
 class FrictionSweep:
     """Runs of one joint (from 0) while the others rest at the start pose.
 
-    Attributes
-    ----------
-    parts : tuple of ConstantSpeed
-        Slowest first, forward and backward in turn.
-    left_out : tuple of float
-        Speeds beyond the joint's limit, or for which its range is too short, rad/s.
-    checked, unchecked : tuple of str
-        As of `Excitation`.
+    ``parts`` are the slowest first, forward and backward in turn; ``left_out`` are speeds beyond
+    the joint's limit, or for which its range is too short, rad/s. ``checked`` and ``unchecked`` are
+    those of `Excitation`.
     """
 
     model: Model

@@ -172,7 +172,7 @@ class Ipopt:
         rows, multipliers = c.peaks(state.excess, NEAR), np.zeros(0)
         count, futile, least = 0, 0, np.inf
         barrier = self.barrier or min(1e-2, 100.0 * tolerance)
-        while count < iterations and futile < FUTILE:
+        while True:
             run = IpoptRun(self, objective, rows, state, count, max(tolerance, 0.1 * barrier))
             inside = np.maximum(-run.limits(state.z)[len(multipliers) :], 1e-2)
             multipliers = run_ipopt(
@@ -185,6 +185,8 @@ class Ipopt:
             violated = state.violation > VIOLATED
             futile = futile + 1 if violated and state.violation > 0.99 * least else 0
             least = min(least, state.violation)
+            if count >= iterations or futile >= FUTILE:
+                break
             if len(np.setdiff1d(c.peaks(run.last.excess, 0.5 * VIOLATED), rows)):
                 kept = state.excess.ravel()[rows] > FAR
                 multipliers, rows = multipliers[kept], rows[kept]

@@ -13,16 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.dynamics import recursion
-from lieid_casadi.dynamics.lie import (
-    Motion,
-    Pose,
-    axes,
-    constant,
-    cross,
-    inverse_adjoint_times,
-    relative_poses,
-)
+from lieid_casadi.dynamics import closed_form, recursion
+from lieid_casadi.dynamics.lie import Motion, Pose, constant, cross
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.links import fixed_frames
 from lieid_casadi.excitation.sample_functions import (
@@ -57,8 +49,6 @@ class ConstraintSet(ABC):
         Unit in which violations of different quantities are compared.
     remedy : str
         What to relax, for messages.
-    always : tuple of str
-        Subjects that no motion brings beyond the limit.
     left_out : mapping
         Subject → why it is not checked.
     """
@@ -72,7 +62,6 @@ class ConstraintSet(ABC):
     scale: Array
     remedy: str
     linear: bool = False
-    always: tuple[str, ...] = ()
     left_out: Mapping[str, str] = {}
 
     @abstractmethod
@@ -330,22 +319,21 @@ class CartesianSpeed:
         if not self.limit > 0.0:
             raise ExcitationError(f"Cartesian speed: {self.limit:g}; expected a positive number")
         motion = Motion.symbols(robot.n)
-        twists = link_twists(robot, motion)
-        labels, speeds, always = [], [], []
+        twists = closed_form.link_velocities(robot, motion)
+        subjects, speeds = [], []
         for subject, link, point in speed_points(robot):
             twist = twists[link - 1]
             squared = ca.sumsqr(twist[3:] + cross(twist[:3], constant(point)))
             if ca.depends_on(squared, motion.dq):
-                labels.append(subject)
+                subjects.append(subject)
                 speeds.append(ca.sqrt(squared + SMOOTHING**2))
-            else:
-                always.append(subject)
         return SymbolicSet(
             "speed", motion, ca.vertcat(*speeds), title=f"speed up to {self.limit:g} m/s",
-            labels=tuple(f"speed of the {subject}" for subject in labels), subjects=tuple(labels),
-            units=("m/s",) * len(labels), lower=np.full(len(labels), -np.inf),
-            upper=np.full(len(labels), self.limit), scale=np.full(len(labels), self.limit),
-            remedy="a longer duration or a higher Cartesian speed", always=tuple(always),
+            labels=tuple(f"speed of the {subject}" for subject in subjects),
+            subjects=tuple(subjects), units=("m/s",) * len(subjects),
+            lower=np.full(len(subjects), -np.inf), upper=np.full(len(subjects), self.limit),
+            scale=np.full(len(subjects), self.limit),
+            remedy="a longer duration or a higher Cartesian speed",
         )  # fmt: skip
 
 
@@ -360,21 +348,10 @@ def speed_points(robot: Robot) -> list[tuple[str, int, Array]]:
     return points
 
 
-def link_twists(robot: Robot, motion: Motion) -> list[ca.SX]:
-    """Return the twist [ω; v] (6,) of every link, in its own frame (Eq. 2)."""
-    twist, twists = ca.SX(6, 1), []
-    for i, (g, xi) in enumerate(zip(relative_poses(robot, motion), axes(robot), strict=True)):
-        twist = inverse_adjoint_times(g, twist) + xi * motion.dq[i]
-        twists.append(twist)
-    return twists
-
-
 def link_poses(robot: Robot, motion: Motion) -> list[Pose]:
     """Return the frames of the base and of every link, in the base frame."""
-    poses = [Pose(ca.SX(ca.DM.eye(3)), ca.SX(3, 1))]
-    for g in relative_poses(robot, motion):
-        poses.append(poses[-1] @ g)
-    return poses
+    base = Pose(ca.SX(ca.DM.eye(3)), ca.SX(3, 1))
+    return [base, *recursion.link_poses(robot, motion)]
 
 
 @dataclass(frozen=True)

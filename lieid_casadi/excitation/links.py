@@ -29,19 +29,11 @@ WIDE = {"lower": "-1e6", "upper": "1e6", "effort": "1e6", "velocity": "1e6"}
 
 @dataclass(frozen=True, eq=False)
 class Capsule:
-    """All points within ``radius`` of a segment, fixed to a link.
+    """All points within ``radius`` (m) of a segment (m), fixed to the frame of a link.
 
-    Attributes
-    ----------
-    link : int
-        0 for the base, i for the link that joint i (from 1) moves.
-    start, end : (3,)
-        In the link's frame, m.
-    radius : float
-        m.
-    source : str
-        ``given``, ``shape`` for one that contains a URDF's collision geometry, or ``line`` for one
-        along the line between two joints, where the shape of the link is unknown.
+    ``link`` is 0 for the base, i for the link that joint i (from 1) moves; ``source`` is ``given``,
+    ``shape`` for one that contains a URDF's collision geometry, or ``line`` for one along the line
+    between two joints, where the shape of the link is unknown.
     """
 
     link: int
@@ -123,10 +115,7 @@ def _bundled(robot: Robot) -> tuple[Capsule, ...]:
 def load_capsules(path: str | Path, robot: Robot) -> tuple[Capsule, ...]:
     """Read capsules from YAML: ``capsules: [{link, start, end, radius}]``; link 0 is the base.
 
-    Raises
-    ------
-    RobotError
-        Not YAML, a missing key, a link that the robot does not have.
+    A `RobotError` names a missing key, or a link that the robot does not have.
     """
     from lieid_casadi.robot.description import read_text
 

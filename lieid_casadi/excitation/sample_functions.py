@@ -122,13 +122,7 @@ class IdentifiedModel(FittedModel, Protocol):
 class FittedArm:
     """The numbers of a fit that a design uses; picklable.
 
-    Attributes
-    ----------
-    link_parameters : (10 n,)
-    effect_coefficients : (m,)
-    shapes : (s,)
-    covariance_root : (p + s, r)
-        F with F·Fᵀ the covariance of base and shape parameters.
+    ``covariance_root`` (p + s, r) is F with F·Fᵀ the covariance of base and shape parameters.
     """
 
     model: Model

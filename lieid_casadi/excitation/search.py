@@ -77,13 +77,8 @@ class _ThresholdReached(Exception):
 class Search:
     """The search from one start; without a seed it begins at the trajectory of the design.
 
-    Attributes
-    ----------
-    best, last : Iterate or None
-        The best iterate inside the limits on the coarse grid, and the last one of all.
-    kept : list of Iterate
-        All that were the best when they were found; the last of them may violate a limit between
-        the samples.
+    ``best`` is the best iterate inside the limits on the coarse grid; ``kept`` are all that were
+    the best when they were found, of which the last may violate a limit between the samples.
     """
 
     def __init__(

@@ -185,17 +185,7 @@ def check_basis(basis: Basis) -> None:
 
 @dataclass(frozen=True, eq=False)
 class MotionSamples:
-    """Samples of a motion.
-
-    Attributes
-    ----------
-    t : (N,)
-        Time, s.
-    q, dq, ddq : (N, n)
-        Joint positions, velocities and accelerations: rad, rad/s, rad/s²; m for prismatic joints.
-    dddq : (N, n) or None
-        Jerk, rad/s³, where it is known.
-    """
+    """Samples of a motion: t (N,) in s; q, dq, ddq (N, n) in rad (m), and the jerk where known."""
 
     t: Array
     q: Array
@@ -214,13 +204,7 @@ class MotionSamples:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One period of a joint motion, q(t) = functions(t) @ coefficientsᵀ.
-
-    Attributes
-    ----------
-    coefficients : (n, m)
-        Of the functions of the basis; for `Fourier`: q₀, a_1 … a_H, b_1 … b_H.
-    """
+    """One period of a joint motion, q(t) = functions(t) @ coefficientsᵀ; coefficients (n, m)."""
 
     basis: Basis
     coefficients: Array
@@ -247,14 +231,8 @@ class Parametrization:
     """Free variables z (n d,) of the trajectories that start and end at rest at a pose (Eq. 20).
 
     The conditions are linear: the coefficients are those of the pose at rest plus null-space
-    directions times z.
-
-    Attributes
-    ----------
-    pose : (n,)
-        rad.
-    size_of_unit : (n, 3)
-        Position, velocity and acceleration that the scaled directions reach at z = 1.
+    directions times z. ``size_of_unit`` (n, 3) are position, velocity and acceleration that the
+    scaled directions reach at z = 1.
     """
 
     basis: Basis

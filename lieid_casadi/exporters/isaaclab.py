@@ -16,7 +16,7 @@ from lieid_casadi.exporters.simulator_joints import (
 )
 from lieid_casadi.exporters.xml_text import allowed
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.robot import Robot
+from lieid_casadi.robot import Joint, Robot
 
 HEAD = '''"""Joints of {robot}, identified by lieid-casadi {version}: SI units.
 
@@ -54,13 +54,10 @@ def isaaclab_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
         notes.append(f"not exported: {', '.join(unknown)}")
     fields: dict[str, dict[str, float]] = {}
     for joint, numbers, own in zip(robot.joints, simulator_joints(fit), friction, strict=True):
-        law = None if joint.drive is None else joint.drive.limited(joint.limits.torque)
-        limit = joint.limits.torque
-        if law is not None:
-            limit = min(law.torque_limit, law.proportional_limit)
+        stiffness, damping, limit = _drive_of(joint)
         values = {
-            "stiffness": 0.0 if law is None else law.stiffness,
-            "damping": 0.0 if law is None else law.damping,
+            "stiffness": stiffness,
+            "damping": damping,
             "armature": numbers.armature or 0.0,
             "friction": own.loss,
             "dynamic_friction": own.loss,
@@ -81,6 +78,14 @@ def isaaclab_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
     return {f"{file_name(robot.name)}_isaaclab.py": text.encode()}, notes
 
 
+def _drive_of(joint: Joint) -> tuple[float, float, float]:
+    """Return stiffness, damping and torque limit of a joint's drive; 0 where it has none."""
+    if joint.drive is None:
+        return 0.0, 0.0, joint.limits.torque
+    law = joint.drive.limited(joint.limits.torque)
+    return law.stiffness, law.damping, min(law.torque_limit, law.proportional_limit)
+
+
 def _of_friction(fit: Fit) -> set[str]:
     """Return the names of effects that depend on velocity, which `linear_friction` contains."""
     return {p.effect.name for p in fit.model.placements if {"dq", "sign"} & set(p.effect.signals)}
@@ -92,14 +97,10 @@ def isaac_joints(robot: Robot, joints: Sequence[SimulatorJoint]) -> str:
 
     data = {}
     for joint, numbers in zip(robot.joints, joints, strict=True):
-        law = None if joint.drive is None else joint.drive.limited(joint.limits.torque)
-        limit = joint.limits.torque
-        if law is not None:
-            limit = min(law.torque_limit, law.proportional_limit)
-        viscous = numbers.damping or 0.0
+        stiffness, damping, limit = _drive_of(joint)
         fields = {
-            "stiffness": 0.0 if law is None else law.stiffness,
-            "damping": viscous + (0.0 if law is None else law.damping),
+            "stiffness": stiffness,
+            "damping": (numbers.damping or 0.0) + damping,
             "armature": numbers.armature or 0.0,
             "effort_limit_sim": limit if math.isfinite(limit) else None,
             "coulomb_friction_torque": numbers.friction or 0.0,

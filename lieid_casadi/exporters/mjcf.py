@@ -16,8 +16,8 @@ from lieid_casadi.exporters.simulator_joints import (
     check_possible,
     file_name,
     linear_friction,
+    number,
 )
-from lieid_casadi.exporters.urdf_bodies import number
 from lieid_casadi.exporters.xml_text import allowed, comment
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot import Drive, Joint

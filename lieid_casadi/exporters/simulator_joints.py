@@ -145,3 +145,8 @@ def check_possible(fit: Fit) -> None:
 def file_name(name: str) -> str:
     """Return a name of a file for the name of a robot."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in name) or "robot"
+
+
+def number(value: float) -> str:
+    """Return a number that reads back the same."""
+    return repr(float(value) + 0.0)

@@ -1,9 +1,16 @@
-"""``lieid export FIT --to urdf``: the robot with the identified inertias, for simulators."""
+"""``lieid export FIT --to urdf``: the robot with the identified inertias, for simulators.
+
+They are edited into the file that the robot is from, or written into a new one.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.exporters.isaaclab import isaac_joints
 from lieid_casadi.exporters.simulator_joints import (
     SimulatorJoint,
@@ -11,67 +18,32 @@ from lieid_casadi.exporters.simulator_joints import (
     file_name,
     left_out,
     negative,
+    number,
     simulator_joints,
 )
-from lieid_casadi.exporters.urdf_bodies import edited_urdf, number, written_urdf
-from lieid_casadi.exporters.xml_text import attribute, comment
+from lieid_casadi.exporters.xml_text import Element, XmlText, attribute, comment
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.robot import Robot
+from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.description import STANDARD_GRAVITY
+from lieid_casadi.robot.geometry import pose, roll_pitch_yaw
+from lieid_casadi.robot.inertia import (
+    body_inertia,
+    link_parameters,
+    parameter_transport,
+    pseudo_inertia,
+    symmetric,
+)
 
-
-def with_ros2_control(urdf: str, robot: Robot) -> str:
-    """Return the URDF of a position-controlled robot with ``ros2_control``, unless it has it.
-
-    The hardware is ros2_control's mock component; replace its plugin by that of the arm. The URDF
-    of a robot without drives stays as it is.
-    """
-    end = urdf.rfind("</robot>")
-    if robot.drives is None or "<ros2_control" in urdf or end < 0:
-        return urdf
-    lines = [
-        f'  <ros2_control name={attribute(robot.name)} type="system">',
-        "    <hardware><plugin>mock_components/GenericSystem</plugin></hardware>",
-    ]
-    for joint in robot.joints:
-        lines += [
-            f"    <joint name={attribute(joint.name)}>",
-            '      <command_interface name="position"/>',
-            *(f'      <state_interface name="{x}"/>' for x in ("position", "velocity", "effort")),
-            "    </joint>",
-        ]
-    lines += ["  </ros2_control>", ""]
-    return urdf[:end] + "\n".join(lines) + urdf[end:]
-
-
+SHARE = 0.5  # of the largest possible share, if the rigidly attached links cannot keep all
+KEPT = 0.95  # below this fraction of the possible inertia they keep all
+ON_AXIS = 1e-12  # m
+REACH = 1e3  # m, limit of prismatic joints without limits, which URDF requires
 ATTRIBUTES = (("armature", "armature"), ("damping", "damping"), ("friction", "frictionloss"))
 HEAD = """\
 <!-- Identified armature (kg·m²), damping (N·m·s/rad) and frictionloss (N·m) of {robot}.
      In an MJCF model: <include file="{file}"/> at the top, and class="identified_JOINT" on each
      <joint>; or copy the attributes onto the joints. -->
 """
-
-
-def mjcf_snippet(fit: Fit, *, file: str) -> str:
-    """Return an MJCF file with one default class per joint, ``identified_JOINT``, to include.
-
-    ``file``: its name, which its comment shows.
-    """
-    robot = fit.model.robot
-    lines = [
-        HEAD.format(robot=comment(robot.name), file=comment(file)),
-        "<mujocoinclude>\n  <default>\n",
-    ]
-    for joint, numbers in zip(robot.joints, simulator_joints(fit), strict=True):
-        lines.append(f"    <default class={attribute('identified_' + joint.name)}>\n")
-        lines.append(f"      <joint{_attributes(numbers)}/>\n    </default>\n")
-    lines.append("  </default>\n</mujocoinclude>\n")
-    return "".join(lines)
-
-
-def _attributes(numbers: SimulatorJoint) -> str:
-    values = ((name, getattr(numbers, place)) for place, name in ATTRIBUTES)
-    return "".join(f' {name}="{number(value)}"' for name, value in values if value is not None)
 
 
 def urdf_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
@@ -115,3 +87,311 @@ def urdf_text(fit: Fit) -> tuple[str, list[str]]:
         x, y, z = robot.gravity
         notes.append(f"URDF has no element for gravity; set it to ({x:g}, {y:g}, {z:g}) m/s²")
     return text, notes
+
+
+def with_ros2_control(urdf: str, robot: Robot) -> str:
+    """Return the URDF of a position-controlled robot with ``ros2_control``, unless it has it.
+
+    The hardware is ros2_control's mock component; replace its plugin by that of the arm. The URDF
+    of a robot without drives stays as it is.
+    """
+    end = urdf.rfind("</robot>")
+    if robot.drives is None or "<ros2_control" in urdf or end < 0:
+        return urdf
+    lines = [
+        f'  <ros2_control name={attribute(robot.name)} type="system">',
+        "    <hardware><plugin>mock_components/GenericSystem</plugin></hardware>",
+    ]
+    for joint in robot.joints:
+        lines += [
+            f"    <joint name={attribute(joint.name)}>",
+            '      <command_interface name="position"/>',
+            *(f'      <state_interface name="{x}"/>' for x in ("position", "velocity", "effort")),
+            "    </joint>",
+        ]
+    lines += ["  </ros2_control>", ""]
+    return urdf[:end] + "\n".join(lines) + urdf[end:]
+
+
+def mjcf_snippet(fit: Fit, *, file: str) -> str:
+    """Return an MJCF file named ``file`` with a default class ``identified_JOINT`` per joint."""
+    robot = fit.model.robot
+    lines = [
+        HEAD.format(robot=comment(robot.name), file=comment(file)),
+        "<mujocoinclude>\n  <default>\n",
+    ]
+    for joint, numbers in zip(robot.joints, simulator_joints(fit), strict=True):
+        lines.append(f"    <default class={attribute('identified_' + joint.name)}>\n")
+        lines.append(f"      <joint{_attributes(numbers)}/>\n    </default>\n")
+    lines.append("  </default>\n</mujocoinclude>\n")
+    return "".join(lines)
+
+
+def _attributes(numbers: SimulatorJoint) -> str:
+    values = ((name, getattr(numbers, place)) for place, name in ATTRIBUTES)
+    return "".join(f' {name}="{number(value)}"' for name, value in values if value is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class RigidMember:
+    """A link that is rigidly attached to a joint's child link: frame (4, 4) there, parameters."""
+
+    name: str
+    placement: Array
+    nominal: Array
+
+
+@dataclass(frozen=True, eq=False)
+class InertiaSplit:
+    """Link parameters of a joint's child link (10,), and the share that each member keeps."""
+
+    own: Array
+    share: float
+    members: tuple[RigidMember, ...]
+
+
+def split(identified: Array, members: Sequence[RigidMember]) -> InertiaSplit:
+    """Return the distribution of an identified inertia (10,); each part is physically consistent.
+
+    Members, which are rigidly attached to the joint's child link, keep their nominal inertia and
+    the child link gets the rest. If the rest would not be physically consistent, masses and
+    inertias of all members are scaled by one factor.
+    """
+    heavy = tuple(m for m in members if np.any(m.nominal != 0.0))
+    carried = np.zeros(10)
+    for member in heavy:
+        carried += parameter_transport(member.placement) @ member.nominal
+    root = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(identified)))
+    largest = float(np.linalg.eigvalsh(root @ pseudo_inertia(carried) @ root.T)[-1])
+    share = 1.0 if largest < KEPT else SHARE / largest
+    return InertiaSplit(identified - share * carried, share, heavy)
+
+
+def members_of(
+    links: dict[str, Element], joints: Sequence[Element], child: str
+) -> list[RigidMember]:
+    """Return the links attached to a child link by joints outside the chain, held at zero."""
+    found: list[RigidMember] = []
+    places = {child: np.eye(4)}
+    waiting = [child]
+    while waiting:
+        parent = waiting.pop()
+        for joint in joints:
+            if _link_of(joint, "parent") != parent:
+                continue
+            name = _link_of(joint, "child")
+            places[name] = places[parent] @ origin_of(joint)
+            found.append(RigidMember(name, places[name], stated_parameters(links[name])))
+            waiting.append(name)
+    return found
+
+
+def stated_parameters(link: Element) -> Array:
+    """Return the link parameters (10,) that a <link> states, zeros if none."""
+    inertial = link.find("inertial")
+    mass = None if inertial is None else inertial.find("mass")
+    if inertial is None or mass is None:
+        return np.zeros(10)
+    place = origin_of(inertial)
+    stated = inertial.find("inertia")
+    keys = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+    six = [0.0 if stated is None else float(stated.attributes.get(key, "0")) for key in keys]
+    turned = place[:3, :3] @ symmetric(six) @ place[:3, :3].T
+    return link_parameters(float(mass.attributes.get("value", "0")), place[:3, 3], turned)
+
+
+def origin_of(element: Element) -> Array:
+    """Return the pose (4, 4) of an element's <origin>."""
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(4)
+    return pose(
+        [float(x) for x in origin.attributes.get("xyz", "0 0 0").split()],
+        [float(x) for x in origin.attributes.get("rpy", "0 0 0").split()],
+    )
+
+
+def inertial_text(parameters: Array) -> str:
+    """Return an <inertial> element of link parameters (10,), with all their digits."""
+    body = body_inertia(parameters)
+    i = body.inertia
+    com = " ".join(number(x) for x in body.com)
+    return (
+        "<inertial>\n"
+        f'  <origin xyz="{com}" rpy="0 0 0"/>\n'
+        f'  <mass value="{number(body.mass)}"/>\n'
+        f'  <inertia ixx="{number(i[0, 0])}" ixy="{number(i[0, 1])}" ixz="{number(i[0, 2])}"'
+        f' iyy="{number(i[1, 1])}" iyz="{number(i[1, 2])}" izz="{number(i[2, 2])}"/>\n'
+        "</inertial>"
+    )
+
+
+def _link_of(joint: Element, tag: str) -> str:
+    end = joint.find(tag)
+    return "" if end is None else end.attributes.get("link", "")
+
+
+def edited_urdf(fit: Fit, text: str) -> tuple[str, list[str]]:
+    """Return the URDF of ``fit.model.robot`` with link inertias and friction, and notes.
+
+    All other characters stay as they are: only <inertial> of moving links, and damping and
+    friction in <dynamics>, change.
+    """
+    document, notes = XmlText(text), []
+    links = {e.attributes.get("name", ""): e for e in document.root.children if e.tag == "link"}
+    joints = {e.attributes.get("name", ""): e for e in document.root.children if e.tag == "joint"}
+    chain = {joint.name for joint in fit.model.robot.joints}
+    rigid = [element for name, element in joints.items() if name not in chain]
+    bodies = fit.link_parameters.reshape(-1, 10)
+    for joint, body, friction in zip(
+        fit.model.robot.joints, bodies, simulator_joints(fit), strict=True
+    ):
+        shared = split(body, members_of(links, rigid, joint.link_name))
+        document.replace_child(links[joint.link_name], "inertial", inertial_text(shared.own))
+        if shared.share < 1.0:
+            for member in shared.members:
+                scaled = inertial_text(shared.share * member.nominal)
+                document.replace_child(links[member.name], "inertial", scaled)
+        notes += _notes_on_members(joint, shared)
+        _write_friction(document, joints[joint.name], friction)
+    notes += _meshes(document.root)
+    return document.edited(), notes
+
+
+def _notes_on_members(joint: Joint, shared: InertiaSplit) -> list[str]:
+    if not shared.members:
+        return []
+    names = ", ".join(member.name for member in shared.members)
+    moved = f"{names}: rigidly attached to {joint.link_name}"
+    rest = f"{joint.link_name} has the rest"
+    if shared.share == 1.0:
+        return [f"{moved}; the nominal inertia is kept, {rest}"]
+    return [
+        f"{moved}; the nominal inertia exceeds the identified one and was scaled by "
+        f"{shared.share:.3g}, {rest}"
+    ]
+
+
+def _write_friction(document: XmlText, joint: Element, friction: SimulatorJoint) -> None:
+    new = {
+        name: number(value)
+        for name, value in (("damping", friction.damping), ("friction", friction.friction))
+        if value is not None
+    }
+    if not new:
+        return
+    dynamics = joint.find("dynamics")
+    attributes = (dynamics.attributes if dynamics is not None else {}) | new
+    written = "".join(f" {name}={attribute(value)}" for name, value in attributes.items())
+    document.replace_child(joint, "dynamics", f"<dynamics{written}/>")
+
+
+def _meshes(root: Element) -> list[str]:
+    """Return a note if paths of meshes are relative to the original file."""
+    if any("://" not in path and not path.startswith("/") for path in _mesh_paths(root)):
+        return ["mesh files are named relative to the folder of the original URDF"]
+    return []
+
+
+def _mesh_paths(element: Element) -> list[str]:
+    own = [element.attributes["filename"]] if "filename" in element.attributes else []
+    return own + [path for child in element.children for path in _mesh_paths(child)]
+
+
+def written_urdf(
+    robot: Robot, bodies: Array, frictions: Sequence[SimulatorJoint]
+) -> tuple[str, list[str]]:
+    """Return a URDF of a robot with link parameters (n, 10), and notes on differences.
+
+    Link frames are those of the robot; the origin is moved onto the axis of the joint if it is
+    not on it.
+    """
+    names = _link_names(robot)
+    lines = [
+        '<?xml version="1.0" encoding="utf-8"?>',
+        f"<robot name={attribute(robot.name)}>",
+        f"  <link name={attribute(names[0])}/>",
+    ]
+    notes, before = [], np.eye(4)
+    for i, (joint, body, friction) in enumerate(zip(robot.joints, bodies, frictions, strict=True)):
+        shift, back = np.eye(4), np.eye(4)
+        shift[:3, 3] = _point_on_axis(joint)
+        back[:3, 3] = -shift[:3, 3]
+        frame = np.asarray(joint.home @ shift)
+        lines += _link(names[i + 1], parameter_transport(back) @ body)
+        lines += _joint(joint, _relative_pose(before, frame), names[i : i + 2], friction)
+        before = frame
+        if np.any(shift[:3, 3]):
+            notes.append(f"{names[i + 1]}: its frame was moved onto the axis of {joint.name}")
+    tool = _relative_pose(before, robot.joints[-1].home @ robot.tool)
+    lines += [f"  <link name={attribute(names[-1])}/>"]
+    lines += [f'  <joint name={attribute(names[-1] + "_joint")} type="fixed">']
+    lines += [*_between(tool, names[-2:]), "  </joint>", "</robot>", ""]
+    return "\n".join(lines), notes
+
+
+def _relative_pose(frame: Array, pose: Array) -> Array:
+    return np.asarray(np.linalg.solve(frame, pose))
+
+
+def _point_on_axis(joint: Joint) -> Array:
+    """Return the point of a joint's axis (3,) next to the origin of its link frame."""
+    omega, v = joint.axis[:3], joint.axis[3:]
+    if not joint.revolute:
+        return np.zeros(3)
+    point = np.cross(omega, v)
+    return point if np.linalg.norm(point) > ON_AXIS else np.zeros(3)
+
+
+def _link(name: str, body: Array) -> list[str]:
+    inertial = inertial_text(body).replace("\n", "\n    ")
+    return [f"  <link name={attribute(name)}>", f"    {inertial}", "  </link>"]
+
+
+def _joint(joint: Joint, place: Array, names: Sequence[str], friction: SimulatorJoint) -> list[str]:
+    limits = joint.limits
+    bounded = np.isfinite(limits.position_lower) and np.isfinite(limits.position_upper)
+    axis = joint.axis[:3] if joint.revolute else joint.axis[3:]
+    kind = "prismatic" if not joint.revolute else "revolute" if bounded else "continuous"
+    lines = [f'  <joint name={attribute(joint.name)} type="{kind}">']
+    lines += _between(place, names)
+    lines.append(f'    <axis xyz="{_numbers(axis)}"/>')
+    stated = {"effort": limits.torque, "velocity": limits.velocity}
+    if kind != "continuous":
+        low, high = (limits.position_lower, limits.position_upper) if bounded else (-REACH, REACH)
+        stated |= {"lower": low, "upper": high}
+    if kind != "continuous" or np.isfinite(limits.torque) or np.isfinite(limits.velocity):
+        written = "".join(
+            f' {name}="{number(value) if np.isfinite(value) else 0}"'
+            for name, value in stated.items()
+        )
+        lines.append(f"    <limit{written}/>")
+    numbers = (("damping", friction.damping), ("friction", friction.friction))
+    written = "".join(f' {name}="{number(x)}"' for name, x in numbers if x is not None)
+    if written:
+        lines.append(f"    <dynamics{written}/>")
+    return [*lines, "  </joint>"]
+
+
+def _between(place: Array, names: Sequence[str]) -> list[str]:
+    rpy = roll_pitch_yaw(place[:3, :3])
+    return [
+        f'    <origin xyz="{_numbers(place[:3, 3])}" rpy="{_numbers(rpy)}"/>',
+        f"    <parent link={attribute(names[0])}/>",
+        f"    <child link={attribute(names[1])}/>",
+    ]
+
+
+def _link_names(robot: Robot) -> list[str]:
+    """Return names of the base, the links and the tool, all different."""
+    wanted = ["base", *(j.link_name or f"{j.name}_link" for j in robot.joints), "tool"]
+    names: list[str] = []
+    for name in wanted:
+        while name in names:
+            name += "_"
+        names.append(name)
+    return names
+
+
+def _numbers(values: Array) -> str:
+    return " ".join(number(x) for x in values)

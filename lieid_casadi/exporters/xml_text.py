@@ -64,10 +64,7 @@ class Element:
 
 
 class XmlText:
-    """An XML text with edits that are applied together.
-
-    ``text``: well-formed.
-    """
+    """A well-formed XML text with edits that are applied together."""
 
     def __init__(self, text: str) -> None:
         self._data = text.encode("utf-8")
@@ -92,10 +89,7 @@ class XmlText:
         self._edits.append((parent.start, parent.end, body))
 
     def replace_child(self, parent: Element, tag: str, text: str) -> None:
-        """Replace the first child of a tag by a text, or add it.
-
-        ``text``: XML of the new element.
-        """
+        """Replace the first child of a tag by a text, or add it."""
         child = parent.find(tag)
         if child is None:
             self.add_child(parent, text)

@@ -35,14 +35,9 @@ class UnsupportedOperation(LieidError):
 class Dialect:
     """How C is written.
 
-    Attributes
-    ----------
-    declaration : str
-        What stands before the name of a new value, such as ``const double``.
-    patterns : mapping
-        CasADi's operation → C with ``{0}`` and ``{1}`` for its operands.
-    number : callable
-        Returns the C of a constant.
+    ``declaration`` stands before the name of a new value, such as ``const double``; ``patterns``
+    are CasADi's operations as C with ``{0}`` and ``{1}`` for their operands; ``number`` returns the
+    C of a constant.
     """
 
     declaration: str
@@ -62,16 +57,9 @@ class Input:
 
 @dataclass(frozen=True)
 class Statements:
-    """The statements of a function.
+    """The statements of a function: ``lines``, of so many ``operations``.
 
-    Attributes
-    ----------
-    inputs : tuple of Input
-        The inputs that are used, in the order of their first use.
-    lines : tuple of str
-        Everything else, in order.
-    operations : int
-        How many operations there are.
+    ``inputs`` are those that are used, in the order of their first use.
     """
 
     inputs: tuple[Input, ...]

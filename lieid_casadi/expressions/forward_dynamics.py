@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.expressions.torque import TorqueExpressions
+from lieid_casadi.expressions.torque import TorqueExpressions, named_function
 from lieid_casadi.robot.robot import Robot
 
 NEWTON_STEPS = 4  # of the unrolled solution; tests/expressions bounds its residual by 1e-9
@@ -136,10 +136,8 @@ def unsolved_share(torque: TorqueExpressions) -> float:
     fast = robot.limit("velocity")
     fast = np.where(np.isfinite(fast), fast, 1.0)
     q = _poses(robot)[::8]
-    dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (2, *q.shape)) * [
-        [fast],
-        [10.0 + 0 * fast],
-    ]
+    reach = [[fast], [np.full(robot.n, 10.0)]]
+    dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (2, *q.shape)) * reach
     signals = [torque.states, torque.temperature, torque.time]
     states, warm = ca.DM(torque.model.initial_states), ca.DM(1e3)  # s
     now = [states, ca.DM.zeros(robot.n), warm]
@@ -175,7 +173,7 @@ def explicit(torque: TorqueExpressions) -> ca.Function:
         [q, dq, u, states],
     )
     inputs = {"x": x, "u": u} | _further_inputs(torque)
-    return _function("f_explicit", inputs, "xdot", ca.vertcat(dq, ddq, rates))
+    return named_function("f_explicit", inputs, {"xdot": ca.vertcat(dq, ddq, rates)})
 
 
 def implicit(torque: TorqueExpressions) -> ca.Function:
@@ -192,14 +190,9 @@ def implicit(torque: TorqueExpressions) -> ca.Function:
     )
     inputs = {"x": x, "xdot": xdot, "u": u} | _further_inputs(torque)
     residual = ca.vertcat(q_rate - dq, tau - u, state_rate - rates)
-    return _function("f_implicit", inputs, "residual", residual)
+    return named_function("f_implicit", inputs, {"residual": residual})
 
 
 def _further_inputs(torque: TorqueExpressions) -> dict[str, ca.SX]:
     """Return the inputs that the model adds; the states are part of x."""
     return {name: symbol for name, symbol in torque.further_inputs().items() if name != "states"}
-
-
-def _function(name: str, inputs: dict[str, ca.SX], output: str, value: ca.SX) -> ca.Function:
-    symbols = list(inputs.values())
-    return ca.Function(name, symbols, [ca.densify(value)], list(inputs), [output], {"cse": True})

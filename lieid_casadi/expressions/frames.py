@@ -11,22 +11,16 @@ import numpy as np
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Motion, Pose
 from lieid_casadi.errors import ModelError
-from lieid_casadi.expressions.torque import geometry_inputs
+from lieid_casadi.expressions.torque import geometry_inputs, named_function
 from lieid_casadi.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame that moves with the arm.
+    """A frame that moves with the arm of n ``joints``.
 
-    Attributes
-    ----------
-    robot : Robot
-        The arm up to the link that carries the frame; its tool is the frame.
-    joints : int
-        Number of joints n of the whole arm.
-    symbols : dict of ca.SX
-        Symbols of the geometry of the whole arm by name: further inputs.
+    ``robot`` is the arm up to the link that carries the frame, and its tool is the frame;
+    ``symbols`` of the geometry of the whole arm are further inputs.
     """
 
     robot: Robot
@@ -38,7 +32,9 @@ class Frame:
         """``q -> T`` (4, 4): homogeneous pose of the frame in the base frame."""
         q = ca.SX.sym("q", self.joints)
         pose = recursion.tool_in_base(self.robot, Motion.of(q[: self.robot.n]))
-        return self._function("forward_kinematics", q, {"T": homogeneous(pose)})
+        return named_function(
+            "forward_kinematics", {"q": q} | self.symbols, {"T": homogeneous(pose)}
+        )
 
     @cached_property
     def jacobian(self) -> ca.Function:
@@ -46,18 +42,8 @@ class Frame:
         q = ca.SX.sym("q", self.joints)
         moving = closed_form.jacobian(self.robot, Motion.of(q[: self.robot.n]))
         still = ca.SX(6, self.joints - self.robot.n)
-        return self._function("jacobian", q, {"J": ca.densify(ca.horzcat(moving, still))})
-
-    def _function(self, name: str, q: ca.SX, outputs: dict[str, ca.SX]) -> ca.Function:
-        inputs = {"q": q} | self.symbols
-        return ca.Function(
-            name,
-            list(inputs.values()),
-            list(outputs.values()),
-            list(inputs),
-            list(outputs),
-            {"cse": True, "allow_duplicate_io_names": True},
-        )
+        matrix = ca.horzcat(moving, still)
+        return named_function("jacobian", {"q": q} | self.symbols, {"J": matrix})
 
 
 def frame_of(robot: Robot, name: str) -> Frame:

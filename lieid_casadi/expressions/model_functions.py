@@ -64,21 +64,17 @@ def ramp(dq: ca.SX, width: ca.SX) -> ca.SX:
     return ca.if_else(ca.fabs(dq) < width, step, ca.sign(dq))
 
 
-class _RigidRegressor:
-    """The regressor of a robot (n, 10 n) in symbols that all its models share.
+@lru_cache(maxsize=16)
+def _rigid_regressor(robot: Robot) -> tuple[Motion, ca.SX]:
+    """Return the regressor (n, 10 n) in symbols that all models of a robot share.
 
     It takes longer to build than the columns of all effects.
     """
-
-    def __init__(self, robot: Robot) -> None:
-        self._robot, self.motion = robot, Motion.symbols(robot.n)
-
-    @cached_property
-    def matrix(self) -> ca.SX:
-        return regressor(self._robot, self.motion)
+    motion = Motion.symbols(robot.n)
+    return motion, regressor(robot, motion)
 
 
-_rigid_regressor = lru_cache(maxsize=16)(_RigidRegressor)
+POSE, STATE = "q sin cos", "q sin cos dq ddq"  # inputs of rigid functions
 
 
 class ModelFunctions:
@@ -89,10 +85,9 @@ class ModelFunctions:
     """
 
     def __init__(self, model: Model) -> None:
-        self.model = model
-        n = model.n
-        self._rigid = _rigid_regressor(model.robot)
-        self.motion = self._rigid.motion
+        self.model, n = model, model.n
+        self.motion, self._rigid = _rigid_regressor(model.robot)
+        m = self.motion
         self.parameters = ca.SX.sym("parameters", 10 * n)
         self.shapes = ca.SX.sym("shapes", len(model.shapes))
         self.dead_zone = ca.SX.sym("dead_zone", n)
@@ -101,42 +96,34 @@ class ModelFunctions:
         self.time = ca.SX.sym("time")
         self.command_error = ca.SX.sym("command_error", n)
         self.states = ca.SX.sym("states", len(model.states))
+        self._symbols = {"q": m.q, "sin": m.sin, "cos": m.cos, "dq": m.dq, "ddq": m.ddq}
+        self._symbols |= {
+            name: getattr(self, name)
+            for name in (*SIGNAL_NAMES[3:], "parameters", "shapes", "dead_zone", "states")
+        }
 
-    @property
-    def _state(self) -> tuple[list[ca.SX], list[str]]:
-        m = self.motion
-        return [m.q, m.sin, m.cos, m.dq, m.ddq], ["q", "sin", "cos", "dq", "ddq"]
-
-    @property
-    def _pose(self) -> tuple[list[ca.SX], list[str]]:
-        m = self.motion
-        return [m.q, m.sin, m.cos], ["q", "sin", "cos"]
+    def _sparse(self, name: str, inputs: str, matrix: ca.SX) -> SparseFunction:
+        names = inputs.split()
+        return sparse_function(name, [self._symbols[x] for x in names], names, matrix)
 
     @cached_property
     def signals(self) -> EffectSignals:
         """Symbols of the effects; the sign of q̇ has a ramp over the dead zone."""
-        m = self.motion
-        sign = ramp(m.dq, self.dead_zone)
-        return EffectSignals(
-            m.q, m.dq, m.ddq, sign, self.load, self.temperature, self.time, self.command_error
-        )
+        q, dq, ddq, *others = (self._symbols[name] for name in SIGNAL_NAMES)
+        return EffectSignals(q, dq, ddq, ramp(dq, self.dead_zone), *others)
 
     @cached_property
     def regressor(self) -> SparseFunction:
         """Y (n, 10 n)."""
-        inputs, names = self._state
-        return sparse_function("regressor", inputs, names, self._rigid.matrix)
+        return self._sparse("regressor", STATE, self._rigid)
 
     @cached_property
     def base_regressor(self) -> SparseFunction:
         """Y_b (n, p): the rigid part of the kept columns; effect columns are zero here."""
-        kept = self.model.base.kept
-        rigid = [int(k) for k in kept[kept < 10 * self.model.n]]
-        inputs, names = self._state
-        matrix = ca.horzcat(
-            self._rigid.matrix[:, rigid], ca.SX(self.model.n, len(kept) - len(rigid))
-        )
-        return sparse_function("base_regressor", inputs, names, matrix)
+        kept, n = self.model.base.kept, self.model.n
+        rigid = self._rigid[:, [int(k) for k in kept[kept < 10 * n]]]
+        zeros = ca.SX(n, len(kept) - rigid.size2())
+        return self._sparse("base_regressor", STATE, ca.horzcat(rigid, zeros))
 
     @cached_property
     def effect_columns(self) -> SparseFunction:
@@ -144,27 +131,22 @@ class ModelFunctions:
 
         With effects that have memory, ``states`` (S,) is a further input.
         """
-        s = self.signals
-        inputs = [s.q, s.dq, s.ddq, s.load, s.temperature, s.time, self.command_error]
-        inputs += [self.shapes, self.dead_zone]
-        names = [*SIGNAL_NAMES, "shapes", "dead_zone"]
-        if self.model.states:
-            inputs, names = [*inputs, self.states], [*names, "states"]
-        matrix = self.model.effect_columns(s, self.shapes, self.states)
-        return sparse_function("effect_columns", inputs, names, matrix)
+        inputs = " ".join([*SIGNAL_NAMES, "shapes dead_zone"])
+        inputs += " states" if self.model.states else ""
+        matrix = self.model.effect_columns(self.signals, self.shapes, self.states)
+        return self._sparse("effect_columns", inputs, matrix)
 
     @cached_property
     def advance(self) -> ca.Function:
         """States (S,) at a sample, from its signals and the states and signals before it."""
-        now = self.signals
-        symbols = [now.q, now.dq, now.ddq, now.load, now.temperature, now.time, self.command_error]
+        symbols = [self._symbols[name] for name in SIGNAL_NAMES]
         past = [
             ca.SX.sym(f"before_{name}", symbol.size1())
             for name, symbol in zip(SIGNAL_NAMES, symbols, strict=True)
         ]
         q, dq, ddq, *others = past
         before = EffectSignals(q, dq, ddq, ramp(dq, self.dead_zone), *others)
-        after = self.model.advance(before, now, self.shapes, self.states)
+        after = self.model.advance(before, self.signals, self.shapes, self.states)
         inputs = [self.states, *past, *symbols, self.shapes, self.dead_zone]
         names = ["states", *(f"before_{name}" for name in SIGNAL_NAMES), *SIGNAL_NAMES]
         return ca.Function("advance", inputs, [after], [*names, "shapes", "dead_zone"], ["after"])
@@ -177,51 +159,32 @@ class ModelFunctions:
     @cached_property
     def inverse_dynamics(self) -> SparseFunction:
         """Rigid torque (n, 1) of motion and link parameters."""
-        inputs, names = self._state
         torque = recursion.inverse_dynamics(self.model.robot, self.motion, self.parameters)
-        return sparse_function(
-            "inverse_dynamics",
-            [*inputs, self.parameters],
-            [*names, "parameters"],
-            ca.densify(torque),
-        )
+        return self._sparse("inverse_dynamics", f"{STATE} parameters", ca.densify(torque))
 
     @cached_property
     def mass_matrix(self) -> SparseFunction:
         """M (n, n)."""
-        inputs, names = self._pose
         matrix = closed_form.mass_matrix(self.model.robot, self.motion, self.parameters)
-        return sparse_function(
-            "mass_matrix", [*inputs, self.parameters], [*names, "parameters"], matrix
-        )
+        return self._sparse("mass_matrix", f"{POSE} parameters", matrix)
 
     @cached_property
     def gravity(self) -> SparseFunction:
         """G (n, 1)."""
-        inputs, names = self._pose
         torque = closed_form.gravity(self.model.robot, self.motion, self.parameters)
-        return sparse_function(
-            "gravity", [*inputs, self.parameters], [*names, "parameters"], ca.densify(torque)
-        )
+        return self._sparse("gravity", f"{POSE} parameters", ca.densify(torque))
 
     @cached_property
     def coriolis_matrix(self) -> SparseFunction:
         """C (n, n) with Ṁ − 2C skew-symmetric."""
-        inputs, names = self._pose
         matrix = closed_form.coriolis_matrix(self.model.robot, self.motion, self.parameters)
-        return sparse_function(
-            "coriolis_matrix",
-            [*inputs, self.motion.dq, self.parameters],
-            [*names, "dq", "parameters"],
-            matrix,
-        )
+        return self._sparse("coriolis_matrix", f"{POSE} dq parameters", matrix)
 
     @cached_property
     def jacobian(self) -> SparseFunction:
         """J (6, n) of the tool, [ω; v], base axes."""
-        inputs, names = self._pose
         matrix = closed_form.jacobian(self.model.robot, self.motion)
-        return sparse_function("jacobian", inputs, names, matrix)
+        return self._sparse("jacobian", POSE, matrix)
 
 
 def states_along(functions: ModelFunctions, signals: Mapping[str, Array]) -> Array:
@@ -229,10 +192,8 @@ def states_along(functions: ModelFunctions, signals: Mapping[str, Array]) -> Arr
 
     The first sample has the initial states; each further one follows from the sample before it,
     whatever the time between them. States are held at samples that are not finite
-    (`Effect.next_states`).
-
-    ``signals``: ``q`` and, where known, ``dq``, ``ddq``, ``load``, ``temperature`` (N, n) and
-    ``time`` (N, 1); ``shapes`` (s,) and ``dead_zone`` (n,). Signals that are left out are zero.
+    (`Effect.next_states`). ``signals``: q, dq, ddq, load (N, n) and time (N, 1), zero where they
+    are left out; ``shapes`` (s,) and ``dead_zone`` (n,).
     """
     samples, model = len(signals["q"]), functions.model
     states = np.empty((samples, len(model.states)))

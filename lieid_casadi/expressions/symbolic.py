@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -23,6 +23,7 @@ from lieid_casadi.expressions.torque import (
     TorqueExpressions,
     Values,
     geometry_inputs,
+    named_function,
 )
 from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
@@ -73,13 +74,9 @@ class SymbolicDynamics:
         return dict(self._torque.values.free)
 
     def _function(
-        self,
-        name: str,
-        leading: Sequence[str],
-        outputs: dict[str, ca.SX],
-        *,
+        self, name: str, leading: Sequence[str], outputs: dict[str, ca.SX], *,
         constant: bool = False,
-    ) -> ca.Function:
+    ) -> ca.Function:  # fmt: skip
         """Return a function of the named leading inputs and of those that the model adds."""
         symbols = self._torque.leading_symbols
         inputs = {key: symbols[key] for key in leading}
@@ -87,18 +84,7 @@ class SymbolicDynamics:
             inputs |= geometry_inputs(self.model.robot)
         else:
             inputs |= self._torque.further_inputs(static="dq" not in leading)
-        return self._named(name, inputs, outputs)
-
-    @staticmethod
-    def _named(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
-        return ca.Function(
-            name,
-            list(inputs.values()),
-            [ca.densify(expression) for expression in outputs.values()],
-            list(inputs),
-            list(outputs),
-            {"cse": True, "allow_duplicate_io_names": True},  # a symbol g, the result g
-        )
+        return named_function(name, inputs, outputs)
 
     @cached_property
     def inverse_dynamics(self) -> ca.Function:
@@ -171,7 +157,7 @@ class SymbolicDynamics:
         """
         base, inputs = self.model.base, geometry_inputs(self.model.robot)
         matrix = constant(base.at(inputs))
-        return self._named("base_matrix", inputs, {"B": matrix})
+        return named_function("base_matrix", inputs, {"B": matrix})
 
     @cached_property
     def forward_kinematics(self) -> ca.Function:
@@ -217,17 +203,11 @@ class SymbolicDynamics:
             changes by more than the load that it depends on, so that no acceleration is determined.
         """
         self._require_solution()
-        return self._acceleration(jacobian=self._jacobian_function)
-
-    def _acceleration(self, *, jacobian: ca.Function | None = None) -> ca.Function:
-        inputs = self._acceleration_inputs
-        options: dict[str, Any] = {"cse": True}
-        if jacobian is not None:
-            options |= {"custom_jacobian": jacobian, "jac_penalty": 0}
-        ddq = forward_dynamics.acceleration(self._torque)
-        return ca.Function(
-            "forward_dynamics", list(inputs.values()), [ddq], list(inputs), ["ddq"], options
-        )
+        return named_function(
+            "forward_dynamics", self._acceleration_inputs,
+            {"ddq": forward_dynamics.acceleration(self._torque)},
+            custom_jacobian=self._jacobian_function, jac_penalty=0,
+        )  # fmt: skip
 
     @property
     def _acceleration_inputs(self) -> dict[str, ca.SX]:
@@ -252,23 +232,13 @@ class SymbolicDynamics:
         """The Jacobian of `forward_dynamics` in the form that CasADi expects."""
         inputs = self._acceleration_inputs
         ddq = self._torque.leading_symbols["ddq"]
-        wanted = [symbol for name, symbol in inputs.items() if name != "tau"]
-        blocks = dict(
-            zip(
-                [name for name in inputs if name != "tau"],
-                forward_dynamics.derivatives(self._torque, wanted)[:-1],
-                strict=True,
-            )
-        )
-        blocks["tau"] = forward_dynamics.derivatives(self._torque, [])[-1]
-        return ca.Function(
-            "jac_forward_dynamics",
-            [*inputs.values(), ddq],
-            [ca.densify(blocks[name]) for name in inputs],
-            [*inputs, "out_ddq"],
-            [f"jac_ddq_{name}" for name in inputs],
-            {"cse": True},
-        )
+        wanted = {name: symbol for name, symbol in inputs.items() if name != "tau"}
+        blocks = forward_dynamics.derivatives(self._torque, list(wanted.values()))
+        by_name = dict(zip([*wanted, "tau"], blocks, strict=True))
+        return named_function(
+            "jac_forward_dynamics", inputs | {"out_ddq": ddq},
+            {f"jac_ddq_{name}": by_name[name] for name in inputs},
+        )  # fmt: skip
 
     @cached_property
     def f_explicit(self) -> ca.Function:
@@ -465,16 +435,10 @@ def symbolic(
         model, values = source, Values.symbols(source)
     else:
         model = source.model
-        values = (
-            Values.symbols(model, source.temperature_mean)
-            if free_parameters
-            else Values.numbers(
-                source.link_parameters,
-                source.effect_coefficients,
-                source.shapes,
-                source.temperature_mean,
-            )
-        )
+        mean = source.temperature_mean
+        values = Values.symbols(model, mean) if free_parameters else Values.numbers(
+            source.link_parameters, source.effect_coefficients, source.shapes, mean
+        )  # fmt: skip
     if groups and not values.numeric:
         raise ModelError("free: all parameters are inputs already; expected a fit or a robot")
     if groups:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -46,18 +47,10 @@ class Values:
 
     @classmethod
     def numbers(
-        cls,
-        parameters: Array,
-        effects: Array,
-        shapes: Array,
+        cls, parameters: Array, effects: Array, shapes: Array,
         temperature_mean: Array | None = None,
-    ) -> Values:
-        """Return constants.
-
-        ``parameters`` (10 n,): link parameters, SI; ``effects`` (m,): effect coefficients;
-        ``shapes`` (s,): shape parameters; ``temperature_mean`` (n,): mean temperature of the
-        training recordings, °C.
-        """
+    ) -> Values:  # fmt: skip
+        """Return constants: link parameters (10 n,), coefficients (m,), shapes (s,), means (n,)."""
         links, coefficients, shape = (ca.SX(ca.DM(x)) for x in (parameters, effects, shapes))
         return cls(links, coefficients, shape, True, temperature_mean)
 
@@ -76,8 +69,7 @@ class Values:
         """
         numbers = ca.vertcat(self.parameters, self.effects, self.shapes)
         labels = [p.label for p in (*model.link_parameters, *model.columns, *model.shapes)]
-        taken, free = np.full(len(labels), ""), {}
-        taken = taken.astype(object)
+        taken, free = np.full(len(labels), "", dtype=object), {}
         symbols = ca.SX(numbers)
         for group in groups:
             members = _members(model, group)
@@ -159,6 +151,17 @@ def geometry_inputs(robot: Robot) -> dict[str, ca.SX]:
             "functions; expected another name"
         )
     return {str(symbol): symbol for symbol in robot.symbols}
+
+
+def named_function(
+    name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX], **options: Any
+) -> ca.Function:
+    """Return a function of named inputs and dense outputs, common subexpressions evaluated once."""
+    return ca.Function(
+        name, list(inputs.values()), [ca.densify(value) for value in outputs.values()],
+        list(inputs), list(outputs),
+        {"cse": True, "allow_duplicate_io_names": True, **options},  # a symbol g, the result g
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -438,10 +441,6 @@ class TorqueExpressions:
 
 
 def with_body(links: ca.SX, body: ca.SX, model: Model) -> ca.SX:
-    """Return link parameters with those of a body at the tool added to the last link's.
-
-    ``links`` (10 n,); ``body`` (10,): link parameters in the tool frame; ``model``: its robot has
-    the tool.
-    """
+    """Return link parameters (10 n,) with those of a body (10,) in the tool frame added."""
     at_link = closed_form.seen_from_parent(tool_pose(model.robot), body)
     return ca.vertcat(links[:-10], links[-10:] + at_link)

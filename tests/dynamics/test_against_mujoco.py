@@ -69,22 +69,6 @@ def test_torque(arm, simulated):
     assert_close(arm.compiled.regressor(*arm.states) @ arm.robot.link_parameters, theirs)
 
 
-def test_gravity(arm, simulated):
-    still = np.zeros(arm.robot.n)
-    theirs = simulated.over_states(lambda q, dq, ddq: simulated.torque(q, still, still))
-    assert_close(arm.compiled.gravity(arm.states[0], arm.robot.link_parameters), theirs)
-
-
-def test_mass_matrix(arm, simulated):
-    theirs = simulated.over_states(simulated.mass_matrix)
-    assert_close(arm.compiled.mass_matrix(arm.states[0], arm.robot.link_parameters), theirs)
-
-
-def test_jacobian(arm, simulated):
-    theirs = simulated.over_states(simulated.jacobian)
-    assert_close(arm.compiled.jacobian(arm.states[0]), theirs)
-
-
 def test_regressor_itself(arm, simulated):
     """The torque's change with each parameter of the last link, in which it is linear.
 

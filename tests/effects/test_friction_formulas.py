@@ -33,18 +33,6 @@ def s():
     return {**signals, "dq": dq, "sign": np.sign(dq), "time": rng.uniform(0, 900, 64)}
 
 
-def test_eq6_with_a_free_exponent(s):
-    (column,) = evaluate("stribeck/exponent", [0.2, 1.3], **s)
-    expected = s["sign"] * np.exp(-((np.abs(s["dq"]) / 0.2) ** 1.3))
-    np.testing.assert_allclose(column, expected, atol=2e-3)  # rounded at rest
-
-
-def test_eq7_is_its_two_terms(s):
-    coulomb, static = evaluate("stribeck/two_width", [0.05, 0.3], **s)
-    np.testing.assert_allclose(coulomb, s["sign"] * (1 - np.exp(-((s["dq"] / 0.05) ** 2))))
-    np.testing.assert_allclose(static, s["sign"] * np.exp(-((s["dq"] / 0.3) ** 2)))
-
-
 def test_eq8_away_from_rest_is_the_printed_one(s):
     moving = np.abs(s["dq"]) > 0.05
     _, printed = evaluate("load_friction/paper", [0.02], **s)
@@ -68,35 +56,6 @@ def test_the_ten_coefficient_formula_of_the_paper(s):
     speed = np.sqrt(dq**2 + 1e-6)
     expected += (f["t"] * load + f["t1"] * np.exp(-f["t2"] * load / speed)) * sgn
     np.testing.assert_allclose(total, expected, rtol=1e-12, atol=1e-14)
-
-
-def test_load_models(s):
-    (square,) = evaluate("load_friction/square", **s)
-    np.testing.assert_allclose(square, s["load"] ** 2 * s["sign"])
-    steady, fading = evaluate("load_friction/stribeck", [0.4], **s)
-    np.testing.assert_allclose(steady, np.abs(s["load"]) * s["sign"])
-    np.testing.assert_allclose(fading, steady * np.exp(-((s["dq"] / 0.4) ** 2)))
-
-
-def test_temperature_friction(s):
-    viscous, dry = evaluate("temperature_friction", **s)
-    np.testing.assert_allclose(viscous, s["temperature"] * s["dq"])
-    np.testing.assert_allclose(dry, s["temperature"] * s["sign"])
-    (thinning,) = evaluate("temperature_friction/exponential", [0.03], **s)
-    np.testing.assert_allclose(thinning, np.exp(-0.03 * s["temperature"]) * s["dq"])
-
-
-def test_warm_up_starts_cold_and_ends_warm(s):
-    viscous, dry = evaluate("warm_up", [120.0], **s)
-    warm = 1 - np.exp(-s["time"] / 120.0)
-    np.testing.assert_allclose(viscous, warm * s["dq"])
-    np.testing.assert_allclose(dry, warm * s["sign"])
-
-
-def test_position_friction(s):
-    sine, cosine = evaluate("position_friction", **s)
-    np.testing.assert_allclose(sine, np.sin(s["q"]) * s["sign"])
-    np.testing.assert_allclose(cosine, np.cos(s["q"]) * s["sign"])
 
 
 def test_panda_sigmoid_with_published_numbers(s):

@@ -64,15 +64,6 @@ def test_the_loop_is_the_same_at_any_rate(rate):
     assert error.max() < 100.0 / rate**3
 
 
-def test_irregular_stamps_change_nothing():
-    rng = np.random.default_rng(1)
-    fine = np.arange(0.0, 8.0, 5e-5)
-    rows = np.unique(np.concatenate([[0], np.cumsum(rng.integers(100, 220, 900))]))
-    rows = rows[rows < len(fine)]
-    error = np.abs(hysteresis(fine[rows])[:, 0] - hysteresis(fine)[rows, 0])
-    assert error.max() < 5e-3
-
-
 def test_a_closed_loop_dissipates_energy():
     t = np.linspace(0.0, 4 * np.pi, 8001)
     arm = lieid.compile(lieid.Model(ROBOT, "presliding:2"))
@@ -127,17 +118,6 @@ def test_any_number_of_samples(samples):
         z = side + (z - side) * np.exp(-np.abs(moved) / WIDTH)
         expected.append(z)
     np.testing.assert_allclose(states, np.array(expected[:samples]), atol=1e-15)
-
-
-def test_columns_of_the_load_options():
-    t = np.arange(0.0, 3.0, 0.01)
-    q, dq = loop(t)
-    load = np.column_stack([np.cos(t), np.sin(t)])
-    plain = hysteresis(t)[:, 0]
-    for label, size in (("load", np.abs(load[:, 0])), ("square", load[:, 0] ** 2)):
-        arm = lieid.compile(lieid.Model(ROBOT, f"presliding/{label}:1"))
-        columns = arm.effect_columns(q, dq, 0 * q, load=load, time=t, shapes=[WIDTH])[:, 0]
-        np.testing.assert_allclose(columns, np.column_stack([plain, plain * size]), atol=1e-14)
 
 
 def run(arm, seed, t, rate=500.0):

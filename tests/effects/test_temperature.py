@@ -48,14 +48,6 @@ def test_exponential_viscous_friction_carries_over_to_another_temperature(warmin
     assert np.all(error_on(hot, fit) < 0.03)
 
 
-def test_the_decay_is_found(warming):
-    cold, _ = warming
-    fit = lieid.identify(
-        lieid.Model(ROBOT, "coulomb,temperature_friction/exponential"), cold, processing=OPTIONS
-    )
-    np.testing.assert_allclose(fit.shapes, [0.03, 0.02], rtol=0.1)
-
-
 def test_a_processed_segment_and_its_recording_are_predicted_alike(warming):
     cold, hot = warming
     fit = lieid.identify(

@@ -137,15 +137,6 @@ def rotation_to(direction):
     return np.column_stack([x, np.cross(direction, x), direction])
 
 
-def test_starts_and_ends_at_rest_at_the_start_pose(limited):
-    ends = limited.at(np.array([0.0, limited.duration]))
-    middle = 0.5 * (PANDA.limit("position_lower") + PANDA.limit("position_upper"))
-    np.testing.assert_allclose(ends.q, [middle, middle], atol=1e-9)
-    np.testing.assert_allclose(ends.dq, 0.0, atol=1e-9)
-    np.testing.assert_allclose(ends.ddq, 0.0, atol=1e-9)
-    assert (limited.start, limited.end) == (0.0, 20.0)
-
-
 def test_the_file_begins_and_ends_at_rest_at_the_rest_pose():
     """Position, velocity and acceleration are continuous, from period to period, too."""
     robot = lieid.robots.two_link()
@@ -162,16 +153,6 @@ def test_the_file_begins_and_ends_at_rest_at_the_rest_pose():
         for low, high in ((motion.q, motion.dq), (motion.dq, motion.ddq)):
             trapezoid = 0.5 * (high[1:] + high[:-1]) / 500.0
             np.testing.assert_allclose(np.diff(low, axis=0), trapezoid, atol=2e-4)
-
-
-def test_periods_repeat():
-    found = excite(
-        lieid.Model(lieid.robots.two_link()), periods=3, duration=6.0, starts=1, max_iterations=20
-    )
-    t = np.linspace(0.0, 6.0, 50)
-    for k in (1, 2):
-        np.testing.assert_allclose(found.at(t + 6.0 * k).q, found.at(t).q, atol=1e-9)
-    assert found.end == 18.0
 
 
 def test_same_seed_same_trajectory_on_any_executor():

@@ -127,22 +127,6 @@ def test_friction_sweep(tmp_path, capsys):
     assert json.loads(report.read_text())["sweeps"][0]["joint"] == 2
 
 
-def test_limits_from_all_options():
-    from lieid_casadi.cli.main import build_parser
-
-    arguments = build_parser().parse_args(
-        ["excite", "panda", "-o", "x", "--cartesian-speed", "1", "--floor", "--self-collision",
-         "--wall", "1", "0", "0", "0.8", "--workspace-box", "-1", "-1", "-1", "1", "1", "2",
-         "--obstacle", "0.5", "-0.1", "0", "0.7", "0.1", "0.3"]
-    )  # fmt: skip
-    limits = motion_limits.limits_of(arguments, lieid.robots.panda())
-    names = [type(limit).__name__ for limit in limits]
-    assert names == ["Torque", "CartesianSpeed", "Wall", "SelfCollision", *["Wall"] * 7, "Obstacle"]
-    floor = limits[2]
-    assert floor.name == "floor"
-    assert len(floor.capsules) == 8
-
-
 def test_a_fit_in_place_of_the_robot(tmp_path, capsys):
     """Its effects and torque are used; options for another model are refused."""
     robot = lieid.robots.two_link()
@@ -173,9 +157,15 @@ def test_a_fit_in_place_of_the_robot(tmp_path, capsys):
         ([], ["Torque", "CartesianSpeed", "Wall", "SelfCollision"]),
         (["--floor", "none"], ["Torque", "CartesianSpeed", "SelfCollision"]),
         (["--unchecked-workspace"], ["Torque"]),
+        (
+            ["--cartesian-speed", "1", "--floor", "--self-collision", "--wall", "1", "0", "0",
+             "0.8", "--workspace-box", "-1", "-1", "-1", "1", "1", "2",
+             "--obstacle", "0.5", "-0.1", "0", "0.7", "0.1", "0.3"],
+            ["Torque", "CartesianSpeed", "Wall", "SelfCollision", *["Wall"] * 7, "Obstacle"],
+        ),
     ],
-)
-def test_default_limits(options, expected):
+)  # fmt: skip
+def test_limits_of_the_options(options, expected):
     from lieid_casadi.cli.main import build_parser
 
     arguments = build_parser().parse_args(["excite", "panda", "-o", "x", *options])

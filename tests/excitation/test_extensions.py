@@ -16,7 +16,7 @@ from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation import ExpressionLimit, excite, jerk_limit
 from lieid_casadi.excitation.criteria import ExpressionCriterion, LogDet
 from lieid_casadi.excitation.sample_functions import FittedArm
-from lieid_casadi.excitation.trajectory import BSpline, MotionSamples
+from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.plant.rigid import build_pinocchio
 
 ROBOT = lieid.robots.two_link()
@@ -129,16 +129,6 @@ def test_own_limits_hold_and_are_listed():
     assert "power of at most 8 W" in found.checked
     assert "jerk of at least -12 and at most 12 rad/s³" in found.checked
     assert found.to_dict()["coefficients"]["family"] == "bspline"
-
-
-def test_a_coefficient_of_a_b_spline_acts_locally():
-    basis = BSpline(intervals=12, duration=12.0)
-    t = np.linspace(0.0, 12.0, 2401)
-    functions = basis.evaluate(t)[0, :, 1:]
-    for values in functions.T:
-        assert np.ptp(t[np.abs(values) > 1e-12]) <= 6.0
-    jerk = basis.evaluate(t)[3]
-    assert np.abs(np.diff(jerk, axis=0)).max() < 0.02 * np.abs(jerk).max()
 
 
 def test_a_basis_of_the_users():

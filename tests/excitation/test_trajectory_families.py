@@ -57,12 +57,6 @@ def test_end_conditions(family):
     np.testing.assert_allclose(ends.q, [p.pose, p.pose], atol=1e-10)
 
 
-def test_fourier_and_spline_have_equal_freedom():
-    sizes = {family: parametrization(family).size for family in FAMILIES}
-    assert sizes["fourier"] == sizes["bspline"] == 2 * (2 * 4 + 1 - 3)
-    assert sizes["modified_fourier"] > sizes["fourier"]
-
-
 @pytest.mark.parametrize("family", FAMILIES)
 def test_rounding_does_not_rotate_the_free_variables(family):
     """The singular vectors of a null space do rotate: other processors began elsewhere."""
@@ -103,22 +97,6 @@ def test_sampled_motion_and_its_gradient(family):
     direction = rng.normal(size=p.size)
     expected = (value(z + direction) - value(z - direction)) / 2.0
     assert np.isclose(sampled.gradient(weights) @ direction, expected)
-
-
-def test_a_unit_of_a_free_variable_reaches_a_limit():
-    p = parametrization("fourier")
-    t = 8.0 * np.arange(200) / 200
-    for k in range(p.size):
-        z = np.zeros(p.size)
-        z[k] = 1.0
-        m = SampledBasis(p, t).motion(z)
-        j = k // p.directions_per_joint
-        used = [
-            np.abs(m.q[:, j] - p.pose[j]).max() / UNITS[j, 0],
-            np.abs(m.dq[:, j]).max() / UNITS[j, 1],
-            np.abs(m.ddq[:, j]).max() / UNITS[j, 2],
-        ]
-        assert np.isclose(max(used), 1.0, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -58,14 +58,6 @@ def test_an_earlier_export_is_replaced_only_by_force(fit, tmp_path):
     assert names(tmp_path) == {"arm"}
 
 
-def test_a_file_in_place_of_the_folder(fit, tmp_path):
-    (tmp_path / "arm").write_text("")
-    for folder, message in (("arm", "is a file"), ("arm/below", "is not a folder")):
-        with pytest.raises(OutputError, match=message):
-            export(fit, tmp_path / folder, force=True, to="c")
-    assert (tmp_path / "arm").read_text() == ""
-
-
 @pytest.mark.parametrize("prefix", ["", "2arm", "my-arm", "a b", "é", "arm;"])
 def test_prefix_must_be_a_name(fit, tmp_path, prefix):
     with pytest.raises(ExportError, match=r"expected letters, digits and _"):
@@ -101,18 +93,6 @@ def test_failure_leaves_the_folder_as_it_was(tmp_path):
         export(fit, tmp_path / "arm", force=True, to="c")
     assert names(tmp_path) == {"arm"}
     assert names(tmp_path / "arm") == {"old.c", MANIFEST}
-
-
-def test_interrupted_writing_leaves_nothing(tmp_path, monkeypatch):
-    from pathlib import Path
-
-    def full(self, data):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(OutputError, match="cannot be written: No space left"):
-        write_folder(tmp_path / "a", {"x": b"1"})
-    assert not names(tmp_path)
 
 
 def test_numbers_that_are_not_finite_are_refused(tmp_path):

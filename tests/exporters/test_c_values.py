@@ -191,19 +191,6 @@ def test_functions_and_their_sum_are_those_of_symbolic(arm, motion):
             close(mass[k], python.mass_matrix(q[k]).full())
 
 
-def test_smooth_sign_sharpens(arm, motion):
-    load = np.zeros((ROWS, arm.n))
-
-    def friction(width):
-        return arm.along(motion, {"friction": 1}, load=load, smooth_velocity=width)["friction"]
-
-    sharp, wide = friction(None), friction(np.full(arm.n, 0.5))
-    close(friction(np.full(arm.n, 1e-9)), sharp)
-    assert (friction(np.zeros(arm.n)) == sharp).all()
-    signed = any("sign" in p.effect.signals for p in arm.fit.model.placements)
-    assert (np.abs(wide - sharp).max() > 1e-3) == signed
-
-
 def test_smooth_coulomb_friction_by_hand(tmp_path):
     from exporters.c_arms import made_fit
 

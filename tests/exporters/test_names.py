@@ -10,8 +10,7 @@ from exporters.c_arms import made_fit
 import lieid_casadi as lieid
 from lieid_casadi.exporters.export import export
 from lieid_casadi.exporters.simulator_joints import simulator_joints
-from lieid_casadi.exporters.urdf import mjcf_snippet
-from lieid_casadi.exporters.urdf_bodies import written_urdf
+from lieid_casadi.exporters.urdf import mjcf_snippet, written_urdf
 from lieid_casadi.exporters.xml_text import comment
 
 NAMES = [

@@ -285,7 +285,7 @@ def test_load_friction_that_leaves_the_acceleration_undetermined_is_refused():
 def test_implicit_derivatives_take_fewer_instructions():
     """Fewer than the derivative of the solution: 28 % on the Panda, 52 % on the UR10e."""
     arm = symbolic(PANDA)
-    plain = arm._acceleration()
+    plain = arm.forward_dynamics
     inputs = [plain.sx_in(name) for name in plain.name_in()]
     slopes = [ca.jacobian(plain(*inputs), x) for x in inputs]
     solution = ca.Function("solution", inputs, slopes, {"cse": True})

@@ -81,8 +81,7 @@ class ExportedFunctions:
 def select(fit: Fit, requested: Sequence[str] | None) -> tuple[list[str], list[str]]:
     """Return the names of the functions to export, in the order of `NAMES`, and notes.
 
-    ``requested``: names of `NAMES`; None stands for all that the fit has.
-    Raises `ExportError`: a name is not one of `NAMES`, or the fit does not have that function.
+    None stands for all that the fit has; an `ExportError` names a function that it does not have.
     """
     wanted = list(NAMES) if requested is None else list(requested)
     unknown = [name for name in wanted if name not in NAMES]
@@ -116,11 +115,7 @@ def _no_forward_dynamics(fit: Fit) -> dict[str, str]:
 def exported_functions(
     fit: Fit, names: Sequence[str], form: ExportForm | None = None
 ) -> ExportedFunctions:
-    """Return the C of functions (of `select`), and of those that they call.
-
-    Raises `ExportError`: an effect uses an operation without a C form, or needs more than one
-    instant.
-    """
+    """Return the C of functions (of `select`), and of those that they call."""
     form = form or ExportForm()
     made = export_expressions(fit, form.runtime)
     numbers = {

@@ -77,12 +77,10 @@ class SelfTestNumbers:
 
 
 def self_test_data(fit: Fit, names: Collection[str], form: ExportForm) -> SelfTestData:
-    """Evaluate the model, with numbers as inputs, along a motion through the joints' ranges.
+    """Evaluate functions, with numbers as inputs, along a motion through the joints' ranges.
 
     Joints start at rest, so that sgn(0) = 0 occurs. The torque of forward dynamics is that of the
     motion.
-
-    ``names``: functions whose results are compared.
     """
     inputs = {name: form.precision.rounded(x) for name, x in _motion(fit).items()}
     width = form.precision.rounded(np.full(fit.model.n, SMOOTHING))
@@ -135,9 +133,9 @@ class _Evaluator:
     """Evaluation of the functions of a fit by CasADi, with the numbers as inputs."""
 
     def __init__(self, fit: Fit, tested: SelfTestNumbers) -> None:
-        self._fit, model = fit, fit.model
-        e = self._expressions = ExportExpressions(fit, Values.symbols(model))
-        self._before = before = SampleSymbols.before(model.n)
+        self._model, self._mean = fit.model, fit.temperature_mean
+        e = self._expressions = ExportExpressions(fit, Values.symbols(fit.model))
+        self._before = before = SampleSymbols.before(fit.model.n)
         self._numbers = [tested.links(fit), tested.effect_coefficients, tested.shapes]
         values = [e.values.parameters, e.values.effects, e.values.shapes]
         self._arguments = [
@@ -150,15 +148,16 @@ class _Evaluator:
 
     def effects(self, inputs: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
         """Return results (K, size) of functions of a sample, and the states."""
-        e, model, count = self._expressions, self._fit.model, len(inputs["q"])
-        results: dict[str, Array] = {}
-        if model.states:
-            states = np.tile(model.initial_states, (count, 1))
-            after = self._function(e.advance(self._before))
-            for k in range(1, count):
-                states[k] = self._at(after, inputs | {"states": states}, k, k - 1)
+        e, results = self._expressions, dict[str, Array]()
+        if self._model.states:
+            states = np.tile(self._model.initial_states, (len(inputs["q"]), 1))
+            after = e.advance(self._before)
+            for k in range(1, len(states)):
+                now, last = slice(k, k + 1), slice(k - 1, k)
+                here = {name: values[now] for name, values in inputs.items()}
+                past = {name: values[last] for name, values in inputs.items()}
+                states[k] = self._along(after, here | {"states": states[last]}, past)[0]
             results["states"] = states
-            inputs = inputs | {"states": states}
         for name in names:  # the torque before forward dynamics, in the order of the functions
             results[name] = self._along(getattr(e, name), inputs | results)
         return results
@@ -169,34 +168,28 @@ class _Evaluator:
         A rounding error of the torques, relative to each one's size, changes the acceleration by
         this times the relative error.
         """
-        n = self._fit.model.n
+        n = self._model.n
         mass = self._along(self._expressions.mass_matrix, inputs).reshape(-1, n, n)
         return np.asarray((np.abs(np.linalg.inv(mass)) @ np.abs(torque).max(axis=0)).max(axis=0))
 
-    def _along(self, matrix: ca.SX, inputs: dict[str, Array]) -> Array:
-        function = self._function(matrix)
-        return np.array([self._at(function, inputs, k, k) for k in range(len(inputs["q"]))])
+    def _along(
+        self, matrix: ca.SX, now: dict[str, Array], before: dict[str, Array] | None = None
+    ) -> Array:
+        """Return a matrix, row after row, at every sample (K, rows · columns)."""
+        function = ca.Function("f", self._arguments, [ca.densify(ca.vec(matrix.T))])
+        zero = np.zeros_like(now["q"])
+        further = [now["dq_r"], now["ddq_r"], now.get("torque", zero)]
+        further.append(now.get("states", np.zeros((len(zero), len(self._model.states)))))
+        given = [*self._sample(now), *further, *self._sample(before or now)]
+        return np.array(function(*(x.T for x in given), *self._numbers)).T
 
-    def _function(self, matrix: ca.SX) -> ca.Function:
-        return ca.Function("f", self._arguments, [ca.densify(matrix)])
-
-    def _at(self, function: ca.Function, inputs: dict[str, Array], now: int, before: int) -> Array:
-        """Return a matrix at sample ``now``, row after row."""
-        zero = np.zeros(self._fit.model.n)
-        states = inputs["states"][before] if "states" in inputs else []
-        further = [inputs["dq_r"][now], inputs["ddq_r"][now]]
-        further += [inputs["torque"][now] if "torque" in inputs else zero, states]
-        samples = [self._sample(inputs, now), self._sample(inputs, before)]
-        return np.array(function(*samples[0], *further, *samples[1], *self._numbers)).ravel()
-
-    def _sample(self, inputs: dict[str, Array], k: int) -> list[Array]:
-        """Return the values of `_of_sample` at a sample."""
-        mean = 0.0 if self._fit.temperature_mean is None else self._fit.temperature_mean
-        row = {name: values[k] for name, values in inputs.items()}
-        zero, q = np.zeros(len(row["q"])), row["q"]
+    def _sample(self, x: dict[str, Array]) -> list[Array]:
+        """Return the values of `_of_sample` at every sample."""
+        q, zero = x["q"], np.zeros_like(x["q"])
+        mean = 0.0 if self._mean is None else self._mean
         return [
-            q, np.sin(q), np.cos(q), row["dq"], row["ddq"], row.get("sign", zero),
-            row.get("load", zero), row["temperature"] - mean, row["time"],
+            q, np.sin(q), np.cos(q), x["dq"], x["ddq"], x.get("sign", zero), x.get("load", zero),
+            x["temperature"] - mean, x["time"],
         ]  # fmt: skip
 
 
@@ -206,10 +199,7 @@ def _of_sample(x: ExportExpressions | SampleSymbols) -> list[ca.SX]:
 
 
 def self_test_content(fit: Fit, names: Collection[str], form: ExportForm) -> dict[str, Any]:
-    """Return the variables of the template of the self-test.
-
-    ``names``: the exported functions.
-    """
+    """Return the variables of the template of the self-test of exported functions."""
     tested = SelfTestNumbers.of(fit, form)
     stored = self_test_data(fit, names, form)
     rigid = [name for name in RIGID_ARGUMENTS if name in names]

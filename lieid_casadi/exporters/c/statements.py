@@ -33,16 +33,9 @@ _RUNTIME_OF_TWO = ("FMIN", "FMAX", "COPYSIGN", "ATAN2", "HYPOT")
 
 @dataclass(frozen=True)
 class Precision:
-    """A floating-point type of C.
+    """A floating-point type of C, with the suffix of its literals and functions.
 
-    Attributes
-    ----------
-    real : str
-        The type, ``double`` or ``float``.
-    suffix : str
-        Of literals and of functions of the mathematical library.
-    tolerance : float
-        Error that the self-test accepts, relative to the size of each result.
+    ``tolerance`` is the error that the self-test accepts, relative to the size of each result.
     """
 
     real: str
@@ -50,11 +43,9 @@ class Precision:
     tolerance: float
 
     def number(self, value: float) -> str:
-        """Return a number as C reads it back, bit by bit.
+        """Return a finite number as C reads it back, bit by bit.
 
         Numbers beyond the range of the type, such as thresholds, become its largest or least.
-
-        Raises `ExportError`: it is infinite or NaN.
         """
         if not math.isfinite(value):
             raise ExportError(f"the fit has a number that is {value}; expected finite ones")
@@ -143,13 +134,11 @@ def body(
     arguments: Sequence[str] = (),
     precision: Precision = DOUBLE,
 ) -> FunctionBody:
-    """Return the C statements that evaluate a matrix.
+    """Return the C statements that evaluate a matrix and write it, zeros too, to an array.
 
-    ``inputs``: local name → symbols; ``to``: the array (rows · columns) that takes the result;
-    structural zeros are written too; ``arguments``: names of the C function's arguments; those that
-    the inputs do not need are marked as unused; ``precision``: of all values.
-    Raises `ExportError`: the expression has an operation without a C form, or a number that is not
-    finite.
+    ``inputs`` are the symbols by local name; ``arguments`` the names of the C function's
+    arguments, of which those that the inputs do not need are marked as unused. An `ExportError`
+    names an operation without a C form.
     """
     names = list(inputs)
     symbols = [given.symbol for given in inputs.values()]

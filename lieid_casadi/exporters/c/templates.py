@@ -100,10 +100,7 @@ def _environment() -> Environment:
 def template_variables(
     fit: Fit, prefix: str, made: ExportedFunctions, form: ExportForm
 ) -> dict[str, Any]:
-    """Return the variables that all templates share.
-
-    ``prefix``: of files and functions.
-    """
+    """Return the variables that all templates share; ``prefix`` is that of files and functions."""
     return {
         **_of_form(prefix, form),
         **_of_fit(fit, form.precision),
