@@ -15,13 +15,14 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from lieid_casadi import premises
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.comparison.comparison import verdict_sentences
 from lieid_casadi.compiled import compile
 from lieid_casadi.diagnosis import Proposal, change_torque, diagnose
-from lieid_casadi.errors import LieidWarning, RecordingError, UsageError
+from lieid_casadi.errors import LieidWarning, ModelError, RecordingError, UsageError
 from lieid_casadi.exporters.export import export
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.default_effects import default_effects
@@ -33,6 +34,7 @@ from lieid_casadi.identification.regression.design_matrix import FilteredColumns
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
+from lieid_casadi.premises import PremiseCheck
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.report import comparison_report, fit_report
 from lieid_casadi.simulation import window_drift
@@ -91,6 +93,19 @@ class Computation:
         """Return facts about the robot and the recordings."""
         file = self.inputs.fit or self.inputs.robot
         return opened_inputs(self._first_model(), self.recordings, file=file)
+
+    def premises(self, *, report: Progress) -> PremiseCheck | str:
+        """Return whether robot and recordings belong together, or why this cannot be tested."""
+        if any(r.tau is None or r.command is not None for r in self.recordings):
+            return "the torques of a drive law are assumptions themselves"
+        use = {"train": [], "test": []}  # type: dict[str, list[Recording]]
+        for given, recording in zip(self.inputs.recordings, self.recordings, strict=True):
+            use["train" if self.inputs.mode == "changed" else given.role].append(recording)
+        source = self._kept_fit or self.robot
+        try:
+            return premises.check(source, use["train"], test=use["test"], progress=report)
+        except (ModelError, RecordingError) as error:
+            return " ".join(str(error).split())
 
     def evaluate(
         self,

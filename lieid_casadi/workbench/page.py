@@ -23,6 +23,7 @@ from lieid_casadi.workbench.elements import (
 from lieid_casadi.workbench.joints import HistoryView, JointsView, Overview
 from lieid_casadi.workbench.open_panel import OpenPanel
 from lieid_casadi.workbench.plots import CorrelationPlot, ResidualPlot, TorquePlot, WaterfallView
+from lieid_casadi.workbench.premises import PremisesView
 from lieid_casadi.workbench.workbench import Workbench
 
 EXPORTS = {
@@ -45,7 +46,7 @@ def build_page(workbench: Workbench, token: str) -> Callable[[], None]:
     toolbar = Toolbar(workbench, lambda: panel.toggle())
     panel = OpenPanel(workbench)
     error = named(ui.label(""), "error").classes("error-line")
-    views: list[View] = [toolbar, panel, FindingsView(workbench)]
+    views: list[View] = [toolbar, panel, PremisesView(workbench), FindingsView(workbench)]
     with ui.element("div").classes("columns"):
         with ui.column().classes("side"):
             views += [JointsView(workbench), HistoryView(workbench)]

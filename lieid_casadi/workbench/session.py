@@ -73,6 +73,28 @@ class WorkbenchInputs:
         """The options as words of a command line."""
         return [word for name, values in self.options for word in (f"--{name}", *values)]
 
+    def with_options(self, words: Sequence[str]) -> WorkbenchInputs:
+        """Return the inputs with further options, as on a command line, in place of the same ones.
+
+        Units are added to those that are stated.
+        """
+        given = dict(self.options)
+        name = ""
+        for word in words:
+            if word.startswith("--"):
+                name = word.removeprefix("--")
+                units = given.get(name, ()) if name == "units" else ()
+                given[name] = ()
+            elif name == "units" and units:
+                given[name] = (",".join([*units, word]),)
+            else:
+                given[name] = (*given[name], word)
+        return replace(self, options=tuple(given.items()))
+
+    def without_option(self, name: str) -> WorkbenchInputs:
+        """Return the inputs without an option."""
+        return replace(self, options=tuple(o for o in self.options if o[0] != name))
+
     def paths(self, role: Role) -> list[str]:
         """Return the paths of the recordings with this role."""
         return [r.path for r in self.recordings if r.role == role]

@@ -10,6 +10,7 @@ from typing import Any
 
 from lieid_casadi.diagnosis import Proposal
 from lieid_casadi.errors import LieidError
+from lieid_casadi.premises import PremiseCheck
 from lieid_casadi.workbench.arm import ArmMotion
 from lieid_casadi.workbench.evaluation import EffectCurve, Evaluation, OpenedInputs, SimulationError
 from lieid_casadi.workbench.session import (
@@ -67,6 +68,7 @@ class Workbench:
         self.playing: Numbers | None = None  # errors on the way to those of a model
         self.view = PlotView()
         self.motion: ArmMotion | None = None
+        self.premises: PremiseCheck | str | None = None  # or why they cannot be tested
         self._results: dict[tuple[str, object], Any] = {}
         self._front = worker or Worker(setup)
         self._back = Worker(setup)
@@ -180,12 +182,17 @@ class Workbench:
             return False
         self.opened, self.motion, self.view, self._results = opened, None, PlotView(), {}
         self.session = saved or self.session.opened(inputs, opened.effects)
+        self.premises = None
+        self.background(self._check())
         await self._evaluate()
         if saved is None:
             self.show(self.session.at_worst_joint())
-        self._back.start()  # before it is needed
         await self._load_motion()
         return True
+
+    async def correct(self, words: Sequence[str]) -> None:
+        """Open the same with the options that correct a premise."""
+        await self.open(self.session.inputs.with_options(words))
 
     async def apply(self, session: Session) -> None:
         """Show a session with another step, and fit it."""
@@ -297,6 +304,19 @@ class Workbench:
         setattr(self, name, None)
         self.changed()
         return made
+
+    async def _check(self) -> None:
+        """Test the premises, while the first model is fitted."""
+        inputs, made = self.session.inputs, "stopped"
+        with contextlib.suppress(WorkerStopped):
+            try:
+                made = await self._back.request("premises", inputs)
+            except WorkerError as error:
+                made = str(error)
+        if self.session.inputs is inputs:
+            self.premises = made
+            self.changed()
+            await self._simulate()
 
     def _arrived(self, proposal: Proposal) -> None:
         self.arriving.append(proposal)

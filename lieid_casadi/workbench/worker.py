@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from lieid_casadi.recording import Recording
     from lieid_casadi.robot import Robot
 
-Task = Literal["opened", "evaluate", "find", "adopt", "motion", "curves", "simulate", "save"]
+Task = Literal[
+    "opened", "premises", "evaluate", "find", "adopt", "motion", "curves", "simulate", "save"
+]  # fmt: skip
 Progress = Callable[[str, float], None]
 
 
@@ -240,7 +242,7 @@ def _answer(state: Any, request: _Request, pipe: Connection) -> Any:
         pipe.send(_Reply(request.number, kind, content))
 
     arguments = dict(request.arguments)
-    if request.task in ("evaluate", "find", "curves", "simulate", "save"):
+    if request.task not in ("opened", "adopt", "motion"):
         arguments["report"] = lambda stage, fraction: send("progress", (stage, fraction))
     if request.task == "find":
         arguments["found"] = lambda proposal: send("found", proposal)
