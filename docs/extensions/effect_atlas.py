@@ -11,6 +11,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.comparison import plot_style
 from lieid_casadi.effects import LIBRARY
+from lieid_casadi.effects.description import formula_html
 from lieid_casadi.effects.registry import make
 
 ROBOT, RATE, DURATION = "panda", 100.0, 20.0
@@ -181,7 +182,7 @@ def page(kind, joint, trial):
     ]
     for each in registered(kind):
         meaning = kind.options.get(each.option, "none")
-        lines.append(f"| `{each.label}` | {cell(each.formula)} | {cell(meaning)} |")
+        lines.append(f"| `{each.label}` | {rendered(each.formula)} | {cell(meaning)} |")
     lines += ["", *parameters(kind), *facts(kind()), *trial_section(kind, joint, trial)]
     lines += ["## Use", "", *use(kind()), ""]
     return "\n".join(lines)
@@ -201,6 +202,11 @@ def docstring(kind):
     text = inspect.cleandoc(kind.__doc__ or "").split("\nOptions\n-----")[0]
     lines = text.split("\nNotes\n-----")[0].replace("``", "`").splitlines()
     return [line if line.startswith("    ") else re.sub(r"([*|])", r"\\\1", line) for line in lines]
+
+
+def rendered(formula):
+    """Return a formula with subscripts and exponents for a cell of a Markdown table."""
+    return formula_html(formula).replace("|", "&#124;")
 
 
 def cell(text):
@@ -331,7 +337,11 @@ def index():
     ]  # fmt: skip
     for kind in LIBRARY:
         effect = kind()
-        cells = (f"[{effect.name}]({kind.name}.md)", cell(effect.formula), cell(docstring(kind)[0]))
+        cells = (
+            f"[{effect.name}]({kind.name}.md)",
+            rendered(effect.formula),
+            cell(docstring(kind)[0]),
+        )
         lines.append("| " + " | ".join(cells) + " |")
     names = "\n".join(kind.name for kind in LIBRARY)
     return "\n".join([*lines, "", "```{toctree}", ":hidden:", "", names, "```", ""])

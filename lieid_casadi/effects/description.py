@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from html import escape
+
 from lieid_casadi.effects.effect import Effect
+
+#: A symbol of one letter with its accents; names of functions and subscripts stay upright.
+_LETTER = re.compile("(?<![\\w&])([^\\W\\d_²³ᵀ][\u0300-\u036f]*)(?![\u0300-\u036f]|[^\\W_²³ᵀ])")
 
 
 def describe(effect: Effect) -> list[tuple[str, str]]:
@@ -27,6 +33,20 @@ def describe(effect: Effect) -> list[tuple[str, str]]:
     facts.append(("typical size", effect.typical))
     facts += [("reference", text) for text in effect.references]
     return [(name, text) for name, text in facts if text]
+
+
+def formula_html(formula: str) -> str:
+    """Return a formula as HTML, with subscripts and exponents; all other text is escaped.
+
+    Examples
+    --------
+    >>> formula_html("f_s·e^{−(q̇/v_s)²}")
+    '<i>f</i><sub>s</sub>·<i>e</i><sup>−(<i>q̇</i>/<i>v</i><sub>s</sub>)²</sup>'
+    """
+    text = _LETTER.sub(r"<i>\1</i>", escape(formula))
+    text = re.sub(r"_([^\W_²³]+)", r"<sub>\1</sub>", text)
+    text = re.sub(r"\^(<i>[^<]*</i>(?:<sub>[^<]*</sub>)?)", r"<sup>\1</sup>", text)
+    return re.sub(r"\^\{([^{}]*)\}", r"<sup>\1</sup>", text)
 
 
 def _quantity(name: str, unit: str, meaning: str, lower: float, upper: float) -> str:

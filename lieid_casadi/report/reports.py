@@ -9,12 +9,13 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.comparison.comparison import digits, error_table, largest_errors_table, verdict
 from lieid_casadi.diagnosis.result import evidence_table, rejected_table, unexplained_table
 from lieid_casadi.effects import make
-from lieid_casadi.effects.description import describe
+from lieid_casadi.effects.description import describe, formula_html
 from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification import Fit
@@ -265,10 +266,18 @@ def _meaning(row: dict[str, Any]) -> str:
 def _descriptions(labels: Iterable[str]) -> Section:
     """Return the descriptions of effects: formula, coefficients, rivals, and what reveals them."""
     effects = [
-        {"label": label, "anchor": anchor, "facts": describe(make(label))}
+        {
+            "label": label,
+            "anchor": anchor,
+            "facts": [_fact(*fact) for fact in describe(make(label))],
+        }
         for label, anchor in anchors(dict.fromkeys(labels)).items()
     ]
     return Section("Effects in this report", "effects.html", {"effects": effects}, folded=True)
+
+
+def _fact(name: str, text: str) -> tuple[str, str]:
+    return name, Markup(formula_html(text)) if name == "formula" else text
 
 
 def _payload(payload: PayloadEstimate) -> Section:

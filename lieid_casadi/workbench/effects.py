@@ -6,6 +6,8 @@ from markupsafe import Markup
 from nicegui import ui
 
 from lieid_casadi.comparison.plot_style import BACKWARD, FORWARD
+from lieid_casadi.effects import Effect
+from lieid_casadi.effects.description import describe, formula_html
 from lieid_casadi.effects.registry import REGISTER, make
 from lieid_casadi.workbench.elements import (
     Parts,
@@ -115,6 +117,7 @@ class _EffectMenu:
             shown += [
                 part(
                     "menu-row", part("strong", name), cut_part("muted small grow ellipsis", line),
+                    part("formula", Markup(formula_html(make(name).formula))),
                     id=f"library-{name}", action=name,
                 )
                 for name, line in rows
@@ -145,18 +148,29 @@ def _card(row: EffectRow, curve: EffectCurve | None, unit: str, *, removable: bo
     """Return an effect with its values, and its torque once it is computed."""
     shown = [
         part("card-head", part("strong grow", row.label), _remove(row.label) if removable else ""),
-        part("formula", row.formula),
+        part("formula", Markup(formula_html(row.formula))),
+        cut_part("muted small ellipsis", _one_line(row.effect)),
         *(part("value", value) for value in row.values[:MOST_VALUES]),
     ]
     if len(row.values) > MOST_VALUES:
         more = f"and {len(row.values) - MOST_VALUES} more"
         shown.append(part("value muted", more, tip="; ".join(row.values)))
-    rivals = ", ".join(make(row.effect).confused_with)
-    if rivals:
-        shown.append(cut_part("muted small ellipsis", f"can be confused with {rivals}"))
     if curve is not None:
         shown.append(_curve_svg(curve, unit))
+    shown.append(_facts(make(row.effect)))
     return part("card", *shown, id=f"effect-{place(row.label)}")
+
+
+def _facts(effect: Effect) -> Markup:
+    """Return what reveals an effect, and what it can be confused with, behind a click."""
+    rivals = ", ".join(effect.confused_with)
+    title = f"can be confused with {rivals}" if rivals else "description"
+    facts = (f for f in describe(effect) if f[0] not in ("formula", "signals"))
+    rows = Markup().join(Markup("<dt>{}</dt><dd>{}</dd>").format(*fact) for fact in facts)
+    summary = part("ellipsis", title, tip=f"{title}; lieid effects {effect.name} prints this")
+    return Markup('<details class="facts small"><summary>{}</summary><dl>{}</dl></details>').format(
+        summary, rows
+    )
 
 
 def _chip(row: EffectRow, *, removable: bool) -> Markup:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ctypes
 import itertools
 import logging
 import multiprocessing
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 Task = Literal[
     "opened", "premises", "evaluate", "find", "adopt", "motion", "curves", "simulate", "save"
 ]  # fmt: skip
+PR_SET_PDEATHSIG = 1  # of Linux's prctl: the signal that a process gets when its parent ends
 Progress = Callable[[str, float], None]
 
 
@@ -206,6 +208,10 @@ def _run(pipe: Connection, setup: WorkerSetup) -> None:
     warnings.simplefilter("ignore")  # those of results are on the page
     logging.getLogger("lieid_casadi").addHandler(logging.NullHandler())
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # stdout has the URL and nothing else
+    with contextlib.suppress(
+        OSError, AttributeError
+    ):  # Linux: even while it computes without Python
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     failure, state = _prepared(setup), None
     with contextlib.suppress(EOFError, OSError):  # the page has gone

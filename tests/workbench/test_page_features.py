@@ -45,7 +45,7 @@ def test_the_demo_names_the_hidden_effect(start, browse):
     page.picture("demo_proposal")
     page.click("candidate-load_friction-2")  # the second
     page.wait(lambda: page.number("error-2") < 0.2, "an error below 0.2 N·m")
-    page.wait(lambda: "τ_load" in page.text("effect-load_friction-2"), "the formula")
+    page.wait(lambda: "τload" in page.text("effect-load_friction-2"), "the formula")
     page.wait(lambda: "±" in page.text("effect-load_friction-2"), "the standard deviation")
     complete = '[data-testid="verdict"][data-complete="true"]'
     page.wait(lambda: page.driver.find_elements("css selector", complete), "the noise floor")
