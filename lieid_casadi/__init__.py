@@ -99,8 +99,8 @@ _HOME = {
         "friction_curves": "FrictionFit StagedFit friction identify_in_stages",
         "gains": "DriveGains drive_gains",
         "identification": "Fit identify",
-        "identification.prediction": "predict",
-        "identification.uncertainty.bootstrap": "Bootstrap bootstrap",
+        "identification.fit": "predict",
+        "identification.bootstrap": "Bootstrap bootstrap",
         "model": "Model",
         "payload": "PayloadEstimate identify_payload",
         "premises": "PremiseCheck check",
@@ -149,10 +149,9 @@ if TYPE_CHECKING:
     from lieid_casadi.friction_curves.friction_fit import FrictionFit, friction
     from lieid_casadi.friction_curves.stages import StagedFit, identify_in_stages
     from lieid_casadi.gains.identify import DriveGains, drive_gains
-    from lieid_casadi.identification.fit import Fit
+    from lieid_casadi.identification.bootstrap import Bootstrap, bootstrap
+    from lieid_casadi.identification.fit import Fit, predict
     from lieid_casadi.identification.identify import identify
-    from lieid_casadi.identification.prediction import predict
-    from lieid_casadi.identification.uncertainty.bootstrap import Bootstrap, bootstrap
     from lieid_casadi.model import Model
     from lieid_casadi.payload.estimate import PayloadEstimate
     from lieid_casadi.payload.identify import identify_payload

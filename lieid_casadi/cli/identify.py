@@ -173,7 +173,7 @@ def content(fit: Fit, comparison: Comparison | None) -> dict[str, Any]:
 
 def shown(fit: Fit, comparison: Comparison | None) -> Iterator[str | Table | LieidWarning]:
     """Yield errors per joint, parameters and warnings."""
-    from lieid_casadi.identification.fit_view import parameter_table
+    from lieid_casadi.identification.fit import parameter_table
 
     columns, values = ["joint"], list[tuple[float, ...]]()
     if comparison is None:

@@ -170,7 +170,7 @@ class Outcome:
 
     def _contents(self, args: argparse.Namespace) -> Iterator[tuple[str, bytes]]:
         """Yield path and content of the files that the options name."""
-        from lieid_casadi.identification.fit_file import content_of
+        from lieid_casadi.identification.fit import content_of
 
         fit, json, html, plot = self.fit, self.json, self.html, self.plot
         contents = dict(self.files)

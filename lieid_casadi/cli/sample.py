@@ -13,13 +13,12 @@ def run(args: argparse.Namespace) -> output.Outcome:
     """Draw samples and write them."""
     from lieid_casadi.exporters.samples import export_samples
     from lieid_casadi.identification import Fit
-    from lieid_casadi.identification.uncertainty.posterior_samples import sample_fits
 
     if args.n < 1:
         raise UsageError(f"-n {args.n}: expected at least 1")
     fit = Fit.load(args.fit)
     with output.progress("sample") as report:
-        samples = sample_fits(fit, args.n, seed=args.seed, progress=report)
+        samples = fit.sample(args.n, seed=args.seed, progress=report)
     made = export_samples(samples, args.output, to=args.to, force=args.force)
     return output.Outcome(
         [

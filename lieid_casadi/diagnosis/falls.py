@@ -24,8 +24,7 @@ from lieid_casadi.identification.regression.cross_validation import (
     fold_factors,
 )
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.regression.least_squares import Factor
-from lieid_casadi.identification.regression.rows import Rows
+from lieid_casadi.identification.regression.least_squares import Factor, Rows
 from lieid_casadi.recording import Processed
 
 Indices = NDArray[np.intp]

@@ -16,7 +16,7 @@ from lieid_casadi.diagnosis.effect_columns import SegmentSignals
 from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.design_matrix import Design, FilteredColumns
-from lieid_casadi.identification.regression.design_matrix import Rows as DesignRows
+from lieid_casadi.identification.regression.least_squares import Rows as DesignRows
 from lieid_casadi.identification.regression.shape_fit import shape_columns
 from lieid_casadi.identification.uncertainty.noise_model import (
     Runs,

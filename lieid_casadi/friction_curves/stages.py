@@ -28,7 +28,7 @@ from lieid_casadi.friction_curves.curve import LoadSource, friction_curve
 from lieid_casadi.friction_curves.friction_fit import FrictionFit, fit_friction, steady_columns
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.identify import Method, identify
-from lieid_casadi.identification.prediction import relative_temperature, torque_along
+from lieid_casadi.identification.prediction import center_temperature, training_rms
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Processing, Recording, process
@@ -225,13 +225,9 @@ def _refitted(fit: Fit, dry: set[str], excitation: Sequence[Recording], method: 
 
 
 def _with_training_errors(fit: Fit, excitation: Sequence[Recording]) -> Fit:
-    filtered, raw = [], []
-    for segment in process(excitation, fit.processing):
-        centred = relative_temperature(segment, fit.temperature_mean)
-        assert centred.tau is not None  # the first stage was identified from it
-        raw.append(centred.tau - torque_along(fit.compiled, centred, fit.parameters, fit.shapes))
-        filtered.append(segment.filter(raw[-1]))
-    return replace(fit, rms_train=_rms(filtered), rms_train_raw=_rms(raw))
+    segments, _ = center_temperature(process(excitation, fit.processing), fit.temperature_mean)
+    rms, raw = training_rms(fit.compiled, segments, fit.parameters, fit.shapes)
+    return replace(fit, rms_train=rms, rms_train_raw=raw)
 
 
 def _temperature_mean(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> Array | None:
@@ -252,10 +248,6 @@ def _warnings(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> tuple[Li
     for own in friction.values():
         found += [*own.curve.warnings, *own.warnings]
     return unique_warnings(found)
-
-
-def _rms(errors: Sequence[Array]) -> Array:
-    return np.asarray(np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,13 +21,13 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.errors import IdentificationError
 from lieid_casadi.identification.regression.design_matrix import (
     Design,
-    JointRows,
-    Rows,
     varying_columns,
 )
 from lieid_casadi.identification.regression.fixed_point import nominal_parameters
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
+    JointRows,
+    Rows,
     combine,
     joint_factors,
     solve,

@@ -18,17 +18,10 @@ ENOUGH_ROWS = 1000  # that show where the torque of a recording comes from
 
 @dataclass(frozen=True)
 class DefaultEffects:
-    """Effects of a model whose user names none.
-
-    Attributes
-    ----------
-    names : tuple of str
-    reason : str
-        Why rotor inertia is among them; empty if it is not.
-    """
+    """Effects of a model whose user names none."""
 
     names: tuple[str, ...]
-    reason: str = ""
+    reason: str = ""  # why rotor inertia is among them; empty if it is not
 
 
 def default_effects(

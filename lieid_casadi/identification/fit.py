@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.stats import norm
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.errors import LieidWarning, warning_list
+from lieid_casadi.dynamics.lie import Motion
+from lieid_casadi.effects import ArmEffect
+from lieid_casadi.errors import IdentificationError, LieidWarning, ModelError, warning_list
+from lieid_casadi.expressions.torque import ArmInstant, arm_effect_columns
 from lieid_casadi.identification.feasible.certificate import Certificate
+from lieid_casadi.identification.fit_file import file_content, read_fields
 from lieid_casadi.identification.prediction import (
+    on_recording_times,
     predict_recording,
     relative_temperature,
-    sample_torque,
     torque_along,
+    torque_slopes,
 )
 from lieid_casadi.identification.recording_checks import Provenance, check_joints
 from lieid_casadi.identification.regression.least_squares import Conditioning
@@ -28,14 +37,24 @@ from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording.processed import Processed, Processing
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.robot.inertia import pseudo_inertia
+from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from lieid_casadi.identification.uncertainty.prediction_band import PredictionBand
-
 NORMAL_95 = 1.96  # standard deviations of a normal distribution within 95 %
+
+
+@dataclass(frozen=True, eq=False)
+class PredictionBand:
+    """Torque with its uncertainty, (N, n) each, N·m."""
+
+    torque: Array  # as `Fit.predict` returns it
+    lower: Array  # with `upper`, contains a measured sample with probability ``level`` …
+    upper: Array  # … if the model is correct
+    parameter_std: Array  # standard deviation due to that of the parameters alone
+    level: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,18 +207,77 @@ class Fit:
             A signal that an effect needs is not given, or an effect depends on the motion before
             the instant (a delay, an elastic joint).
         """
-        return sample_torque(self, q, dq, ddq, temperature=temperature, time=time)
+        q, dq, ddq = (np.atleast_2d(np.asarray(x, dtype=float)) for x in (q, dq, ddq))
+        for name, given in (("temperature", temperature), ("time", time)):
+            needing = [p.label for p in self.model.placements if name in p.effect.signals]
+            if needing and given is None:
+                raise ModelError(f"{', '.join(needing)}: expected {name}= beside the motion")
+        if temperature is not None and self.temperature_mean is not None:
+            temperature = np.asarray(temperature, dtype=float) - self.temperature_mean
+        load = self.compiled.inverse_dynamics(q, dq, ddq, self.link_parameters)
+        torque = load + self.compiled.effect_torque(
+            q,
+            dq,
+            ddq,
+            self.effect_coefficients,
+            load=load,
+            temperature=temperature,
+            time=time,
+            shapes=self.shapes,
+            joint_effects_only=True,
+        )
+        if not any(isinstance(p.effect, ArmEffect) for p in self.model.placements):
+            return np.asarray(torque)
+        change = self._arm_effect_torque(*(x.T for x in (q, dq, ddq, load, torque)))
+        return np.asarray(torque + change.full().T)
+
+    @cached_property
+    def _arm_effect_torque(self) -> ca.Function:
+        """``(q, dq, ddq, load, torque) -> change`` of effects not on single joints."""
+        symbols = [ca.SX.sym(x, self.model.n) for x in ("q", "dq", "ddq", "load", "torque")]
+        links, coefficients = (
+            ca.SX(ca.DM(x)) for x in (self.link_parameters, self.effect_coefficients)
+        )
+        motion = Motion.of(*symbols[:3])
+        arm = ArmInstant(self.model.robot, motion, links, symbols[3], symbols[4])
+        columns = [
+            arm_effect_columns(self.model, arm, coefficients, measurement=measurement)
+            for measurement in (False, True)
+        ]
+        change = ca.densify(ca.mtimes(columns[0] + columns[1], coefficients))
+        return ca.Function("arm_effect_torque", symbols, [change], {"cse": True})
 
     def predict_band(self, recording: Recording, *, level: float = 0.95) -> PredictionBand:
         """Return the torque with bounds that contain a measured sample with probability ``level``.
 
-        See `lieid_casadi.identification.uncertainty.prediction_band.predict_band`.
+        The bounds include the uncertainty of base and shape parameters (to first order) and noise
+        of the size of the unfiltered training error.
+
+        Raises
+        ------
+        ModelError
+            A recording with another number of joints, or a level outside 0 to 1.
         """
-        from lieid_casadi.identification.uncertainty.prediction_band import predict_band
+        if not 0.0 < level < 1.0:
+            raise ModelError(f"level is {level}, expected a probability between 0 and 1")
+        self.check_joints(recording)
 
-        return predict_band(self, recording, level=level)
+        def torque_and_variance(segment: Processed) -> Array:
+            torque, slopes = torque_slopes(self.compiled, segment, self.parameters, self.shapes)
+            variance = np.einsum("knp,pq,knq->kn", slopes, self.covariance, slopes, optimize=True)
+            return np.hstack([torque, variance])
 
-    def sample(self, n: int, *, seed: int = 0) -> tuple[Fit, ...]:
+        both = on_recording_times(
+            recording, self.processing, self.temperature_mean, torque_and_variance, 2 * self.model.n
+        )
+        torque, variance = np.hsplit(both, 2)
+        variance = np.maximum(variance, 0.0)  # rounding
+        half = norm.ppf(0.5 + 0.5 * level) * np.sqrt(variance + self.rms_train_raw**2)
+        return PredictionBand(torque, torque - half, torque + half, np.sqrt(variance), level)
+
+    def sample(
+        self, n: int, *, seed: int = 0, progress: Callable[[str, float], None] | None = None
+    ) -> tuple[Fit, ...]:
         """Return physically consistent fits drawn from the posterior of this one.
 
         For ensembles and domain randomisation: masses and inertias are positive definite, friction
@@ -212,6 +290,8 @@ class Fit:
             How many.
         seed : int
             Of the random numbers.
+        progress : callable, optional
+            Called with a stage's name and the fraction done.
 
         Raises
         ------
@@ -220,9 +300,32 @@ class Fit:
         NoSolution
             The solver finds no consistent parameters near the draws.
         """
-        from lieid_casadi.identification.uncertainty.posterior_samples import sample_fits
+        from lieid_casadi.identification.uncertainty.posterior import Posterior
 
-        return sample_fits(self, n, seed=seed)
+        if n < 1:
+            raise IdentificationError(f"got {n} samples; expected at least 1")
+        if not self.physically_consistent:
+            raise IdentificationError(
+                f"masses and inertias of a fit of method {self.method} are not physically "
+                "consistent; samples need a fit of method feasible: lieid identify … --method "
+                "feasible"
+            )
+        posterior = Posterior(
+            self.compiled, self.values, self.shapes, self.covariance, self.parameters
+        )
+        found = []
+        for k, (parameters, shapes) in enumerate(posterior.draws(n, seed=seed)):
+            sample = replace(
+                self,
+                values=self.model.base.combination @ parameters,
+                shapes=shapes,
+                parameters=parameters,
+                certificate=posterior.certificate(parameters, self.certificate),
+            )
+            found.append(sample)
+            if progress is not None:
+                progress("sample", (k + 1) / n)
+        return tuple(found)
 
     def predict_processed(self, segment: Processed) -> Array:
         """Return the filtered torque (M, n) of a segment as `process` returns it."""
@@ -242,9 +345,8 @@ class Fit:
         OutputError
             The file cannot be written.
         """
-        from lieid_casadi.identification.fit_file import save
-
-        save(self, path)
+        with atomic_binary(path) as file:
+            file.write(content_of(self))
 
     @classmethod
     def load(cls, path: str | Path) -> Fit:
@@ -257,8 +359,6 @@ class Fit:
         EffectError
             It names an effect that is not registered.
         """
-        from lieid_casadi.identification.fit_file import read_fields
-
         return cls(**read_fields(path))
 
     def parameter_table(self) -> list[dict[str, Any]]:
@@ -298,14 +398,13 @@ class Fit:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw each parameter relative to its standard deviation; the figure is not shown."""
-        from lieid_casadi.identification.fit_view import plot_parameters
-
-        return plot_parameters(self, ax)
+        numbers = np.concatenate([self.values, self.shapes])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            sizes = np.nan_to_num(np.abs(numbers) / self.std, nan=0.0, posinf=0.0)
+        return plot_sizes([p.label for p in self.fitted], sizes, ax)
 
     def _repr_html_(self) -> str:
-        from lieid_casadi.identification.fit_view import html_view
-
-        return html_view(self)
+        return html(parameter_table(self))
 
     def __repr__(self) -> str:
         return (
@@ -336,3 +435,55 @@ class Fit:
             "certificate": None if self.certificate is None else self.certificate.to_dict(),
             "parameters": self.parameter_table(),
         }
+
+
+def predict(fit: Fit, recording: Recording) -> Array:
+    """Return the torque (N, n) of a fit at the recording's own times, N·m; see `Fit.predict`."""
+    return fit.predict(recording)
+
+
+def content_of(fit: Fit) -> bytes:
+    """Return the content of the file that `Fit.save` writes."""
+    own = {field.name: getattr(fit, field.name) for field in fields(fit)}
+    return file_content(own, names=[p.label for p in fit.fitted], std=fit.std)
+
+
+def parameter_table(fit: Fit) -> Table:
+    """Return the fitted parameters with their standard deviations."""
+    rows = [
+        (
+            row["expression"],
+            row["value"],
+            row["std"],
+            100.0 * row["std"] / abs(row["value"]) if row["value"] and row["std"] else None,
+            row["unit"],
+        )
+        for row in fit.parameter_table()
+    ]
+    shapes = f" and {len(fit.shapes)} shape parameters" if len(fit.shapes) else ""
+    title = (
+        f"{fit.model.robot.name}: {fit.model.base.count} base parameters{shapes}, method "
+        f"{fit.method}, effects {', '.join(fit.model.effects) or 'none'}"
+    )
+    return make_table(title, ("parameter", "value", "std", "std %", "unit"), rows)
+
+
+def plot_sizes(labels: Sequence[str], sizes: Array, ax: Axes | None = None) -> Figure:
+    """Draw the |value| of parameters in standard deviations, largest first; return the figure."""
+    from matplotlib.figure import Figure
+
+    order = np.argsort(-sizes)
+    if ax is None:
+        figure = Figure(figsize=(7.0, 0.18 * len(order) + 1.2), layout="constrained")
+        ax = figure.subplots()
+    places = np.arange(len(order))
+    ax.barh(places, sizes[order], color="tab:blue")
+    ax.axvline(3.0, color="0.4", linewidth=1.0, linestyle="--")
+    # names of a user's effects are not mathematical expressions
+    ax.set_yticks(places, [labels[k].replace("$", r"\$") for k in order], fontsize=6)
+    ax.set_xscale("symlog", linthresh=1.0)
+    ax.invert_yaxis()
+    ax.set_xlabel("|value| / standard deviation (dashed: 3)")
+    drawn = ax.get_figure(root=True)
+    assert drawn is not None
+    return drawn

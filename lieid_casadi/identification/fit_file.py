@@ -10,10 +10,10 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -21,7 +21,7 @@ from msgspec import Meta, Struct
 
 import lieid_casadi.errors as errors
 from lieid_casadi.arrays import Array
-from lieid_casadi.atomic_file import atomic_binary, require_regular
+from lieid_casadi.atomic_file import require_regular
 from lieid_casadi.errors import (
     EffectError,
     FitFileError,
@@ -33,7 +33,7 @@ from lieid_casadi.identification.feasible.certificate import Certificate
 from lieid_casadi.identification.recording_checks import Provenance, Source
 from lieid_casadi.identification.regression.least_squares import Conditioning
 from lieid_casadi.identification.uncertainty.noise_model import Noise
-from lieid_casadi.json_numbers import numbers_or_none
+from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.messages import reason_of
 from lieid_casadi.model import Model
 from lieid_casadi.recording.processed import Processing
@@ -42,56 +42,41 @@ from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.robot import Robot
 from lieid_casadi.robot.yaml_file import write_yaml
 
-if TYPE_CHECKING:
-    from lieid_casadi.identification.fit import Fit
 
-
-def save(fit: Fit, path: str | Path) -> None:
-    """Write a fit; an existing file is replaced as a whole or not at all."""
-    with atomic_binary(path) as file:
-        file.write(content_of(fit))
-
-
-def content_of(fit: Fit) -> bytes:
-    """Return the content of a fit file."""
-    content = Content(
-        kind=KIND,
-        schema=SCHEMA,
-        robot=_robot_text(fit.model.robot),
-        effects=[p.label for p in fit.model.placements],
-        method=fit.method,
-        names=[p.label for p in fit.fitted],
-        values=fit.values.tolist(),
-        shapes=fit.shapes.tolist(),
-        std=numbers_or_none(fit.std),
-        covariance=[numbers_or_none(row) for row in fit.covariance],
-        parameters=fit.parameters.tolist(),
-        noise=fit.noise.tolist(),
-        residual_noise=[
-            NoiseFile(e.filter.tolist(), e.sigma, e.spread, e.motion_ratio)
-            for e in fit.residual_noise
+def file_content(own: Mapping[str, Any], *, names: Sequence[str], std: Array) -> bytes:
+    """Return a fit file with the fields of a `Fit`, the names of its numbers and their ``std``."""
+    model: Model = own["model"]
+    raw = {name: _plain(value) for name, value in own.items() if name != "model"}
+    raw |= {
+        "kind": KIND,
+        "schema": SCHEMA,
+        "robot": _robot_text(model.robot),
+        "effects": [p.label for p in model.placements],
+        "names": list(names),
+        "std": _plain(std),
+        "warnings": warning_list(own["warnings"]),
+        "residual_noise": [
+            {
+                "filter": e.filter.tolist(),
+                "sigma": e.sigma,
+                "spread": e.spread,
+                "rises": e.motion_ratio,
+            }
+            for e in own["residual_noise"]
         ],
-        rms_train=fit.rms_train.tolist(),
-        rms_train_raw=fit.rms_train_raw.tolist(),
-        rms_cv=numbers_or_none(fit.rms_cv),
-        processing=msgspec.convert(asdict(fit.processing), ProcessingFile),
-        conditioning=msgspec.convert(asdict(fit.conditioning), ConditioningFile),
-        warnings=msgspec.convert(warning_list(fit.warnings), list[WarningFile]),
-        provenance=msgspec.convert(asdict(fit.provenance), ProvenanceFile),
-        temperature_mean=None if fit.temperature_mean is None else fit.temperature_mean.tolist(),
-        shape_intervals=(
-            None
-            if fit.shape_intervals is None
-            else [numbers_or_none(ends) for ends in fit.shape_intervals]
-        ),
-        certificate=(
-            None
-            if fit.certificate is None
-            else msgspec.convert(fit.certificate.to_dict(), CertificateFile)
-        ),
-    )
-    text = json.dumps(msgspec.to_builtins(content), indent=1, allow_nan=False, ensure_ascii=False)
+    }
+    content = msgspec.to_builtins(msgspec.convert(raw, Content))
+    text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
     return text.encode(errors="replace")  # names of files can have bytes that are not UTF-8
+
+
+def _plain(value: Any) -> Any:
+    """Return arrays and dataclasses as JSON has them, None in place of NaN and infinity."""
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, np.ndarray | tuple):
+        return [_plain(part) for part in value]
+    return number_or_none(value) if isinstance(value, float) else value
 
 
 def read_fields(path: str | Path) -> dict[str, Any]:
@@ -105,45 +90,39 @@ def read_fields(path: str | Path) -> dict[str, Any]:
         raise EffectError(f"{path}: {error}") from None
     except LieidError as error:
         raise FitFileError(f"{path}: {reason_of(error)}") from None
-    provenance = content.provenance
+    origin: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in msgspec.to_builtins(content.provenance).items()
+    }
+    origin["recordings"] = tuple(Source(**recording) for recording in origin["recordings"])
+    intervals, certificate = _array(content.shape_intervals), content.certificate
     return {
+        **{name: _array(getattr(content, name)) for name in ARRAYS},
         "model": model,
         "method": content.method,
-        "values": np.array(content.values),
-        "shapes": np.array(content.shapes),
-        "covariance": np.array([_with_nan(row) for row in content.covariance]),
-        "parameters": np.array(content.parameters),
-        "noise": np.array(content.noise),
         "residual_noise": tuple(
             Noise(np.array(e.filter), e.sigma, e.spread, e.rises) for e in content.residual_noise
         ),
-        "rms_train": np.array(content.rms_train),
-        "rms_train_raw": np.array(content.rms_train_raw),
-        "rms_cv": _with_nan(content.rms_cv),
         "processing": processing,
         "conditioning": Conditioning(**msgspec.to_builtins(content.conditioning)),
         "warnings": tuple(_warning(w) for w in content.warnings),
-        "provenance": Provenance(
-            provenance.version,
-            tuple(Source(r.name, r.sha256) for r in provenance.recordings),
-            None if provenance.torque_constants is None else tuple(provenance.torque_constants),
-            tuple(provenance.units),
-            tuple(provenance.corrections),
-        ),
-        "temperature_mean": (
-            None if content.temperature_mean is None else np.array(content.temperature_mean)
-        ),
-        "shape_intervals": (
-            None
-            if content.shape_intervals is None
-            else np.array([_with_nan(ends) for ends in content.shape_intervals]).reshape(-1, 2)
-        ),
+        "provenance": Provenance(**origin),
+        "shape_intervals": None if intervals is None else intervals.reshape(-1, 2),
         "certificate": (
-            None
-            if content.certificate is None
-            else Certificate.from_dict(msgspec.to_builtins(content.certificate))
+            None if certificate is None else Certificate.from_dict(msgspec.to_builtins(certificate))
         ),
     }
+
+
+ARRAYS = (
+    "values", "shapes", "covariance", "parameters", "noise",
+    "rms_train", "rms_train_raw", "rms_cv", "temperature_mean",
+)  # fmt: skip
+
+
+def _array(numbers: list[Any] | None) -> Array | None:
+    """Return numbers as an array, with NaN for None."""
+    return None if numbers is None else np.array(numbers, dtype=float)
 
 
 def _check_sizes(model: Model, content: Content) -> None:
@@ -154,35 +133,27 @@ def _check_sizes(model: Model, content: Content) -> None:
             "its parameters are not those that this version derives for its robot and effects; "
             "fit again"
         )
-    total, n = len(fitted), model.n
+    total, n, shapes = len(fitted), model.n, len(model.shapes)
+    per_joint = ("noise", "residual_noise", "rms_train", "rms_train_raw", "rms_cv")
     sizes = {
-        "values": model.base.count,
-        "shapes": len(model.shapes),
-        "std": total,
-        "covariance": total,
-        "parameters": 10 * n + len(model.columns),
-        **dict.fromkeys(("noise", "residual_noise", "rms_train", "rms_train_raw", "rms_cv"), n),
+        "values": (content.values, model.base.count),
+        "shapes": (content.shapes, shapes),
+        "std": (content.std, total),
+        "covariance": (content.covariance, total),
+        "parameters": (content.parameters, 10 * n + len(model.columns)),
+        **{name: (getattr(content, name), n) for name in per_joint},
+        **{f"covariance[{k}]": (row, total) for k, row in enumerate(content.covariance)},
+        "temperature_mean": (content.temperature_mean, n),
+        "shape_intervals": (content.shape_intervals, shapes),
+        **{
+            f"certificate.{name}": (getattr(content.certificate, name, None), n)
+            for name in ("pseudo_inertia_eigenvalue", "divergence", "rms", "rms_wls")
+        },
+        "torque_constants": (content.provenance.torque_constants, n),
     }
-    lists = {name: getattr(content, name) for name in sizes}
-    for k, row in enumerate(content.covariance):
-        lists[f"covariance[{k}]"], sizes[f"covariance[{k}]"] = row, total
-    if content.temperature_mean is not None:
-        lists["temperature_mean"], sizes["temperature_mean"] = content.temperature_mean, n
-    if content.shape_intervals is not None:
-        lists["shape_intervals"], sizes["shape_intervals"] = (
-            content.shape_intervals,
-            len(model.shapes),
-        )
-    if content.certificate is not None:
-        for name in ("pseudo_inertia_eigenvalue", "divergence", "rms", "rms_wls"):
-            lists[f"certificate.{name}"] = getattr(content.certificate, name)
-            sizes[f"certificate.{name}"] = n
-    if content.provenance.torque_constants is not None:
-        lists["torque_constants"] = content.provenance.torque_constants
-        sizes["torque_constants"] = n
-    for name, size in sizes.items():
-        if len(lists[name]) != size:
-            raise FitFileError(f"{name} has {len(lists[name])} entries; expected {size}, fit again")
+    for name, (numbers, size) in sizes.items():
+        if numbers is not None and len(numbers) != size:
+            raise FitFileError(f"{name} has {len(numbers)} entries; expected {size}, fit again")
     for k, row in enumerate(content.covariance):
         variance = row[k]
         if variance is not None and variance < 0.0:
@@ -192,23 +163,22 @@ def _check_sizes(model: Model, content: Content) -> None:
             )
 
 
-def _robot_text(robot: Robot) -> RobotText:
-    drives = [] if robot.drives is None else [_drive_file(drive) for drive in robot.drives]
-    if robot.source is not None:
-        s = robot.source
-        turned = s.kind == "urdf" and not np.array_equal(robot.gravity, STANDARD_GRAVITY)
-        gravity = [float(x) for x in robot.gravity] if turned else None
-        return RobotText(s.kind, s.text, s.tip, list(s.lock), drives, gravity)
-    return RobotText("yaml", write_yaml(robot), None, [], drives)
-
-
-def _drive_file(drive: Drive) -> DriveFile:
-    return msgspec.convert(_finite(asdict(drive), math.inf, None), DriveFile)
-
-
-def _finite(fields: dict[str, Any], old: Any, new: Any) -> dict[str, Any]:
-    """Return fields with a value replaced: JSON has no infinity."""
-    return {name: new if value == old else value for name, value in fields.items()}
+def _robot_text(robot: Robot) -> dict[str, Any]:
+    """Return the robot's own file, or YAML, with what it does not state; see `RobotText`."""
+    drives = [_plain(drive) for drive in robot.drives or ()]
+    if robot.source is None:
+        return {
+            "kind": "yaml",
+            "text": write_yaml(robot),
+            "tip": None,
+            "lock": [],
+            "drives": drives,
+        }
+    s = robot.source
+    text = {"kind": s.kind, "text": s.text, "tip": s.tip, "lock": list(s.lock), "drives": drives}
+    if s.kind == "urdf" and not np.array_equal(robot.gravity, STANDARD_GRAVITY):
+        text["gravity"] = [float(x) for x in robot.gravity]
+    return text
 
 
 def _robot(file: RobotText) -> Robot:
@@ -217,7 +187,11 @@ def _robot(file: RobotText) -> Robot:
         if len(file.gravity) != 3:
             raise FitFileError(f"gravity has {len(file.gravity)} entries; expected 3, fit again")
         robot = replace(robot, gravity=np.array(file.gravity))
-    drives = [Drive(**_finite(msgspec.to_builtins(d), None, math.inf)) for d in file.drives]
+    laws: list[dict[str, Any]] = [
+        {name: math.inf if value is None else value for name, value in law.items()}
+        for law in msgspec.to_builtins(file.drives)
+    ]
+    drives = [Drive(**law) for law in laws]
     return robot.with_drives(drives) if drives else robot
 
 
@@ -235,10 +209,6 @@ def _warning(item: WarningFile) -> LieidWarning:
     if not (isinstance(kind, type) and issubclass(kind, LieidWarning)):
         kind = LieidWarning
     return kind(item.message)
-
-
-def _with_nan(row: list[float | None]) -> Array:
-    return np.array([np.nan if x is None else x for x in row])
 
 
 SCHEMA = 4
@@ -277,12 +247,12 @@ class RobotText(Struct, forbid_unknown_fields=True, omit_defaults=True):
 
 
 class NoiseFile(Struct, forbid_unknown_fields=True):
-    """Noise of one joint's residual; ``rises`` is `Noise.motion_ratio`."""
+    """Noise of one joint's residual."""
 
     filter: Annotated[list[Number], Meta(min_length=1, max_length=100)]
     sigma: Positive
     spread: Positive
-    rises: Annotated[float, Meta(ge=1.0, le=LARGEST)] = 1.0
+    rises: Annotated[float, Meta(ge=1.0, le=LARGEST)] = 1.0  # `Noise.motion_ratio`
 
 
 class ProcessingFile(Struct, forbid_unknown_fields=True):
@@ -370,13 +340,7 @@ class Content(Struct, forbid_unknown_fields=True):
 
 
 def read_content(path: Path) -> Content:
-    """Return the content of a fit file, migrated to the present schema.
-
-    Raises
-    ------
-    FitFileError
-        Not readable, not JSON, not a fit, of a newer schema, or with an entry of another type.
-    """
+    """Return the content of a fit file, migrated to the present schema."""
     data = _bytes(path)
     try:
         raw = msgspec.json.decode(data)

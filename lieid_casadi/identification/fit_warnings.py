@@ -41,19 +41,7 @@ def of_regression(
     *,
     settled: bool,
 ) -> list[LieidWarning]:
-    """Return the warnings of a regression: aliases, unexcited directions, rest, convergence.
-
-    Parameters
-    ----------
-    segments : sequence of Processed
-        Of the training recordings.
-    state : FitState
-        Of the last iteration.
-    unweighted : Factor
-        Of all rows, not weighted.
-    settled : bool
-        Whether load and shape parameters converged.
-    """
+    """Return the warnings of a regression: aliases, unexcited directions, rest, convergence."""
     found = aliases(model, independent_fraction(unweighted))
     found += unexcited(model, state.solution) + at_rest(model, segments)
     if not settled:
@@ -67,13 +55,7 @@ def of_regression(
 
 
 def aliases(model: Model, independent: Array) -> list[LieidWarning]:
-    """Return warnings about effects that other columns absorb exactly, or nearly on this data.
-
-    Parameters
-    ----------
-    independent : (p,)
-        Part of each base column's norm that the other columns do not span.
-    """
+    """Return warnings about effects that other columns absorb exactly, or nearly on this data."""
     found: list[LieidWarning] = []
     base, first = model.base, 10 * model.n
     for k in base.dropped[base.dropped >= first]:

@@ -15,7 +15,7 @@ from lieid_casadi.identification import fit_warnings
 from lieid_casadi.identification.feasible.feasible_fit import certify, make_feasible
 from lieid_casadi.identification.feasible.problem import FeasibleOptions
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.prediction import center_temperature, training_errors
+from lieid_casadi.identification.prediction import center_temperature, training_rms
 from lieid_casadi.identification.recording_checks import (
     Provenance,
     Source,
@@ -36,10 +36,9 @@ from lieid_casadi.identification.regression.fixed_point import (
     fixed_point,
 )
 from lieid_casadi.identification.regression.least_squares import (
-    combine,
     conditioning,
-    joint_factors,
     solve,
+    stacked,
 )
 from lieid_casadi.identification.uncertainty.covariance import fit_covariance
 from lieid_casadi.identification.uncertainty.noise_model import Noise, residual_noise
@@ -162,41 +161,21 @@ def identify_segments(
     from values known before. Shape parameters are scanned over their whole ranges, each effect
     beside all others, and refined together; the fit is done when neither a small change of all
     shapes nor any other value of one effect's shapes lowers the weighted error (`shape_scan`).
-
-    Parameters
-    ----------
-    segments : tuple of Processed
-        With temperatures relative to their mean.
-    temperature_mean : (n,) or None
-        °C.
-    provenance : Provenance, optional
-        Of the recordings.
-    start : ShapeStart, optional
-        Shape parameters that are held at their values.
-    uncertainty : bool
-        False leaves the covariance NaN and the residual's noise white: for models of which only
-        values are compared, since the two take longer than the fit.
-    known : sequence of FilteredColumns, optional
-        Of each segment, shared by fits of models of one robot; see `Design`.
-    warnings : sequence of LieidWarning
-        Found so far.
-    report : callable
-        Called with a stage's name and the fraction done.
     """
     model, found = compiled.model, list(warnings)
     report("regress", 0.3)
     design = Design(compiled, segments, known=known)
     state, settled = fixed_point(design, "wls" if method == "feasible" else method, report, start)
     least, folds = state, _folds(segments, state)
-    unweighted = combine(joint_factors(state.rows), np.ones(model.n))
+    unweighted = stacked(state.rows)
     found += fit_warnings.of_regression(model, segments, state, unweighted, settled=settled)
-    rms, rms_raw = _training_rms(compiled, segments, state)
+    rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
     estimate: Estimate = lambda factor: solve(factor).values  # noqa: E731
     certificate = None
     if method == "feasible":
         consistent = make_feasible(design, state, folds, feasible or FeasibleOptions(), report)
         rms_wls, state, estimate = rms, consistent.state, consistent.estimate
-        rms, rms_raw = _training_rms(compiled, segments, state)
+        rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
         certificate = certify(design, consistent, rms, rms_wls)
         found += consistent.warnings
     found += fit_warnings.bounds(model, state)
@@ -261,20 +240,6 @@ def _check_method(method: str, feasible: FeasibleOptions | None) -> None:
             f"options of method feasible were given with method {method!r}; "
             "expected method='feasible'"
         )
-
-
-def _training_rms(
-    compiled: Compiled, segments: Sequence[Processed], state: FitState
-) -> tuple[Array, Array]:
-    """Return the training error per joint (n,), N·m: filtered, and resampled only."""
-    squares, counts = np.zeros((2, compiled.n)), np.zeros(2)
-    for segment in segments:
-        for raw, filtered in training_errors(compiled, segment, state.parameters, state.shapes):
-            for k, error in enumerate((filtered, raw)):
-                squares[k] += np.sum(error**2, axis=0)
-                counts[k] += len(error)
-    rms = np.sqrt(squares / counts[:, None])
-    return rms[0], rms[1]
 
 
 def _folds(segments: Sequence[Processed], state: FitState) -> tuple[Fold, ...]:

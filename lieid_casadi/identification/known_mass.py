@@ -31,29 +31,6 @@ def identify_with_known_masses(
     The fit in units of K gives β/K; base parameters that consist of masses and first moments of
     links with stated centres of mass give β; K is their generalized least-squares ratio. The model
     is then fitted with K.
-
-    Parameters
-    ----------
-    model : Model
-        Of a robot whose drives are relative.
-    recordings : sequence of Recording
-        With commanded positions.
-    masses : mapping
-        Name of a link or of its joint, or ``linkN`` (N from 1), to its mass, kg.
-    options
-        Of :func:`lieid_casadi.identify`.
-
-    Returns
-    -------
-    Fit
-        With the stiffness in its robot's drives, and a warning that states K and its standard
-        deviation, which the covariance does not contain.
-
-    Raises
-    ------
-    IdentificationError
-        The drives are not relative, a link does not exist or states no centre of mass, or the
-        recordings do not determine K.
     """
     robot = model.robot
     if not robot.drives or not all(drive.relative for drive in robot.drives):

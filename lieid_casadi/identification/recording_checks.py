@@ -18,17 +18,7 @@ from lieid_casadi.recording.recording import listed
 
 
 def check_recordings(model: Model, recordings: Sequence[Recording]) -> None:
-    """Raise if recordings lack what the model needs: joints, torque, temperature.
-
-    Raises
-    ------
-    IdentificationError
-        No recordings.
-    ModelError
-        Another number of joints than the robot's, or no torque.
-    EffectError
-        No temperature although an effect depends on it.
-    """
+    """Raise if recordings lack what the model needs: joints, torque, temperature."""
     if not recordings:
         raise IdentificationError("no recordings given; expected at least one")
     for recording in recordings:
@@ -100,23 +90,13 @@ class Source:
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a fit was computed from.
+    """What a fit was computed from."""
 
-    Attributes
-    ----------
-    version : str
-        Of the package.
-    recordings : tuple of Source
-    torque_constants : tuple of float or None
-        (n) N·m/A, of recordings of motor currents; None if torque was recorded.
-    units : tuple of str
-        Units of the recordings' files other than SI: ``deg``, and ``ms``, ``us`` or ``ns``.
-    corrections : tuple of str
-        Options that corrected the recordings, such as ``--joint-order 1 3 2``.
-    """
-
-    version: str
+    version: str  # of the package
     recordings: tuple[Source, ...]
+    #: (n): N·m/A, of recordings of motor currents; None if torque was recorded
     torque_constants: tuple[float, ...] | None = None
+    #: units of the recordings' files other than SI: ``deg``, and ``ms``, ``us`` or ``ns``
     units: tuple[str, ...] = ()
+    #: options that corrected the recordings, such as ``--joint-order 1 3 2``
     corrections: tuple[str, ...] = ()

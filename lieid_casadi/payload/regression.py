@@ -24,9 +24,11 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.regression.design_matrix import Design, JointRows, Rows
+from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
+    JointRows,
+    Rows,
     combine,
     joint_factors,
     solve,

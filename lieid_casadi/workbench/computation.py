@@ -26,7 +26,7 @@ from lieid_casadi.errors import LieidWarning, ModelError, RecordingError, UsageE
 from lieid_casadi.exporters.export import export
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.default_effects import default_effects
-from lieid_casadi.identification.fit_file import content_of
+from lieid_casadi.identification.fit import content_of
 from lieid_casadi.identification.identify import identify_segments
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import check_recordings

@@ -13,7 +13,7 @@ from lieid_casadi.errors import FleetError
 from lieid_casadi.fleet.arm_night import run_arm_night
 from lieid_casadi.fleet.night_result import ArmNight
 from lieid_casadi.fleet.recordings import RecordingFile, list_recordings, night_of
-from lieid_casadi.identification.fit_file import content_of
+from lieid_casadi.identification.fit import content_of
 
 DURATION = 15.0
 

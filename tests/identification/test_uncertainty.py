@@ -6,9 +6,9 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.errors import IdentificationError, ModelError
-from lieid_casadi.identification.regression.design_matrix import JointRows, Rows
+from lieid_casadi.identification.bootstrap import bootstrap
 from lieid_casadi.identification.regression.fixed_point import ShapeStart
-from lieid_casadi.identification.uncertainty.bootstrap import bootstrap
+from lieid_casadi.identification.regression.least_squares import JointRows, Rows
 from lieid_casadi.identification.uncertainty.covariance import (
     hac_covariance,
     residual_correlation_length,

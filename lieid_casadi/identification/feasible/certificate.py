@@ -121,13 +121,7 @@ def pseudo_inertia_eigenvalues(links: Array) -> Array:
 def least_mass_matrix_eigenvalue(
     compiled: Compiled, links: Array, *, poses: int, seed: int
 ) -> float:
-    """Return the smallest eigenvalue of the rigid M(q) over random poses within the limits.
-
-    Parameters
-    ----------
-    links : (10 n,)
-        Link parameters.
-    """
+    """Return the smallest eigenvalue of the rigid M(q) over random poses within the limits."""
     random = np.random.default_rng(seed)
     lower, upper = position_range(compiled.model.robot)
     q = random.uniform(lower, upper, (poses, compiled.n))
@@ -135,14 +129,7 @@ def least_mass_matrix_eigenvalue(
 
 
 def least_dissipation(friction: Array, coefficients: Array) -> float:
-    """Return the smallest friction of the rows, N·m; 0 if negative by rounding only.
-
-    Parameters
-    ----------
-    friction : (K, m)
-        See `dissipation_rows`.
-    coefficients : (m,)
-    """
+    """Return the smallest friction of the rows, N·m; 0 if negative by rounding only."""
     torque = friction @ coefficients
     if not len(torque):
         return float("inf")

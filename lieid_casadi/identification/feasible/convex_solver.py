@@ -41,12 +41,7 @@ STATUS = {
 
 
 class ConvexSolver:
-    """Solver of one problem; compiled at the first call, reused for other data and other λ.
-
-    Parameters
-    ----------
-    problem : FeasibleProblem
-    """
+    """Solver of one problem; compiled at the first call, reused for other data and other λ."""
 
     def __init__(self, problem: FeasibleProblem) -> None:
         import cvxpy as cp
@@ -76,20 +71,7 @@ class ConvexSolver:
         self._program = cp.Problem(cp.Minimize(cost), constraints)
 
     def solve(self, factor: Factor, weight: float) -> Array:
-        """Return parameters (10 n + m,).
-
-        Parameters
-        ----------
-        factor : Factor
-            Of the weighted rows.
-        weight : float
-            λ.
-
-        Raises
-        ------
-        NoSolution
-            The solver did not finish; the message says why and what to try.
-        """
+        """Return parameters (10 n + m,)."""
         import cvxpy as cp
 
         reduced = self.problem.reduced(factor)

@@ -50,18 +50,6 @@ def dissipation_rows(
 
     A row is the power of friction over the speed, ``sgn(q̇)·τ_f(q̇)`` in N·m. For joints with
     couplings the powers of all coupled joints are added.
-
-    Parameters
-    ----------
-    shapes : (s,)
-    velocity : (n,)
-        Largest speed per joint, rad/s.
-    load : (n,)
-        Largest load per joint, N·m, for friction that depends on it.
-    temperature : (n,)
-        Largest deviation from the mean temperature per joint, °C.
-    lower, upper : (n,)
-        Range of positions, for friction that depends on them.
     """
     model = compiled.model
     friction = friction_columns(model)
@@ -93,15 +81,7 @@ def coupled_joints(model: Model) -> list[list[int]]:
 def largest_speed(
     model: Model, segments: Sequence[Processed], stated: Sequence[float] | None
 ) -> Array:
-    """Return the speed (n,) up to which friction is constrained to dissipate, rad/s.
-
-    Parameters
-    ----------
-    segments : sequence of Processed
-        Of the training recordings.
-    stated : sequence of float, optional
-        Speeds given by the user.
-    """
+    """Return the speed (n,) up to which friction is constrained to dissipate, rad/s."""
     if stated is not None:
         return np.asarray(stated, dtype=float)
     recorded = np.max([np.abs(s.dq).max(axis=0) for s in segments], axis=0)
@@ -130,20 +110,7 @@ def _columns(
     temperature: Array,
     positions: tuple[Array, Array],
 ) -> tuple[Array, Array]:
-    """Return columns (G', n, m) and speeds (G', n) at all levels of load, temperature and q.
-
-    Parameters
-    ----------
-    group : list of int
-        Coupled joints.
-    speeds : (G, n)
-        rad/s.
-    shapes : (s,)
-    load, temperature : (n,)
-        Largest absolute values, N·m and °C.
-    positions : pair of (n,)
-        Lower and upper positions.
-    """
+    """Return columns (G', n, m) and speeds (G', n) at all levels of load, temperature and q."""
     model = compiled.model
     here = [p for p in model.placements if p.joint in group]
     needs = {signal for p in here for signal in p.effect.signals}

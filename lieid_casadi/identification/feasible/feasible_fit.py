@@ -32,23 +32,17 @@ from lieid_casadi.identification.feasible.problem import (
 from lieid_casadi.identification.regression.cross_validation import Fold, cross_validated_rms
 from lieid_casadi.identification.regression.design_matrix import Design, varying_columns
 from lieid_casadi.identification.regression.fixed_point import FitState, has_settled
-from lieid_casadi.identification.regression.least_squares import Factor, combine, joint_factors
-from lieid_casadi.identification.regression.rows import Rows
+from lieid_casadi.identification.regression.least_squares import (
+    Factor,
+    stacked,
+)
 from lieid_casadi.recording import Processed
 
 DRIVING = 0.1  # of a joint's noise: a warning is given if friction drives the joint by more
 
 
 def at_bounds(design: Design, start: FitState, state: FitState) -> list[LieidWarning]:
-    """Return warnings about coefficients that a bound keeps from the least-squares value.
-
-    Parameters
-    ----------
-    start : FitState
-        By weighted least squares.
-    state : FitState
-        At the physically consistent parameters.
-    """
+    """Return warnings about coefficients that a bound keeps from the least-squares value."""
     found: list[LieidWarning] = []
     before, after = start.solution.values, state.solution.values
     for parameter, free, held in zip(design.model.base_columns, before, after, strict=True):
@@ -64,13 +58,7 @@ def at_bounds(design: Design, start: FitState, state: FitState) -> list[LieidWar
 
 
 def driving(design: Design, start: FitState, problem: FeasibleProblem) -> list[LieidWarning]:
-    """Return warnings about joints that least-squares friction would drive at a permitted speed.
-
-    Parameters
-    ----------
-    start : FitState
-        By weighted least squares.
-    """
+    """Return warnings about joints that least-squares friction would drive at a permitted speed."""
     columns = design.model.columns
     friction = start.parameters[10 * problem.n :]
     recorded = np.max([np.abs(s.dq).max(axis=0) for s in design.segments], axis=0)
@@ -97,23 +85,12 @@ ROUNDS = 10  # largest number of iterations over the load
 
 @dataclass(frozen=True, eq=False)
 class ConsistentFit:
-    """Result of the method ``feasible``.
+    """Result of the method ``feasible``."""
 
-    Attributes
-    ----------
-    state : FitState
-        At the physically consistent parameters.
-    problem : FeasibleProblem
-    regularization : float
-        λ.
-    estimate : callable
-        Weighted factor of other rows to base values (p,), at the same λ.
-    warnings : tuple of LieidWarning
-    """
-
-    state: FitState
+    state: FitState  # at the physically consistent parameters
     problem: FeasibleProblem
-    regularization: float
+    regularization: float  # λ
+    #: weighted factor of other rows to base values (p,), at the same λ
     estimate: Callable[[Factor], Array]
     warnings: tuple[LieidWarning, ...]
 
@@ -128,22 +105,6 @@ def make_feasible(
     """Return the best physically consistent parameters.
 
     Weights and shape parameters are those of ``start``.
-
-    Parameters
-    ----------
-    start : FitState
-        By weighted least squares.
-    folds : sequence of Fold
-        Of cross-validation, which chooses λ unless the options state it.
-    report : callable
-        Called with a stage's name and the fraction done.
-
-    Raises
-    ------
-    NoSolution
-        The solver did not converge.
-    IdentificationError
-        A nominal mass that is negative, an option for a link that does not exist.
     """
     options.check_links(design.model.n)
     problem, found = feasible_problem(
@@ -172,13 +133,7 @@ def make_feasible(
 
 
 def certify(design: Design, consistent: ConsistentFit, rms: Array, rms_wls: Array) -> Certificate:
-    """Check the result independently of the solver.
-
-    Parameters
-    ----------
-    rms, rms_wls : (n,)
-        Training error of the result and of weighted least squares, N·m.
-    """
+    """Check the result independently of the solver."""
     problem, parameters = consistent.problem, consistent.state.parameters
     links, options = parameters[: 10 * problem.n], problem.options
     return Certificate(
@@ -199,16 +154,7 @@ def certify(design: Design, consistent: ConsistentFit, rms: Array, rms_wls: Arra
 def feasible_problem(
     design: Design, factor: Factor, shapes: Array, parameters: Array, options: FeasibleOptions
 ) -> tuple[FeasibleProblem, tuple[LieidWarning, ...]]:
-    """Return the convex problem of a model, and warnings about its nominal inertias.
-
-    Parameters
-    ----------
-    factor : Factor
-        Of the weighted rows, or of similar rows.
-    shapes : (s,)
-    parameters : (10 n + m,)
-        Determine the largest load.
-    """
+    """Return the convex problem of a model, and warnings about its nominal inertias."""
     model = design.model
     references, found = reference_bodies(model, factor)
     lower, upper = position_range(model.robot)
@@ -239,20 +185,7 @@ def choose_regularization(
     noise: Array,
     report: Callable[[str, float], None] | None = None,
 ) -> float:
-    """Return the λ with the smallest held-out error in units of the joints' noise.
-
-    Parameters
-    ----------
-    noise : (n,)
-        Standard deviation of the residual per joint, N·m.
-    report : callable, optional
-        Called with a stage's name and the fraction done.
-
-    Raises
-    ------
-    NoSolution
-        The solver converged for no λ.
-    """
+    """Return the λ with the smallest held-out error in units of the joints' noise."""
     best, least, failure = None, np.inf, None
     for k, weight in enumerate(WEIGHTS):
         if report is not None:
@@ -301,13 +234,8 @@ def _follow_load(
             return state, True
         before = predicted
         rows = design.rows(start.shapes, parameters)
-        factor = _weighted(rows, start.weighting.rows)
-        weighting = replace(start.weighting, factor=factor)
+        weighting = replace(start.weighting, factor=stacked(rows, start.weighting.rows))
     return state, False
-
-
-def _weighted(rows: Rows, weights: Sequence[Array]) -> Factor:
-    return combine(joint_factors(rows, weights), np.ones(len(rows.columns)))
 
 
 def _largest_load(design: Design, parameters: Array) -> Array:

@@ -138,16 +138,6 @@ def reference_bodies(model: Model, factor: Factor) -> tuple[Array, tuple[LieidWa
     violating the triangle inequalities) is corrected and a warning returned. Links without
     nominal inertia get a uniform sphere half-way to the next joint, all of the density that fits
     the data best.
-
-    Parameters
-    ----------
-    factor : Factor
-        Of the weighted rows, for the density.
-
-    Raises
-    ------
-    IdentificationError
-        A nominal mass is not positive.
     """
     found: list[LieidWarning] = []
     links = []
@@ -207,15 +197,7 @@ def _sphere(robot: Robot, i: int) -> Array:
 
 
 def _density(model: Model, factor: Factor, stated: Array, spheres: Array) -> float:
-    """Return the density that fits best, with free effect coefficients, kg/m³.
-
-    Parameters
-    ----------
-    stated : (n, 10)
-        Nominal links, zero where not stated.
-    spheres : (n, 10)
-        Of unit density, zero where a link is stated.
-    """
+    """Return the density that fits best, with free effect coefficients, kg/m³."""
     combination, links = model.base.combination, 10 * model.n
     r, z = factor.r[:, :-1], factor.r[:, -1]
     columns = r @ combination
@@ -234,29 +216,15 @@ PSEUDO = np.array([pseudo_inertia(unit).ravel() for unit in np.eye(10)]).T
 
 @dataclass(frozen=True, eq=False)
 class FeasibleProblem:
-    """Constraints and references of the problem, independent of data and λ.
+    """Constraints and references of the problem, independent of data and λ."""
 
-    Attributes
-    ----------
-    combination : (p, 10 n + m)
-        β = combination @ [link parameters; coefficients].
-    references : (n, 4, 4)
-        Pseudo-inertias P̄, positive definite.
-    lower, upper : (m,)
-        Bounds of the coefficients, infinite where there are none.
-    friction : (K, m)
-        Rows whose product with the coefficients is constrained to be not negative.
-    typical : Factor
-        Of the data, or of similar data; used for scaling only.
-    options : FeasibleOptions
-    """
-
-    combination: Array
-    references: Array
-    lower: Array
-    upper: Array
+    combination: Array  # (p, 10 n + m): β = combination @ [link parameters; coefficients]
+    references: Array  # (n, 4, 4): pseudo-inertias P̄, positive definite
+    lower: Array  # (m,): bounds of the coefficients, infinite where there are none
+    upper: Array  # (m,): bounds of the coefficients, infinite where there are none
+    #: (K, m): rows whose product with the coefficients is constrained to be not negative
     friction: Array
-    typical: Factor
+    typical: Factor  # of the data, or of similar data; used for scaling only
     options: FeasibleOptions
 
     @property
@@ -335,16 +303,7 @@ class FeasibleProblem:
         return np.array(found)
 
     def cost(self, factor: Factor, weight: float, parameters: Array) -> float:
-        """Return the objective.
-
-        Parameters
-        ----------
-        factor : Factor
-            Of the weighted rows.
-        weight : float
-            λ.
-        parameters : (10 n + m,)
-        """
+        """Return the objective."""
         misfit = factor.misfit(self.combination @ parameters) / max(factor.rows, 1)
         return float(misfit + weight * np.sum(self.divergences(parameters)))
 

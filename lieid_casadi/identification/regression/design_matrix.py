@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +15,16 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.identification.regression.rows import ChunkedRows
-from lieid_casadi.identification.regression.rows import JointRows as JointRows
-from lieid_casadi.identification.regression.rows import Rows as Rows
+from lieid_casadi.identification.regression.least_squares import Indices, JointRows, Rows
 from lieid_casadi.identification.regression.segment_columns import effect_signals, effects_along
 from lieid_casadi.model import Model
 from lieid_casadi.recording.filtering import Window
 from lieid_casadi.recording.processed import Processed
+
+#: A column on a joint: the joint, and a link parameter, or a placed effect and its coefficient.
+ColumnKey = tuple[int, int | tuple[str, str]]
+#: Filtered columns (M,) of one segment. Models of one robot with different effects share most.
+FilteredColumns = dict[ColumnKey, Array]
 
 
 def varying_columns(model: Model) -> NDArray[np.bool_]:
@@ -68,84 +70,49 @@ def active_columns(compiled: Compiled) -> list[NDArray[np.intp]]:
     return [np.flatnonzero(row) for row in acts]
 
 
-Indices = NDArray[np.intp]
-#: A column on a joint in the window that starts at an instant: that instant, the joint, and a link
-#: parameter, or a placed effect and its coefficient.
-ColumnKey = tuple[int, int, int | tuple[str, str]]
-#: Filtered columns (m,) of one segment. Models of one robot with different effects share most.
-FilteredColumns = dict[ColumnKey, Array]
+def motion_columns(
+    compiled: Compiled, segment: Processed, varying: Indices, known: FilteredColumns
+) -> list[Array]:
+    """Return the filtered base columns (c, M) per joint that depend on the motion alone.
 
-
-class MotionColumns:
-    """Base columns of one segment that depend neither on shapes nor on the load.
-
-    Parameters
-    ----------
-    compiled : Compiled
-    segment : Processed
-    varying : (v,) int
-        Base columns to leave out: those that depend on shapes or load.
-    known : FilteredColumns, optional
-        Of this segment; columns that are not in it are added.
-
-    Attributes
-    ----------
-    columns : tuple of (c_i,) int
-        Base columns of each joint, without structural zeros.
+    All but structural zeros and the ``varying`` columns; those that are not ``known`` are added.
     """
+    signals = effect_signals(segment, compiled.model.initial_shapes, None)
+    blocks = compiled.base_blocks(
+        segment.q,
+        segment.dq,
+        segment.ddq,
+        time=signals["time"],
+        temperature=signals.get("temperature"),
+        command_error=signals.get("command_error"),
+        dead_zone=signals["dead_zone"],
+        size=max([1, *(w.instants.stop - w.instants.start for w in segment.windows)]),
+    )
+    meanings, entry = _meanings(compiled.model), 0
+    keys: list[list[ColumnKey]] = []
+    missing: dict[ColumnKey, int] = {}
+    for j, columns in enumerate(blocks.columns):
+        keys.append([])
+        for k in columns:
+            if k not in varying:
+                keys[-1].append((j, meanings[k]))
+                if keys[-1][-1] not in known:
+                    missing[keys[-1][-1]] = entry
+            entry += 1
 
-    def __init__(
-        self,
-        compiled: Compiled,
-        segment: Processed,
-        varying: Indices,
-        known: FilteredColumns | None = None,
-    ) -> None:
-        self.segment, self._known = segment, known
-        longest = max(w.instants.stop - w.instants.start for w in segment.windows)
-        signals = effect_signals(segment, compiled.model.initial_shapes, None)
-        self._blocks = compiled.base_blocks(
-            segment.q,
-            segment.dq,
-            segment.ddq,
-            time=signals["time"],
-            temperature=signals.get("temperature"),
-            command_error=signals.get("command_error"),
-            dead_zone=signals["dead_zone"],
-            size=max(longest, 1),
-        )
-        plain = [~np.isin(columns, varying) for columns in self._blocks.columns]
-        self.columns = tuple(
-            np.asarray(columns[mask], dtype=np.intp)
-            for columns, mask in zip(self._blocks.columns, plain, strict=True)
-        )
-        self._entries = np.flatnonzero(np.concatenate(plain))
-        self._ends = np.cumsum([len(columns) for columns in self.columns])[:-1]
-        meanings = _meanings(compiled.model)
-        self._names = [(j, meanings[k]) for j, own in enumerate(self.columns) for k in own]
-
-    def filtered(self, window: Window) -> list[Array]:
-        """Return the filtered columns of one window, (c_i, m) per joint."""
-        if self._known is None:
-            return np.split(self._evaluated(window, self._entries), self._ends)
-        known, first = self._known, window.instants.start
-        keys: list[ColumnKey] = [(first, *name) for name in self._names]
-        missing = [k for k, key in enumerate(keys) if key not in known]
-        if missing:
-            values = self._evaluated(window, self._entries[missing])
-            known |= {keys[k]: row for k, row in zip(missing, values, strict=True)}
-        rows = window.rows.stop - window.rows.start
-        return np.split(np.array([known[key] for key in keys]).reshape(-1, rows), self._ends)
-
-    def _evaluated(self, window: Window, entries: Indices) -> Array:
-        """Return some of the filtered columns of one window (c, m)."""
-        buffer = self._blocks.buffer()
+    def evaluated(window: Window) -> Array:
+        buffer = blocks.buffer()
         first, last = window.instants.start, window.instants.stop
-        self._blocks.evaluate(first, last, buffer)
-        values = buffer[:, : last - first]
-        if len(entries) < len(values):
-            values = values[entries]
-        return self.segment.filter_window(values, window, axis=1)
+        blocks.evaluate(first, last, buffer)
+        values = buffer[list(missing.values()), : last - first]
+        return segment.filter_window(values, window, axis=1)
+
+    if missing:
+        with ThreadPoolExecutor(max(compiled.threads, 1)) as pool:
+            parts = list(pool.map(evaluated, segment.windows))
+        known |= zip(missing, np.concatenate(parts, axis=1), strict=True)
+    count = len(segment.filtered_time)
+    return [np.array([known[key] for key in own]).reshape(-1, count) for own in keys]
 
 
 def _meanings(model: Model) -> list[int | tuple[str, str]]:
@@ -155,29 +122,12 @@ def _meanings(model: Model) -> list[int | tuple[str, str]]:
     return [every[k] for k in model.base.kept]
 
 
-Chunk = list[tuple[int, Window]]  # numbers of segments, and windows of their rows
-HELD_BYTES = 128 << 20
-CHUNK_BYTES = 32 << 20
-
-
 class Design:
-    """Columns of one model along processed segments.
+    """Columns of one model along processed segments with torque.
 
-    Columns that depend on the motion alone are evaluated and filtered once, window by window;
-    columns that depend on shape parameters or the load (``varying``) at each call of `rows`.
-    Columns of more than ``held`` bytes are not kept: rows are computed in chunks, again for every
-    pass over them.
-
-    Parameters
-    ----------
-    compiled : Compiled
-    segments : sequence of Processed
-        Each with a torque.
-    held : int, optional
-        Largest size of columns that are kept, bytes; 128 MB if left out.
-    known : sequence of FilteredColumns, optional
-        Of each segment, from designs of other models of the robot; columns that are not in them
-        are added. Not used where the columns take more than ``held`` bytes.
+    Columns that depend on the motion alone are evaluated and filtered once; columns that depend on
+    shape parameters or the load (``varying``) at each call of `rows`. ``known`` columns of each
+    segment are from designs of other models of the robot; those that are not in them are added.
     """
 
     def __init__(
@@ -185,71 +135,59 @@ class Design:
         compiled: Compiled,
         segments: Sequence[Processed],
         *,
-        held: int | None = None,
         known: Sequence[FilteredColumns] | None = None,
     ) -> None:
         self.compiled = compiled
         self.model = compiled.model
         self.segments = tuple(segments)
-        self._varying = varying_columns(self.model)
-        kept = self.model.base.kept - 10 * self.model.n
-        self._effects = np.flatnonzero(kept >= 0)  # positions among the base columns
-        self._effect_index = kept[kept >= 0]  # columns of the model's effects
+        effect = self.model.base.kept - 10 * self.model.n  # effect column of each base column
+        varies = varying_columns(self.model)
+        #: base columns (v,) that depend on shapes or load
+        self.varying = np.array([i for i, k in enumerate(effect) if k >= 0 and varies[k]], np.intp)
+        self._wanted = effect[self.varying]
         self._active = active_columns(compiled)
-        self._use = [_fit_rows(self.model, segment) for segment in self.segments]
+        acts = np.array([np.isin(self.varying, active) for active in self._active])
+        self._pairs = np.nonzero(acts)  # joints, and the varying columns that act on them
+        self._use = [s.filtered_moving | ~has_dry_friction(self.model) for s in self.segments]
         self._torque = [s.filter(_torque(s)) for s in self.segments]
-        windows = [(k, w) for k, s in enumerate(self.segments) for w in s.windows]
-        width = 8 * sum(len(active) for active in self._active)
-        self._chunks = _chunks(windows, width, HELD_BYTES if held is None else held)
-        stores = known if known and len(self._chunks) == 1 else [None] * len(self.segments)
-        self._constant = [
-            MotionColumns(compiled, segment, self.varying, store)
+        lengths = [len(use) for use in self._use]
+        self._segments = np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
+        stores = known or [FilteredColumns() for _ in self.segments]
+        parts = [
+            motion_columns(compiled, segment, self.varying, store)
             for segment, store in zip(self.segments, stores, strict=True)
         ]
-        self._kept: list[list[Array]] | None = None
+        self._constant = [
+            self.on_joint(j, [part[j].T for part in parts]) for j in range(self.model.n)
+        ]
         self._rows: Rows | None = None
         self._last: tuple[tuple[bytes, bytes | None], list[Array]] | None = None
-        if len(self._chunks) == 1:
-            self._kept = self._filtered(self._chunks[0])
-            if not self._varying.any():
-                self._rows, self._kept = self._stack(self._chunks[0], self._kept, []), None
 
     def rows(self, shapes: Array, link_parameters: Array | None) -> Rows:
-        """Return the equations at given shape parameters and load.
+        """Return the equations at shapes (s,) and the load by link parameters (None: no load).
 
-        Parameters
-        ----------
-        shapes : (s,)
-        link_parameters : (10 n,) or (10 n + m,) or None
-            Determine the load of load-dependent effects; with effect coefficients where effects
-            on the whole arm need them. None means no load.
+        Parameters are (10 n,), or (10 n + m,) with the coefficients that effects on the whole arm
+        need.
         """
-        if self._rows is not None:
-            return self._rows
-        varying: list[Array] = []
-        if self._varying.any():
-            varying = self._varying_blocks(shapes, link_parameters)
-        if self._kept is not None:
-            return self._stack(self._chunks[0], self._kept, varying)
+        if self._rows is None or len(self.varying):
+            varying = self.varying_rows(shapes, link_parameters) if len(self.varying) else None
+            joints = [
+                self._joint_rows(j, None if varying is None else varying[j])
+                for j in range(self.model.n)
+            ]
+            self._rows = Rows(joints, self.model.base.count, self._segments)
+        return self._rows
 
-        def make(k: int) -> Rows:
-            return self._stack(self._chunks[k], self._filtered(self._chunks[k]), varying)
-
-        lengths = [[self._use[k][w.rows].sum(axis=0) for k, w in s] for s in self._chunks]
-        instants = [sum(w.rows.stop - w.rows.start for _, w in s) for s in self._chunks]
-        return ChunkedRows(
-            make,
-            np.array([np.sum(part, axis=0) for part in lengths], dtype=np.intp),
-            np.array(instants, dtype=np.intp),
-            self._active,
-            self.model.base.count,
-            _starts([len(use) for use in self._use]),
-        )
-
-    @cached_property
-    def varying(self) -> NDArray[np.intp]:
-        """Base columns (v,) that depend on shapes or load."""
-        return self._effects[self._varying[self._effect_index]]
+    def _joint_rows(self, j: int, varying: Array | None) -> JointRows:
+        active = self._active[j]
+        moving = np.isin(active, self.varying)
+        matrix = np.zeros((len(self._constant[j]), len(active)))
+        matrix[:, ~moving] = self._constant[j]
+        if varying is not None:
+            matrix[:, moving] = varying[:, np.isin(self.varying, active)]
+        used = np.concatenate([use[:, j] for use in self._use])
+        torque = self.on_joint(j, [x[:, j] for x in self._torque])
+        return JointRows(active, matrix, torque, np.flatnonzero(used))
 
     def varying_rows(self, shapes: Array, link_parameters: Array | None) -> list[Array]:
         """Return the varying columns per joint (R, v), with the rows of `rows`."""
@@ -261,16 +199,12 @@ class Design:
         used = (own[mask[:, joint]] for own, mask in zip(values, self._use, strict=True))
         return np.concatenate(list(used))
 
-    def columns_of_shape(self, k: int) -> NDArray[np.intp]:
+    def columns_of_shape(self, k: int) -> Indices:
         """Return the positions, among the varying columns, of those of the effect with shape k."""
-        owners = [
-            number for number, p in enumerate(self.model.placements) for _ in p.effect.coefficients
-        ]
-        shape_owners = [
-            number for number, p in enumerate(self.model.placements) for _ in p.effect.shapes
-        ]
-        columns = self._effect_index[self._varying[self._effect_index]]
-        return np.flatnonzero([owners[column] == shape_owners[k] for column in columns])
+        placed = self.model.placements
+        owners = [number for number, p in enumerate(placed) for _ in p.effect.coefficients]
+        shape_owners = [number for number, p in enumerate(placed) for _ in p.effect.shapes]
+        return np.flatnonzero([owners[column] == shape_owners[k] for column in self._wanted])
 
     def _varying_blocks(self, shapes: Array, links: Array | None) -> list[Array]:
         """Return the filtered varying columns (M, n, v) of each segment.
@@ -286,107 +220,11 @@ class Design:
     def _varying_columns(self, segment: Processed, shapes: Array, links: Array | None) -> Array:
         """Return the filtered varying columns (M, n, v)."""
         effects = effects_along(self.compiled, segment, shapes, links)
-        joints, places = self._varying_pairs
-        wanted = self._effect_index[self._varying[self._effect_index]]
-        filtered = segment.filter(effects[:, joints, wanted[places]])
-        columns = np.zeros((len(filtered), self.model.n, len(wanted)))
+        joints, places = self._pairs
+        filtered = segment.filter(effects[:, joints, self._wanted[places]])
+        columns = np.zeros((len(filtered), self.model.n, len(self._wanted)))
         columns[:, joints, places] = filtered
         return columns
-
-    @cached_property
-    def _varying_pairs(self) -> tuple[Indices, Indices]:
-        """Pairs of a joint and the position of a varying column that acts on it."""
-        acts = np.array([np.isin(self.varying, active) for active in self._active])
-        joints, places = np.nonzero(acts)
-        return joints, places
-
-    def _filtered(self, chunk: Chunk) -> list[list[Array]]:
-        """Return the columns that do not vary, for each window and joint (c, m)."""
-        threads = min(self.compiled.threads, len(chunk))
-        if threads <= 1:
-            return [self._constant[k].filtered(window) for k, window in chunk]
-        with ThreadPoolExecutor(threads) as pool:
-            return list(pool.map(lambda part: self._constant[part[0]].filtered(part[1]), chunk))
-
-    def _stack(
-        self, chunk: Chunk, constant: Sequence[Sequence[Array]], varying: Sequence[Array]
-    ) -> Rows:
-        """Return the equations of a chunk from its columns.
-
-        Parameters
-        ----------
-        chunk : list of (int, Window)
-        constant : sequence of sequence of (c, m)
-            Columns that do not vary, for each window and joint.
-        varying : sequence of (M, n, v)
-            Varying columns of each segment; empty if there are none.
-        """
-        firsts = _starts([w.rows.stop - w.rows.start for _, w in chunk])
-        joints = [
-            self._joint_rows(j, chunk, [values[j] for values in constant], varying, firsts)
-            for j in range(self.model.n)
-        ]
-        owner = [k for k, _ in chunk]
-        new = [k for k in range(len(owner)) if k == 0 or owner[k] != owner[k - 1]]
-        return Rows(joints, self.model.base.count, firsts[[*new, len(owner)]])
-
-    def _joint_rows(
-        self,
-        j: int,
-        chunk: Chunk,
-        constant: Sequence[Array],
-        varying: Sequence[Array],
-        firsts: Indices,
-    ) -> JointRows:
-        """Return the equations of joint j; see `_stack`."""
-        active = self._active[j]
-        constant_at = np.searchsorted(active, self._constant[0].columns[j])
-        varying_at = np.flatnonzero(np.isin(active, self.varying))
-        chosen = np.flatnonzero(np.isin(self.varying, active))
-        use = [self._use[k][w.rows, j] for k, w in chunk]
-        matrix = np.zeros((sum(int(mask.sum()) for mask in use), len(active)))
-        last = 0
-        for (k, window), mask, values in zip(chunk, use, constant, strict=True):
-            first, last = last, last + int(mask.sum())
-            matrix[first:last, constant_at] = values.T[mask]
-            if varying:
-                matrix[first:last, varying_at] = varying[k][window.rows][mask, j][:, chosen]
-        torque = [self._torque[k][w.rows, j][mask] for (k, w), mask in zip(chunk, use, strict=True)]
-        instant = [a + np.flatnonzero(mask) for a, mask in zip(firsts[:-1], use, strict=True)]
-        return JointRows(active, matrix, np.concatenate(torque), np.concatenate(instant))
-
-
-def _chunks(windows: Sequence[tuple[int, Window]], width: int, held: int) -> list[Chunk]:
-    """Group windows into chunks: one if all rows take at most ``held`` bytes.
-
-    Parameters
-    ----------
-    windows : sequence of (int, Window)
-        Number of a segment, and a window.
-    width : int
-        Bytes per row.
-    """
-    sizes = [width * (w.rows.stop - w.rows.start) for _, w in windows]
-    most = held if sum(sizes) <= held else CHUNK_BYTES
-    chunks: list[Chunk] = []
-    free = 0
-    for window, size in zip(windows, sizes, strict=True):
-        if not chunks or size > free:
-            chunks.append([])
-            free = most
-        chunks[-1].append(window)
-        free -= size
-    return chunks
-
-
-def _starts(lengths: Sequence[int]) -> Indices:
-    """Return the first positions of parts of given lengths, and the end of the last."""
-    return np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
-
-
-def _fit_rows(model: Model, segment: Processed) -> NDArray[np.bool_]:
-    """Mark the filtered rows (M, n) that enter a fit: all but those at rest under dry friction."""
-    return segment.filtered_moving | ~has_dry_friction(model)
 
 
 def _torque(segment: Processed) -> Array:

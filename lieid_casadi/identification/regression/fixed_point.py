@@ -9,10 +9,11 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.identification.regression.design_matrix import Design, Rows, varying_columns
+from lieid_casadi.identification.regression.design_matrix import Design, varying_columns
 from lieid_casadi.identification.regression.least_squares import (
     ESTIMATORS,
     LeastSquaresSolution,
+    Rows,
     Weighting,
     solve,
 )
@@ -29,45 +30,27 @@ SETTLED = 1e-6  # relative change of the predicted torque at convergence
 
 @dataclass(frozen=True, eq=False)
 class FitState:
-    """Result of one iteration.
+    """Result of one iteration."""
 
-    Attributes
-    ----------
-    shapes : (s,)
-    rows : Rows
-        At these shapes, and at the load predicted by the preceding iteration.
-    weighting : Weighting
-    solution : LeastSquaresSolution
-    parameters : (10 n + m,)
-        Link parameters and effect coefficients that give ``solution.values``.
-    scan : ShapeScan, optional
-        By which the shapes were found; None if they were held.
-    """
-
-    shapes: Array
-    rows: Rows
+    shapes: Array  # (s,)
+    rows: Rows  # at these shapes, and at the load predicted by the preceding iteration
     weighting: Weighting
     solution: LeastSquaresSolution
+    #: (10 n + m,): link parameters and effect coefficients that give ``solution.values``
     parameters: Array
-    scan: ShapeScan | None = None
+    scan: ShapeScan | None = None  # by which the shapes were found; None if they were held
 
 
 @dataclass(frozen=True, eq=False)
 class ShapeStart:
-    """Shape parameters to hold, and the load to begin with.
+    """Shape parameters to hold, and the load to begin with."""
 
-    Attributes
-    ----------
-    values : (s,)
-        Shape parameters; NaN for those that are to be taken from the training recordings.
-    held : bool
-        Whether they stay fixed. Otherwise they are ignored: a fit follows from its data alone.
-    parameters : (10 n + m,), optional
-        Link parameters and effect coefficients that give the first load; by default it is zero.
-    """
-
+    #: (s,): shape parameters; NaN for those that are to be taken from the training recordings
     values: Array
+    #: whether they stay fixed. Otherwise they are ignored: a fit follows from its data alone
     held: bool = False
+    #: (10 n + m,): link parameters and effect coefficients that give the first load; by
+    #: default it is zero
     parameters: Array | None = None
 
 
@@ -78,20 +61,6 @@ def fixed_point(
 
     Shapes are first scanned over their whole ranges, then refined together in every round. At
     convergence they are scanned again; the fit is done when the scan finds nothing better.
-
-    Parameters
-    ----------
-    report : callable
-        Called with a stage's name and the fraction done.
-    start : ShapeStart, optional
-        Shapes that are held.
-
-    Returns
-    -------
-    FitState
-        Of the last iteration.
-    bool
-        Whether it converged.
     """
     model = design.model
     held = start if start is not None and start.held else ShapeStart(model.initial_shapes)

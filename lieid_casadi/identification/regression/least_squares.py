@@ -1,13 +1,14 @@
-"""Linear least squares on triangular factors: scaled columns and SVD, no normal matrix.
+"""Equations of a regression; their least squares by scaled columns and SVD of triangular factors.
 
-Rows have no weights (`ols`), those of each joint's noise (`wls`), or further ones against outliers
-(`robust`).
+No normal matrix is formed. Rows have no weights (`ols`), those of each joint's noise (`wls`), or
+further ones against outliers (`robust`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,8 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.triangular_factors import Triangle, triangular
 from lieid_casadi.dynamics.base_parameters import BaseParameters
 from lieid_casadi.errors import IdentificationError
-from lieid_casadi.identification.regression.rows import Rows
+
+Indices = NDArray[np.intp]
 
 RANK_TOLERANCE = 1e-9  # of scaled columns; below it a direction is not excited
 VANISHING = 1e-100  # norm of a column that counts as zero: its inverse squared must be finite
@@ -26,19 +28,76 @@ MOST_NAMED = 4
 
 
 @dataclass(frozen=True, eq=False)
+class JointRows:
+    """One joint's equations ``torque = matrix @ β[columns]``."""
+
+    columns: Indices  # (c,): base columns that act on it: of the links from it on, of its effects
+    matrix: Array  # (R, c)
+    torque: Array  # (R,): N·m
+    instant: Indices  # (R,): position of each row on the common time line of all segments
+
+    def residual(self, values: Array) -> Array:
+        """Return measured − predicted torque (R,)."""
+        return np.asarray(self.torque - self.matrix @ values[self.columns])
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Equations of all joints in ``count`` base columns."""
+
+    joints: Sequence[JointRows]
+    count: int
+    segments: Indices  # (k + 1,): first instant of each segment, and the number of instants
+
+    @cached_property
+    def factors(self) -> list[Factor]:
+        """One factor per joint of the rows without weights."""
+        return _factors(self, [None] * len(self.joints))
+
+    @property
+    def lengths(self) -> Indices:
+        """Number of rows of each joint (n,)."""
+        return np.array([len(joint.torque) for joint in self.joints], dtype=np.intp)
+
+    def residuals(self, values: Array) -> list[Array]:
+        """Return measured − predicted torque per joint (R,)."""
+        return [joint.residual(values) for joint in self.joints]
+
+    def on_time_line(self, values: Array) -> Array:
+        """Return the residuals (instants, n) on the common time line, NaN where there is no row."""
+        line = np.full((int(self.segments[-1]), len(self.joints)), np.nan)
+        for j, joint in enumerate(self.joints):
+            line[joint.instant, j] = joint.residual(values)
+        return line
+
+    def predicted(self, values: Array) -> Array:
+        """Return the predicted torque of all rows, one joint after another."""
+        return np.concatenate([joint.matrix @ values[joint.columns] for joint in self.joints])
+
+    def blocks(self, length: int) -> Indices:
+        """Return the block of each instant; every segment begins with a new block."""
+        numbers, first = np.empty(int(self.segments[-1]), dtype=np.intp), 0
+        for start, end in zip(self.segments[:-1], self.segments[1:], strict=True):
+            numbers[start:end] = first + np.arange(end - start) // length
+            first = int(numbers[end - 1]) + 1 if end > start else first
+        return numbers
+
+    def factors_at(self, instants: NDArray[np.bool_]) -> list[Factor]:
+        """Return one factor per joint of the rows at marked instants."""
+        parts = []
+        for joint in self.joints:
+            use = instants[joint.instant]
+            own = joint.matrix[use], joint.torque[use], joint.instant[use]
+            parts.append(JointRows(joint.columns, *own))
+        return Rows(parts, self.count, self.segments).factors
+
+
+@dataclass(frozen=True, eq=False)
 class Factor:
-    """Triangular factor of [matrix | torque], sufficient for least squares.
+    """Triangular factor of [matrix | torque], sufficient for least squares."""
 
-    Attributes
-    ----------
-    r : (p + 1, p + 1)
-        Upper triangular; ‖matrix·β − torque‖ = ‖r·[β; −1]‖ for every β.
-    rows : int
-        Number of rows that it was computed from.
-    """
-
-    r: Array
-    rows: int
+    r: Array  # (p + 1, p + 1): upper triangular; ‖matrix·β − torque‖ = ‖r·[β; −1]‖ for every β
+    rows: int  # number of rows that it was computed from
 
     def misfit(self, values: Array) -> float:
         """Return the sum of squared residuals at values (p,)."""
@@ -47,72 +106,38 @@ class Factor:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresSolution:
-    """Result of a linear least-squares problem.
+    """Result of a linear least-squares problem."""
 
-    Attributes
-    ----------
-    values : (p,)
-        Of minimum norm (in scaled columns) along directions that are not excited.
-    unit_covariance : (p, p)
-        (XᵀX)⁻¹ of the rows, without directions that are not excited.
-    unexcited : tuple of (p,)
-        Directions in which the values can be changed without changing the residual.
-    """
-
-    values: Array
-    unit_covariance: Array
+    values: Array  # (p,): of minimum norm (in scaled columns) along directions that are not excited
+    unit_covariance: Array  # (p, p): (XᵀX)⁻¹ of the rows, without directions that are not excited
+    #: directions in which the values can be changed without changing the residual
     unexcited: tuple[Array, ...]
 
 
 def joint_factors(rows: Rows, weights: Sequence[Array] | None = None) -> list[Factor]:
-    """Return one factor per joint, in all p columns.
+    """Return one factor per joint, in all p columns; ``weights`` multiply the rows."""
+    return rows.factors if weights is None else _factors(rows, weights)
 
-    Parameters
-    ----------
-    weights : sequence of (R,), optional
-        Multiply the rows of each joint; 1 if left out.
 
-    Raises
-    ------
-    IdentificationError
-        An entry that is not finite.
-    """
-    if weights is None and rows.unweighted is not None:
-        return rows.unweighted
-    triangles = [Triangle(len(columns) + 1) for columns in rows.columns]
-    for part, where in rows.chunks():
-        for j, (joint, triangle) in enumerate(zip(part.joints, triangles, strict=True)):
-            weight = None if weights is None else weights[j][where[j]]
-            triangle.add(joint.matrix, joint.torque, weights=weight)
-    for j, triangle in enumerate(triangles):
+def _factors(rows: Rows, weights: Sequence[Array | None]) -> list[Factor]:
+    found = []
+    for j, (joint, weight) in enumerate(zip(rows.joints, weights, strict=True)):
+        triangle = Triangle(len(joint.columns) + 1)
+        triangle.add(joint.matrix, joint.torque, weights=weight)
         if not np.isfinite(triangle.r).all():
             raise IdentificationError(
                 f"joint {j + 1}: a column of the regression is not finite at some sample; "
                 "check the formulas of the effects on this joint"
             )
-    factors = [
-        widened(triangle.r, columns, rows.count, int(length))
-        for triangle, columns, length in zip(triangles, rows.columns, rows.lengths, strict=True)
-    ]
-    if weights is None:
-        rows.unweighted = factors
-    return factors
+        wide = np.zeros((len(triangle.r), rows.count + 1))
+        wide[:, [*joint.columns, rows.count]] = triangle.r
+        found.append(Factor(wide, len(joint.torque)))
+    return found
 
 
-def widened(small: Array, columns: NDArray[np.integer], p: int, rows: int) -> Factor:
-    """Return a factor of some columns and the torque as one of all p columns.
-
-    Parameters
-    ----------
-    small : (k, c + 1)
-    columns : (c,) int
-        Positions among the p columns.
-    rows : int
-        Number of rows that the factor was computed from.
-    """
-    wide = np.zeros((len(small), p + 1))
-    wide[:, [*columns, p]] = small
-    return Factor(wide, rows)
+def stacked(rows: Rows, weights: Sequence[Array] | None = None) -> Factor:
+    """Return the factor of the rows of all joints, multiplied by weights."""
+    return combine(joint_factors(rows, weights), np.ones(len(rows.joints)))
 
 
 def combine(factors: Sequence[Factor], weights: Sequence[float] | Array) -> Factor:
@@ -154,14 +179,7 @@ def independent_fraction(factor: Factor) -> Array:
 
 
 def name_direction(direction: Array, labels: Sequence[str]) -> str:
-    """Return the parameters that dominate a direction, as in ``+0.71 Ixx5 -0.71 Iyy5``.
-
-    Parameters
-    ----------
-    direction : (p,)
-    labels : sequence of str
-        Names of the p parameters.
-    """
+    """Return the parameters that dominate a direction, as in ``+0.71 Ixx5 -0.71 Iyy5``."""
     unit = direction / np.linalg.norm(direction)
     order = np.argsort(-np.abs(unit))
     large = [k for k in order if abs(unit[k]) >= NAMED_SHARE * abs(unit[order[0]])]
@@ -188,13 +206,7 @@ class Conditioning:
 
 
 def conditioning(unweighted: Factor, base: BaseParameters) -> Conditioning:
-    """Return the conditioning of the full regressor, which is base columns · combination.
-
-    Parameters
-    ----------
-    unweighted : Factor
-        Of the base columns.
-    """
+    """Return the conditioning of the full regressor, which is base columns · combination."""
     full = unweighted.r[:, :-1] @ base.combination
     sizes = np.linalg.svd(full, compute_uv=False)
     rank = base.count
@@ -211,36 +223,24 @@ SMALLEST_NOISE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Weighting:
-    """Weighted rows of an estimator.
+    """Weighted rows of an estimator."""
 
-    Attributes
-    ----------
-    factor : Factor
-        Of all rows, weighted.
-    noise : (n,)
-        Residual standard deviation per joint, N·m.
-    rows : tuple of (R,)
-        Weight of each row of each joint.
-    converged : bool
-    """
-
-    factor: Factor
-    noise: Array
-    rows: tuple[Array, ...]
+    factor: Factor  # of all rows, weighted
+    noise: Array  # (n,): residual standard deviation per joint, N·m
+    rows: tuple[Array, ...]  # weight of each row of each joint
     converged: bool
 
 
 def ols(rows: Rows) -> Weighting:
     """Ordinary least squares: the same weight for every row."""
-    factors = joint_factors(rows)
-    factor = combine(factors, np.ones(len(factors)))
-    noise = _noise(factors, solve(factor).values, rows)
-    return Weighting(factor, noise, _row_weights(rows, np.ones(len(factors))), True)
+    factor = stacked(rows)
+    noise = _noise(rows.factors, solve(factor).values, rows)
+    return Weighting(factor, noise, _row_weights(rows, np.ones(len(rows.joints))), True)
 
 
 def wls(rows: Rows) -> Weighting:
     """Weighted least squares: rows divided by their joint's residual noise, iterated."""
-    factors = joint_factors(rows)
+    factors = rows.factors
     noise, converged = np.ones(len(factors)), False
     for _ in range(ITERATIONS):
         factor = combine(factors, 1.0 / noise)
@@ -267,7 +267,7 @@ def robust(rows: Rows) -> Weighting:
             np.sqrt(np.minimum(1.0, HUBER * s / np.maximum(np.abs(e), SMALLEST_NOISE))) / s
             for e, s in zip(residuals, noise, strict=True)
         ]
-        factor = combine(joint_factors(rows, weights), np.ones(len(weights)))
+        factor = stacked(rows, weights)
         fresh = solve(factor).values
         change = np.abs(fresh - values).max(initial=0.0)
         values = fresh
@@ -283,20 +283,20 @@ ESTIMATORS = {"ols": ols, "wls": wls, "robust": robust}
 def _noise(factors: list[Factor], values: Array, rows: Rows) -> Array:
     """Return each joint's residual standard deviation (n,); 1 where a joint has no rows."""
     noise = []
-    for factor, columns in zip(factors, rows.columns, strict=True):
+    for factor, joint in zip(factors, rows.joints, strict=True):
         # parameters are shared between joints: each joint has its part of their number
-        share = len(columns) * factor.rows / max(_uses(rows, columns), 1)
+        share = len(joint.columns) * factor.rows / max(_uses(rows, joint.columns), 1)
         freedom = max(factor.rows - share, 1.0)
         size = np.sqrt(factor.misfit(values) / freedom) if factor.rows else 1.0
         noise.append(max(float(size), SMALLEST_NOISE))
     return np.array(noise)
 
 
-def _uses(rows: Rows, columns: NDArray[np.intp]) -> float:
+def _uses(rows: Rows, columns: Indices) -> float:
     """Return the mean number of rows in which these columns appear."""
     total = np.zeros(rows.count)
-    for own, length in zip(rows.columns, rows.lengths, strict=True):
-        total[own] += length
+    for joint in rows.joints:
+        total[joint.columns] += len(joint.torque)
     return float(np.mean(total[columns])) if len(columns) else 1.0
 
 

@@ -23,29 +23,16 @@ SMOOTH = 1.0 / 3.0  # of the cut-off, which is at least six times the bandwidth 
 
 @dataclass(frozen=True, eq=False)
 class ModelAlongSegment:
-    """A model with numerical parameters along a segment; `lieid_casadi.effects.ArmAlong`.
-
-    Attributes
-    ----------
-    parameters : (10 n + m,)
-        Link parameters and effect coefficients.
-    joint_columns : (K, n, m)
-        Columns of effects on single joints; those of effects on the whole arm are zero.
-    fitted : bool
-        Whether the model was fitted to this segment.
-    shapes : (s,)
-        Shape parameters of the effects.
-    unknown_at_rest : bool
-        Whether friction at rest counts as unknown, otherwise as zero.
-    """
+    """A model with numerical parameters along a segment; `lieid_casadi.effects.ArmAlong`."""
 
     compiled: Compiled
     segment: Processed
-    parameters: Array
+    parameters: Array  # (10 n + m,): link parameters and effect coefficients
+    #: (K, n, m): columns of effects on single joints; those of effects on the whole arm are zero
     joint_columns: Array
-    fitted: bool
-    shapes: Array
-    unknown_at_rest: bool = False
+    fitted: bool  # whether the model was fitted to this segment
+    shapes: Array  # (s,): shape parameters of the effects
+    unknown_at_rest: bool = False  # whether friction at rest counts as unknown, otherwise as zero
 
     @property
     def t(self) -> Array:
@@ -83,13 +70,7 @@ class ModelAlongSegment:
         return np.asarray(self.load + self.joint_columns @ self.coefficients)
 
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Return the rigid torque (K, n) of another motion, N·m.
-
-        Parameters
-        ----------
-        q, dq, ddq : (K, n)
-            rad, rad/s, rad/s².
-        """
+        """Return the rigid torque (K, n) of another motion, N·m."""
         return self.compiled.inverse_dynamics(q, dq, ddq, self._links)
 
     @cached_property
@@ -146,14 +127,7 @@ def _in_gravity(compiled: Compiled) -> list[Compiled]:
 
 
 def effect_signals(segment: Processed, shapes: Array, load: Array | None) -> dict[str, Array]:
-    """Return the signals that effects depend on along a segment, as keywords of `Compiled`.
-
-    Parameters
-    ----------
-    shapes : (s,)
-    load : (K, n) or None
-        Rigid torque, N·m.
-    """
+    """Return the signals that effects depend on along a segment, as keywords of `Compiled`."""
     signals = {
         "shapes": shapes,
         "dead_zone": segment.dead_zone,
@@ -176,16 +150,7 @@ def model_along(
     *,
     fitted: bool = True,
 ) -> ModelAlongSegment:
-    """Return the model along a segment.
-
-    Parameters
-    ----------
-    shapes : (s,)
-    parameters : (10 n + m,)
-        Link parameters and effect coefficients.
-    fitted : bool
-        Whether the model was fitted to this segment. Drift is zero on other segments.
-    """
+    """Return the model along a segment."""
     load = compiled.inverse_dynamics(
         segment.q, segment.dq, segment.ddq, parameters[: 10 * compiled.n]
     )
@@ -204,16 +169,7 @@ def effects_along(
     *,
     fitted: bool = True,
 ) -> Array:
-    """Return the columns of all effects (K, n, m) along a segment.
-
-    Parameters
-    ----------
-    shapes : (s,)
-    parameters : (10 n + m,) or (10 n,) or None
-        Link parameters, with or without effect coefficients; None means no load.
-    fitted : bool
-        Whether the model was fitted to this segment. Drift is zero on other segments.
-    """
+    """Return the columns of all effects (K, n, m) along a segment."""
     if parameters is None:
         signals: dict[str, Any] = effect_signals(segment, shapes, None)
         return compiled.effect_columns(

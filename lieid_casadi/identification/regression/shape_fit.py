@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.regression.rows import Rows
+from lieid_casadi.identification.regression.least_squares import Rows
 from lieid_casadi.identification.regression.variable_projection import (
     STEP,
     SeparableProblem,
@@ -33,16 +33,7 @@ def refine_shapes(design: Design, start: Array, links: Array | None, noise: Arra
 
 
 def shape_columns(design: Design, values: Array, shapes: Array, links: Array | None) -> list[Array]:
-    """Return ∂torque/∂shapes per joint (R, s), N·m per unit of each shape.
-
-    Parameters
-    ----------
-    values : (p,)
-        Base values.
-    shapes : (s,)
-    links : (10 n,) or (10 n + m,) or None
-        Parameters that give the load; None means no load.
-    """
+    """Return ∂torque/∂shapes per joint (R, s), N·m per unit of each shape."""
     coefficients = values[design.varying]
     here = design.varying_rows(shapes, links)
     steps = STEP * ShapeRange.of(design.model.shapes).slope(shapes)

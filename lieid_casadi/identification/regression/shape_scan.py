@@ -29,10 +29,10 @@ from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import (
     RANK_TOLERANCE,
+    Rows,
     combine,
     joint_factors,
 )
-from lieid_casadi.identification.regression.rows import Rows
 from lieid_casadi.identification.regression.segment_columns import (
     effect_signals,
     model_along,

@@ -118,53 +118,28 @@ INSIDE = 1e-6  # of the range: a start at a bound is moved inside by this
 
 @dataclass(frozen=True, eq=False)
 class ProjectedSolution:
-    """Linear least-squares solution at given shapes.
+    """Linear least-squares solution at given shapes."""
 
-    Attributes
-    ----------
-    coefficients : (v,)
-        Of the columns that depend on the shapes.
-    residual : (R,)
-        Target minus fitted values.
-    basis : (R, k)
-        Orthonormal basis of those columns whose coefficients are not at a bound.
-    """
-
-    coefficients: Array
-    residual: Array
-    basis: Array
+    coefficients: Array  # (v,): of the columns that depend on the shapes
+    residual: Array  # (R,): target minus fitted values
+    basis: Array  # (R, k): orthonormal basis of those columns whose coefficients are not at a bound
 
 
 @dataclass(frozen=True, eq=False)
 class SeparableProblem:
-    """Weighted least-squares problem that is linear in all parameters but the shapes.
+    """Weighted least-squares problem that is linear in all parameters but the shapes."""
 
-    Attributes
-    ----------
-    columns : callable
-        Shapes (s,) to weighted columns (R, v).
-    target : (R,)
-        Weighted.
-    ranges : ShapeRange
-        Of the s shapes.
-    fixed : (R, f), optional
-        Orthonormal basis of the columns that do not depend on the shapes. Their coefficients
-        have no bounds.
-    slopes : callable, optional
-        Shapes (s,) and coefficients (v,) to ∂(columns·coefficients)/∂shapes (R, s); by forward
-        differences if left out.
-    bounds : pair of (v,), optional
-        Lower and upper bounds of the coefficients.
-    negligible : float
-        Columns whose norm is at most this part of the largest get the coefficient zero.
-    """
-
-    columns: Callable[[Array], Array]
-    target: Array
-    ranges: ShapeRange
+    columns: Callable[[Array], Array]  # shapes (s,) to weighted columns (R, v)
+    target: Array  # (R,): weighted
+    ranges: ShapeRange  # of the s shapes
+    #: (R, f): orthonormal basis of the columns that do not depend on the shapes. Their
+    #: coefficients have no bounds
     fixed: Array | None = None
+    #: shapes (s,) and coefficients (v,) to ∂(columns·coefficients)/∂shapes (R, s); by forward
+    #: differences if left out
     slopes: Callable[[Array, Array], Array] | None = None
-    bounds: tuple[Array, Array] | None = None
+    bounds: tuple[Array, Array] | None = None  # lower and upper bounds of the coefficients
+    #: columns whose norm is at most this part of the largest get the coefficient zero
     negligible: float = 0.0
 
     def solve(self, shapes: Array) -> ProjectedSolution:
@@ -225,15 +200,6 @@ def minimize_shapes(
     """Return shapes (s,) at a local minimum of the cost, within their ranges.
 
     Trust-region least squares on the places of the shapes in their ranges.
-
-    Parameters
-    ----------
-    start : (s,)
-        Shapes to start from.
-    xtol, ftol : float
-        Relative changes of the places and of the cost that end the search.
-    max_evaluations : int
-        Of the residual.
     """
     ranges = problem.ranges
     latest: dict[bytes, ProjectedSolution] = {}  # residual and Jacobian share one solution
@@ -267,17 +233,7 @@ def minimize_shapes(
 def forward_differences(
     columns: Callable[[Array], Array], ranges: ShapeRange, shapes: Array, coefficients: Array
 ) -> Array:
-    """Return ∂(columns·coefficients)/∂shapes (R, s) by forward differences.
-
-    Parameters
-    ----------
-    columns : callable
-        Shapes (s,) to columns (R, v).
-    ranges : ShapeRange
-        The step is a fixed part of each range.
-    shapes : (s,)
-    coefficients : (v,)
-    """
+    """Return ∂(columns·coefficients)/∂shapes (R, s) by forward differences."""
     here = columns(shapes) @ coefficients
     steps = STEP * ranges.slope(shapes)
     changes = [

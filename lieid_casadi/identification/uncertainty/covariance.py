@@ -15,9 +15,6 @@ twice:
 Each parameter gets the larger standard deviation of the two; correlations are those of the
 first. Both are corrected for the part of the noise that the fit has absorbed.
 
-Recordings that do not fit into memory are treated in chunks, assumed to be uncorrelated: each is
-many times longer than the correlation time of the residual.
-
 Limits: recordings must be many times longer than the correlation time of the residual; errors in
 q are not accounted for; model errors are treated as noise.
 """
@@ -34,8 +31,12 @@ from scipy.fft import irfft, next_fast_len, rfft
 from lieid_casadi.arrays import Array
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState
-from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
-from lieid_casadi.identification.regression.rows import JointRows, Rows
+from lieid_casadi.identification.regression.least_squares import (
+    JointRows,
+    Rows,
+    solve,
+    stacked,
+)
 from lieid_casadi.identification.regression.shape_fit import shape_columns
 
 QUIET = 5  # consecutive lags without significant correlation that end the correlation
@@ -45,21 +46,11 @@ LONGEST = 2000  # lags
 
 @dataclass(frozen=True, eq=False)
 class TimeLine:
-    """All segments on one time axis, with gaps longer than any lag that is used.
+    """All segments on one time axis, with gaps longer than any lag that is used."""
 
-    Attributes
-    ----------
-    positions : (instants,) int
-        Of each instant on the axis.
-    size : int
-        Length of the Fourier transforms.
-    longest : int
-        Largest lag that can be estimated.
-    """
-
-    positions: NDArray[np.intp]
-    size: int
-    longest: int
+    positions: NDArray[np.intp]  # (instants,) int: of each instant on the axis
+    size: int  # length of the Fourier transforms
+    longest: int  # largest lag that can be estimated
 
     @classmethod
     def of(cls, rows: Rows) -> TimeLine:
@@ -84,44 +75,22 @@ class TimeLine:
 
 @dataclass(frozen=True, eq=False)
 class ResidualSpectrum:
-    """Spectrum of the joints' residuals.
+    """Spectrum of the joints' residuals."""
 
-    Attributes
-    ----------
-    density : (F, n, n) complex
-        Hermitian and positive semidefinite at each frequency.
-    variance : (n,)
-        Of each joint's residual.
-    correlation_length : int
-        Number of lags in which residuals are correlated.
-    window : (size,)
-        Window on the lags.
-    """
-
+    #: (F, n, n): complex: Hermitian and positive semidefinite at each frequency
     density: NDArray[np.complex128]
-    variance: Array
-    correlation_length: int
-    window: Array
+    variance: Array  # (n,): of each joint's residual
+    correlation_length: int  # number of lags in which residuals are correlated
+    window: Array  # (size,): window on the lags
 
     def smoothed(self, line: TimeLine, joint: JointRows, power: Array) -> Array:
-        """Return a density (F,) from a periodogram (F,), smoothed as that of the residuals.
-
-        Parameters
-        ----------
-        power : (F,)
-        """
+        """Return a density (F,) from a periodogram (F,), smoothed as that of the residuals."""
         covariance = irfft(power, line.size) / _pairs(line, joint, joint)
         return np.asarray(rfft(self.window * covariance).real)
 
 
 def residual_spectrum(line: TimeLine, rows: Rows, residuals: Sequence[Array]) -> ResidualSpectrum:
-    """Return the spectrum of residuals.
-
-    Parameters
-    ----------
-    residuals : sequence of (R,)
-        Per joint, at the instants of its rows.
-    """
+    """Return the spectrum of residuals."""
     n = len(rows.joints)
     series = [
         line.transform(joint.instant, e) for joint, e in zip(rows.joints, residuals, strict=True)
@@ -180,26 +149,8 @@ NEGLIGIBLE = 1e-4  # of the kernel's maximum; frequencies below it are left out
 def hac_covariance(
     rows: Rows, weights: Sequence[Array], residuals: Sequence[Array], unit_covariance: Array
 ) -> Array:
-    """Return the covariance of least-squares values (p, p).
-
-    Parameters
-    ----------
-    weights : sequence of (R,)
-        Multiply the rows of each joint.
-    residuals : sequence of (R,)
-        Unweighted, N·m.
-    unit_covariance : (p, p)
-        (XᵀX)⁻¹ of the weighted rows.
-    """
-    stationary, general = np.zeros((2, *unit_covariance.shape))
-    for part, where in rows.chunks():
-        weight, residual = (
-            [values[own] for values, own in zip(of, where, strict=True)]
-            for of in (weights, residuals)
-        )
-        one, other = _score_covariances(part, weight, residual, unit_covariance)
-        stationary += one
-        general += other
+    """Return the covariance of least-squares values (p, p)."""
+    stationary, general = _score_covariances(rows, weights, residuals, unit_covariance)
     stationary = unit_covariance @ stationary @ unit_covariance
     general = unit_covariance @ general @ unit_covariance
     first, second = np.diag(stationary), np.diag(general)
@@ -269,12 +220,6 @@ def _absorption_correction(
     A fit absorbs noise at the frequencies of its columns, which are mostly low. The spectrum of
     the residual is that of (1 − H)Ω(1 − H)ᵀ, evaluated with the estimated Ω; correlation between
     joints is neglected.
-
-    Parameters
-    ----------
-    weights : sequence of (R,)
-        Of each joint's rows.
-    unit_covariance : (p, p)
     """
     own = [spectrum.density[:, j, j].real for j in range(len(rows.joints))]
     squares = [float(np.mean(w**2)) if len(w) else 1.0 for w in weights]
@@ -357,8 +302,7 @@ def fit_covariance(design: Design, state: FitState) -> Array:
     if len(state.shapes):
         slopes = shape_columns(design, values, state.shapes, state.parameters)
         rows = with_columns(rows, slopes)
-        weighted = combine(joint_factors(rows, state.weighting.rows), np.ones(design.model.n))
-        unit = solve(weighted).unit_covariance
+        unit = solve(stacked(rows, state.weighting.rows)).unit_covariance
     return hac_covariance(rows, state.weighting.rows, residuals, unit)
 
 

@@ -41,17 +41,11 @@ LEAST_SPREAD = 0.1  # of the residual: friction uncertainty never explains all o
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Instants of one joint for statistical tests, in runs without gaps or rests.
+    """Instants of one joint for statistical tests, in runs without gaps or rests."""
 
-    Attributes
-    ----------
-    at : tuple of (L,) int
-        Positions in the common time line of all filtered segments, run by run.
-    friction_std : (N,)
-        Torque uncertainty from dry friction at each of them, N·m; see `friction_torque_std`.
-    """
-
+    #: positions (L,) in the common time line of all filtered segments, run by run
     at: tuple[Indices, ...]
+    #: (N,): torque uncertainty from dry friction at each of them, N·m; see `friction_torque_std`
     friction_std: Array
 
     @property
@@ -72,15 +66,7 @@ class Runs:
 def runs_of(
     usable: NDArray[np.bool_], segments: Sequence[Processed], friction_std: Array
 ) -> tuple[Runs, ...]:
-    """Return the runs of each joint: decimated instants among the usable ones.
-
-    Parameters
-    ----------
-    usable : (instants, n) bool
-        On the common time line of all filtered segments.
-    friction_std : (instants, n)
-        Torque uncertainty from dry friction on that time line, N·m.
-    """
+    """Return the runs of each joint: decimated instants among the usable ones."""
     decimated, first = [], 0
     for segment in segments:
         count = len(segment.filtered_time)
@@ -108,21 +94,12 @@ def _step(segment: Processed) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """One joint's noise: an autoregression e_k = −Σ a_i·e_{k−i} + σ·white.
+    """One joint's noise: an autoregression e_k = −Σ a_i·e_{k−i} + σ·white."""
 
-    Attributes
-    ----------
-    filter : (p + 1,)
-        1, a_1 … a_p.
-    sigma, spread : float
-        Of the white part, and of e itself, N·m.
-    motion_ratio : float
-        Estimated ratio of model errors on other motion to ``spread``, at least 1.
-    """
-
-    filter: Array
-    sigma: float
-    spread: float
+    filter: Array  # (p + 1,): 1, a_1 … a_p
+    sigma: float  # of the white part, and of e itself, N·m
+    spread: float  # of the white part, and of e itself, N·m
+    #: estimated ratio of model errors on other motion to ``spread``, at least 1
     motion_ratio: float = 1.0
 
     @classmethod
@@ -141,18 +118,7 @@ class Noise:
         return replace(self, sigma=factor * self.sigma, spread=factor * self.spread)
 
     def whiten(self, values: Array, runs: Runs) -> Array:
-        """Return weighted and whitened signals, whose noise has unit variance.
-
-        Parameters
-        ----------
-        values : (N, …)
-            Signals at the instants of the runs.
-
-        Returns
-        -------
-        (N', …) ndarray
-            Without the first p instants of each run, which initialize the filter.
-        """
+        """Return weighted and whitened signals, whose noise has unit variance."""
         weights = runs.weights(self.spread) / self.sigma
         weighted = values * weights.reshape(-1, *[1] * (values.ndim - 1))
         if self.order == 0:  # white noise: no row depends on others
@@ -183,15 +149,7 @@ def _convolved(signal: Array, taps: Array) -> Array:
 def residual_noise(
     compiled: Compiled, segments: Sequence[Processed], state: FitState
 ) -> tuple[Noise, ...]:
-    """Return the noise model of each joint's residual.
-
-    Parameters
-    ----------
-    segments : sequence of Processed
-        Of the training recordings.
-    state : FitState
-        Of the fit.
-    """
+    """Return the noise model of each joint's residual."""
     line = state.rows.on_time_line(state.solution.values)
     friction_std = [
         friction_torque_std(compiled, s, state.shapes, state.parameters) for s in segments
@@ -224,15 +182,7 @@ def _correlations(noise: Noise) -> Array:
 
 
 def noise_of(residual: Array, runs: Runs, freedom: float = 1.0) -> Noise:
-    """Fit an autoregression to a joint's residual; its order minimizes the AIC.
-
-    Parameters
-    ----------
-    residual : (N,)
-        At the instants of the runs, N·m.
-    freedom : float
-        Degrees of freedom of the residual per row, 0 to 1.
-    """
+    """Fit an autoregression to a joint's residual; its order minimizes the AIC."""
     spread = spread_of(residual, runs.friction_std, freedom)
     highest = min(LARGEST_ORDER, runs.count // ROWS_PER_LAG)
     lagged, now = _lags(residual * runs.weights(spread), runs, highest)
@@ -255,15 +205,6 @@ def spread_of(residual: Array, friction_std: Array, freedom: float = 1.0) -> flo
     """Return the standard deviation σ of residuals without the uncertainty of dry friction, N·m.
 
     It solves mean(e² / (σ² + s²)) = freedom, with s the torque uncertainty from dry friction.
-
-    Parameters
-    ----------
-    residual : (N,)
-        N·m.
-    friction_std : (N,)
-        s, N·m.
-    freedom : float
-        Degrees of freedom of the residual per row, 0 to 1.
     """
     total = float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
     if total <= SMALLEST_NOISE:
@@ -300,17 +241,7 @@ RESPONSE = 2.0  # periods of the cut-off, length of the filter's impulse respons
 def friction_torque_std(
     compiled: Compiled, segment: Processed, shapes: Array, parameters: Array
 ) -> Array:
-    """Return the standard deviation (M, n) of filtered torque due to dry friction, N·m.
-
-    Parameters
-    ----------
-    segment : Processed
-        With M filtered instants.
-    shapes : (s,)
-        Shape parameters of the effects.
-    parameters : (10 n + m,)
-        Link parameters and effect coefficients, which determine the level of dry friction.
-    """
+    """Return the standard deviation (M, n) of filtered torque due to dry friction, N·m."""
     reach = min(round(RESPONSE * segment.rate / segment.cutoff), len(segment) - 1)
     impulse = np.zeros(2 * reach + 1)
     impulse[reach] = 1.0
@@ -339,16 +270,7 @@ def expected_sign(segment: Processed, at: slice) -> Array:
 def dry_level(
     compiled: Compiled, segment: Processed, at: slice, shapes: Array, parameters: Array
 ) -> Array:
-    """Return half the jump of the effects' torque at a velocity reversal (k, n), N·m.
-
-    Parameters
-    ----------
-    at : slice
-        k instants of the segment.
-    shapes : (s,)
-    parameters : (10 n + m,)
-        Link parameters and effect coefficients.
-    """
+    """Return half the jump of the effects' torque at a velocity reversal (k, n), N·m."""
     n, q = compiled.n, segment.q[at]
     signals: dict[str, Any] = {"shapes": shapes, "time": segment.t[at] - segment.t[0]}
     if segment.temperature is not None:
@@ -389,21 +311,6 @@ def motion_ratio_of(
     The variance of the blocks' mean squares counts by what exceeds the 95 % level of its χ²
     distribution under noise alone. The ratio is therefore 1 if blocks differ no more than by
     chance, and it grows from there without a jump.
-
-    Parameters
-    ----------
-    residual : (N,)
-        Of one joint.
-    weights : (N,)
-        Of its rows, 0 to 1. Those where dry friction is uncertain are left out: an uncertain sign
-        of the velocity gives large errors near rests and reversals, which are not evenly spread
-        over the motion.
-    at : (N,) int
-        Instants.
-    redundancy : float
-        Number of rows per independent sample, from the correlation of the residual.
-    rows_per_block : int
-        Instants per block.
     """
     sure = weights > CERTAIN
     residual, at = (weights * residual)[sure], at[sure]
@@ -420,13 +327,7 @@ def motion_ratio_of(
 
 
 def explainable(residual: Array, columns: Array) -> float:
-    """Return the part of the residual's variance that columns explain, adjusted for their number.
-
-    Parameters
-    ----------
-    residual : (N,)
-    columns : (N, k)
-    """
+    """Return the part of a residual's variance that columns explain, adjusted for their number."""
     total = float(np.sum(residual**2))
     count, width = columns.shape
     if count < 3 * width or total == 0.0:
@@ -439,15 +340,7 @@ def explainable(residual: Array, columns: Array) -> float:
 
 
 def common_effect_columns(compiled: Compiled, segment: Processed, links: Array) -> Array:
-    """Return filtered columns (M, n, k) of common effects that depend on a joint's own motion.
-
-    Parameters
-    ----------
-    segment : Processed
-        With M filtered instants.
-    links : (10 n,)
-        Link parameters.
-    """
+    """Return filtered columns (M, n, k) of common effects that depend on a joint's own motion."""
     top = np.maximum(np.abs(segment.dq).max(axis=0), 1e-9)
     parts = []
     for window in segment.windows:

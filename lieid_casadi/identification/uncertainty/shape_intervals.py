@@ -21,8 +21,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.errors import BoundWarning, LieidWarning
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState
-from lieid_casadi.identification.regression.least_squares import combine, joint_factors, solve
-from lieid_casadi.identification.regression.rows import Rows
+from lieid_casadi.identification.regression.least_squares import Rows, combine, joint_factors, solve
 from lieid_casadi.identification.regression.shape_fit import resolved_range, shape_columns
 from lieid_casadi.identification.regression.shape_scan import ShapeScan, WeightedProjection
 from lieid_casadi.identification.regression.variable_projection import ShapeRange

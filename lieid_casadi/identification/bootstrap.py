@@ -10,33 +10,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import IdentificationError, NoSolution
 from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
 from lieid_casadi.identification.feasible.feasible_fit import feasible_problem
 from lieid_casadi.identification.feasible.problem import FeasibleOptions
+from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import relative_temperature
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
     combine,
-    joint_factors,
     solve,
 )
-from lieid_casadi.identification.regression.rows import JointRows, Rows
 from lieid_casadi.identification.uncertainty.covariance import residual_correlation_length
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Recording, process
 from lieid_casadi.recording.recording import listed
-
-if TYPE_CHECKING:
-    from lieid_casadi.identification.fit import Fit
 
 LENGTH = 4  # of a block, in correlation times of the residuals
 FEWEST_BLOCKS = 10
@@ -142,7 +136,9 @@ def bootstrap(
     weights = np.ones(fit.model.n) if fit.method == "ols" else 1.0 / fit.noise
     correlated = residual_correlation_length(rows, rows.residuals(fit.values))
     length = max(LENGTH * correlated, int(rows.segments[-1]) // MOST_BLOCKS)
-    blocks = block_factors(rows, weights, block=length)
+    numbers = rows.blocks(length)
+    parts = [rows.factors_at(numbers == k) for k in range(int(numbers.max()) + 1)]
+    blocks = [block for part in parts if (block := combine(part, weights)).rows]
     step = float(np.median(np.diff(segments[0].filtered_time)))
     if len(blocks) < FEWEST_BLOCKS:
         raise IdentificationError(
@@ -163,46 +159,6 @@ def bootstrap(
     if len(found) < 2:
         raise NoSolution("no resample has physically consistent parameters; use method wls")
     return Bootstrap(fit.model, np.array(found), len(blocks), length * step, failed)
-
-
-def block_factors(rows: Rows, weights: Array, *, block: int) -> list[Factor]:
-    """Return one weighted factor of all joints per block of consecutive instants.
-
-    Parameters
-    ----------
-    weights : (n,)
-        Multiply the rows of each joint.
-    block : int
-        Instants per block.
-    """
-    factors = []
-    for part, _ in rows.chunks():
-        numbers = _block_numbers(part, block)
-        for k in range(int(numbers.max(initial=-1)) + 1):
-            own = combine(joint_factors(_select(part, numbers == k)), weights)
-            if own.rows:
-                factors.append(own)
-    return factors
-
-
-def _block_numbers(rows: Rows, block: int) -> NDArray[np.intp]:
-    """Return the block number of each instant; every segment begins with a new block."""
-    numbers = np.empty(int(rows.segments[-1]), dtype=np.intp)
-    first = 0
-    for start, end in zip(rows.segments[:-1], rows.segments[1:], strict=True):
-        numbers[start:end] = first + np.arange(end - start) // block
-        first = int(numbers[end - 1]) + 1 if end > start else first
-    return numbers
-
-
-def _select(rows: Rows, instants: NDArray[np.bool_]) -> Rows:
-    joints = []
-    for joint in rows.joints:
-        use = instants[joint.instant]
-        joints.append(
-            JointRows(joint.columns, joint.matrix[use], joint.torque[use], joint.instant[use])
-        )
-    return Rows(joints, rows.count, rows.segments)
 
 
 def _estimator(
