@@ -61,6 +61,16 @@ class Parameter:
         return f"{self.name}{between}{self.joint + 1}"
 
 
+@dataclass(frozen=True)
+class Slot:
+    """A placed effect, and the places of what it has among the columns, shapes and states."""
+
+    placement: Placement
+    columns: slice
+    shapes: slice
+    states: slice
+
+
 class Model:
     """A serial arm with physical effects on its joints.
 
@@ -127,6 +137,16 @@ class Model:
     def effects(self) -> list[str]:
         """The effects as they are written in files: ``["coulomb", "stribeck:4"]``."""
         return labels(self.placements, self.n)
+
+    @cached_property
+    def slots(self) -> tuple[Slot, ...]:
+        """The placed effects with the places of their columns, shape parameters and states."""
+        found, ends = [], (0, 0, 0)
+        for p in self.placements:
+            sizes = len(p.effect.coefficients), len(p.effect.shapes), len(p.effect.states)
+            starts, ends = ends, tuple(a + n for a, n in zip(ends, sizes, strict=True))
+            found.append(Slot(p, *(slice(a, b) for a, b in zip(starts, ends, strict=True))))
+        return tuple(found)
 
     @cached_property
     def columns(self) -> tuple[Parameter, ...]:
@@ -288,16 +308,14 @@ class Model:
         if states is None and self.states:
             remembering = ", ".join(p.label for p in self.placements if p.effect.states)
             raise ModelError(f"{remembering} has memory; expected states beside the signals")
-        first_shape = first_state = 0
-        for p in self.placements:
-            shape = {s.name: shapes[first_shape + k] for k, s in enumerate(p.effect.shapes)}
+        for slot in self.slots:
+            p = slot.placement
+            shape = {s.name: shapes[slot.shapes.start + k] for k, s in enumerate(p.effect.shapes)}
             state = {
-                s.name: states[first_state + k]
+                s.name: states[slot.states.start + k]
                 for k, s in enumerate(p.effect.states)
                 if states is not None
             }
-            first_shape += len(shape)
-            first_state += len(state)
             yield p, shape, state
 
     def __repr__(self) -> str:

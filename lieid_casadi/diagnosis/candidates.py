@@ -13,8 +13,10 @@ from lieid_casadi.diagnosis.events import moves_enough
 from lieid_casadi.diagnosis.incremental import incremental
 from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
 from lieid_casadi.effects.registry import REGISTER, make
-from lieid_casadi.identification.regression.shape_fit import command_error_range
-from lieid_casadi.identification.regression.variable_projection import ShapeRange
+from lieid_casadi.identification.regression.variable_projection import (
+    ShapeRange,
+    command_error_range,
+)
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
 from lieid_casadi.recording.conversion import is_torque_of_laws

@@ -17,7 +17,7 @@ from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.design_matrix import Design, FilteredColumns
 from lieid_casadi.identification.regression.least_squares import Rows as DesignRows
-from lieid_casadi.identification.regression.shape_fit import shape_columns
+from lieid_casadi.identification.regression.variable_projection import shape_columns
 from lieid_casadi.identification.uncertainty.noise_model import (
     Runs,
     dry_level,
@@ -175,9 +175,8 @@ class Rows:
         """
         fit, parts = self.fit, []
         for segment in self.segments:
-            whole = slice(0, len(segment))
-            level = dry_level(fit.compiled, segment, whole, fit.shapes, fit.parameters)
-            friction = np.where(segment.moving, level * expected_sign(segment, whole), 0.0)
+            level = dry_level(fit.compiled, segment, fit.shapes, fit.parameters)
+            friction = np.where(segment.moving, level * expected_sign(segment), 0.0)
             late = np.vstack([friction[:1], friction[:-1]])
             parts.append(segment.filter((late - friction) * segment.rate))
         change = np.concatenate(parts)

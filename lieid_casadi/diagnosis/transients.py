@@ -329,9 +329,7 @@ class ResidualSignals:
         load = segment.filter(compiled.inverse_dynamics(*motion, links))
         still, top = _still(q, segment), np.maximum(np.abs(dq).max(axis=0), 1e-9)
         uncertain = friction_torque_std(compiled, segment, fit.shapes, fit.parameters)
-        level = segment.filter(
-            dry_level(compiled, segment, slice(None), fit.shapes, fit.parameters)
-        )
+        level = segment.filter(dry_level(compiled, segment, fit.shapes, fit.parameters))
         # The sign of a joint that is held is unknown: the prediction errs by up to both levels.
         slack = np.maximum(
             DEVIATIONS * uncertain, np.where(np.abs(dq) < SLOW * top, 2.0, 0.0) * level

@@ -155,32 +155,22 @@ def _kept_placements(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> l
         joint: _odd_columns(first_stage.compiled, joint, first_stage.shapes) for joint in friction
     }
     return [
-        placement
-        for placement, columns in _with_columns(first_stage.model)
-        if placement.joint not in friction or not odd[placement.joint][columns].any()
+        slot.placement
+        for slot in first_stage.model.slots
+        if slot.placement.joint not in friction or not odd[slot.placement.joint][slot.columns].any()
     ]
 
 
 def _determined_placements(own: FrictionFit) -> list[Placement]:
     """Return the effects of a second stage that its curve determines: those odd in velocity."""
     odd = _odd_columns(own.compiled, own.curve.joint, own.shapes)
-    return [placement for placement, columns in _with_columns(own.model) if odd[columns].any()]
+    return [slot.placement for slot in own.model.slots if odd[slot.columns].any()]
 
 
 def _odd_columns(compiled: Compiled, joint: int, shapes: Array) -> NDArray[np.bool_]:
     """Mark the columns (m,) whose torque on a joint changes sign with its velocity."""
     columns = steady_columns(compiled, joint, SPEEDS, shapes, load=1.0, temperature=1.0)
     return np.asarray(np.any(columns, axis=0))
-
-
-def _with_columns(model: Model) -> list[tuple[Placement, slice]]:
-    """Return each placement with its columns among the effect columns."""
-    found, first = [], 0
-    for placement in model.placements:
-        last = first + len(placement.effect.coefficients)
-        found.append((placement, slice(first, last)))
-        first = last
-    return found
 
 
 def _dry_friction(friction: Mapping[int, FrictionFit]) -> set[str]:
@@ -192,9 +182,9 @@ def _dry_friction(friction: Mapping[int, FrictionFit]) -> set[str]:
                 own.compiled, own.curve.joint, HIGH_SPEEDS, own.shapes, load=1.0, temperature=1.0
             )
         )
-        for placement, columns in _with_columns(own.model):
-            if not np.all(fast[columns] > GROWTH * slow[columns]):
-                dry.add(placement.label)
+        for slot in own.model.slots:
+            if not np.all(fast[slot.columns] > GROWTH * slow[slot.columns]):
+                dry.add(slot.placement.label)
     return dry
 
 
@@ -205,8 +195,8 @@ def _refitted(fit: Fit, dry: set[str], excitation: Sequence[Recording], method: 
     """
     rest = [p for p in fit.model.placements if p.label not in dry]
     held = np.zeros(len(fit.model.columns))
-    for placement, columns in _with_columns(fit.model):
-        held[columns] = placement.label in dry
+    for slot in fit.model.slots:
+        held[slot.columns] = slot.placement.label in dry
     with_dry, without = (
         replace(fit, parameters=np.concatenate([fit.link_parameters, coefficients]))
         for coefficients in (fit.effect_coefficients * held, np.zeros(len(held)))

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import IdentificationError, NoSolution
-from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
 from lieid_casadi.identification.feasible.feasible_fit import feasible_problem
-from lieid_casadi.identification.feasible.problem import FeasibleOptions
+from lieid_casadi.identification.feasible.problem import ConvexSolver, FeasibleOptions
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import relative_temperature
 from lieid_casadi.identification.regression.design_matrix import Design
@@ -172,4 +172,4 @@ def _estimator(
         design, whole, fit.shapes, fit.parameters, options or FeasibleOptions()
     )
     solver = ConvexSolver(problem)
-    return lambda factor: np.asarray(problem.combination @ solver.solve(factor, weight))
+    return partial(solver.base_values, weight=weight)

@@ -25,22 +25,13 @@ class DefaultEffects:
 
 
 def default_effects(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    *,
-    motor_side: bool = False,
+    robot: Robot, recordings: Sequence[Recording], *, motor_side: bool = False
 ) -> DefaultEffects:
     """Return Coulomb and viscous friction and offset, with rotor inertia for motor-side torque.
 
     Torque from motor currents or from the control law of position-controlled drives contains the
-    torque that accelerates the rotors, which a sensor at the joint does not measure.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        To be fitted.
-    motor_side : bool
-        Whether the user states that torque is measured at the motors.
+    torque that accelerates the rotors, which a sensor at the joint does not measure; ``motor_side``
+    states it for others.
 
     Examples
     --------

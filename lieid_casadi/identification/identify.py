@@ -32,7 +32,6 @@ from lieid_casadi.identification.regression.design_matrix import Design, Filtere
 from lieid_casadi.identification.regression.fixed_point import (
     FitState,
     Progress,
-    ShapeStart,
     fixed_point,
 )
 from lieid_casadi.identification.regression.least_squares import (
@@ -63,7 +62,7 @@ def identify(
     method: Method = "wls",
     processing: Processing | None = None,
     feasible: FeasibleOptions | None = None,
-    start: ShapeStart | None = None,
+    held_shapes: Array | None = None,
     progress: Progress | None = None,
 ) -> Fit:
     """Fit a model's parameters to recordings.
@@ -82,9 +81,9 @@ def identify(
         Filter options; the cut-off is chosen from the spectrum if not stated.
     feasible : FeasibleOptions, optional
         Bounds on masses and centres of mass, and further options of the method ``feasible``.
-    start : ShapeStart, optional
-        Shape parameters that are held at their values; searched over their whole ranges if left
-        out.
+    held_shapes : (s,), optional
+        Values of the shape parameters, NaN for those that the recordings give; shape parameters
+        are searched over their whole ranges if left out.
     progress : callable, optional
         Called with a stage's name and the fraction done.
 
@@ -130,7 +129,7 @@ def identify(
         segments,
         method=method,
         feasible=feasible,
-        start=start,
+        held_shapes=held_shapes,
         temperature_mean=mean,
         provenance=_provenance(given),
         warnings=found,
@@ -148,7 +147,7 @@ def identify_segments(
     temperature_mean: Array | None = None,
     provenance: Provenance | None = None,
     feasible: FeasibleOptions | None = None,
-    start: ShapeStart | None = None,
+    held_shapes: Array | None = None,
     uncertainty: bool = True,
     known: Sequence[FilteredColumns] | None = None,
     warnings: Sequence[LieidWarning] = (),
@@ -161,11 +160,18 @@ def identify_segments(
     from values known before. Shape parameters are scanned over their whole ranges, each effect
     beside all others, and refined together; the fit is done when neither a small change of all
     shapes nor any other value of one effect's shapes lowers the weighted error (`shape_scan`).
+
+    Temperatures of the segments are relative to ``temperature_mean`` (n,), °C; ``known`` columns
+    are shared by fits of models of one robot (`Design`). False for ``uncertainty`` leaves the
+    covariance NaN and the residual's noise white: for models of which only values are compared,
+    since the two take longer than the fit.
     """
     model, found = compiled.model, list(warnings)
     report("regress", 0.3)
     design = Design(compiled, segments, known=known)
-    state, settled = fixed_point(design, "wls" if method == "feasible" else method, report, start)
+    state, settled = fixed_point(
+        design, "wls" if method == "feasible" else method, report, held_shapes
+    )
     least, folds = state, _folds(segments, state)
     unweighted = stacked(state.rows)
     found += fit_warnings.of_regression(model, segments, state, unweighted, settled=settled)

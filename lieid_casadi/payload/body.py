@@ -14,8 +14,11 @@ from scipy.linalg import null_space
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import NoSolution
-from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
-from lieid_casadi.identification.feasible.problem import FeasibleOptions, FeasibleProblem
+from lieid_casadi.identification.feasible.problem import (
+    ConvexSolver,
+    FeasibleOptions,
+    FeasibleProblem,
+)
 from lieid_casadi.identification.regression.least_squares import Factor
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.robot.inertia import body_inertia, link_parameters, pseudo_inertia

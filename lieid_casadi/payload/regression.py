@@ -33,7 +33,7 @@ from lieid_casadi.identification.regression.least_squares import (
     joint_factors,
     solve,
 )
-from lieid_casadi.identification.regression.shape_fit import shape_columns
+from lieid_casadi.identification.regression.variable_projection import shape_columns
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 from lieid_casadi.model import Model
 from lieid_casadi.robot.inertia import parameter_transport

@@ -26,7 +26,6 @@ from lieid_casadi.errors import (
 from lieid_casadi.identification import identify
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.recording_checks import Source
-from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
@@ -395,12 +394,10 @@ def _drift_without(label: str, fit: Fit, train: Sequence[Recording], runs: Seque
     """
     kept = [p for p in fit.model.placements if p.effect.label != label]
     model = Model.of_placements(fit.model.robot, kept)
-    values = dict(zip(fit.model.shapes, fit.shapes, strict=True))
-    start = ShapeStart(np.array([values[shape] for shape in model.shapes]))
     drives = fit.model.robot.drives
     complete = [r if r.tau is not None or drives is None else r.with_drives(drives) for r in train]
     try:
-        refit = identify(model, complete, method="feasible", processing=fit.processing, start=start)
+        refit = identify(model, complete, method="feasible", processing=fit.processing)
         require_positive_mass_matrix(refit, runs)
     except (NoSolution, IdentificationError, ModelError):
         return Drift.unknown(fit.model.n)

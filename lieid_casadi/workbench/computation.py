@@ -31,7 +31,6 @@ from lieid_casadi.identification.identify import identify_segments
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.identification.regression.design_matrix import FilteredColumns
-from lieid_casadi.identification.regression.fixed_point import ShapeStart
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.premises import PremiseCheck
@@ -264,23 +263,26 @@ class Computation:
         kept: Fit | None = self._kept_fit or self._results.get(key)
         if kept is not None:
             return kept
-        model, start = Model(self.robot, step.effects), None
+        model, held = Model(self.robot, step.effects), None
         if effort.held:
-            values = [
-                self._shapes.get(s.label, s.initial) if s.fitted else np.nan for s in model.shapes
-            ]
-            start = ShapeStart(np.array(values), held=True)
+            held = np.array(
+                [self._shapes.get(s.label, s.initial) if s.fitted else np.nan for s in model.shapes]
+            )
         first = self._results.get(("first fit", step.excluded, effort.thinned))
         if first is None:
             train, _ = self.used(step, thinned=effort.thinned)
-            fit = identify(model, train, processing=self._processing, start=start, progress=report)
+            fit = identify(
+                model, train, processing=self._processing, held_shapes=held, progress=report
+            )
             self._keep(("first fit", step.excluded, effort.thinned), fit)
             self._processing = fit.processing
         else:
             prepared, _ = self._prepared(step, first, thinned=effort.thinned)
             assert prepared is not None
             uncertain = not effort.brief
-            fit = prepared.fitted(model, first, start=start, uncertainty=uncertain, report=report)
+            fit = prepared.fitted(
+                model, first, held_shapes=held, uncertainty=uncertain, report=report
+            )
         if not effort.held:
             found = zip(model.shapes, fit.shapes, strict=True)
             self._shapes.update({s.label: float(v) for s, v in found})
@@ -431,7 +433,7 @@ class PreparedRecordings:
         model: Model,
         first: Fit,
         *,
-        start: ShapeStart | None,
+        held_shapes: Array | None,
         uncertainty: bool,
         report: Progress,
     ) -> Fit:
@@ -444,7 +446,7 @@ class PreparedRecordings:
             compile(model),
             self.segments,
             method="wls",
-            start=start,
+            held_shapes=held_shapes,
             uncertainty=uncertainty,
             temperature_mean=first.temperature_mean,
             provenance=first.provenance,

@@ -8,8 +8,7 @@ inertia", IEEE RA-L 2022. Not convex; independent of the conic solver that it ch
 import casadi as ca
 import numpy as np
 
-from lieid_casadi.identification.feasible.convex_solver import linear_constraints
-from lieid_casadi.identification.feasible.problem import FeasibleProblem
+from lieid_casadi.identification.feasible.problem import FeasibleProblem, linear_constraints
 from lieid_casadi.identification.regression.least_squares import Factor
 
 OPTIONS = {

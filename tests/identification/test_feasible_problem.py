@@ -7,9 +7,8 @@ from robot.random_arms import random_link, random_pose
 
 import lieid_casadi as lieid
 from lieid_casadi.identification import FeasibleOptions
-from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
 from lieid_casadi.identification.feasible.dissipation import dissipation_rows
-from lieid_casadi.identification.feasible.problem import FeasibleProblem
+from lieid_casadi.identification.feasible.problem import ConvexSolver, FeasibleProblem
 from lieid_casadi.identification.regression.least_squares import Factor, triangular
 from lieid_casadi.robot.inertia import parameter_transport, pseudo_inertia
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
+from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.robot.inertia import pseudo_inertia
 from lieid_casadi.robot.robot import Robot
 
@@ -81,35 +82,21 @@ class Certificate:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
-        return {
-            "regularization": self.regularization,
-            "regularization_source": self.regularization_source,
-            "pseudo_inertia_eigenvalue": self.pseudo_inertia_eigenvalue.tolist(),
-            "mass_matrix_eigenvalue": self.mass_matrix_eigenvalue,
-            "poses": self.poses,
-            "least_dissipation": (
-                self.least_dissipation if np.isfinite(self.least_dissipation) else None
-            ),
-            "divergence": self.divergence.tolist(),
-            "rms": self.rms.tolist(),
-            "rms_wls": self.rms_wls.tolist(),
+        values = {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in vars(self).items()
         }
+        return values | {"least_dissipation": number_or_none(self.least_dissipation)}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Certificate:
-        """Return the certificate of `to_dict`'s data; see `fit_schema.CertificateFile`."""
-        least = data["least_dissipation"]
-        return cls(
-            regularization=float(data["regularization"]),
-            regularization_source=str(data["regularization_source"]),
-            pseudo_inertia_eigenvalue=np.array(data["pseudo_inertia_eigenvalue"], dtype=float),
-            mass_matrix_eigenvalue=float(data["mass_matrix_eigenvalue"]),
-            poses=int(data["poses"]),
-            least_dissipation=np.inf if least is None else float(least),
-            divergence=np.array(data["divergence"], dtype=float),
-            rms=np.array(data["rms"], dtype=float),
-            rms_wls=np.array(data["rms_wls"], dtype=float),
-        )
+        """Return the certificate of `to_dict`'s data."""
+        values: dict[str, Any] = {
+            name: np.array(value, dtype=float) if isinstance(value, list) else value
+            for name, value in data.items()
+        }
+        least = values.pop("least_dissipation")
+        return cls(least_dissipation=np.inf if least is None else least, **values)
 
 
 def pseudo_inertia_eigenvalues(links: Array) -> Array:

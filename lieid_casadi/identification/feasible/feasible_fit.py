@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -22,9 +23,9 @@ from lieid_casadi.identification.feasible.certificate import (
     position_range,
     pseudo_inertia_eigenvalues,
 )
-from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
 from lieid_casadi.identification.feasible.dissipation import dissipation_rows, largest_speed
 from lieid_casadi.identification.feasible.problem import (
+    ConvexSolver,
     FeasibleOptions,
     FeasibleProblem,
     reference_bodies,
@@ -125,10 +126,7 @@ def make_feasible(
             ),
         )
     found = (*found, *at_bounds(design, start, state), *driving(design, start, problem))
-
-    def estimate(factor: Factor) -> Array:
-        return np.asarray(problem.combination @ solver.solve(factor, weight))
-
+    estimate = partial(solver.base_values, weight=weight)
     return ConsistentFit(state, problem, weight, estimate, found)
 
 
@@ -167,16 +165,7 @@ def feasible_problem(
         lower=lower,
         upper=upper,
     )
-    problem = FeasibleProblem(
-        combination=model.base.combination,
-        references=references,
-        lower=np.array([c.lower for c in model.columns]),
-        upper=np.array([c.upper for c in model.columns]),
-        friction=friction,
-        typical=factor,
-        options=options,
-    )
-    return problem, found
+    return FeasibleProblem.of(model, references, friction, factor, options), found
 
 
 def choose_regularization(
@@ -191,22 +180,17 @@ def choose_regularization(
         if report is not None:
             report("regularization", k / len(WEIGHTS))
         try:
-            score = _score(solver, folds, noise, weight)
+            rms = cross_validated_rms(folds, partial(solver.base_values, weight=weight))
         except NoSolution as error:  # small λ on little data; a larger one may converge
             failure = error
             continue
+        score = float(np.nansum((rms / noise) ** 2))
         if score < least:
             best, least = weight, score
     if best is None:
         assert failure is not None
         raise failure
     return best
-
-
-def _score(solver: ConvexSolver, folds: Sequence[Fold], noise: Array, weight: float) -> float:
-    combination = solver.problem.combination
-    rms = cross_validated_rms(folds, lambda f: np.asarray(combination @ solver.solve(f, weight)))
-    return float(np.nansum((rms / noise) ** 2))
 
 
 def _follow_load(

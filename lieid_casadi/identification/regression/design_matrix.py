@@ -60,13 +60,12 @@ def active_columns(compiled: Compiled) -> list[NDArray[np.intp]]:
         kept = position.get(10 * model.n + int(column))
         if kept is not None:
             acts[row, kept] = True
-    first = 10 * model.n
-    for p in model.placements:
-        last = first + len(p.effect.coefficients)
-        if isinstance(p.effect, ArmEffect):
-            rows = p.joint if p.effect.reach == "joint" else slice(None)
-            acts[rows, [position[k] for k in range(first, last) if k in position]] = True
-        first = last
+    for slot in model.slots:
+        effect, joint = slot.placement.effect, slot.placement.joint
+        if isinstance(effect, ArmEffect):
+            rows = joint if effect.reach == "joint" else slice(None)
+            numbers = 10 * model.n + np.arange(slot.columns.start, slot.columns.stop)
+            acts[rows, [position[k] for k in numbers if k in position]] = True
     return [np.flatnonzero(row) for row in acts]
 
 
@@ -201,10 +200,10 @@ class Design:
 
     def columns_of_shape(self, k: int) -> Indices:
         """Return the positions, among the varying columns, of those of the effect with shape k."""
-        placed = self.model.placements
-        owners = [number for number, p in enumerate(placed) for _ in p.effect.coefficients]
-        shape_owners = [number for number, p in enumerate(placed) for _ in p.effect.shapes]
-        return np.flatnonzero([owners[column] == shape_owners[k] for column in self._wanted])
+        (own,) = (
+            slot.columns for slot in self.model.slots if slot.shapes.start <= k < slot.shapes.stop
+        )
+        return np.flatnonzero((self._wanted >= own.start) & (self._wanted < own.stop))
 
     def _varying_blocks(self, shapes: Array, links: Array | None) -> list[Array]:
         """Return the filtered varying columns (M, n, v) of each segment.

@@ -17,9 +17,12 @@ from lieid_casadi.identification.regression.least_squares import (
     Weighting,
     solve,
 )
-from lieid_casadi.identification.regression.shape_fit import refine_shapes, resolved_range
 from lieid_casadi.identification.regression.shape_scan import ShapeScan
-from lieid_casadi.identification.regression.variable_projection import shapes_of_data
+from lieid_casadi.identification.regression.variable_projection import (
+    refine_shapes,
+    resolved_range,
+    shapes_of_data,
+)
 from lieid_casadi.model import Model
 
 Progress = Callable[[str, float], None]
@@ -41,21 +44,8 @@ class FitState:
     scan: ShapeScan | None = None  # by which the shapes were found; None if they were held
 
 
-@dataclass(frozen=True, eq=False)
-class ShapeStart:
-    """Shape parameters to hold, and the load to begin with."""
-
-    #: (s,): shape parameters; NaN for those that are to be taken from the training recordings
-    values: Array
-    #: whether they stay fixed. Otherwise they are ignored: a fit follows from its data alone
-    held: bool = False
-    #: (10 n + m,): link parameters and effect coefficients that give the first load; by
-    #: default it is zero
-    parameters: Array | None = None
-
-
 def fixed_point(
-    design: Design, method: str, report: Progress, start: ShapeStart | None = None
+    design: Design, method: str, report: Progress, held_shapes: Array | None = None
 ) -> tuple[FitState, bool]:
     """Alternate linear fit, shapes and load until the predicted torque converges.
 
@@ -63,9 +53,9 @@ def fixed_point(
     convergence they are scanned again; the fit is done when the scan finds nothing better.
     """
     model = design.model
-    held = start if start is not None and start.held else ShapeStart(model.initial_shapes)
-    shapes, links = _with_data_ranges(design, held), held.parameters
-    search = _Search(design) if not held.held and any(s.fitted for s in model.shapes) else None
+    shapes, links = _with_data_ranges(design, held_shapes), None
+    searched = held_shapes is None and any(s.fitted for s in model.shapes)
+    search = _Search(design) if searched else None
     iterate = bool(varying_columns(model).any())
     loaded = any("load" in p.effect.signals for p in model.placements)
     if any(isinstance(p.effect, ArmEffect) and p.effect.shapes for p in model.placements):
@@ -140,11 +130,12 @@ def _state(
     return FitState(shapes, rows, weighting, solution, parameters)
 
 
-def _with_data_ranges(design: Design, start: ShapeStart) -> Array:
+def _with_data_ranges(design: Design, held: Array | None) -> Array:
     """Return the shapes (s,) to start from, with those that the recordings give."""
     data = shapes_of_data(design.model, design.segments)
-    given = np.isnan(data) | (start.held & np.isfinite(start.values))
-    return np.where(given, start.values, data)
+    values = design.model.initial_shapes if held is None else held
+    given = np.isnan(data) | (held is not None and np.isfinite(values))
+    return np.where(given, values, data)
 
 
 def nominal_parameters(model: Model) -> Array:

@@ -178,14 +178,13 @@ def effects_along(
     every = np.zeros(10 * compiled.n + len(compiled.model.columns))
     every[: len(parameters)] = parameters
     arm = model_along(compiled, segment, shapes, every, fitted=fitted)
-    columns = arm.joint_columns
-    first, own, filled = 0, 0, None
-    for p in compiled.model.placements:
-        last = first + len(p.effect.coefficients)
-        if isinstance(p.effect, ArmEffect):
-            filled = columns.copy() if filled is None else filled
-            crossed = shapes[own : own + len(p.effect.shapes)]
-            values = np.concatenate([arm.coefficients[first:last], crossed])
-            filled[:, :, first:last] = p.effect.segment_columns(arm, p.joint, values)
-        first, own = last, own + len(p.effect.shapes)
-    return columns if filled is None else filled
+    arm_effects = [x for x in compiled.model.slots if isinstance(x.placement.effect, ArmEffect)]
+    if not arm_effects:
+        return arm.joint_columns
+    columns = arm.joint_columns.copy()
+    for slot in arm_effects:
+        effect, joint = slot.placement.effect, slot.placement.joint
+        assert isinstance(effect, ArmEffect)
+        values = np.concatenate([arm.coefficients[slot.columns], shapes[slot.shapes]])
+        columns[:, :, slot.columns] = effect.segment_columns(arm, joint, values)
+    return columns

@@ -60,11 +60,12 @@ Columns = dict[int, Array]
 class Member:
     """An effect with fitted shapes, and the values (G, s) that are tried.
 
-    ``shapes`` and ``columns`` are its numbers among the model's shapes and base columns; ``kept``
-    are those of its coefficients that are base columns.
+    ``coefficients``, ``shapes`` and ``columns`` are its places among the model's coefficients,
+    shapes and base columns; ``kept`` are those of its coefficients that are base columns.
     """
 
     placement: Placement
+    coefficients: slice
     shapes: NDArray[np.intp]
     columns: NDArray[np.intp]
     kept: NDArray[np.intp]
@@ -201,10 +202,7 @@ class ShapeScan:
         model = self.design.model
         every = np.zeros(10 * model.n + len(model.columns))
         every[: len(links)] = links
-        number = model.placements.index(member.placement)
-        first = sum(len(p.effect.coefficients) for p in model.placements[:number])
-        first += 10 * model.n
-        own = every[first : first + len(effect.coefficients)]
+        own = every[10 * model.n :][member.coefficients]
         parts = []
         for segment in self.design.segments:
             arm = model_along(self.design.compiled, segment, shapes, every)
@@ -366,11 +364,10 @@ def _members(design: Design, ranges: ShapeRange) -> list[Member]:
     """Return the effects with fitted shapes, ordered by their labels."""
     model = design.model
     position = {int(k): i for i, k in enumerate(model.base.kept)}
-    found, shape, column = [], 0, 10 * model.n
-    for p in model.placements:
-        numbers = np.arange(shape, shape + len(p.effect.shapes))
-        own = np.arange(column, column + len(p.effect.coefficients))
-        shape, column = shape + len(numbers), column + len(own)
+    found = []
+    for slot in model.slots:
+        p, numbers = slot.placement, np.arange(slot.shapes.start, slot.shapes.stop)
+        own = 10 * model.n + np.arange(slot.columns.start, slot.columns.stop)
         kept = np.array([i for i, k in enumerate(own) if int(k) in position], dtype=np.intp)
         if not any(s.data is None for s in p.effect.shapes) or not len(kept):
             continue
@@ -378,7 +375,7 @@ def _members(design: Design, ranges: ShapeRange) -> list[Member]:
         waves = len(numbers) == 1 and p.effect.shapes[0].scan is not None
         own_range = ShapeRange(ranges.lower[numbers], ranges.upper[numbers])
         grid = _waves(design, p, own_range) if waves else _grid(p, own_range)
-        found.append(Member(p, numbers, columns, kept, grid, waves))
+        found.append(Member(p, slot.columns, numbers, columns, kept, grid, waves))
     return sorted(found, key=lambda member: member.placement.label)
 
 

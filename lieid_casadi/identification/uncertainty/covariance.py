@@ -37,7 +37,7 @@ from lieid_casadi.identification.regression.least_squares import (
     solve,
     stacked,
 )
-from lieid_casadi.identification.regression.shape_fit import shape_columns
+from lieid_casadi.identification.regression.variable_projection import shape_columns
 
 QUIET = 5  # consecutive lags without significant correlation that end the correlation
 SIGNIFICANT = 2.0  # times √(log₁₀N/N): threshold of significant correlation

@@ -2,8 +2,7 @@
 
 Low-passed residuals at the rate of a fit are strongly correlated from row to row, and tests that
 treat them as independent find every candidate significant. Rows are decimated to twice the
-cut-off, and the correlation of the noise itself is removed by an autoregressive filter on torque
-and columns (Cochrane & Orcutt, JASA 1949).
+cut-off; the correlation of the noise itself is described by an autoregression.
 
 Rows where dry friction is uncertain get less weight: the sign of a velocity within its noise of
 zero, or within half a sample of a reversal, is not determined, and at rest friction has any value
@@ -26,6 +25,7 @@ from scipy.stats import chi2
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.identification.regression.fixed_point import FitState
+from lieid_casadi.identification.regression.segment_columns import effect_signals
 from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.recording.processed import Processed
 
@@ -34,7 +34,6 @@ RATE_OVER_CUTOFF = 2.0
 LARGEST_ORDER = 8
 ROWS_PER_LAG = 25  # of the autoregression; with fewer rows its order is lower
 SMALLEST_NOISE = 1e-12
-LEAST_FREEDOM = 0.1
 LAGS = 50
 LEAST_SPREAD = 0.1  # of the residual: friction uncertainty never explains all of it
 
@@ -117,34 +116,6 @@ class Noise:
         """Return noise with the same correlation, larger by a factor."""
         return replace(self, sigma=factor * self.sigma, spread=factor * self.spread)
 
-    def whiten(self, values: Array, runs: Runs) -> Array:
-        """Return weighted and whitened signals, whose noise has unit variance."""
-        weights = runs.weights(self.spread) / self.sigma
-        weighted = values * weights.reshape(-1, *[1] * (values.ndim - 1))
-        if self.order == 0:  # white noise: no row depends on others
-            return np.asarray(weighted)
-        parts, first = [np.zeros((0, *values.shape[1:]))], 0
-        for run in runs.at:
-            if len(run) > self.order:
-                part = weighted[first : first + len(run)]
-                parts.append(_convolved(part, self.filter))
-            first += len(run)
-        return np.concatenate(parts)
-
-    def instants(self, runs: Runs) -> Indices:
-        """Return the instants (N',) of the whitened rows."""
-        parts = [run[self.order :] for run in runs.at if len(run) > self.order]
-        return np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
-
-
-def _convolved(signal: Array, taps: Array) -> Array:
-    """Return Σ taps[i]·signal[k − i] for all k with enough preceding samples."""
-    order = len(taps) - 1
-    result = taps[0] * signal[order:]
-    for lag in range(1, order + 1):
-        result = result + taps[lag] * signal[order - lag : len(signal) - lag]
-    return np.asarray(result)
-
 
 def residual_noise(
     compiled: Compiled, segments: Sequence[Processed], state: FitState
@@ -181,41 +152,37 @@ def _correlations(noise: Noise) -> Array:
     return np.asarray(covariance[1:] / covariance[0])
 
 
-def noise_of(residual: Array, runs: Runs, freedom: float = 1.0) -> Noise:
+def noise_of(residual: Array, runs: Runs) -> Noise:
     """Fit an autoregression to a joint's residual; its order minimizes the AIC."""
-    spread = spread_of(residual, runs.friction_std, freedom)
+    spread = spread_of(residual, runs.friction_std)
     highest = min(LARGEST_ORDER, runs.count // ROWS_PER_LAG)
     lagged, now = _lags(residual * runs.weights(spread), runs, highest)
     if not len(now):
         return Noise.white(spread)
-    best: tuple[float, Noise] | None = None
+    found = []
     for order in range(highest + 1):
         past = lagged[:, :order]
         a = np.linalg.lstsq(past, now, rcond=None)[0] if order else np.zeros(0)
         variance = max(float(np.mean((now - past @ a) ** 2)), SMALLEST_NOISE**2)
-        criterion = len(now) * np.log(variance) + 2.0 * order
-        if best is None or criterion < best[0]:
-            sigma = np.sqrt(variance / max(freedom, LEAST_FREEDOM))
-            best = criterion, Noise(np.concatenate([[1.0], -a]), float(sigma), spread)
-    assert best is not None
-    return best[1]
+        noise = Noise(np.concatenate([[1.0], -a]), float(np.sqrt(variance)), spread)
+        found.append((len(now) * np.log(variance) + 2.0 * order, noise))
+    return min(found, key=lambda one: one[0])[1]
 
 
-def spread_of(residual: Array, friction_std: Array, freedom: float = 1.0) -> float:
+def spread_of(residual: Array, friction_std: Array) -> float:
     """Return the standard deviation σ of residuals without the uncertainty of dry friction, N·m.
 
-    It solves mean(e² / (σ² + s²)) = freedom, with s the torque uncertainty from dry friction.
+    It solves mean(e² / (σ² + s²)) = 1, with s the torque uncertainty from dry friction.
     """
     total = float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
     if total <= SMALLEST_NOISE:
         return SMALLEST_NOISE
-    freedom = max(freedom, LEAST_FREEDOM)
 
     def excess(sigma: float) -> float:
-        return float(np.mean(residual**2 / (sigma**2 + friction_std**2))) - freedom
+        return float(np.mean(residual**2 / (sigma**2 + friction_std**2))) - 1.0
 
-    least, most = LEAST_SPREAD * total, 2.0 * total / np.sqrt(freedom)
-    return float(brentq(excess, least, most)) if excess(least) > 0.0 else least
+    least = LEAST_SPREAD * total
+    return float(brentq(excess, least, 2.0 * total)) if excess(least) > 0.0 else least
 
 
 def _lags(residual: Array, runs: Runs, order: int) -> tuple[Array, Array]:
@@ -246,40 +213,27 @@ def friction_torque_std(
     impulse = np.zeros(2 * reach + 1)
     impulse[reach] = 1.0
     response = lowpass(impulse, segment.rate, segment.cutoff, segment.options.order)
-    parts = []
-    for window in segment.windows:
-        at = window.instants
-        level = dry_level(compiled, segment, at, shapes, parameters)
-        moving = segment.moving[at]
-        variance = np.where(moving, 1.0 - expected_sign(segment, at) ** 2, 0.0) * level**2
-        spread = oaconvolve(variance, response[:, None] ** 2, mode="same", axes=0)[window.inside]
-        rest = segment.filter_window(np.where(moving, 0.0, level), window)
-        parts.append(np.sqrt(np.maximum(spread, 0.0) + REST_VARIANCE * rest**2))
-    return np.concatenate(parts)
+    level = dry_level(compiled, segment, shapes, parameters)
+    variance = np.where(segment.moving, 1.0 - expected_sign(segment) ** 2, 0.0) * level**2
+    spread = oaconvolve(variance, response[:, None] ** 2, mode="same", axes=0)[segment.kept]
+    rest = segment.filter(np.where(segment.moving, 0.0, level))
+    return np.sqrt(np.maximum(spread, 0.0) + REST_VARIANCE * rest**2)
 
 
-def expected_sign(segment: Processed, at: slice) -> Array:
-    """Return the expected sign of the velocity (k, n), −1 to 1, at the instants ``at``.
+def expected_sign(segment: Processed) -> Array:
+    """Return the expected sign of the velocity (K, n), −1 to 1.
 
     Torque and position are synchronous to half a sample at best.
     """
-    ahead = 0.5 * np.abs(segment.ddq[at]) / segment.rate
-    return np.asarray(erf(3.0 / np.sqrt(2.0) * segment.dq[at] / np.hypot(segment.dead_zone, ahead)))
+    ahead = 0.5 * np.abs(segment.ddq) / segment.rate
+    return np.asarray(erf(3.0 / np.sqrt(2.0) * segment.dq / np.hypot(segment.dead_zone, ahead)))
 
 
-def dry_level(
-    compiled: Compiled, segment: Processed, at: slice, shapes: Array, parameters: Array
-) -> Array:
-    """Return half the jump of the effects' torque at a velocity reversal (k, n), N·m."""
-    n, q = compiled.n, segment.q[at]
-    signals: dict[str, Any] = {"shapes": shapes, "time": segment.t[at] - segment.t[0]}
-    if segment.temperature is not None:
-        signals["temperature"] = segment.temperature[at]
-    if segment.command_error is not None:
-        signals["command_error"] = segment.command_error[at]
-    if any("load" in p.effect.signals for p in compiled.model.placements):
-        motion = q, segment.dq[at], segment.ddq[at]
-        signals["load"] = compiled.inverse_dynamics(*motion, parameters[: 10 * n])
+def dry_level(compiled: Compiled, segment: Processed, shapes: Array, parameters: Array) -> Array:
+    """Return half the jump of the effects' torque at a velocity reversal (K, n), N·m."""
+    n, q = compiled.n, segment.q
+    load = compiled.inverse_dynamics(q, segment.dq, segment.ddq, parameters[: 10 * n])
+    signals: dict[str, Any] = effect_signals(segment, shapes, load) | {"dead_zone": None}
     still, coefficients = np.zeros_like(q), parameters[10 * n :]
     forward, back = (
         compiled.effect_torque(
@@ -300,11 +254,7 @@ MOST_EXPLAINABLE = 0.9  # of the residual
 
 
 def motion_ratio_of(
-    residual: Array,
-    weights: Array,
-    at: NDArray[np.intp],
-    redundancy: float,
-    rows_per_block: int,
+    residual: Array, weights: Array, at: Indices, redundancy: float, rows_per_block: int
 ) -> float:
     """Return the RMS residual that one tenth of the motion exceeds, relative to that of all of it.
 
@@ -342,11 +292,8 @@ def explainable(residual: Array, columns: Array) -> float:
 def common_effect_columns(compiled: Compiled, segment: Processed, links: Array) -> Array:
     """Return filtered columns (M, n, k) of common effects that depend on a joint's own motion."""
     top = np.maximum(np.abs(segment.dq).max(axis=0), 1e-9)
-    parts = []
-    for window in segment.windows:
-        q, dq, ddq = (x[window.instants] for x in (segment.q, segment.dq, segment.ddq))
-        x, load = dq / top, compiled.inverse_dynamics(q, dq, ddq, links)
-        slow = np.sign(x) * np.exp(-((x / SLOW) ** 2))
-        columns = [x * np.abs(x), x**3, slow, np.sign(x) * np.abs(load), ddq, np.sin(q), np.cos(q)]
-        parts.append(segment.filter_window(np.stack(columns, axis=-1), window))
-    return np.concatenate(parts)
+    q, dq, ddq = segment.q, segment.dq, segment.ddq
+    x, load = dq / top, compiled.inverse_dynamics(q, dq, ddq, links)
+    slow = np.sign(x) * np.exp(-((x / SLOW) ** 2))
+    columns = [x * np.abs(x), x**3, slow, np.sign(x) * np.abs(load), ddq, np.sin(q), np.cos(q)]
+    return segment.filter(np.stack(columns, axis=-1))

@@ -25,9 +25,12 @@ from lieid_casadi.identification.feasible.certificate import (
     position_range,
     pseudo_inertia_eigenvalues,
 )
-from lieid_casadi.identification.feasible.convex_solver import ConvexSolver
 from lieid_casadi.identification.feasible.dissipation import dissipation_rows
-from lieid_casadi.identification.feasible.problem import FeasibleOptions, FeasibleProblem
+from lieid_casadi.identification.feasible.problem import (
+    ConvexSolver,
+    FeasibleOptions,
+    FeasibleProblem,
+)
 from lieid_casadi.identification.regression.least_squares import Factor
 from lieid_casadi.robot.inertia import pseudo_inertia
 
@@ -116,15 +119,9 @@ class Posterior:
                 lower=lower,
                 upper=upper,
             )
-        return FeasibleProblem(
-            combination=model.base.combination,
-            references=np.array([pseudo_inertia(b) for b in links.reshape(-1, 10)]),
-            lower=np.array([c.lower for c in model.columns]),
-            upper=np.array([c.upper for c in model.columns]),
-            friction=friction,
-            typical=_squared_distance(self._roots[0][:, : len(self.values)], self.values),
-            options=FeasibleOptions(),
-        )
+        references = np.array([pseudo_inertia(b) for b in links.reshape(-1, 10)])
+        typical = _squared_distance(self._roots[0][:, : len(self.values)], self.values)
+        return FeasibleProblem.of(model, references, friction, typical, FeasibleOptions())
 
     @property
     def _links(self) -> Array:

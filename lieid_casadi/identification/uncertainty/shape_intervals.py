@@ -22,9 +22,12 @@ from lieid_casadi.errors import BoundWarning, LieidWarning
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState
 from lieid_casadi.identification.regression.least_squares import Rows, combine, joint_factors, solve
-from lieid_casadi.identification.regression.shape_fit import resolved_range, shape_columns
 from lieid_casadi.identification.regression.shape_scan import ShapeScan, WeightedProjection
-from lieid_casadi.identification.regression.variable_projection import ShapeRange
+from lieid_casadi.identification.regression.variable_projection import (
+    ShapeRange,
+    resolved_range,
+    shape_columns,
+)
 from lieid_casadi.identification.uncertainty.covariance import (
     residual_correlation_length,
     with_columns,
@@ -102,25 +105,24 @@ class _Profile:
     def excess(self, near: Array) -> tuple[Array, Array]:
         """Return values (G,) over the range and near the fit, ascending, and the excess there."""
         state, member = self._state, self._member
-        fitted = state.shapes[member.shapes]
-        tried = np.tile(fitted, (len(near), 1))
-        tried[:, self._own] = near
-        columns = self._scan.columns(self._number, tried, state.shapes, state.parameters)
-        falls = self._projection.falls(self._projection.trial(columns), [])
-        values = near
         if len(member.shapes) == 1:
-            grid = self._scan.grid_columns(self._number, state.shapes, state.parameters)
-            over = self._projection.falls(self._projection.trial(grid), [])
-            values = np.concatenate([values, member.grid[:, 0]])
-        else:
-            whole = np.unique(member.grid[:, self._own])
-            tried = np.tile(fitted, (len(whole), 1))
-            tried[:, self._own] = whole
-            columns = self._scan.columns(self._number, tried, state.shapes, state.parameters)
+            grid = member.grid[:, 0]
+            columns = self._scan.grid_columns(self._number, state.shapes, state.parameters)
             over = self._projection.falls(self._projection.trial(columns), [])
-            values = np.concatenate([values, whole])
+        else:
+            grid = np.unique(member.grid[:, self._own])
+            over = self._falls(grid)
+        values, falls = np.concatenate([near, grid]), np.concatenate([self._falls(near), over])
         order = np.argsort(values, kind="stable")
-        return values[order], (self._least - np.concatenate([falls, over]))[order]
+        return values[order], (self._least - falls)[order]
+
+    def _falls(self, values: Array) -> Array:
+        """Return the fall of the cost at values (G,) of the shape, others as fitted."""
+        state, member = self._state, self._member
+        tried = np.tile(state.shapes[member.shapes], (len(values), 1))
+        tried[:, self._own] = values
+        columns = self._scan.columns(self._number, tried, state.shapes, state.parameters)
+        return self._projection.falls(self._projection.trial(columns), [])
 
 
 def _hull(
