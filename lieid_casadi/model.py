@@ -141,7 +141,8 @@ class Model:
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
         """The placed effects with the places of their columns, shape parameters and states."""
-        found, ends = [], (0, 0, 0)
+        found: list[Slot] = []
+        ends: tuple[int, ...] = (0, 0, 0)
         for p in self.placements:
             sizes = len(p.effect.coefficients), len(p.effect.shapes), len(p.effect.states)
             starts, ends = ends, tuple(a + n for a, n in zip(ends, sizes, strict=True))

@@ -29,31 +29,16 @@ SMALLEST_P = 1e-6  # smaller p-values are printed as below it
 
 @dataclass(frozen=True, eq=False)
 class FrictionAgreement:
-    """Difference between two determinations of the friction of one joint.
+    """Difference between two determinations of the friction of one joint."""
 
-    Attributes
-    ----------
-    joint : int
-        From 0.
-    speed, load : (G,)
-        Points of the comparison, rad/s and N·m.
-    first, second : (G,)
-        Friction by the two determinations, N·m.
-    std : (G,)
-        Standard deviation of first − second, N·m.
-    relative : float
-        RMS of the difference divided by the RMS of the friction.
-    p_value : float
-        Of a chi-square test; null hypothesis: the difference is due to the uncertainties.
-    """
-
-    joint: int
-    speed: Array
-    load: Array
-    first: Array
-    second: Array
-    std: Array
-    relative: float
+    joint: int  # from 0
+    speed: Array  # (G,) Points of the comparison, rad/s and N·m
+    load: Array  # (G,) Points of the comparison, rad/s and N·m
+    first: Array  # (G,) Friction by the two determinations, N·m
+    second: Array  # (G,) Friction by the two determinations, N·m
+    std: Array  # (G,) Standard deviation of first − second, N·m
+    relative: float  # RMS of the difference divided by the RMS of the friction
+    #: of a chi-square test; null hypothesis: the difference is due to the uncertainties
     p_value: float
 
     @property

@@ -50,30 +50,15 @@ MOST_INSTANTS = 30  # of a point and direction, if columns are averaged over a s
 
 @dataclass(frozen=True, eq=False)
 class CurveData:
-    """Segments of motion, pairs of instants in them, and groups of pairs.
-
-    Attributes
-    ----------
-    robot : Robot
-    segments : tuple of Processed
-        Their temperatures are relative to ``temperature_mean``.
-    load : tuple of (K, n)
-        τ_load along each segment, N·m; zero for the other joints.
-    matching : Matching
-    groups : PairGroups
-    friction : (P,)
-        Friction torque of each pair of instants, N·m.
-    temperature_mean : (n,) or None
-        Mean temperature of the training recordings, °C.
-    """
+    """Segments of motion, pairs of instants in them, and groups of pairs."""
 
     robot: Robot
-    segments: tuple[Processed, ...]
-    load: tuple[Array, ...]
+    segments: tuple[Processed, ...]  # their temperatures are relative to ``temperature_mean``
+    load: tuple[Array, ...]  # τ_load along each segment, N·m; zero for the other joints
     matching: Matching
     groups: PairGroups
-    friction: Array
-    temperature_mean: Array | None
+    friction: Array  # (P,) Friction torque of each pair of instants, N·m
+    temperature_mean: Array | None  # (n,) or None Mean temperature of the training recordings, °C
 
     @property
     def has_temperature(self) -> bool:
@@ -88,10 +73,6 @@ class CurveData:
         The columns are not filtered: near the instants used there is no reversal, and between
         reversals the filter hardly changes them. Effects with memory are evaluated along the
         segments.
-
-        ``compiled``: functions of a model with m effect columns; ``joint``: from 0; ``shapes``
-        (s,): shape parameters; ``thinned``: average over a subset of each point's instants, for
-        searches.
         """
         average, used = self._thinned if thinned else self._whole
         if compiled.model.states:
@@ -174,50 +155,25 @@ class FrictionCurve:
     """Friction torque of one joint: half of forward minus backward torque (Eq. 15).
 
     It does not contain what differs between the directions (offset, asymmetric friction).
-
-    Attributes
-    ----------
-    joint : int
-        From 0.
-    joint_name : str
-    unit : str
-        Unit of the torque.
-    speed : (G,)
-        Mean speed of each point, rad/s.
-    load : (G,)
-        Mean magnitude of the rigid torque, N·m.
-    friction : (G,)
-        Friction torque, N·m.
-    std : (G,)
-        Standard error of the friction, N·m.
-    count : (G,) int
-        Number of pairs of a forward and a backward pass that contribute to each point.
-    load_source : str
-        ``model`` (the rigid torque) or ``measured`` (the mean of both directions).
-    load_error : float
-        RMS difference between the mean torque of both directions and the model's rigid torque,
-        N·m; NaN without a model.
-    cutoff : float
-        Cut-off frequency of the low-pass filter, Hz.
-    recordings : tuple of Source
-    warnings : tuple of LieidWarning
-    data : CurveData
-        The pairs of instants, from which columns of friction models are averaged.
     """
 
-    joint: int
+    joint: int  # from 0
     joint_name: str
-    unit: str
-    speed: Array
-    load: Array
-    friction: Array
-    std: Array
+    unit: str  # unit of the torque
+    speed: Array  # (G,) Mean speed of each point, rad/s
+    load: Array  # (G,) Mean magnitude of the rigid torque, N·m
+    friction: Array  # (G,) Friction torque, N·m
+    std: Array  # (G,) Standard error of the friction, N·m
+    #: (G,) int Number of pairs of a forward and a backward pass that contribute to each point
     count: NDArray[np.intp]
-    load_source: str
+    load_source: str  # ``model`` (the rigid torque) or ``measured`` (the mean of both directions)
+    #: RMS difference between the mean torque of both directions and the model's rigid torque, N·m;
+    #: NaN without a model
     load_error: float
-    cutoff: float
+    cutoff: float  # cut-off frequency of the low-pass filter, Hz
     recordings: tuple[Source, ...]
     warnings: tuple[LieidWarning, ...]
+    #: the pairs of instants, from which columns of friction models are averaged
     data: CurveData = field(repr=False)
 
     def __len__(self) -> int:

@@ -261,10 +261,7 @@ POINTS = 80  # speeds
 
 
 def friction_fit_warnings(fit: FrictionFit, hidden: Sequence[Array]) -> tuple[LieidWarning, ...]:
-    """Return warnings of parameters at bounds or not identifiable, and of implausible friction.
-
-    ``hidden``: directions of coefficients and shapes that the curve does not determine.
-    """
+    """Return warnings of parameters at bounds or not identifiable, and of implausible friction."""
     return (*_bounds(fit), *_not_identifiable(fit, hidden), *_uncertain(fit), *_implausible(fit))
 
 
@@ -527,11 +524,6 @@ def rank_friction_models(
     ``names``: names of models in `FRICTION_MODELS`; ``seed``: seed of the random starting points;
     ``progress``: called with the name of a model and the completed fraction (0 to 1).
     Raises `EffectError`: a model with this name does not exist.
-
-    Returns
-    -------
-    tuple of RankedFrictionModel
-        The model with the smallest BIC first.
     """
     models = [friction_model(name) for name in names]
     fitting = [m for m in models if curve.data.has_temperature or not _needs_temperature(m)]

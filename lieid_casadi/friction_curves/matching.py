@@ -19,31 +19,16 @@ ONE_DIRECTION = 0.99  # least filtered sign of velocity, which excludes samples 
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """Filtered samples of one segment in which a joint moves in one direction.
-
-    Attributes
-    ----------
-    segment : int
-    samples : (S,) int
-        Indices of the segment's filtered samples, in order of increasing ``position``.
-    position : (S,)
-        Position of the joint, increasing, rad.
-    speed : (S,)
-        Absolute velocity of the joint, rad/s.
-    others : (S, n)
-        Positions of all joints, rad.
-    forward : bool
-    time : float
-        Mean time of the pass, s.
-    """
+    """Filtered samples of one segment in which a joint moves in one direction."""
 
     segment: int
+    #: (S,) int Indices of the segment's filtered samples, in order of increasing ``position``
     samples: NDArray[np.intp]
-    position: Array
-    speed: Array
-    others: Array
+    position: Array  # (S,) Position of the joint, increasing, rad
+    speed: Array  # (S,) Absolute velocity of the joint, rad/s
+    others: Array  # (S, n) Positions of all joints, rad
     forward: bool
-    time: float
+    time: float  # mean time of the pass, s
 
     @property
     def low(self) -> float:
@@ -91,30 +76,21 @@ SPEED_STEP = 0.05  # relative step in which the speeds of two passes are compare
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """P pairs of instants at which a joint passes the same position forward and backward.
+    """P pairs of instants at which a joint passes the same position forward and backward."""
 
-    Attributes
-    ----------
-    forward, backward : sparse (P, M)
-        Matrices that interpolate the M concatenated filtered samples of all segments at the
-        forward and at the backward instants.
-    stretch : (P,) int
-        Number of the pair of passes that each pair of instants comes from.
-    samples : (P, 2) int
-        Filtered samples nearest to the forward and to the backward instant.
-    position : (P,)
-        Position of the joint, rad.
-    forward_speed, backward_speed : (P,)
-        Absolute velocities, rad/s.
-    """
-
+    #: matrices that interpolate the M concatenated filtered samples of all segments at the forward
+    #: and at the backward instants
     forward: csr_matrix[np.float64]
+    #: matrices that interpolate the M concatenated filtered samples of all segments at the forward
+    #: and at the backward instants
     backward: csr_matrix[np.float64]
+    #: (P,) int Number of the pair of passes that each pair of instants comes from
     stretch: NDArray[np.intp]
+    #: (P, 2) int Filtered samples nearest to the forward and to the backward instant
     samples: NDArray[np.intp]
-    position: Array
-    forward_speed: Array
-    backward_speed: Array
+    position: Array  # (P,) Position of the joint, rad
+    forward_speed: Array  # (P,) Absolute velocities, rad/s
+    backward_speed: Array  # (P,) Absolute velocities, rad/s
 
     @property
     def speed(self) -> Array:
@@ -280,21 +256,11 @@ PRIOR_WEIGHT = 4.0  # number of batches that the common scatter of all groups co
 
 @dataclass(frozen=True, eq=False)
 class PairGroups:
-    """Assignment of P pairs of instants to G groups.
+    """Assignment of P pairs of instants to G groups."""
 
-    Attributes
-    ----------
-    average : sparse (G, P)
-        Matrix that averages values of pairs over each group.
-    member : (P,) int
-        Group of each pair, −1 for none.
-    count : (G,) int
-        Number of stretches of motion that each group has pairs from.
-    """
-
-    average: csr_matrix[np.float64]
-    member: NDArray[np.intp]
-    count: NDArray[np.intp]
+    average: csr_matrix[np.float64]  # matrix that averages values of pairs over each group
+    member: NDArray[np.intp]  # (P,) int Group of each pair, −1 for none
+    count: NDArray[np.intp]  # (G,) int Number of stretches of motion that each group has pairs from
 
     def mean(self, values: Array) -> Array:
         """Return each group's average (G, …) of values (P, …)."""
@@ -302,11 +268,7 @@ class PairGroups:
 
 
 def group_pairs(speed: Array, load: Array, stretch: NDArray[np.intp]) -> PairGroups:
-    """Group pairs by speed (logarithmically) and, if it varies, by the magnitude of the load.
-
-    ``speed``, ``load`` (P,): speed (positive) and load of each pair, rad/s and N·m; ``stretch``
-    (P,): stretch of motion that each pair comes from.
-    """
+    """Group pairs by speed (logarithmically) and, if it varies, by the magnitude of the load."""
     cell = _by_speed(speed) * LOADS + _by_load(np.abs(load))
     _, member, pairs = np.unique(cell, return_inverse=True, return_counts=True)
     kept = np.flatnonzero(pairs >= min(LEAST_PAIRS, pairs.max()))

@@ -27,10 +27,7 @@ def plot_friction(
     model: Callable[[Array, float], Array] | None = None,
     ax: Axes | None = None,
 ) -> Figure:
-    """Draw speeds, friction, standard errors and loads (G,) as points; return the figure.
-
-    ``model``: friction at speeds and a load, drawn as lines at loads from smallest to largest.
-    """
+    """Draw speeds, friction, standard errors and loads (G,) as points; return the figure."""
     import matplotlib
 
     speed, friction, std, load = points

@@ -56,11 +56,6 @@ def combine_stages(
     ``friction``: second stage, by joint from 0; ``excitation``: training recordings of the first
     stage; ``refit``: whether links and friction that grows with speed are identified again from the
     excitation (third stage).
-
-    Returns
-    -------
-    Fit
-        Its covariance treats the stages as independent. ``rms_cv`` is NaN.
     """
     placements = _kept_placements(first_stage, friction)
     for own in friction.values():

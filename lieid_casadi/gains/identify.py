@@ -24,7 +24,7 @@ from lieid_casadi.errors import (
 )
 from lieid_casadi.gains.regression import BODY, GainProblem, GainSolution
 from lieid_casadi.identification.prediction import center_temperature
-from lieid_casadi.identification.recording_checks import Source
+from lieid_casadi.identification.recording_checks import Source, check_joints
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
@@ -232,10 +232,7 @@ LARGEST_MASS, LARGEST_DISTANCE = 1e5, 100.0  # kg, m: larger payloads are errors
 
 
 def known_payload(mass: float, com: ArrayLike | None) -> Array:
-    """Return the payload's parameters (10,), NaN where unknown.
-
-    Raises `IdentificationError`: the mass or the centre of mass is not plausible.
-    """
+    """Return the payload's parameters (10,), NaN where unknown."""
     if not 0.0 < mass <= LARGEST_MASS:
         raise IdentificationError(
             f"mass of the payload is {mass:g} kg, expected more than 0 and at most "
@@ -259,8 +256,6 @@ def with_drive_signal(
     """Return the recordings with the signal of the drives as currents, and its unit.
 
     It is the position error q_cmd − q, in rad, if no recording has currents and all have commands.
-
-    ``empty``, ``full``: recordings without and with the payload.
     """
     every = (*empty, *full)
     if not every or any(r.current is not None or r.command is None for r in every):
@@ -270,13 +265,7 @@ def with_drive_signal(
 
 
 def check_input(model: Model, empty: Sequence[Recording], full: Sequence[Recording]) -> None:
-    """Raise if effects or recordings are not suitable.
-
-    ``empty``, ``full``: recordings without and with the payload.
-    Raises `EffectError`: an effect has shape parameters. Raises `IdentificationError`: a recording
-    is missing, constant, or given as both. Raises `ModelError`: a recording has another number of
-    joints or no currents.
-    """
+    """Raise if effects or recordings are not suitable."""
     if model.shapes:
         raise EffectError(
             f"{model.shapes[0].label}: effects with shape parameters cannot be fitted with drive "
@@ -287,10 +276,7 @@ def check_input(model: Model, empty: Sequence[Recording], full: Sequence[Recordi
             raise IdentificationError(f"no {part} recording given; expected at least one")
     for recording in (*empty, *full):
         name = recording.name or "recording"
-        if recording.n != model.n:
-            raise ModelError(
-                f"{name}: {recording.n} joints; robot {model.robot.name!r} has {model.n}"
-            )
+        check_joints(model, recording)
         if recording.current is None:
             raise ModelError(
                 f"{name}: no motor currents; expected columns i1…i{model.n}, or in all recordings "
@@ -378,12 +364,15 @@ def drive_gains(
     report = progress or (lambda stage, fraction: None)
     check_input(model, empty, full)
     report("check", 0.0)
-    currents = [_in_amperes(r) for r in (*empty, *full)]
+    # currents in A as torques
+    currents = [r.with_torque_constants(np.ones(r.n)) for r in (*empty, *full)]
     found: list[LieidWarning] = [w for r in (*empty, *full) for w in check(r, robot)]
     report("process", 0.2)
     options = process(currents, processing)[0].options
     compiled = compile(model)
-    before, after = (process(part, options) for part in _split(currents, len(empty)))
+    before, after = (
+        process(part, options) for part in (currents[: len(empty)], currents[len(empty) :])
+    )
     require_one_load(before)
     require_one_load(after)
     segments, _ = center_temperature([*before, *after])
@@ -392,7 +381,8 @@ def drive_gains(
     split = len(before)
     designs = (Design(compiled, segments[:split]), Design(compiled, segments[split:]))
     solution = GainProblem(*designs, known).solve()
-    _require_motion(solution)
+    if not any(len(e) for e in solution.residuals):
+        raise IdentificationError("no joint moves; expected a motion that excites all joints")
     if not solution.converged:
         found.append(
             ConvergenceWarning(
@@ -403,20 +393,6 @@ def drive_gains(
     result = replace(_result(model, solution, mass, known, options, (empty, full)), per=per)
     report("done", 1.0)
     return replace(result, warnings=unique_warnings(found))
-
-
-def _split(recordings: Sequence[Recording], count: int) -> tuple[list[Recording], list[Recording]]:
-    return list(recordings[:count]), list(recordings[count:])
-
-
-def _in_amperes(recording: Recording) -> Recording:
-    """Return the recording with the current in A as its torque."""
-    return recording.with_torque_constants(np.ones(recording.n))
-
-
-def _require_motion(solution: GainSolution) -> None:
-    if not any(len(e) for e in solution.residuals):
-        raise IdentificationError("no joint moves; expected a motion that excites all joints")
 
 
 def _result(

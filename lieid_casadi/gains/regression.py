@@ -42,17 +42,10 @@ MOST_EVALUATIONS = 50  # of the nonlinear least-squares search
 
 @dataclass(frozen=True, eq=False)
 class NullVector:
-    """The null vector [gains; others; 1] of the stacked rows.
+    """The null vector [gains; others; 1] of the stacked rows."""
 
-    Attributes
-    ----------
-    gains : (n,)
-        N·m/A; zero for a zero column, that is for a joint that never moves.
-    others : (q − 1,)
-        Coefficients of the exact columns without the last column, whose coefficient is 1.
-    """
-
-    gains: Array
+    gains: Array  # (n,) N·m/A; zero for a zero column, that is for a joint that never moves
+    #: (q − 1,) Coefficients of the exact columns without the last column, whose coefficient is 1
     others: Array
 
 
@@ -62,11 +55,6 @@ def null_vector(factor: Factor, noise: Array) -> NullVector | None:
     ``factor``: triangular factor of the weighted rows: n noisy columns, then q exact columns, the
     last of which has coefficient 1; ``noise`` (n,): expected norm of the noise in the weighted rows
     of each noisy column.
-
-    Notes
-    -----
-    Golub, Hoffman, Stewart, "A generalization of the Eckart-Young-Mirsky matrix approximation
-    theorem", Linear Algebra and its Applications 1987.
     """
     n, r = len(noise), factor.r
     moves = np.linalg.norm(r[:, :n], axis=0) > 0.0
@@ -147,34 +135,17 @@ CONVERGED = 1e-5  # relative change of the gains
 
 @dataclass(frozen=True, eq=False)
 class GainSolution:
-    """Gains, base parameters and payload, with their common covariance.
+    """Gains, base parameters and payload, with their common covariance."""
 
-    Attributes
-    ----------
-    gains : (n,)
-        N·m/A.
-    values : (p,)
-        Base parameters, N·m.
-    body : (10,)
-        Payload in the tool frame: m, m·c, inertia about the tool frame's origin.
-    covariance : (n + p + u, n + p + u)
-        Covariance of gains, base parameters and the u unknown parameters of the payload.
-    hidden : (h, n + p + u)
-        Directions that cannot be identified from the data.
-    residuals : tuple of (R,)
-        One array per joint, N·m.
-    currents : tuple of (R,)
-        One array per joint, filtered, A.
-    converged : bool
-    """
-
-    gains: Array
-    values: Array
-    body: Array
+    gains: Array  # (n,) N·m/A
+    values: Array  # (p,) Base parameters, N·m
+    body: Array  # (10,) Payload in the tool frame: m, m·c, inertia about the tool frame's origin
+    #: (n + p + u, n + p + u) Covariance of gains, base parameters and the u unknown parameters of
+    #: the payload
     covariance: Array
-    hidden: Array
-    residuals: tuple[Array, ...]
-    currents: tuple[Array, ...]
+    hidden: Array  # (h, n + p + u) Directions that cannot be identified from the data
+    residuals: tuple[Array, ...]  # one array per joint, N·m
+    currents: tuple[Array, ...]  # one array per joint, filtered, A
     converged: bool
 
 
@@ -203,11 +174,7 @@ class GainProblem:
         return self.model.n + self.model.base.count + int(self.unknown.sum())
 
     def solve(self) -> GainSolution:
-        """Alternate between gains, noise levels and load until the gains converge.
-
-        Raises `IdentificationError`: the payload has no effect on the currents that the arm does
-        not explain.
-        """
+        """Alternate between gains, noise levels and load until the gains converge."""
         parameters, body = None, np.zeros(BODY)
         rows = self._rows(parameters, body)
         noise = _own_noise(rows)

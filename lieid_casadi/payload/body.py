@@ -68,29 +68,17 @@ DEPENDS_ON = _depends_on()
 
 
 def identifiable_quantities(hidden: Array) -> Mask:
-    """Mark the physical quantities (10,) that can be identified from the data.
-
-    ``hidden`` (h, 10): directions of the parameters that do not change any torque, in comparable
-    units.
-    """
+    """Mark the physical quantities (10,) that can be identified from the data."""
     hidden_parameters = np.abs(hidden).max(axis=0, initial=0.0) > 1e-6
     return np.asarray(~np.any(DEPENDS_ON & hidden_parameters, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class FeasibleBody:
-    """The nearest physically consistent body.
+    """The nearest physically consistent body."""
 
-    Attributes
-    ----------
-    parameters : (10,)
-        m, m·c, inertia about the tool frame's origin (kg, kg·m, kg·m²).
-    rms_after : (n,)
-        RMS error of the loaded run with this body, N·m.
-    """
-
-    parameters: Array
-    rms_after: Array
+    parameters: Array  # (10,) m, m·c, inertia about the tool frame's origin (kg, kg·m, kg·m²)
+    rms_after: Array  # (n,) RMS error of the loaded run with this body, N·m
 
     @property
     def mass(self) -> float:
@@ -166,12 +154,7 @@ def nearest_feasible_body(parameters: Array, covariance: Array, hidden: Array) -
 
 
 def distance(body: Array, parameters: Array, covariance: Array, hidden: Array) -> float:
-    """Return the distance between a body and an estimate in standard deviations.
-
-    ``body``, ``parameters`` (10,): body and estimate: m, m·c, inertia (kg, kg·m, kg·m²);
-    ``covariance`` (10, 10): covariance of the estimate; ``hidden`` (h, 10): directions that cannot
-    be identified; they do not count.
-    """
+    """Return the distance between a body and an estimate in standard deviations."""
     return float(np.sqrt(_precision(parameters, covariance, hidden).misfit(body)))
 
 

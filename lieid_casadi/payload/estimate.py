@@ -33,25 +33,13 @@ class NotIdentified:
 
 @dataclass(frozen=True)
 class FrictionChange:
-    """Change of one friction parameter between the fit and the loaded run.
-
-    Attributes
-    ----------
-    name : str
-    joint : int
-        From 0.
-    fitted : float
-        Value in the fit.
-    change, std : float
-        Value in the loaded run minus that in the fit, and its standard deviation.
-    unit : str
-    """
+    """Change of one friction parameter between the fit and the loaded run."""
 
     name: str
-    joint: int
-    fitted: float
-    change: float
-    std: float
+    joint: int  # from 0
+    fitted: float  # value in the fit
+    change: float  # value in the loaded run minus that in the fit, and its standard deviation
+    std: float  # value in the loaded run minus that in the fit, and its standard deviation
     unit: str
 
 

@@ -94,12 +94,7 @@ def _sizes(values: Array) -> Array:
 def _not_identified(
     values: Array, std: Array, identifiable: NDArray[np.bool_], hidden: Array
 ) -> tuple[NotIdentified, ...]:
-    """Return the quantities that cannot be identified from the recording, with reasons.
-
-    ``values``, ``std`` (10,): values and standard deviations in the order of `body.NAMES` (kg, m,
-    kg·m²); ``identifiable`` (10,): quantities that do not involve a hidden direction; ``hidden``
-    (h, 10): directions of m, m·c, I that cannot be identified, in comparable units.
-    """
+    """Return the quantities that cannot be identified from the recording, with reasons."""
     sizes, found = _sizes(values), []
     for k, name in enumerate(NAMES):
         if not identifiable[k]:
@@ -158,11 +153,7 @@ def _fit_warnings(fit: Fit, recordings: Sequence[Recording]) -> list[LieidWarnin
 
 
 def _require_same_arm(fit: Fit, estimate: LoadedRunEstimate, run: LoadedRun) -> None:
-    """Raise if the residual is too large to be explained by a payload.
-
-    ``fit``: without the payload.
-    Raises `IdentificationError`.
-    """
+    """Raise if the residual is too large to be explained by a payload."""
     rows = run.design.rows(fit.shapes, fit.parameters)
     residual, own = estimate.noise, _own_error(fit)
     spread = np.array([np.std(j.torque) if len(j.torque) else np.inf for j in rows.joints])
@@ -189,11 +180,7 @@ def _changed_friction(
     refitted: LoadedRunEstimate,
     frictional: NDArray[np.bool_],
 ) -> list[LieidWarning]:
-    """Warn of friction that differs from the fit's, with the mass after refitting it.
-
-    ``kept``, ``refitted``: estimates with the fit's friction and with friction refitted;
-    ``frictional`` (p,): base columns of the friction that was refitted.
-    """
+    """Warn of friction that differs from the fit's, with the mass after refitting it."""
     before, after = rms(kept.after), rms(refitted.after)
     fall = np.nan_to_num(1.0 - after / np.where(before > 0.0, before, np.inf))
     free = np.flatnonzero(frictional | run.drifting)
@@ -219,10 +206,7 @@ def _changed_friction(
 def _payload_warnings(
     fit: Fit, result: PayloadEstimate, estimate: LoadedRunEstimate
 ) -> list[LieidWarning]:
-    """Warn of a negative mass, an infeasible body, a large residual, missing convergence.
-
-    ``estimate``: the estimate that the result was made from.
-    """
+    """Warn of a negative mass, an infeasible body, a large residual, missing convergence."""
     found: list[LieidWarning] = []
     if result.mass < 0.0:
         significant = result.mass < -INSIGNIFICANT * result.mass_std
@@ -329,9 +313,16 @@ def identify_payload(
     found = _fit_warnings(fit, given)
     found += [w for r in given for w in check_torque_constants(fit.provenance, r)]
     report("process", 0.2)
-    segments = _segments(fit, given, cutoff)
+    options = replace(fit.processing, average_periods=False)
+    if cutoff is not None:
+        options = replace(options, cutoff=cutoff)
+    segments, _ = center_temperature(process(given, options), fit.temperature_mean)
+    require_one_load(segments)
     run = LoadedRun(fit, Design(fit.compiled, segments))
-    _require_motion(run)
+    if not run.design.rows(fit.shapes, fit.parameters).lengths.any():
+        raise IdentificationError(
+            "no joint moves in the loaded run; expected a motion like that of the fit's training"
+        )
     frictional = np.array([name in REFITTED for name in run.names])
     if refit_friction and not frictional.any():
         raise IdentificationError(
@@ -352,35 +343,18 @@ def identify_payload(
     if not refit_friction:
         found += _changed_friction(run, kept, refitted, frictional)
     report("feasible body", 0.8)
-    estimate = _with_uncertain_constants(fit, estimate, torque_constant_std)
-    result = _result(fit, run, estimate, frictional if refit_friction else None)
+    constants = _std_of_constants(fit, torque_constant_std)
+    estimate = _with_uncertain_constants(estimate, np.array(constants))
     result = replace(
-        result,
+        _result(fit, run, estimate, frictional if refit_friction else None),
         from_currents=_from_currents(fit, given),
-        torque_constant_std=_std_of_constants(fit, torque_constant_std),
+        torque_constant_std=constants,
+        recordings=tuple(Source.of(r) for r in given),
     )
     found += [w for segment in segments for w in segment.warnings]
     found += _payload_warnings(fit, result, estimate)
     report("done", 1.0)
-    return replace(
-        result,
-        recordings=tuple(Source.of(r) for r in given),
-        warnings=unique_warnings(found),
-    )
-
-
-def _segments(
-    fit: Fit, recordings: Sequence[Recording], cutoff: float | None
-) -> tuple[Processed, ...]:
-    """Return the recordings through the fit's filter; refuses those with several payloads."""
-    options = replace(
-        fit.processing,
-        average_periods=False,
-        cutoff=fit.processing.cutoff if cutoff is None else cutoff,
-    )
-    segments, _ = center_temperature(process(recordings, options), fit.temperature_mean)
-    require_one_load(segments)
-    return segments
+    return replace(result, warnings=unique_warnings(found))
 
 
 def _from_currents(fit: Fit, recordings: Sequence[Recording]) -> bool:
@@ -393,10 +367,7 @@ def _from_currents(fit: Fit, recordings: Sequence[Recording]) -> bool:
 
 
 def _std_of_constants(fit: Fit, std: float | ArrayLike) -> tuple[float, ...]:
-    """Return relative standard deviations: one for all joints, or one per joint.
-
-    Raises `IdentificationError`.
-    """
+    """Return relative standard deviations: one for all joints, or one per joint."""
     values = np.atleast_1d(np.asarray(std, dtype=np.float64))
     sizes = (1, fit.model.n)
     if values.ndim != 1 or len(values) not in sizes or not np.all((values >= 0) & (values < 1)):
@@ -407,24 +378,17 @@ def _std_of_constants(fit: Fit, std: float | ArrayLike) -> tuple[float, ...]:
     return tuple(values.tolist())
 
 
-def _with_uncertain_constants(
-    fit: Fit, estimate: LoadedRunEstimate, std: float | ArrayLike
-) -> LoadedRunEstimate:
+def _with_uncertain_constants(estimate: LoadedRunEstimate, sizes: Array) -> LoadedRunEstimate:
     """Return the estimate with the covariance that uncertain torque constants add."""
-    sizes = np.array(_std_of_constants(fit, std))
     if not sizes.any():
         return estimate
-    shared = len(sizes) == 1
-    slopes = estimate.parameters[None] if shared else estimate.by_joint
+    slopes = estimate.parameters[None] if len(sizes) == 1 else estimate.by_joint
     added = (sizes[:, None] * slopes).T @ (sizes[:, None] * slopes)
     return replace(estimate, covariance=estimate.covariance + added)
 
 
 def require_one_load(segments: Sequence[Processed]) -> None:
-    """Raise if the column ``load`` contains several payloads.
-
-    Raises `IdentificationError`.
-    """
+    """Raise if the column ``load`` contains several payloads."""
     labels = list(dict.fromkeys(s.payload_label for s in segments if s.payload_label is not None))
     if len(labels) > 1:
         name = segments[0].recording.name or "the recordings"
@@ -440,14 +404,6 @@ def _frame(robot: Robot) -> str:
     x, y, z = 1000.0 * robot.tool[:3, 3]
     turned = "" if np.allclose(robot.tool[:3, :3], np.eye(3), atol=1e-9) else ", turned"
     return f"tool frame, at ({x:z.0f}, {y:z.0f}, {z:z.0f}) mm in link {link}{turned}"
-
-
-def _require_motion(run: LoadedRun) -> None:
-    rows = run.design.rows(run.fit.shapes, run.fit.parameters)
-    if not rows.lengths.any():
-        raise IdentificationError(
-            "no joint moves in the loaded run; expected a motion like that of the fit's training"
-        )
 
 
 def _result(

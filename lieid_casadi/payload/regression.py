@@ -49,45 +49,31 @@ EXACT = 1e-12  # variance relative to the largest (scaled) below which a paramet
 
 @dataclass(frozen=True, eq=False)
 class LoadedRunEstimate:
-    """Least-squares estimate from a loaded run.
+    """Least-squares estimate from a loaded run."""
 
-    Attributes
-    ----------
-    parameters, covariance : (10,), (10, 10)
-        Payload in the tool frame (kg, kg·m, kg·m²).
-    hidden : (h, 10)
-        Directions of the payload's parameters that cannot be identified from the run.
-    free, free_std : (f,)
-        Changes of the fit's free parameters and their standard deviations.
-    before, after : tuple of (R,)
-        Measured − predicted torque per joint, N·m: of the fit alone, and with the payload and
-        the refitted parameters, all other parameters of the fit unchanged.
-    by_joint : (n, 10)
-        Contribution of each joint's torque to the parameters; their sum over joints is the
-        parameters, up to the change of the fit's parameters.
-    noise : (n,)
-        Standard deviation of the residual per joint, N·m, after the fit's parameters have been
-        adjusted within their uncertainty.
-    converged : bool
-    """
-
-    parameters: Array
-    covariance: Array
+    parameters: Array  # (10,), (10, 10) Payload in the tool frame (kg, kg·m, kg·m²)
+    covariance: Array  # (10,), (10, 10) Payload in the tool frame (kg, kg·m, kg·m²)
+    #: (h, 10) Directions of the payload's parameters that cannot be identified from the run
     hidden: Array
-    free: Array
-    free_std: Array
+    free: Array  # (f,) Changes of the fit's free parameters and their standard deviations
+    free_std: Array  # (f,) Changes of the fit's free parameters and their standard deviations
+    #: measured − predicted torque per joint, N·m: of the fit alone, and with the payload and the
+    #: refitted parameters, all other parameters of the fit unchanged
     before: tuple[Array, ...]
+    #: measured − predicted torque per joint, N·m: of the fit alone, and with the payload and the
+    #: refitted parameters, all other parameters of the fit unchanged
     after: tuple[Array, ...]
+    #: (n, 10) Contribution of each joint's torque to the parameters; their sum over joints is the
+    #: parameters, up to the change of the fit's parameters
     by_joint: Array
+    #: (n,) Standard deviation of the residual per joint, N·m, after the fit's parameters have been
+    #: adjusted within their uncertainty
     noise: Array
     converged: bool
 
 
 class LoadedRun:
-    """Equations of a loaded run for a fit that was made without the payload.
-
-    ``design``: design matrix of the fit's model along the loaded run.
-    """
+    """Equations of a loaded run for a fit that was made without the payload."""
 
     def __init__(self, fit: Fit, design: Design) -> None:
         self.fit, self.design = fit, design
@@ -157,11 +143,7 @@ class LoadedRun:
         )
 
     def errors(self, body: Array, free: NDArray[np.bool_] | None, change: Array) -> list[Array]:
-        """Return measured − predicted torque per joint (R,) with a body at the tool.
-
-        ``body`` (10,): parameters of the body in the tool frame; ``free`` (p,): base columns that
-        were refitted; drift is always free; ``change`` (f,): changes of the free values.
-        """
+        """Return measured − predicted torque per joint (R,) with a body at the tool."""
         chosen = self.drifting if free is None else free | self.drifting
         return self._residuals(self._rows(body), body, np.flatnonzero(chosen), change)
 
