@@ -166,16 +166,6 @@ def test_warnings_of_a_robot_reach_the_command_line(tmp_path, capsys):
     assert warning["name"] == "NominalInertiaWarning"
 
 
-def test_a_urdf_is_read_without_a_temporary_folder(monkeypatch):
-    from lieid_casadi.robot import urdf as urdf_reader
-
-    def refuse():
-        raise FileNotFoundError(2, "No usable temporary directory found")
-
-    monkeypatch.setattr(urdf_reader.tempfile, "TemporaryFile", refuse)
-    assert Robot.parse_urdf(urdf()).n == 1
-
-
 def test_a_very_long_chain_is_refused():
     links = "".join(f'<link name="l{k}"/>' for k in range(1000))
     joints = "".join(
