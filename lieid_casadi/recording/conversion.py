@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording.measurement import Measurement
-from lieid_casadi.recording.sample_timing import gap_limit
+from lieid_casadi.recording.sample_timing import segment_edges
 from lieid_casadi.robot.drive import Drive, commanded_torque
 
 Measured = TypeVar("Measured", bound=Measurement)
@@ -49,15 +49,8 @@ def convert_units(
 ) -> Measured:
     """Return a measurement in SI units.
 
-    Parameters
-    ----------
-    measurement
-        As it was read.
-    units
-        See :func:`unit_factors`. Units of angles apply to q, qcmd, dq (per second) and ddq (per
-        second squared); the time unit applies to t alone.
-    revolute
-        (n,) True for joints that turn; the others keep their metres. None: all turn.
+    Units of angles apply to q, qcmd, dq (per second) and ddq (per second squared) of the joints
+    that turn (``revolute`` (n,); None: all of them), the time unit to t alone.
     """
     time, angle = unit_factors(units)
     if time == 1.0 and angle == 1.0:
@@ -66,17 +59,12 @@ def convert_units(
     if revolute is not None:
         factor[~np.asarray(revolute, dtype=bool)] = 1.0
 
-    def scaled(values: Array | None) -> Array | None:
-        return None if values is None else values * factor
-
+    given = {field: getattr(measurement, field) for field in ("q", "dq", "ddq", "command")}
     return replace(
         measurement,
         t=measurement.t * time,
-        q=measurement.q * factor,
-        dq=scaled(measurement.dq),
-        ddq=scaled(measurement.ddq),
-        command=scaled(measurement.command),
         units=tuple(name for name in unit_names(units) if name not in ("rad", "s")),
+        **{field: values * factor for field, values in given.items() if values is not None},
     )
 
 
@@ -126,9 +114,8 @@ def is_torque_of_laws(measurement: Measurement, drives: Sequence[Drive]) -> bool
 
 def _differences(t: Array, q: Array) -> Array:
     """Return velocities (N, n), none of them across a gap."""
-    edges = [0, *(np.flatnonzero(np.diff(t) > gap_limit(t)) + 1).tolist(), len(t)]
     parts = [
         np.gradient(q[a:b], t[a:b], axis=0) if b - a > 1 else np.zeros_like(q[a:b])
-        for a, b in pairwise(edges)
+        for a, b in pairwise(segment_edges(t))
     ]
     return np.concatenate(parts)

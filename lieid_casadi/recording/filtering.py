@@ -19,16 +19,10 @@ HIGHEST_CUTOFF = 0.45
 
 
 def lowpass(x: Array, rate: float, cutoff: float, order: int = 4) -> Array:
-    """Return x after a zero-phase Butterworth low-pass along axis 0 (forward and backward).
+    """Return x (K, ...) after a zero-phase Butterworth low-pass along axis 0.
 
-    Parameters
-    ----------
-    x
-        (K, ...) uniform samples.
-    rate, cutoff
-        Hz; a cut-off at or above 0.45 · rate passes x unchanged.
-    order
-        Of the one-way filter; both ways together have twice the slope.
+    It is applied forward and backward, which doubles the slope of its order. A cut-off at or above
+    0.45 · rate passes x unchanged.
     """
     if cutoff >= HIGHEST_CUTOFF * rate:
         return np.array(x, dtype=np.float64)
@@ -104,18 +98,9 @@ def filter_memory(rate: float, cutoff: float, order: int = 4) -> int:
 
 
 def windows(count: int, kept: slice, margin: int, size: int | None = None) -> Iterator[Window]:
-    """Yield windows that cover the kept instants of ``count``.
+    """Yield windows that cover the kept instants of ``count``, with margins for the filter.
 
-    Parameters
-    ----------
-    count
-        Instants on the grid.
-    kept
-        ``slice(first, end, step)``: the instants that become rows.
-    margin
-        The filter's memory, in instants.
-    size
-        Instants per window without margins; at least ten margins if left out.
+    A window has ``size`` instants without margins; at least ten margins if left out.
     """
     step = kept.step or 1
     total = len(range(*kept.indices(count)))
@@ -143,26 +128,13 @@ LEAST_WEIGHT = 1e-9
 
 
 def robust_loess(t: Array, x: Array, cutoff: float) -> Array:
-    """Smooth signals over 1.5 periods of the cut-off.
+    """Smooth signals x (K, n) at uniform instants over 1.5 periods of the cut-off.
 
     Each value is that of a parabola, fitted to the samples of the span around it with tricube
     weights (W. S. Cleveland, J. Am. Stat. Assoc. 74, 1979, with degree 2). The fit is repeated
     with bisquare weights of the residuals, so that outliers lose their weight, which no linear
     filter can do; for the same reason the smoothed torque has not gone through the columns'
     filter alone.
-
-    Parameters
-    ----------
-    t
-        (K,) uniform instants, s.
-    x
-        (K, n) signals.
-    cutoff
-        Hz; the span is 1.5 / cutoff seconds.
-
-    Returns
-    -------
-    (K, n)
     """
     rate = (t.size - 1) / float(t[-1] - t[0])
     half = max(LEAST_SAMPLES, SPAN * rate / cutoff) / 2.0

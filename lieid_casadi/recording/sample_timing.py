@@ -67,13 +67,7 @@ def sample_rate(t: Array) -> float:
 
 
 def uniform_count(t: Array, rate: float) -> int:
-    """Return the number of uniform instants from the first stamp to the last.
-
-    Returns
-    -------
-    int
-        That of the rate, at least 2 and at most four for each row.
-    """
+    """Return the number of uniform instants, at least 2 and at most four for each row."""
     wanted = float(t[-1] - t[0]) * rate
     return max(2, min(round(min(wanted, 1e15)) + 1, INSTANTS_PER_ROW * t.size))
 

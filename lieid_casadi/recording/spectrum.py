@@ -124,15 +124,8 @@ def motion_band(recording: Recording) -> float | None:
 def _band(dq: Array, rate: float, *, rounding: Array | None = None) -> float | None:
     """Return the frequency below which 99 % of the power of velocities lies, median over joints.
 
-    Parameters
-    ----------
-    dq : (N, n)
-        rad/s.
-    rate : float
-        Hz.
-    rounding : (n,), optional
-        Variance of white rounding errors of the positions whose central differences ``dq`` are,
-        rad²; their power is subtracted, which for coarse encoders exceeds 1 %.
+    ``rounding`` (n,) is the variance of white rounding errors of the positions whose central
+    differences ``dq`` are; their power is subtracted, which for coarse encoders exceeds 1 %.
     """
     power = np.mean(dq**2, axis=0)
     moves = power > 1e-3 * power.max()
@@ -159,19 +152,8 @@ def noise_dead_zone(dq: Array, *, kept: float = 1.0, quantum: Array | None = Non
     least 1.5 steps of dq's resolution and 0.3 % of the joint's top speed: a reversal passes
     through that within about a sample, and the sign there is undetermined.
 
-    Parameters
-    ----------
-    dq
-        (N, n) rad/s, uniform samples.
-    kept
-        Part of the band below Nyquist that a later low-pass keeps: the noise falls with
-        its square root.
-    quantum
-        (n,) resolution, rad/s, where it is not the smallest step between the samples.
-
-    Returns
-    -------
-    (n,) rad/s, never 0.
+    ``kept`` is the part of the band below Nyquist that a later low-pass keeps, with whose square
+    root the noise falls; ``quantum`` (n,) the resolution where it is not the smallest step.
     """
     noise = 3.0 * noise_spread(dq) * np.sqrt(min(kept, 1.0))
     top = np.percentile(np.abs(dq), 99.0, axis=0)
@@ -190,9 +172,5 @@ def noise_spread(x: Array) -> Array:
 
 def resolution(values: Array) -> Array:
     """Return the smallest step (n,) between distinct values: the quantum, or rounding."""
-    return np.array([_resolution(column) for column in values.T])
-
-
-def _resolution(values: Array) -> float:
-    distinct = np.unique(values)
-    return float(np.min(np.diff(distinct))) if distinct.size > 1 else 0.0
+    steps = [np.diff(np.unique(column)) for column in values.T]
+    return np.array([float(step.min()) if step.size else 0.0 for step in steps])

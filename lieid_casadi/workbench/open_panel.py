@@ -14,7 +14,7 @@ import numpy as np
 from nicegui import ui
 from nicegui.events import UploadEventArguments
 
-from lieid_casadi.recording.readers.column_names import COMMANDED, OTHERS, TIMES, WORDS
+from lieid_casadi.recording.readers.columns import COMMANDED, OTHERS, TIMES, WORDS
 from lieid_casadi.workbench.elements import View, button, icon_button, named, text
 from lieid_casadi.workbench.session import (
     RecordingInput,

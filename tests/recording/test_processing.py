@@ -14,7 +14,7 @@ from recording.planar_arm import (
 )
 
 from lieid_casadi.errors import MissingDependency, RecordingError, ShortSegmentWarning
-from lieid_casadi.recording import Processing, Recording, join, process
+from lieid_casadi.recording import Processing, Recording, process
 from lieid_casadi.recording.filtering import filter_memory, lowpass, robust_loess, windows
 
 
@@ -179,7 +179,7 @@ def test_a_reversal_is_no_rest(processed):
 
 def test_segments_are_never_joined_across_a_gap():
     whole = measured(duration=12, noise=0)
-    parts = join([whole.cut(0, 5), whole.cut(7, None)])
+    parts = whole.at((whole.t < 5) | (whole.t >= 7))
     first, second = process(parts, Processing(cutoff=5.0))
     assert first.t[-1] < 5.0
     assert second.t[0] >= 7.0
@@ -191,7 +191,7 @@ def test_segments_are_never_joined_across_a_gap():
 
 def test_short_segments_are_left_out_and_named():
     whole = measured(duration=12)
-    parts = join([whole.cut(0, 0.8), whole.cut(2, None)])
+    parts = whole.at((whole.t < 0.8) | (whole.t >= 2))
     (p,) = process(parts, Processing(cutoff=5.0))
     (warning,) = p.warnings
     assert isinstance(warning, ShortSegmentWarning)

@@ -1,20 +1,166 @@
-"""Names of the columns of a recording, shared by CSV, Parquet, NPZ and data frames."""
+"""Names of the columns of a recording, shared by CSV, Parquet, NPZ and data frames.
+
+Recorders write ``position_1``, ``actual_q_0`` or ``elbow_joint/velocity``. Such names are accepted
+where each signal of each joint has exactly one column; ``--columns`` states all others.
+"""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.errors import LieidWarning, RecordingError, UnknownColumnWarning
+from lieid_casadi.errors import (
+    ColumnNamesWarning,
+    LieidWarning,
+    RecordingError,
+    UnknownColumnWarning,
+)
 from lieid_casadi.messages import names_text, shortened
 from lieid_casadi.recording.measurement import FIELDS, Measurement
-from lieid_casadi.recording.readers.column_names import LABEL, signal_names
+
+#: Columns of a recording as NAME=COLUMN, or name and column; see `parse_columns`.
+ColumnNames = str | Mapping[str, str]
+#: Column of the payload's label.
+LABEL = "load"
+#: Words in the names of columns, for each prefix of the file format.
+WORDS = {
+    "q": {"q", "position", "positions", "pos", "angle"},
+    "dq": {"dq", "qd", "velocity", "velocities", "vel"},
+    "ddq": {"ddq", "qdd", "acceleration", "accelerations", "acc"},
+    "tau": {"tau", "effort", "efforts", "torque", "torques"},
+    "i": {"i", "current", "currents"},
+    "temp": {"temp", "temperature", "temperatures"},
+}
+TIMES = ("t", "time", "timestamp", "stamp", "time_s", "seconds")
+#: Words of commanded signals, of which only positions are used.
+COMMANDED = {"target", "desired", "command", "commanded", "cmd", "goal", "reference", "ref", "d"}
+#: Words of other quantities of a joint.
+OTHERS = {"ext", "external", "error", "std", "filtered", "hat", "tcp", "limit", "min", "max"}
+
+_NAME = re.compile(r"t|load|(?:q|dq|ddq|tau|temp|i|qcmd)(?:[1-9][0-9]{0,5})?")
+
+
+def parse_columns(columns: ColumnNames | None) -> tuple[tuple[str, str], ...]:
+    """Return pairs of name and column of ``NAME=COLUMN,…``.
+
+    NAME is one of the file format, such as ``tau1``, or a prefix such as ``tau`` for a whole
+    signal: COLUMN is then an array of an NPZ, or has ``*`` in place of the joint's number.
+    """
+    if columns is None:
+        return ()
+    if isinstance(columns, str):
+        given = [text.partition("=") for text in columns.split(",") if text.strip()]
+        pairs = [(name.strip(), column.strip()) for name, _, column in given]
+    else:
+        pairs = [(str(name), str(column)) for name, column in columns.items()]
+    for name, column in pairs:
+        if not _NAME.fullmatch(name) or not column:
+            raise RecordingError(
+                f"columns: found {shortened(f'{name}={column}')}, expected NAME=COLUMN with NAME "
+                f"one of t, load, {', '.join(FIELDS)} and a joint's number, such as tau1=effort_1"
+            )
+        if [n for n, _ in pairs].count(name) > 1:
+            raise RecordingError(f"columns: found {name} twice, expected it once")
+    return tuple(pairs)
+
+
+def is_signal(name: str) -> bool:
+    """Return whether a name is that of a signal of all joints, or of one, in the file format."""
+    return name not in ("t", LABEL) and _NAME.fullmatch(name) is not None
+
+
+def signal_names(
+    header: Sequence[str],
+    where: str,
+    columns: Sequence[tuple[str, str]] = (),
+    joint_names: Sequence[str] | None = None,
+) -> tuple[list[str], tuple[LieidWarning, ...]]:
+    """Return the header with the names of the file format, and a warning of those assumed."""
+    names = [name.strip() for name in header]
+    if columns:
+        return _stated(names, where, columns), ()
+    if "t" in names and ("q1" in names or "q" in names):
+        return names, ()
+    found = _known(names, joint_names or ())
+    if found is None:
+        return names, ()
+    made = [found.get(name, name) for name in names]
+    pairs = [f"{new} = {old}" for old, new in found.items() if old != new]
+    warning = ColumnNamesWarning(f"{where}: columns read as signals: {names_text(pairs, 12)}")
+    return made, (warning,)
+
+
+def _stated(names: Sequence[str], where: str, columns: Sequence[tuple[str, str]]) -> list[str]:
+    new: dict[str, str] = {}
+    for name, column in columns:
+        for number, found in enumerate(_matching(names, column), start=1):
+            new[found] = f"{name}{number}" if "*" in column else name
+        if not any(place in new for place in _matching(names, column)):
+            raise RecordingError(
+                f"{where}: no column {shortened(column)} (found {names_text(names)}), expected "
+                f"that of {name}"
+            )
+    taken = set(new.values())
+    return [new.get(name, f"{name} of the file" if name in taken else name) for name in names]
+
+
+def _matching(names: Iterable[str], column: str) -> list[str]:
+    """Return the columns of a name, those with a number in place of ``*`` by that number."""
+    before, star, after = column.partition("*")
+    if not star:
+        return [name for name in names if name == column]
+    pattern = re.compile(rf"{re.escape(before)}([0-9]{{1,6}}){re.escape(after)}")
+    found = [(int(m[1]), name) for name in names if (m := pattern.fullmatch(name))]
+    return [name for _, name in sorted(found)]
+
+
+def _known(names: Sequence[str], joint_names: Sequence[str]) -> dict[str, str] | None:
+    """Return column -> name of the file format where this is unambiguous, else None."""
+    times = [name for name in names if name.lower() in TIMES]
+    signals = {name: found for name in names if (found := _signal(name, joint_names))}
+    joints = {joint for prefix, joint, _ in signals.values() if prefix == "q"}
+    numbered = {by_number for _, _, by_number in signals.values()}
+    first = min(joints, default=1)
+    complete = joints == set(range(first, first + len(joints))) and first in (0, 1)
+    if len(times) != 1 or not joints or not complete or len(numbered) != 1:
+        return None
+    made = {name: f"{prefix}{joint + 1 - first}" for name, (prefix, joint, _) in signals.items()}
+    inside = all(joint in joints for _, joint, _ in signals.values())
+    if not inside or len(set(made.values())) < len(made):
+        return None
+    load = {LABEL: LABEL} if LABEL in names else {}
+    return {times[0]: "t"} | made | load
+
+
+def _signal(name: str, joint_names: Sequence[str]) -> tuple[str, int, bool] | None:
+    """Return prefix, joint, and whether the joint is a number, of a column's name."""
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
+    joint = None
+    for index, known in enumerate(joint_names):
+        pattern = rf"(?<![a-z0-9]){re.escape(known.lower())}(?![a-z0-9])"
+        if re.search(pattern, text):
+            joint, text = index + 1, re.sub(pattern, "", text)
+            break
+    words = set(re.findall(r"[a-z]+", text))
+    numbers = re.findall(r"[0-9]{1,6}", text)
+    prefixes = [prefix for prefix, known in WORDS.items() if words & known]
+    if len(prefixes) != 1 or words & OTHERS:
+        return None
+    prefix = prefixes[0]
+    if words & COMMANDED:
+        if prefix != "q":
+            return None
+        prefix = "qcmd"
+    if joint is not None:
+        return (prefix, joint, False) if not numbers else None
+    return (prefix, int(numbers[0]), True) if len(numbers) == 1 else None
+
 
 REMEDY = "other names are stated by --columns NAME=COLUMN,… (columns= in Python)"
 EXPECTED = "t,q1…qn and optionally dq*, tau*, ddq*, temp*, i*, qcmd*, load"

@@ -18,13 +18,13 @@ from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LieidError, RecordingError
 from lieid_casadi.messages import shortened
 from lieid_casadi.recording.measurement import Measurement
-from lieid_casadi.recording.readers.column_names import signal_names
 from lieid_casadi.recording.readers.columns import (
     EXPECTED,
     ColumnLayout,
     columns_of,
     layout_warnings,
     read_layout,
+    signal_names,
 )
 from lieid_casadi.recording.readers.registry import (
     INFLATE_LIMIT,

@@ -15,8 +15,12 @@ from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LieidWarning, RecordingError, UnknownColumnWarning
 from lieid_casadi.messages import names_text
 from lieid_casadi.recording.measurement import FIELDS, Measurement
-from lieid_casadi.recording.readers.column_names import LABEL, is_signal, signal_names
-from lieid_casadi.recording.readers.columns import measurement_of_columns
+from lieid_casadi.recording.readers.columns import (
+    LABEL,
+    is_signal,
+    measurement_of_columns,
+    signal_names,
+)
 from lieid_casadi.recording.readers.registry import (
     ReadOptions,
     RecordingFormat,

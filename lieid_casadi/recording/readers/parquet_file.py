@@ -15,12 +15,12 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LargeFileWarning, MissingDependency
 from lieid_casadi.recording.measurement import Measurement
-from lieid_casadi.recording.readers.column_names import signal_names
 from lieid_casadi.recording.readers.columns import (
     columns_of,
     layout_warnings,
     measurement_of_columns,
     read_layout,
+    signal_names,
 )
 from lieid_casadi.recording.readers.registry import (
     ReadOptions,
