@@ -13,7 +13,7 @@ from recording.planar_arm import measured
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import LargeFileWarning, OutputError, RecordingError, UnknownColumnWarning
-from lieid_casadi.recording import Recording, join, process
+from lieid_casadi.recording import Recording, process
 from lieid_casadi.recording.readers import parquet_file
 
 FORMATS = ["csv", "csv.gz", "npz", "parquet"]
@@ -360,45 +360,6 @@ def test_segments_end_where_the_payload_changes():
     recording = measured(duration=10, rate=200, load=label)
     assert [s.payload_label[0] for s in recording.segments()] == ["none", "2 kg"]
     assert [p.payload_label for p in process(recording)] == ["none", "2 kg"]
-
-
-def test_joined_recordings_keep_their_segments():
-    one, two = measured(duration=5), measured(duration=6, seed=1)
-    both = join([one, two])
-    assert len(both) == len(one) + len(two)
-    first, second = both.segments()
-    np.testing.assert_array_equal(first.tau, one.tau)
-    np.testing.assert_array_equal(second.tau, two.tau)
-    np.testing.assert_allclose(np.diff(second.t), np.diff(two.t), atol=1e-12)
-
-
-def test_recordings_of_different_sources_are_never_one_segment():
-    one = measured(duration=5)
-    two = Recording.from_arrays(one.t + 5.0, one.q, one.dq, one.tau)  # its clock would fit
-    assert len(join([one, two]).segments()) == 2
-
-
-def test_parts_of_one_recording_join_into_the_whole():
-    whole = measured(duration=6)
-    again = join([whole.cut(None, 2.5), whole.cut(2.5, None)])
-    np.testing.assert_array_equal(again.t, whole.t)
-    assert len(again.segments()) == 1
-
-
-def test_join_keeps_what_all_have_and_labels():
-    one = measured(duration=2, load=["a"] * 400)
-    two = Recording.from_arrays(one.t, one.q, tau=one.tau)
-    both = join([one, two])
-    assert both.dq is None
-    assert both.tau is not None
-    assert both.payload_label == ("a",) * 400 + ("",) * 400
-
-
-def test_join_refuses_other_joints_and_nothing():
-    with pytest.raises(RecordingError, match="has 1 joints, expected 2"):
-        join([measured(), Recording.from_arrays([0, 1], [[0], [1]])])
-    with pytest.raises(RecordingError, match="no recordings"):
-        join([])
 
 
 # -- Parquet files larger than the memory: means of a few rows are read --
