@@ -21,13 +21,7 @@ PREFIX, SUFFIX = ".lieid-", ".part"  # of temporary files and folders
 
 
 def require_regular(path: str | Path) -> None:
-    """Refuse to read what is no regular file, such as a pipe that nobody writes to.
-
-    Raises
-    ------
-    OSError
-        With the reason; also where the file does not exist.
-    """
+    """Refuse to read what is no regular file, such as a pipe that nobody writes to."""
     if "\0" in str(path):
         raise OSError(errno.EINVAL, "its name has a null character")
     if not stat.S_ISREG(os.stat(path).st_mode):
@@ -42,19 +36,6 @@ def atomic_binary(path: str | Path, *, private: bool = False) -> Iterator[Binary
     Symbolic links are followed and missing folders made. An existing regular file is replaced
     atomically and keeps its mode and owner. A device, a pipe or a standard stream is written
     through.
-
-    Parameters
-    ----------
-    path : str or Path
-        Where the file will be.
-    private : bool
-        Whether only its owner may read it, and the folders that are made for it.
-
-    Raises
-    ------
-    OutputError
-        The system refuses to write: no permission, no space, a folder in the way. An existing
-        file is then unchanged.
     """
     check_file(path)
     with reported(path):

@@ -10,21 +10,6 @@ def codegen_folder() -> Path:
 
     In a wheel it is inside the package; in a checkout (also an editable install) it is at the top
     level, next to the package.
-
-    Returns
-    -------
-    Path
-        An existing folder.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the installation is incomplete.
-
-    Examples
-    --------
-    >>> (codegen_folder() / "README.md").is_file()
-    True
     """
     for folder in (_PACKAGE / "codegen", _PACKAGE.parent / "codegen"):
         if (folder / "README.md").is_file():

@@ -55,24 +55,6 @@ def run_demo(robot: Robot, *, seed: int = 0, progress: Progress | None = None) -
 
     The inertias of the plant differ from the nominal ones by up to 20 %. Identification and
     diagnosis see only the recordings of the plant.
-
-    Parameters
-    ----------
-    robot : Robot
-        With nominal inertias.
-    seed : int
-        Of the excitation, the sensors' noise and the diagnosis.
-    progress : callable, optional
-        Called with the stage and the completed fraction.
-
-    Returns
-    -------
-    Demo
-
-    Raises
-    ------
-    KeyboardInterrupt
-        Also where it occurred during the excitation.
     """
     report = progress or (lambda stage, fraction: None)
     model = Model(robot, EFFECTS)
@@ -151,10 +133,6 @@ def demo_recordings(progress: Progress | None = None) -> tuple[Path, Path]:
 
     They are simulated on the first call, which takes a few seconds, and kept in the package's
     cache, or in a temporary folder where there is none.
-
-    Returns
-    -------
-    train, test : Path
     """
     report = progress or (lambda stage, fraction: None)
     folder = cache_folder() or Path(tempfile.mkdtemp(prefix="lieid-demo-"))

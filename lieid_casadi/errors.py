@@ -138,15 +138,7 @@ class LargeFileWarning(LieidWarning):
 
 
 class RepairWarning(LieidWarning):
-    """Damage of a recording that was repaired on reading.
-
-    Attributes
-    ----------
-    samples : int
-        How many rows, or values, it concerned.
-    joints : tuple of int
-        Numbers, from 1, of the joints that it concerned; empty where it is not one of joints.
-    """
+    """Damage of a recording that was repaired on reading."""
 
     def __init__(self, message: str, *, samples: int = 0, joints: Sequence[int] = ()) -> None:
         super().__init__(message)

@@ -21,13 +21,7 @@ from lieid_casadi.robot.inertia import LINK_PARAMETER_UNITS
 
 
 def as_model(source: Model | Robot) -> Model:
-    """Return a model; of a robot, that without effects.
-
-    Raises
-    ------
-    ModelError
-        It is neither.
-    """
+    """Return a model; of a robot, that without effects."""
     if isinstance(source, Robot):
         return Model(source)
     if not isinstance(source, Model):

@@ -42,18 +42,6 @@ def output_folder(folder: str | Path, *, force: bool = False) -> Iterator[Path]:
 
     A folder that does not exist appears as a whole. In an existing one, the files that its
     manifest lists are replaced or removed, each atomically, and all others are kept.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Made if it does not exist, with those above it.
-    force : bool
-        Replace the files that the folder's manifest lists.
-
-    Raises
-    ------
-    OutputError
-        As `check_folder`, or the system refuses to write.
     """
     target = check_folder(folder, force=force)
     exists = target.is_dir()
@@ -73,22 +61,7 @@ def output_folder(folder: str | Path, *, force: bool = False) -> Iterator[Path]:
 def write_folder(
     folder: str | Path, files: Mapping[str, bytes], *, force: bool = False
 ) -> tuple[Path, ...]:
-    """Write the files of a folder, as `output_folder`; return their paths.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Made if it does not exist, with those above it.
-    files : mapping
-        Relative name → content.
-    force : bool
-        Replace the files that the folder's manifest lists.
-
-    Raises
-    ------
-    OutputError
-        As `output_folder`.
-    """
+    """Write the files of a folder, as `output_folder`; return their paths."""
     with output_folder(folder, force=force) as fresh:
         for name, content in files.items():
             path = fresh / name

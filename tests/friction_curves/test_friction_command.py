@@ -77,28 +77,19 @@ def test_a_model_by_its_name(run, tmp_path):
         ([], "--joint"),
     ],
 )
-def test_bad_input_is_one_line(run, tmp_path, capsys, words, message):
+def test_bad_input_is_one_line(run, tmp_path, refusal, words, message):
     out = tmp_path / "f.json"
-    try:
-        status = lieid_friction(run, *words, "--json", out)
-    except SystemExit as stop:  # argparse's own
-        status = stop.code
-    assert status == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+    refusal(["friction", "two_link", run, *words, "--json", out], message)
     assert not out.exists()
 
 
-def test_one_direction_is_refused_with_the_file(tmp_path, capsys):
+def test_one_direction_is_refused_with_the_file(tmp_path, refusal):
     t = np.arange(0.0, 8.0, 0.004)
     q, dq = (np.zeros((len(t), 2)) for _ in range(2))
     q[:, 0], dq[:, 0] = 0.2 * t, 0.2
     measured(t, (q, dq, 0 * q)).save(tmp_path / "out.csv")
-    assert lieid_friction(tmp_path / "out.csv", "--joint", 1) == 2
-    error = capsys.readouterr().err
-    assert "out.csv: joint 1 moves forward only" in error
-    assert error.count("\n") == 1
+    message = "out.csv: joint 1 moves forward only"
+    refusal(["friction", "two_link", tmp_path / "out.csv", "--joint", 1], message)
 
 
 @pytest.fixture(scope="module")
@@ -135,21 +126,13 @@ def test_identify_in_stages(run, excitation_run, tmp_path, capsys):
         ("2={run}", "joint 2 never moves"),
     ],
 )
-def test_bad_friction_runs_are_one_line(run, excitation_run, tmp_path, capsys, runs, message):
+def test_bad_friction_runs_are_one_line(run, excitation_run, tmp_path, refusal, runs, message):
     out = tmp_path / "fit.json"
     words = ["identify", "two_link", excitation_run, "--friction-runs", runs.format(run=run)]
-    try:
-        status = main([*words, "-o", str(out)])
-    except SystemExit as stop:  # argparse's own
-        status = stop.code
-    assert status == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+    refusal([*words, "-o", out], message)
     assert not out.exists()
 
 
-def test_a_friction_run_is_an_input(run, excitation_run, capsys):
+def test_a_friction_run_is_an_input(run, excitation_run, refusal):
     words = ["identify", "two_link", excitation_run, "--friction-runs", f"1={run}", "-o", run]
-    assert main(words) == 2
-    assert "is also an input" in capsys.readouterr().err
+    refusal(words, "is also an input")

@@ -93,11 +93,6 @@ def paper(curve):
     return fit_friction(curve, "paper")
 
 
-def test_the_same_seed_gives_the_same_parameters(curve, paper):
-    again = fit_friction(curve, "paper")
-    np.testing.assert_array_equal(again.coefficients, paper.coefficients)
-
-
 def test_result_does_not_depend_on_the_seed(curve, fit):
     for seed in (1, 2):
         other = fit_friction(curve, TRUTH, seed=seed)
@@ -161,17 +156,19 @@ def test_extreme_friction_below_the_slowest_run_is_reported(curve):
     assert "below the slowest measured speed of 0.0349 rad/s" in str(found)
 
 
-def test_effects_must_be_of_the_joint(curve):
-    with pytest.raises(EffectError, match="coulomb:2 does not act on joint 1"):
-        fit_friction(curve, "coulomb:2")
-    with pytest.raises(EffectError, match="unknown effect"):
-        fit_friction(curve, "coulom")
-    with pytest.raises(EffectError, match="needs temperature"):
-        fit_friction(curve, "gao2017")
-    with pytest.raises(EffectError, match="couples two joints"):
-        fit_friction(curve, "transmission_coupling")
-    with pytest.raises(EffectError, match="no effects given"):
-        fit_friction(curve, "")
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ("coulomb:2", "coulomb:2 does not act on joint 1"),
+        ("coulom", "unknown effect"),
+        ("gao2017", "needs temperature"),
+        ("transmission_coupling", "couples two joints"),
+        ("", "no effects given"),
+    ],
+)
+def test_effects_must_be_of_the_joint(curve, effects, message):
+    with pytest.raises(EffectError, match=message):
+        fit_friction(curve, effects)
 
 
 def test_fits_are_written_and_drawn(fit):
@@ -218,6 +215,7 @@ def test_verdict_states_uncertainties_that_are_too_small(fit, whole):
     assert "agree within their uncertainties" in str(compare_friction(fit, fit))
 
 
+@pytest.mark.slow
 def test_differences_by_chance_agree():
     """p-values of two runs that differ only by noise are not too small."""
     motion = plant.sweep(ROBOT, 0, speeds=(0.1, 0.2, 0.4), pose=[0.0, 0.4])

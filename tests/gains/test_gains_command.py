@@ -72,15 +72,10 @@ def test_a_known_centre_of_mass(files, capsys):
         (["--com", 1, 2], {}, "expected 3 arguments"),
     ],
 )
-def test_bad_input_is_one_line(files, tmp_path, capsys, words, files_and_mass, message):
+def test_bad_input_is_one_line(files, tmp_path, refusal, words, files_and_mass, message):
     out = tmp_path / "g.json"
-    try:
-        status = lieid_gains(files, *words, "--json", out, **files_and_mass)
-    except SystemExit as stop:  # argparse's own
-        status = stop.code
-    said = capsys.readouterr()
-    assert status == 2
-    assert said.err.count("\n") == 1
-    assert message in said.err
-    assert said.out == ""
+    given = {"unloaded": "empty.csv", "loaded": "loaded.csv", "mass": MASS} | files_and_mass
+    recordings = [files / given[name] for name in ("unloaded", "loaded")]
+    command = ["gains", "panda", "--unloaded", recordings[0], "--loaded", recordings[1]]
+    assert refusal([*command, "--mass", given["mass"], *words, "--json", out], message) == ""
     assert not out.exists()

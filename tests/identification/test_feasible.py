@@ -89,11 +89,6 @@ def test_the_summary_of_the_certificate(panda_fit):
     assert " ".join(f"{100 * x:+.1f}" for x in panda_fit.certificate.cost) + " %" in text
 
 
-def test_base_values_are_the_combination_of_the_parameters(panda_fit):
-    combination = panda_fit.model.base.combination
-    np.testing.assert_array_equal(panda_fit.values, combination @ panda_fit.parameters)
-
-
 def test_prediction_is_as_good_as_that_of_least_squares(panda_run, panda_fit):
     """On a new motion of an arm whose true parameters are feasible, it must not be worse."""
     least = lieid.identify(panda_fit.model, panda_run[1], processing=CUTOFF)

@@ -54,13 +54,6 @@ def test_base_parameters_are_recovered(method):
     assert np.all(fit.std > 0.0)
 
 
-def test_without_noise_only_the_error_of_the_filter_remains():
-    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
-    arm, recording = measured()
-    fit = lieid.identify(model, recording, processing=CUTOFF)
-    assert np.abs(fit.values - true_base(model, arm)).max() < 5e-3
-
-
 def test_the_fit_is_the_least_squares_solution_of_filtered_columns():
     """Against numpy.linalg.lstsq on columns that this test filters and stacks itself."""
     from scipy.signal import butter, sosfiltfilt
@@ -105,18 +98,6 @@ def test_outliers_affect_robust_less_than_wls():
         for method in ("wls", "robust")
     }
     assert error["robust"] < 0.5 * error["wls"]
-
-
-def test_shape_parameters_are_found():
-    model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1")
-    _, recording = measured(
-        plant.Stribeck(0, extra=0.8, velocity=0.15), torque_noise=0.02, duration=40.0
-    )
-    fit = lieid.identify(model, recording, processing=CUTOFF)
-    assert fit.shapes[0] == pytest.approx(0.15, rel=0.15)
-    (row,) = [r for r in fit.parameter_table() if r["name"] == "stribeck.f_s-f_c"]
-    assert row["value"] == pytest.approx(0.8, rel=0.15)
-    assert np.isfinite(fit.std).all()
 
 
 def test_a_shape_at_its_bound_is_reported():

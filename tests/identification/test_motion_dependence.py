@@ -1,12 +1,8 @@
 """Dependence of the residual on the motion, and its place in fit files."""
 
-import json
-
 import numpy as np
 import pytest
 
-import lieid_casadi as lieid
-from lieid_casadi import plant
 from lieid_casadi.identification.uncertainty.noise_model import explainable, motion_ratio_of
 
 SURE = np.ones(900)
@@ -55,17 +51,3 @@ def test_explainable_part_is_that_of_the_columns():
     residual = columns @ np.array([1.0, 0.0, 0.0]) + random.standard_normal(4000)
     assert explainable(residual, columns) == pytest.approx(0.5, abs=0.05)
     assert explainable(random.standard_normal(4000), columns) < 0.01
-
-
-def test_a_fit_of_schema_1_can_be_diagnosed(tmp_path):
-    robot = lieid.robots.two_link()
-    t = np.arange(0.0, 8.0, 0.005)
-    motion = plant.FourierTrajectory(robot, base_frequency=1 / 8, seed=1).at(t)
-    sensors = plant.demo_sensors(robot)
-    run = plant.measure_along(plant.demo_arm(robot, hidden=None), t, *motion, sensors=sensors)
-    fit = lieid.identify(lieid.Model(robot, "coulomb,viscous,offset"), run)
-    fit.save(tmp_path / "fit.json")
-    old = json.loads((tmp_path / "fit.json").read_text("utf-8")) | {"schema": 1}
-    del old["residual_noise"]
-    (tmp_path / "old.json").write_text(json.dumps(old), "utf-8")
-    assert lieid.diagnose(lieid.Fit.load(tmp_path / "old.json"), run).verdict == "sufficient"

@@ -134,15 +134,6 @@ def test_gaps_between_segments_are_not_bridged():
     assert residual_correlation_length(parts, parts.residuals(values)) < 10
 
 
-def test_no_noise_has_no_variance():
-    rows = regression(np.random.default_rng(3))
-    matrix = stacked(rows)
-    unit = np.linalg.inv(matrix.T @ matrix)
-    ones = [np.ones(len(j.torque)) for j in rows.joints]
-    zeros = [np.zeros(len(j.torque)) for j in rows.joints]
-    assert np.all(hac_covariance(rows, ones, zeros, unit) == 0.0)
-
-
 def test_a_band_contains_its_stated_share_of_new_samples():
     fit = lieid.identify(lieid.Model(ROBOT, EFFECTS), run(torque_noise=0.3), processing=CUTOFF)
     fresh = run(motion_seed=9, noise_seed=5, torque_noise=0.3)

@@ -9,7 +9,6 @@ from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.variable_projection import (
     SeparableProblem,
     ShapeRange,
-    forward_differences,
     minimize_shapes,
 )
 from lieid_casadi.recording import Processing, process
@@ -67,16 +66,6 @@ def test_bounds_hold_and_negligible_columns_are_zero():
         negligible=1e-9,
     )
     assert tiny.solve(np.array([0.8, 2.3])).coefficients[1] == 0.0
-
-
-def test_given_slopes_are_used():
-    def slopes(shapes, coefficients):
-        return forward_differences(columns, RANGES, shapes, coefficients)
-
-    start = np.array([1.5, 2.0])
-    np.testing.assert_allclose(
-        minimize_shapes(problem(slopes=slopes), start), minimize_shapes(problem(), start)
-    )
 
 
 def test_columns_that_depend_on_shapes_or_load_are_those_of_the_last_shapes_and_load():

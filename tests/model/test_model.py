@@ -149,14 +149,6 @@ def test_an_effect_states_what_it_uses(name):
     assert used == set(effect.signals) - {"other"}
 
 
-def test_the_library_states_formula_units_and_bounds():
-    for kind in LIBRARY:
-        effect = make(kind.name)
-        assert effect.formula
-        assert all(c.unit for c in effect.coefficients)
-        assert all(s.lower <= s.initial <= s.upper < np.inf for s in effect.shapes)
-
-
 def test_user_effect_with_the_decorator():
     @lieid.effect("test_cogging", formula="a·sin(6q)", coefficients={"a": "N·m"}, signals=["q"])
     def cogging(s, shape):
@@ -201,6 +193,9 @@ def test_the_library_is_documented_by_data(kind):
     assert set(kind.confused_with) <= names - {kind.name}
     for option in ("", *kind.options):
         effect = make(f"{kind.name}/{option}" if option else kind.name)
+        assert effect.formula
+        assert all(c.unit for c in effect.coefficients)
+        assert all(s.lower <= s.initial <= s.upper < np.inf for s in effect.shapes)
         assert all(item.meaning for item in (*effect.coefficients, *effect.shapes))
         assert set(effect.replaces + effect.counted_as + effect.accompanied_by) <= names
 

@@ -109,24 +109,16 @@ def _reversed(files):
         (lambda files: files / "gone.csv", [], "no such file"),
     ],
 )
-def test_bad_input_is_one_line(files, tmp_path, capsys, make, words, message):
+def test_bad_input_is_one_line(files, tmp_path, refusal, make, words, message):
     recording = files / "loaded.csv" if make is None else make(files)
     out = tmp_path / "p.json"
-    try:
-        status = lieid_payload(files / "fit.json", recording, *words, "--json", out)
-    except SystemExit as stop:  # argparse's own
-        status = stop.code
-    said = capsys.readouterr()
-    assert status == 2
-    assert said.err.count("\n") == 1
-    assert message in said.err
+    shown = refusal(["payload", files / "fit.json", recording, *words, "--json", out], message)
     if "--despite-check" in words:  # the check prints its table before the command fails
-        assert said.out.startswith("Robot and recording")
+        assert shown.startswith("Robot and recording")
     else:
-        assert said.out == ""
+        assert shown == ""
     assert not out.exists()
 
 
-def test_a_recording_in_place_of_a_fit_is_refused_in_one_line(files, capsys):
-    assert lieid_payload(files / "loaded.csv", files / "loaded.csv") == 2
-    assert capsys.readouterr().err.count("\n") == 1
+def test_a_recording_in_place_of_a_fit_is_refused_in_one_line(files, refusal):
+    refusal(["payload", files / "loaded.csv", files / "loaded.csv"], "not JSON; expected a fit")
