@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -22,6 +24,16 @@ class Table:
     def cells(self) -> list[list[str]]:
         """The rows as text."""
         return [[cell_text(cell) for cell in row] for row in self.rows]
+
+    @property
+    def csv(self) -> str:
+        """Headings and cells as CSV, empty where a number does not exist."""
+        text = io.StringIO()
+        write = csv.writer(text, lineterminator="\n").writerow
+        write(self.headings)
+        for row in self.cells:
+            write("" if cell == MISSING else cell for cell in row)
+        return text.getvalue()
 
 
 def make_table(

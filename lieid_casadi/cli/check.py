@@ -24,6 +24,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     """Check."""
     from lieid_casadi.identification import Fit
     from lieid_casadi.premises import check
+    from lieid_casadi.report import premises_report
 
     source: Robot | Fit = Fit.load(args.robot) if inputs.is_fit(args) else inputs.robot_of(args)
     recordings = inputs.recordings_of(args.recordings, args, source)
@@ -32,7 +33,13 @@ def run(args: argparse.Namespace) -> output.Outcome:
         found = check(source, recordings, test=test, progress=report)
     unchecked = [f"Not checked: {premise} ({why})." for premise, why in found.not_checkable]
     status = WRONG if found.verdict == "wrong" else 0
-    return output.Outcome((*shown(found), *unchecked), json=found.to_dict(), status=status)
+    robot = source.model.robot if isinstance(source, Fit) else source
+    return output.Outcome(
+        (*shown(found), *unchecked),
+        json=found.to_dict(),
+        html=lambda: premises_report(robot, found),
+        status=status,
+    )
 
 
 COMMANDS = (
@@ -50,6 +57,7 @@ COMMANDS = (
             """,
             *options.RECORDING,
             options.JSON,
+            options.HTML,
         ),
         run,
     ),

@@ -1,4 +1,4 @@
-"""``lieid show ROBOT``: joints, screws, limits, base parameters with their groupings."""
+"""``lieid show ROBOT|FIT``: joints, limits, base parameters; effects and values of a fit."""
 
 from __future__ import annotations
 
@@ -12,13 +12,17 @@ from lieid_casadi.errors import warning_list
 from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
+    from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
     from lieid_casadi.robot import Robot
 
 
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Describe a robot and its base parameters."""
-    model = inputs.model_of(args)
+    """Describe a robot and its base parameters, or those of a fit with its effects and values."""
+    from lieid_casadi.identification import Fit
+
+    fit = Fit.load(args.robot) if inputs.is_fit(args) and not args.effects else None
+    model = inputs.model_of(args) if fit is None else fit.model
     robot = model.robot
     joints = _joints(robot)
     lengths: list[dict[str, Any]] = []
@@ -57,6 +61,10 @@ def run(args: argparse.Namespace) -> output.Outcome:
             [[x["name"], x["value"], x["meaning"]] for x in lengths],
         ),
     ]
+    if fit is not None:
+        content["effects"] = fit.model.effects
+        content["parameters"] = fit.parameter_table()
+        shown.append(_value_table(fit))
     no_inertia = ", ".join(robot.links_without_inertia)
     notes = [] if robot.has_inertia else [f"No inertia stated for: {no_inertia}"]
     return output.Outcome((*shown, *notes, *robot.warnings), json=_null_for_nan(content))
@@ -65,10 +73,11 @@ def run(args: argparse.Namespace) -> output.Outcome:
 COMMANDS = (
     Command(
         "show",
-        "joints, screws, limits, base parameters",
-        "Show the joints, screws and limits of a robot, and its base parameters.",
+        "joints, screws, limits, base parameters, values of a fit",
+        "Show the joints, screws and limits of a robot, and its base parameters; of a fit, also "
+        "its effects and the values of all parameters.",
         (
-            *options.ROBOT,
+            *options.ROBOT_OR_FIT,
             options.NO_EFFECTS,
             options.EFFECTS_FILE,
             "--symbolic  base parameters with symbols for the lengths between link frames",
@@ -139,6 +148,19 @@ def _joint_table(robot: Robot, joints: list[dict[str, Any]]) -> Table:
         "screws [ω; v] in the base frame at the zero pose",
         ["joint", "kind", "screw", "position", "velocity", "acceleration", "torque"],
         rows,
+    )
+
+
+def _value_table(fit: Fit) -> Table:
+    """Return the identified values, those of effects after those of links."""
+    effects = ", ".join(fit.model.effects) or "no effects"
+    return make_table(
+        f"Values ({fit.method}, {effects})",
+        ["parameter", "joint", "value", "std", "unit"],
+        [
+            [r["expression"], r["joint"], r["value"], r["std"], r["unit"]]
+            for r in fit.parameter_table()
+        ],
     )
 
 

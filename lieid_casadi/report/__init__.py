@@ -5,8 +5,10 @@ from lieid_casadi.report.reports import (
     comparison_report,
     diagnosis_report,
     experiment_report,
+    extension_report,
     fit_report,
     payload_report,
+    premises_report,
 )
 
 __all__ = [
@@ -15,7 +17,9 @@ __all__ = [
     "data_uri",
     "diagnosis_report",
     "experiment_report",
+    "extension_report",
     "fit_report",
     "payload_report",
+    "premises_report",
     "render",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from base64 import b64encode
 from collections.abc import Collection, Mapping, Sequence
@@ -52,6 +53,9 @@ def table_section(
     are grey.
     """
     data = {
+        "title": title,
+        "csv": csv_uri,
+        "file": csv_name,
         "tables": tables,
         "sentences": sentences,
         "facts": facts,
@@ -84,6 +88,18 @@ def data_uri(figure: Figure, *, dpi: float = 110.0, colors: int | None = None) -
         stream = BytesIO()
         picture.save(stream, "png", optimize=True)
     return "data:image/png;base64," + b64encode(stream.getvalue()).decode("ascii")
+
+
+def csv_uri(table: Table) -> str:
+    """Return a table as CSV in a ``data:`` URI."""
+    content = table.csv.encode(errors="replace")
+    return f"data:text/csv;charset=utf-8;base64,{b64encode(content).decode('ascii')}"
+
+
+def csv_name(table: Table, section: str) -> str:
+    """Return a file name for a table: words of its title, or of its section's."""
+    words = re.findall(r"[a-z0-9]+", (table.title.partition(",")[0] or section).lower())
+    return f"{'_'.join(words[:5]) or 'table'}.csv"
 
 
 def render(title: str, sections: Sequence[Section]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
+import shlex
 from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,14 @@ import numpy as np
 from markupsafe import Markup
 
 from lieid_casadi.comparison import Comparison
-from lieid_casadi.comparison.comparison import digits, error_table, largest_errors_table, verdict
+from lieid_casadi.comparison.comparison import (
+    BEYOND_NOISE,
+    digits,
+    error_table,
+    fall_sentence,
+    largest_errors_table,
+    verdict,
+)
 from lieid_casadi.diagnosis.result import evidence_table, rejected_table, unexplained_table
 from lieid_casadi.effects import make
 from lieid_casadi.effects.description import describe, formula_html
@@ -23,12 +31,15 @@ from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.payload.estimate import not_identified
 from lieid_casadi.report.page import Section, picture_section, render, table_section
 from lieid_casadi.simulation.simulate import window_table
-from lieid_casadi.tables import make_table
+from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis import Diagnosis
+    from lieid_casadi.diagnosis.extend import Extension
     from lieid_casadi.experiments import Experiment
     from lieid_casadi.payload import PayloadEstimate
+    from lieid_casadi.premises import PremiseCheck
+    from lieid_casadi.robot import Robot
     from lieid_casadi.simulation import WindowDrift
 
 SIGNIFICANT = 2.0  # standard deviations away from zero
@@ -41,6 +52,7 @@ def comparison_report(fit: Fit, comparison: Comparison, drift: WindowDrift | Non
     """
     sections = [
         table_section("", sentences=[verdict(comparison)]),
+        *_next_commands(_after_comparison(fit, comparison)),
         _warnings(comparison.warnings, fit.warnings),
         _errors(comparison),
     ]
@@ -72,6 +84,8 @@ def fit_report(fit: Fit) -> str:
 def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None) -> str:
     """Return the HTML report of a diagnosis; with a comparison of its last fit, that too."""
     fit, sentences = diagnosis.fit, diagnosis.sentences
+    summary = diagnosis_summary(diagnosis)
+    sentences = [summary, *sentences] if summary else sentences
     errors = diagnosis.error_table()
     evidence = table_section(
         "Evidence",
@@ -87,6 +101,7 @@ def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None)
         f"{fit.model.robot.name}: diagnosis",
         [
             table_section("Verdict", errors, sentences=sentences, titles=True),
+            *_next_commands(_after_diagnosis(diagnosis)),
             picture_section("From the first model to the last", diagnosis.plot()),
             evidence,
             _warnings(diagnosis.warnings),
@@ -122,6 +137,124 @@ def experiment_report(result: Experiment) -> str:
         sections.append(table_section("Last diagnosis", found.error_table()))
         sections.append(table_section("Evidence", evidence_table(found)))
     return render(f"{result.robot}: experiment", sections)
+
+
+def diagnosis_summary(diagnosis: Diagnosis) -> str:
+    """Return by how much the error falls with all effects; empty if none was found."""
+    _, errors = diagnosis.shown
+    if not diagnosis.steps or len(errors) < 2:
+        return ""
+    name, floor = diagnosis.reference
+    changed = diagnosis.mode == "changed"
+    return fall_sentence(
+        errors[0], errors[-1], floor,
+        where="the new recordings" if changed else "unseen motion",
+        reference="the expected error" if name == "expected" else "its noise floor",
+    )  # fmt: skip
+
+
+def extension_report(extension: Extension) -> str:
+    """Return the HTML report of a fit to which effects were added."""
+    fit, (before, after) = extension.after, extension.held_out
+    floor = np.full(len(before), np.nan)
+    sentence = fall_sentence(before, after, floor)
+    note = "RMS error in motion, before and after both models were fitted to the same recordings."
+    added = [label.partition(":")[0] for label in extension.added]
+    return render(
+        f"{fit.model.robot.name}: model with {', '.join(extension.added)}",
+        [
+            table_section("", *extension_tables(extension), sentences=[sentence], titles=True),
+            picture_section("Error per joint", extension.plot(), note),
+            _warnings(fit.warnings),
+            *fit_sections(fit, named=added),
+            _provenance(fit),
+        ],
+    )
+
+
+def extension_tables(extension: Extension) -> tuple[Table, Table]:
+    """Return errors per joint before and after, and the new parameters."""
+    held_out = "cross-validated" if extension.rms_test is None else "test"
+    columns = ["joint", f"{held_out} in motion", "after", "%"]
+    pairs = [extension.held_out, extension.rms_train]
+    if extension.rms_test_at_rest is not None:
+        columns += ["at rest", "after", "%"]
+        pairs.insert(1, extension.rms_test_at_rest)
+    columns += ["train", "after", "%"]
+    rows: list[list[object]] = []
+    for j, joint in enumerate(extension.after.model.robot.joints):
+        row: list[object] = [f"{j + 1} {joint.name}"]
+        for pair in pairs:
+            before, after = float(pair[0][j]), float(pair[1][j])
+            change = 100.0 * (after / before - 1.0)
+            row += [before, after, None if math.isnan(change) else f"{change:+.1f}"]
+        rows.append(row)
+    parameters = make_table(
+        "New parameters",
+        ["parameter", "value", "std", "unit"],
+        [[r["expression"], r["value"], r["std"], r["unit"]] for r in extension.parameters],
+    )
+    errors = make_table(f"RMS error, N·m, with {', '.join(extension.added)}", columns, rows)
+    return errors, parameters
+
+
+def premises_report(robot: Robot, found: PremiseCheck) -> str:
+    """Return the HTML report of a check of premises."""
+    reasons = [f"Not checked: {premise} ({why})." for premise, why in found.not_checkable]
+    sentences = [found.sentence, *(finding.sentence for finding in found.findings)]
+    remedies = [(f.premise, f.remedy) for f in found.findings if f.remedy]
+    return render(
+        f"{robot.name}: premises",
+        [
+            table_section("", found.table, sentences=sentences, titles=True),
+            *([table_section("What corrects it", facts=remedies)] if remedies else []),
+            table_section("Tested", notes=[", ".join(found.checked) or "nothing", *reasons]),
+        ],
+    )
+
+
+def _next_commands(commands: list[tuple[str, str]]) -> list[Section]:
+    """Return what to do next: purposes and commands."""
+    return [table_section("What to do next", facts=commands)] if commands else []
+
+
+def _after_comparison(fit: Fit, comparison: Comparison) -> list[tuple[str, str]]:
+    ratio = comparison.over_noise
+    if not np.any(np.nan_to_num(ratio) > BEYOND_NOISE):
+        return [("use the model", "lieid export FIT --to c -o code")]
+    names = [
+        [s.name or "REC" for s in part]
+        for part in (fit.provenance.recordings, comparison.recordings)
+    ]
+    words = ["lieid", "diagnose", "FIT", "--train", *names[0], "--test", *names[1]]
+    return [("search for missing effects", shlex.join(words))]
+
+
+def _after_diagnosis(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """Return the commands that separate rivals, fit the final model, and use it."""
+    found = []
+    for step in diagnosis.steps:
+        if step.status == "one_of" and step.rivals:
+            words = [
+                "lieid",
+                "discriminate",
+                "FIT",
+                step.label,
+                step.rivals[0].label,
+                "-o",
+                "motion",
+            ]
+            found.append((f"separate {step.label} from its rivals", shlex.join(words)))
+    if diagnosis.mode == "missing" and diagnosis.steps:
+        train, test = (
+            [s.name or "REC" for s in part] for part in (diagnosis.train, diagnosis.test)
+        )
+        effects = ",".join(diagnosis.fit.model.effects)
+        words = ["lieid", "identify", "ROBOT", *train, *(["--test", *test] if test else [])]
+        words += ["--effects", effects, "-o", "fit.json"]
+        found.append(("fit the model with these effects", shlex.join(words)))
+        found.append(("use it in a controller", "lieid export fit.json --to c -o code"))
+    return found
 
 
 def payload_report(fit: Fit, payload: PayloadEstimate) -> str:

@@ -240,7 +240,7 @@ class FindingsView(View):
         session, evaluation = workbench.session, workbench.evaluation
         found, step, searching = session.found, session.step, workbench.searching is not None
         if found is not None and step is not None and found.effects == step.effects:
-            self._verdict.text = _summary(found)
+            self._verdict.text = found.summary or found.sentence
         elif evaluation is not None:
             exact = "" if evaluation.exact else "\nPreliminary; the exact fit is computed."
             self._verdict.text = evaluation.sentence + exact
@@ -280,27 +280,6 @@ def _findings(found: FoundEffects, present: tuple[str, ...], *, changed: bool) -
             if proposed.rivals and not changed:
                 shown.append(_rivals(proposed))
     return shown + [cut_part("value muted", sentence) for sentence in found.unexplained]
-
-
-def _summary(found: FoundEffects) -> str:
-    """Return the verdict in one sentence: what was found, and how far the error falls."""
-    falls = [
-        100.0 * (1.0 - after / before)
-        for before, after in zip(found.path[0], found.path[-1], strict=True)
-        if before and after is not None
-    ] if len(found.path) > 1 else []  # fmt: skip
-    if not found.proposed or not falls:
-        return found.sentence
-    count = len(found.proposed)
-    if found.model:
-        what = "One effect is missing" if count == 1 else f"{count} effects are missing"
-        where = "on unseen motion"
-    else:
-        what = "One change since the fit" if count == 1 else f"{count} changes since the fit"
-        where = "on the new recordings"
-    least, most = (f"{max(fall, 0.0):.0f}" for fall in (min(falls), max(falls)))
-    by = f"{most} %" if least == most else f"{least} to {most} %, depending on the joint"
-    return f"{what}: with {'it' if count == 1 else 'them'} the error {where} falls by {by}."
 
 
 def _group_row(group: int, members: list[ProposedEffect]) -> Markup:

@@ -18,6 +18,7 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check, process
+from lieid_casadi.report.reports import diagnosis_summary
 from lieid_casadi.workbench.arm import ArmMesh, ArmSolid, arm_meshes, arm_solids
 from lieid_casadi.workbench.session import FoundEffects, Numbers, ProposedEffect, StepErrors
 
@@ -260,6 +261,7 @@ def found_effects(diagnosis: Diagnosis, effects: tuple[str, ...]) -> FoundEffect
         shapes=tuple((parameter.label, float(value)) for parameter, value in shapes),
         model=() if changed else tuple(p.label for p in model.placements),
         path=tuple(tuple(numbers_or_none(errors)) for errors in path),
+        summary=diagnosis_summary(diagnosis),
     )
 
 

@@ -170,6 +170,7 @@ class FoundEffects:
     shapes: tuple[tuple[str, float], ...] = ()
     model: tuple[str, ...] = ()
     path: tuple[Numbers, ...] = ()
+    summary: str = ""  # by how much the error falls with all of them
 
     @property
     def groups(self) -> dict[int, list[ProposedEffect]]:

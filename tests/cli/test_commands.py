@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from cli.two_link_files import columns, write
+from comparison import two_link_data as arm
 from real_arms import UR10E, needs
 
 import lieid_casadi as lieid
@@ -191,3 +192,18 @@ def test_ur10e_reaches_the_reference(tmp_path):
         assert np.all(after[1:3] < 0.75 * before[1:3])
     rest = [w["name"] for w in errors[effects, "point_to_point"]["warnings"]]
     assert "FrictionAtRestWarning" in rest
+
+
+def test_show_lists_effects_and_values_of_a_fit(tmp_path, capsys):
+    robot = lieid.robots.two_link()
+    fit = lieid.identify(lieid.Model(robot, "coulomb,viscous"), arm.recording(12.0, seed=1))
+    fit.save(tmp_path / "fit.json")
+    out = tmp_path / "show.json"
+    assert main(["show", str(tmp_path / "fit.json"), "--json", str(out)]) == 0
+    content = json.loads(out.read_text())
+    assert content["effects"] == ["coulomb", "viscous"]
+    _, friction = (r for r in content["parameters"] if r["name"] == "coulomb.f_c")
+    assert friction["value"] == pytest.approx(1.5, rel=0.1)  # simulated
+    shown = capsys.readouterr().out
+    assert "Values (wls, coulomb, viscous)" in shown
+    assert f"{friction['value']:.4g}" in shown

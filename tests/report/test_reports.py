@@ -1,6 +1,8 @@
 """Reports: one file that loads nothing and executes nothing from names."""
 
+import csv
 import re
+import shlex
 from base64 import b64decode
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -9,8 +11,17 @@ import pytest
 from comparison import two_link_data as arm
 
 import lieid_casadi as lieid
+from lieid_casadi.cli.main import build_parser
+from lieid_casadi.comparison.comparison import HEADINGS
+from lieid_casadi.diagnosis.extend import extend
 from lieid_casadi.errors import LieidWarning
-from lieid_casadi.report import comparison_report, fit_report, render
+from lieid_casadi.report import (
+    comparison_report,
+    extension_report,
+    fit_report,
+    premises_report,
+    render,
+)
 from lieid_casadi.report.page import table_section
 from lieid_casadi.report.reports import anchors, fit_sections, value_text
 
@@ -62,8 +73,8 @@ def page(fit, comparison):
 
 def test_a_report_fetches_nothing(page):
     for tag, name, value in page.attributes:
-        if name == "href":
-            assert value.startswith("#"), tag  # within the page
+        if name == "href":  # within the page, or a file that the page contains
+            assert value.startswith(("#", "data:text/csv;charset=utf-8;base64,")), tag
         elif name in FETCHING:
             assert value.startswith("data:image/png;base64,"), (tag, name)
         if name == "style":
@@ -108,7 +119,7 @@ def test_names_are_text(fit, comparison):
     )
     page = Page(comparison_report(evil_fit, evil))
     assert "script" not in page.tags
-    assert "a" not in page.tags
+    assert not any("example.org" in link for link in page.values("href"))
     assert "onerror" not in [name for _, name, _ in page.attributes]
     assert page.tags.count("img") == 2
     text = "".join(page.text)
@@ -119,6 +130,43 @@ def test_names_are_text(fit, comparison):
     assert r"a\u001b\u2066b" in "".join(turned.text)
 
 
+def test_every_table_can_be_saved_as_csv(page, comparison):
+    files = [b64decode(h.partition(",")[2]).decode() for h in page.values("href") if h[0] != "#"]
+    assert len(files) == page.tags.count("table")
+    assert len(set(page.values("download"))) > 1
+    rows = list(csv.reader(files[0].splitlines()))
+    assert rows[0] == list(HEADINGS)
+    assert [float(row[1]) for row in rows[1:]] == pytest.approx(comparison.rms_moving, rel=5e-3)
+    assert rows[1][4] == ""  # joint 1 never rests
+
+
+def test_what_to_do_next_is_a_command(page, fit):
+    _, q, _, _ = arm.motion(12.0, seed=2)
+    wrong = arm.recording(12.0, seed=2, noise=0.2, extra=4.0 * q, name="tues day.csv")
+    systematic = Page(comparison_report(fit, lieid.compare(fit, wrong)))
+    export, search = (
+        next(text for text in each.text if text.startswith("lieid ")) for each in (page, systematic)
+    )
+    assert export == "lieid export FIT --to c -o code"
+    diagnose = build_parser().parse_args(shlex.split(search)[1:])
+    assert (diagnose.train, diagnose.test) == (["train"], ["tues day.csv"])
+
+
+def test_an_extended_fit_and_premises_have_reports(fit):
+    _, q, _, _ = arm.motion(12.0, seed=3)
+    train = arm.recording(12.0, seed=3, noise=0.1, extra=2.0 * q, name="train")
+    page = Page(extension_report(extend(fit, "position_spring", train)))
+    text = " ".join(page.text)
+    assert "On unseen motion the error falls by" in text
+    assert "New parameters" in text
+    turned = replace(train, tau=-train.tau)
+    found = lieid.check(fit.model.robot, turned)
+    text = " ".join(Page(premises_report(fit.model.robot, found)).text)
+    assert found.findings
+    assert found.findings[0].sentence in text
+    assert found.findings[0].remedy in text
+
+
 def test_effects_are_described_from_their_definitions(page, fit):
     text = " ".join(page.text)
     for placement in fit.model.placements:
@@ -126,7 +174,7 @@ def test_effects_are_described_from_their_definitions(page, fit):
         assert placement.effect.revealed_by in text
     ids = page.values("id")
     assert {f"effect-{p.effect.label}" for p in fit.model.placements} <= set(ids)
-    assert {link.removeprefix("#") for link in page.values("href")} <= set(ids)
+    assert {link[1:] for link in page.values("href") if link.startswith("#")} <= set(ids)
 
 
 def test_a_fit_without_a_test_has_a_report_too(fit):
