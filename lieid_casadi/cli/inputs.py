@@ -74,7 +74,7 @@ def model_for(args: argparse.Namespace, robot: Robot, recordings: Sequence[Recor
 
     Rotor inertia among the default effects is reported.
     """
-    from lieid_casadi.identification.default_effects import default_effects
+    from lieid_casadi.identification.identify import default_effects
     from lieid_casadi.model import Model
 
     if args.effects is not None:

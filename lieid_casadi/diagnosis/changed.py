@@ -35,12 +35,10 @@ from lieid_casadi.diagnosis.steps import (
 from lieid_casadi.errors import UnidentifiableWarning, unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature
+from lieid_casadi.identification.uncertainty.covariance import prior_rows
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording, process
-
-#: Relative to the largest variance: below it a parameter counts as exactly known.
-LEAST_VARIANCE = 1e-12
 
 
 def diagnose_changed(
@@ -61,7 +59,7 @@ def diagnose_changed(
     rises = np.array([each.motion_ratio for each in noise])
     first = _misfit(rows, expected, [])
     raised = first > options.least_misfit * rises
-    found = search(rows, options, prior=_prior(fit), spread=expected, joints=raised)
+    found = search(rows, options, prior=prior_rows(fit.covariance), spread=expected, joints=raised)
     changes, rejected = _changes(found, raised, options.least_misfit * rises, options)
     report("describe the changes", 0.8)
     after, beyond = _errors(found, changes)
@@ -124,14 +122,6 @@ class _Change:
     values: Array
     std: Array
     joint: int
-
-
-def _prior(fit: Fit) -> Array:
-    """Return rows that state the uncertainty of a fit's parameters."""
-    count = len(fit.values) + len(fit.shapes)
-    sizes, axes = np.linalg.eigh(fit.covariance[:count, :count])
-    least = LEAST_VARIANCE * max(float(sizes.max(initial=0.0)), 1e-300)
-    return np.asarray((axes / np.sqrt(np.maximum(sizes, least))).T)
 
 
 def _changes(

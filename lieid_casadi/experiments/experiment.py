@@ -27,7 +27,7 @@ from lieid_casadi.experiments.record import (
 )
 from lieid_casadi.experiments.result import Experiment, Round, Stopped
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.default_effects import default_effects
+from lieid_casadi.identification.identify import default_effects
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed

@@ -27,13 +27,13 @@ from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import joint_factors
+from lieid_casadi.identification.uncertainty.covariance import prior_rows
 from lieid_casadi.identification.uncertainty.noise_model import RATE_OVER_CUTOFF
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.recording import Processed, Recording, process, require_plausible_units
 from lieid_casadi.recording.readers.registry import hash_of_file
 from lieid_casadi.robot.inertia import parameter_transport
 
-LEAST_VARIANCE = 1e-12  # relative to the largest: below it a parameter counts as exactly known
 UNDETERMINED = 1e-9  # of scaled columns: directions that the night does not excite
 
 
@@ -100,10 +100,8 @@ def _prior(fit: Fit, effects: NDArray[np.intp]) -> Array:
     """Return rows (k, p) of a prior with unit variance on the inertial parameters."""
     count = len(fit.values)
     links = np.setdiff1d(np.arange(count), effects)
-    sizes, axes = np.linalg.eigh(fit.covariance[np.ix_(links, links)])
-    least = LEAST_VARIANCE * max(float(sizes.max(initial=0.0)), 1e-300)
     rows = np.zeros((len(links), count))
-    rows[:, links] = (axes / np.sqrt(np.maximum(sizes, least))).T
+    rows[:, links] = prior_rows(fit.covariance[np.ix_(links, links)])
     return rows
 
 

@@ -20,8 +20,8 @@ from lieid_casadi.fleet.history import ArmEntry, History
 from lieid_casadi.fleet.night_result import METHOD, ArmNight, NightResult
 from lieid_casadi.fleet.recordings import list_recordings, local_copy, night_of
 from lieid_casadi.identification import Fit, identify
-from lieid_casadi.identification.default_effects import default_effects
 from lieid_casadi.identification.fit import content_of
+from lieid_casadi.identification.identify import default_effects
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot

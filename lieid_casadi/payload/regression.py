@@ -34,7 +34,7 @@ from lieid_casadi.identification.regression.least_squares import (
     solve,
 )
 from lieid_casadi.identification.regression.variable_projection import shape_columns
-from lieid_casadi.identification.uncertainty.covariance import hac_covariance
+from lieid_casadi.identification.uncertainty.covariance import EXACT, hac_covariance, scaled_axes
 from lieid_casadi.model import Model
 from lieid_casadi.robot.inertia import parameter_transport
 
@@ -44,7 +44,6 @@ BODY = 10
 MOST_ITERATIONS = 30
 CONVERGED = 1e-8  # change of the payload's torque relative to the residual
 STEP = 1e-3  # kg, kg·m, kg·m²: finite difference for the derivative of load friction
-EXACT = 1e-12  # variance relative to the largest (scaled) below which a parameter counts as exact
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,8 +223,6 @@ def _per_recording(model: Model) -> NDArray[np.bool_]:
 
 def _root(covariance: Array) -> Array:
     """Return L (p, k) with C = L·Lᵀ, without directions that are known exactly."""
-    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    unit = np.where(size > 0.0, size, 1.0)
-    variance, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
+    unit, variance, axes = scaled_axes(covariance)
     kept = variance > EXACT * max(float(variance[-1]), EXACT)
     return np.asarray(unit[:, None] * axes[:, kept] * np.sqrt(variance[kept]))

@@ -25,9 +25,8 @@ from lieid_casadi.diagnosis import Proposal, change_torque, diagnose
 from lieid_casadi.errors import LieidWarning, ModelError, RecordingError, UsageError
 from lieid_casadi.exporters.export import export
 from lieid_casadi.identification import Fit, identify
-from lieid_casadi.identification.default_effects import default_effects
 from lieid_casadi.identification.fit import content_of
-from lieid_casadi.identification.identify import identify_segments
+from lieid_casadi.identification.identify import default_effects, identify_segments
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.identification.regression.design_matrix import FilteredColumns

@@ -27,7 +27,7 @@ sys.path.insert(0, str(HERE.parent))
 from real_arms import FINGERS, PANDA, TX40, UR10E  # noqa: E402
 
 import lieid_casadi as lieid  # noqa: E402
-from lieid_casadi.identification.default_effects import default_effects  # noqa: E402
+from lieid_casadi.identification.identify import default_effects  # noqa: E402
 
 BEST = HERE / "real_arms_best.json"
 GOAL = 1.02  # error relative to the best so far

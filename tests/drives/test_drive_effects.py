@@ -12,7 +12,7 @@ from lieid_casadi import plant
 from lieid_casadi.effects.backlash import place_in_play
 from lieid_casadi.effects.registry import make
 from lieid_casadi.errors import EffectError
-from lieid_casadi.identification.default_effects import default_effects
+from lieid_casadi.identification.identify import default_effects
 
 ROBOT = TWO_LINK.with_drives(LAWS)
 BASE = "coulomb,viscous,offset"

@@ -319,3 +319,20 @@ def with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
         for joint, extra in zip(rows.joints, further, strict=True)
     )
     return Rows(joints, count, rows.segments)
+
+
+EXACT = 1e-12  # variance relative to the largest below which a direction is known exactly
+
+
+def prior_rows(covariance: Array) -> Array:
+    """Return rows R (p, p) whose square is the inverse of a covariance, which may be singular."""
+    sizes, axes = np.linalg.eigh(covariance)
+    least = EXACT * max(float(sizes.max(initial=0.0)), 1e-300)
+    return np.asarray((axes / np.sqrt(np.maximum(sizes, least))).T)
+
+
+def scaled_axes(covariance: Array) -> tuple[Array, Array, Array]:
+    """Return units (p,), and variances (p,) and axes (p, p) in these units, smallest first."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    unit = np.where(size > 0.0, size, 1.0)
+    return unit, *np.linalg.eigh(covariance / np.outer(unit, unit))

@@ -32,10 +32,10 @@ from lieid_casadi.identification.feasible.problem import (
     FeasibleProblem,
 )
 from lieid_casadi.identification.regression.least_squares import Factor
+from lieid_casadi.identification.uncertainty.covariance import EXACT, scaled_axes
 from lieid_casadi.robot.inertia import pseudo_inertia
 
 WEIGHT = 1e-3  # of the divergence from the fit's bodies, in squared standard deviations
-KNOWN = 1e-12  # variance relative to the largest (scaled) below which a direction is known exactly
 UNKNOWN_SPEED = 2.0  # rad/s, velocity limit of a robot that states none
 ATTEMPTS = 20  # draws for one sample, if the solver finds no consistent parameters
 
@@ -94,11 +94,8 @@ class Posterior:
     @cached_property
     def _roots(self) -> tuple[Array, Array]:
         """W (k, p + s) and L (p + s, k): |W·δ|² is δ in standard deviations, C = L·Lᵀ."""
-        size = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        unit = np.where(size > 0.0, size, 1.0)
-        variance, axes = np.linalg.eigh(self.covariance / np.outer(unit, unit))
-        floor = KNOWN * max(float(variance[-1]), KNOWN)
-        spread = np.sqrt(np.maximum(variance, floor))
+        unit, variance, axes = scaled_axes(self.covariance)
+        spread = np.sqrt(np.maximum(variance, EXACT * max(float(variance[-1]), EXACT)))
         return (axes / spread).T / unit, unit[:, None] * axes * np.sqrt(np.maximum(variance, 0.0))
 
     @cached_property
