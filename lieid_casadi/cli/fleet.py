@@ -6,12 +6,13 @@ import argparse
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import options, output
+from lieid_casadi.cli.check import WRONG
 from lieid_casadi.cli.options import Command, Group
 from lieid_casadi.errors import UsageError
 
@@ -30,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
     from lieid_casadi.fleet.config import read_fleet
     from lieid_casadi.fleet.history import History
     from lieid_casadi.fleet.run import run_fleet
+    from lieid_casadi.fleet.sisters import outliers
 
     _check(args)
     fleet = read_fleet(args.fleet)
@@ -48,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
         changed = alarms_to_report(history, horizon=args.horizon)
         lines = [evidence(history, alarm) for alarm in changed]
         alarms = read_alarms(history, open_only=True)
+        unlike = outliers(history)
     new = {(alarm.serial, alarm.series, alarm.raised) for alarm in result.new_alarms}
     _print_run(args, result)
     if removed is not None:
@@ -56,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
         kind = "New" if (alarm.serial, alarm.series, alarm.raised) in new else "Worse"
         output.show(f"{kind} alarm: {alarm.serial}: {alarm.sentence}")
     output.show(f"Open alarms: {len(alarms)}. lieid fleet report {args.output} lists them.")
+    for outlier in unlike[:MOST_SHOWN]:
+        output.show(f"Unlike the other arms of its kind: {outlier.sentence}")
     if args.on_alarm is not None:
         _notify(args.on_alarm, lines)
     silent = len(result.silent) > args.most_failed
@@ -139,10 +144,14 @@ def report(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.fleet.alarms import evidence, read_alarms, suggested_action
     from lieid_casadi.fleet.fleet_report import alarm_table, fleet_report
     from lieid_casadi.fleet.history import History
+    from lieid_casadi.fleet.sisters import outlier_table, outliers
 
     with History(args.history, read_only=True) as history:
-        alarms = read_alarms(history)
-        content = {"alarms": [evidence(history, alarm) for alarm in alarms]}
+        alarms, unlike = read_alarms(history), outliers(history)
+        content = {
+            "alarms": [evidence(history, alarm) for alarm in alarms],
+            "outliers": [vars(outlier) for outlier in unlike],
+        }
         page = fleet_report(history, since=args.since) if args.html is not None else ""
     active = [alarm for alarm in alarms if alarm.closed is None]
 
@@ -151,8 +160,33 @@ def report(args: argparse.Namespace) -> output.Outcome:
         for alarm in active
     ]
     shown: list[str | Table] = [alarm_table(active, with_action=False)]
-    shown += actions or ["No open alarm."]
+    shown += [*(actions or ["No open alarm."]), outlier_table(unlike)]
     return output.Outcome(shown, json=content, html=lambda: page)
+
+
+def check(args: argparse.Namespace) -> output.Outcome:
+    """Check a fleet file before its first night."""
+    from lieid_casadi.fleet.cluster import RunOptions, dask_client
+    from lieid_casadi.fleet.config import read_fleet
+    from lieid_casadi.fleet.fleet_check import Unseen, check_fleet, check_table, missing_files
+
+    def unseen(paths: Sequence[str]) -> Unseen:
+        with dask_client(RunOptions(scheduler=args.scheduler)) as client:
+            return dict(client.run(missing_files, list(paths)))
+
+    fleet = read_fleet(args.fleet)
+    with output.progress("check") as report:
+        found = check_fleet(
+            fleet, unseen=None if args.scheduler is None else unseen, progress=report
+        )
+    lines = [f"{c.serial}: {text}" for c in found for text in c.sentences]
+    verdicts = {c.verdict for c in found}
+    verdict = next(v for v in ("wrong", "doubtful", "sound") if v in verdicts)
+    return output.Outcome(
+        [check_table(found), *lines],
+        json={"verdict": verdict, "arms": [c.to_dict() for c in found]},
+        status=WRONG if verdict == "wrong" else 0,
+    )
 
 
 def export(args: argparse.Namespace) -> output.Outcome:
@@ -173,23 +207,21 @@ def export(args: argparse.Namespace) -> output.Outcome:
 
 def acknowledge(args: argparse.Namespace) -> output.Outcome:
     """Close alarms and say how many."""
-    from lieid_casadi.fleet.alarms import acknowledge
+    from lieid_casadi.fleet.alarms import acknowledge, refit_advice
     from lieid_casadi.fleet.history import History
 
     with History(args.history, new=False, wait=args.wait) as history:
         closed = acknowledge(history, args.serial, joint=args.joint, note=args.note, last=args.date)
+        lasting = [alarm for alarm in closed if alarm.closed == alarm.last]
+        advice = refit_advice(history, lasting[0]) if lasting else ""
     where = f" of joint {args.joint}" if args.joint else ""
     plural = "" if len(closed) == 1 else "s"
     text = (
         f"{args.serial}: {len(closed)} alarm{plural}{where} closed; a new baseline begins with the "
         "next night."
     )
-    if any(alarm.closed == alarm.last for alarm in closed):
-        text += (
-            " The arm differed from its fit until the last night. If the change lasts, identify "
-            "the arm again and enter the fit with from: DATE into the fleet file; with the old fit "
-            "another motion can look like a change."
-        )
+    if lasting:
+        text += f" The arm differed from its fit until the last night. {advice}"
     return output.Outcome([text])
 
 
@@ -255,6 +287,19 @@ COMMANDS = (
         ),
         run,
         usage="lieid fleet FLEET.yaml -o HISTORY.duckdb [--scheduler ADDRESS] [--since DATE]",
+    ),
+    Command(
+        "fleet check",
+        "whether a fleet file is plausible",
+        "Check the entries of a fleet file (units of payloads and torque constants, recordings of "
+        "two arms, files that no worker sees), and the premises of every arm on its newest "
+        "recording. Exit status 4 if something is certainly wrong.",
+        (
+            "fleet FLEET.yaml  fleet file",
+            "--scheduler ADDRESS  Dask scheduler, whose workers must see the recordings",
+            options.JSON,
+        ),
+        check,
     ),
     Command(
         "fleet report",

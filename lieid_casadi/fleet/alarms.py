@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -83,6 +83,8 @@ class Alarm:
     slope_high: float | None = None
     reported: float | None = None  # size when it was last reported
     warned: bool = False  # whether it was reported that the limit is near
+    limit_early: date | None = None  # for the bounds of the slope; None: never
+    limit_late: date | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the alarm for JSON; dates as ISO 8601."""
@@ -228,11 +230,14 @@ def _of_coefficient(arm: ArmHistory, item: ChangedQuantity, since: date, named: 
     if change.kind == "drift":
         names = ("slope", "slope_low", "slope_high")
         drift = {name: getattr(change, name) for name in names}
-        drift["limit_date"] = limit = _limit_date(arm, item)
+        dates = _limit_dates(arm, item)
+        drift |= zip(("limit_date", "limit_early", "limit_late"), dates, strict=True)
         text += (
             f"; drift of {change.slope_low:.3g} to {change.slope_high:.3g} {unit} per day (95 %)"
         )
-        text += f"; reaches its limit on {limit}" if limit is not None else ""
+        if dates[0] is not None:
+            late = "later" if dates[2] is None else dates[2]
+            text += f"; reaches its limit on {dates[0]} ({dates[1]} to {late})"
     alarm = _alarm(
         arm, quantity.effect, quantity.joint, since, change.size, change.std, unit,
         text + _further(named, quantity.effect, quantity.joint),
@@ -268,14 +273,18 @@ def _alarm(
     )
 
 
-def _limit_date(arm: ArmHistory, item: ChangedQuantity) -> date | None:
+def _limit_dates(arm: ArmHistory, item: ChangedQuantity) -> list[date | None]:
+    """Return when a drift reaches its limit: by its slope, the steepest and the flattest one."""
     quantity = item.quantity
     limits = arm.limits.get(quantity.name) or arm.limits.get(quantity.effect)
     if not limits:
-        return None
+        return [None] * 3
     limit = limits[quantity.joint - 1] if len(limits) > 1 else limits[0]
-    day = item.change.day_of_limit(float(arm.dates[-1].toordinal()), limit)
-    return None if day is None or day >= FARTHEST_DATE else date.fromordinal(int(np.ceil(day)))
+    days = item.change.days_of_limit(float(arm.dates[-1].toordinal()), limit)
+    return [
+        None if day is None or day >= FARTHEST_DATE else date.fromordinal(int(np.ceil(day)))
+        for day in days
+    ]
 
 
 def _further(named: Named, effect: str, joint: int | None) -> str:
@@ -392,6 +401,26 @@ def evidence(history: History, alarm: Alarm) -> dict[str, Any]:
     return alarm.to_dict() | {
         "action": suggested_action(alarm.quantity), "recording": recording, "command": command,
     }  # fmt: skip
+
+
+def refit_advice(history: History, alarm: Alarm) -> str:
+    """Return how to identify an arm again that differs from its fit since an alarm.
+
+    With the old fit, of which coefficients are wrong, another motion can look like a change.
+    """
+    rows = history.rows(
+        "SELECT recording, a.fit FROM runs r JOIN arms a USING (serial, fit_sha256) WHERE "
+        "serial = ? AND date >= ? AND status = 'done' ORDER BY date DESC, recording LIMIT 5",
+        [alarm.serial, alarm.since],
+    )
+    recordings = shlex.join(recording for recording, _ in rows)
+    old, first = rows[0][1] if rows else "", alarm.last + timedelta(days=1)
+    new = f"{alarm.serial}-{first}.json"
+    return (
+        f"If the change lasts, identify the arm again: lieid identify ROBOT {recordings} -o {new}, "
+        f"and enter the fit into the fleet file: fit: [{{path: {old}}}, {{path: {new}, "
+        f"from: {first}}}]. With the old fit another motion can look like a change."
+    )
 
 
 def acknowledge(

@@ -30,6 +30,7 @@ from lieid_casadi.identification.regression.least_squares import joint_factors
 from lieid_casadi.identification.uncertainty.covariance import prior_rows
 from lieid_casadi.identification.uncertainty.noise_model import RATE_OVER_CUTOFF
 from lieid_casadi.json_numbers import number_or_none
+from lieid_casadi.premises import PremiseCheck, check
 from lieid_casadi.recording import Processed, Recording, process, require_plausible_units
 from lieid_casadi.recording.readers.registry import hash_of_file
 from lieid_casadi.robot.inertia import parameter_transport
@@ -49,6 +50,7 @@ class NightEstimate:
     torque_rms: Array  # (n,) of the measured torque in motion, N·m
     unexplained: Array
     unexplained_over_noise: Array  # (n,) the same in multiples of the noise
+    error_over_noise: Array  # (n,) of the fit as it is
 
 
 def night_estimate(fit: Fit, recording: Recording, noise: Array) -> NightEstimate:
@@ -86,6 +88,7 @@ def night_estimate(fit: Fit, recording: Recording, noise: Array) -> NightEstimat
         torque_norm / root * sizes,
         unexplained,
         misfit / root * sizes / noise,
+        np.sqrt([factor.misfit(fit.values) for factor in factors]) / root * sizes / noise,
     )  # fmt: skip
 
 
@@ -135,6 +138,10 @@ FITS_KEPT = 16  # per worker, with their compiled models
 # this multiple of the noise is not explained by the robot's regressor with any parameters.
 # Simulated changes of an arm (tilted base, encoder offset of 0.1 rad) stay below on most joints.
 OTHER_ARM_PART, OTHER_ARM_NOISE = 0.2, 5.0
+#: Error of the fit, in multiples of its held-out error, from which on the premises are tested: a
+#: wrong premise at least triples an error, and the test takes longer than a diagnosis.
+SUSPICIOUS = 2.0
+OF_TORQUE = ("torque_sign", "torque_unit")  # premises that other inertias would hide
 
 
 def run_arm_night(night: ArmNight, fit_content: bytes) -> NightResult:
@@ -158,6 +165,24 @@ def run_arm_night(night: ArmNight, fit_content: bytes) -> NightResult:
 
 
 def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
+    fit, recording = load_night(night, fit_content, path)
+    estimate = night_estimate(fit, recording, np.fmax(fit.rms_cv, fit.noise))
+    other = _joints_of_other_arm(estimate)
+    if len(other) or (estimate.error_over_noise > SUSPICIOUS).any():
+        _require_premises(fit, recording, other)
+    diagnosis = diagnose(fit, recording)
+    return NightResult(
+        "done",
+        payload=(recording.payload_label or ("",))[0],
+        findings=tuple(_finding(step) for step in diagnosis.steps) + _unexplained(diagnosis),
+        parameters=estimate.parameters,
+        errors=_errors(diagnosis, estimate, recording),
+        checks=tuple((type(w).__name__, str(w)) for w in diagnosis.warnings),
+    )
+
+
+def load_night(night: ArmNight, fit_content: bytes, path: Path) -> tuple[Fit, Recording]:
+    """Return the fit of an arm, with the known payload, and a recording that fits its model."""
     fit = _fit(fit_content, None, None)
     robot = fit.model.robot
     recording = Recording.load(
@@ -172,17 +197,40 @@ def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
         fit = _fit(fit_content, payload, night.tool)
     check_recordings(fit.model, [recording])
     require_plausible_units(recording, robot)
-    estimate = night_estimate(fit, recording, np.fmax(fit.rms_cv, fit.noise))
-    _require_same_arm(fit, recording, estimate)
-    diagnosis = diagnose(fit, recording)
-    return NightResult(
-        "done",
-        payload=(recording.payload_label or ("",))[0],
-        findings=tuple(_finding(step) for step in diagnosis.steps) + _unexplained(diagnosis),
-        parameters=estimate.parameters,
-        errors=_errors(diagnosis, estimate, recording),
-        checks=tuple((type(w).__name__, str(w)) for w in diagnosis.warnings),
-    )
+    return fit, recording
+
+
+def premises_of(fit: Fit, recording: Recording) -> PremiseCheck | None:
+    """Return the test of the premises; None of a recording that is too short, or of commands."""
+    if recording.command is not None:
+        return None  # torques of drive laws are assumptions themselves
+    try:
+        return check(fit, recording)
+    except LieidError:
+        return None
+
+
+def _require_premises(fit: Fit, recording: Recording, other: NDArray[np.intp]) -> None:
+    """Refuse a recording that does not belong to the robot as it is described.
+
+    ``other``: joints (from 0) whose torque no inertias explain, which a premise about the torque
+    alone cannot be the reason of.
+    """
+    found = premises_of(fit, recording)
+    certain = [x for x in found.findings if x.certain] if found is not None else []
+    if certain and not (len(other) and certain[0].premise in OF_TORQUE):
+        names = ", ".join(finding.premise for finding in certain)
+        raise RecordingError(
+            f"{recording.title}: robot and recording do not belong together ({names}): "
+            f"{certain[0].sentence}"
+        )
+    if len(other):
+        joints = ", ".join(str(j + 1) for j in other)
+        raise RecordingError(
+            f"{recording.title}: the kinematics do not fit: with any inertias and friction, robot "
+            f"{fit.model.robot.name!r} leaves more than {100 * OTHER_ARM_PART:.0f} % of the torque "
+            f"of joints {joints} unexplained; check that the recording is of this arm"
+        )
 
 
 @lru_cache(maxsize=FITS_KEPT)
@@ -222,18 +270,13 @@ def _payload(night: ArmNight, recording: Recording) -> tuple[float, ...] | None:
     return known.get(labels[0])
 
 
-def _require_same_arm(fit: Fit, recording: Recording, estimate: NightEstimate) -> None:
-    """Refuse a recording whose torque the robot's kinematics cannot explain."""
+def _joints_of_other_arm(estimate: NightEstimate) -> NDArray[np.intp]:
+    """Return the joints whose torque the robot's kinematics cannot explain, if they are many."""
     other = (estimate.unexplained > OTHER_ARM_PART) & (
         estimate.unexplained_over_noise > OTHER_ARM_NOISE
     )
-    if 2 * other.sum() >= len(other) and other.sum() > 1:
-        joints = ", ".join(str(j + 1) for j in np.flatnonzero(other))
-        raise RecordingError(
-            f"{recording.title}: the kinematics do not fit: with any inertias and friction, robot "
-            f"{fit.model.robot.name!r} leaves more than {100 * OTHER_ARM_PART:.0f} % of the torque "
-            f"of joints {joints} unexplained; check that the recording is of this arm"
-        )
+    many = 2 * other.sum() >= len(other) and other.sum() > 1
+    return np.flatnonzero(other) if many else np.zeros(0, dtype=np.intp)
 
 
 def _finding(step: Step) -> Finding:

@@ -45,13 +45,17 @@ class Change:
     p_without_night: float
     freedom: float  # degrees of freedom of its t statistic
 
-    def day_of_limit(self, last_day: float, limit: float) -> float | None:
-        """Return the day when a drift reaches a limit of the value's size; None if never."""
-        now = self.level + self.size
-        bound = limit if self.slope > 0.0 else -limit
-        if self.kind != "drift" or self.slope == 0.0:
-            return None
-        return last_day + max((bound - now) / self.slope, 0.0)
+    def days_of_limit(self, last_day: float, limit: float) -> list[float | None]:
+        """Return the days when a drift reaches a limit of the value's size; None for never.
+
+        They belong to the slope, to the steepest one of its interval, and to the flattest.
+        """
+        ends = sorted((self.slope_low, self.slope_high), key=lambda s: -s * self.slope)
+        bound, now = np.sign(self.slope) * limit, self.level + self.size
+        return [
+            last_day + max(float(bound - now) / slope, 0.0) if slope * self.slope > 0.0 else None
+            for slope in (self.slope, *ends)
+        ]
 
 
 def strongest_change(

@@ -15,6 +15,7 @@ from lieid_casadi.comparison.plot_style import GRID, SMALL, new_figure, title
 from lieid_casadi.fleet.alarms import Alarm, read_alarms, suggested_action
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
 from lieid_casadi.fleet.history import History
+from lieid_casadi.fleet.sisters import outlier_table, outliers
 from lieid_casadi.report import Section, data_uri, render
 from lieid_casadi.report.page import table_section
 from lieid_casadi.tables import Table, make_table
@@ -106,7 +107,9 @@ def fleet_report(history: History, *, since: date | None = None) -> str:
     sentence = f"{len(arms)} arms, nights {first} to {last}: {state}."
     sections = [
         table_section("", alarm_table(active), sentences=[sentence], links=links),
-        table_section("All arms", arm_table(arms, active), links=links),
+        table_section(
+            "All arms", arm_table(arms, active), outlier_table(outliers(history)), links=links
+        ),
         table_section(
             "Suspicious recordings", *recording_tables(history, since), titles=True, links=links
         ),
@@ -128,7 +131,7 @@ def alarm_table(alarms: Sequence[Alarm], *, with_action: bool = True) -> Table:
         (
             a.serial, a.joint, a.quantity, a.change,
             None if a.std is None else f"{a.std:.2g}", "" if a.unit == "1" else a.unit,
-            a.since, f"{100 * a.severity:.1f} %", a.limit_date,
+            a.since, f"{100 * a.severity:.1f} %", _limit(a),
             *([suggested_action(a.quantity)] if with_action else []),
         )
         for a in alarms
@@ -141,6 +144,13 @@ def alarm_table(alarms: Sequence[Alarm], *, with_action: bool = True) -> Table:
         "torque, of the joint where it is largest; the table is sorted by it. The change is that "
         "of the last night; of an error it is relative.",
     )
+
+
+def _limit(alarm: Alarm) -> str | None:
+    """Return when a drift reaches its limit, with the range of dates."""
+    if alarm.limit_date is None:
+        return None
+    return f"{alarm.limit_date} ({alarm.limit_early} to {alarm.limit_late or 'later'})"
 
 
 def arm_table(arms: Sequence[ArmHistory], alarms: Sequence[Alarm]) -> Table:

@@ -50,7 +50,8 @@ TABLES = {
     "alarms": "serial VARCHAR, joint INTEGER, quantity VARCHAR, since DATE, last DATE, "
     "change DOUBLE, std DOUBLE, unit VARCHAR, sentence VARCHAR, raised DATE, closed DATE, "
     "note VARCHAR, severity DOUBLE, slope DOUBLE, limit_date DATE, series VARCHAR, "
-    "slope_low DOUBLE, slope_high DOUBLE, reported DOUBLE, warned BOOLEAN",
+    "slope_low DOUBLE, slope_high DOUBLE, reported DOUBLE, warned BOOLEAN, limit_early DATE, "
+    "limit_late DATE",
     "acknowledgements": "serial VARCHAR, joint INTEGER, date DATE, note VARCHAR, "
     "written TIMESTAMPTZ",
     "judged": "date DATE, written TIMESTAMPTZ",
@@ -82,17 +83,23 @@ COMMENTS = {
     "alarms.severity": "part of a joint's torque that the fit no longer predicts",
     "alarms.slope": "of a drift, per day; slope_low and slope_high are its 95 % interval",
     "alarms.limit_date": "when a drift reaches the limit of the fleet file",
+    "alarms.limit_early": "the same for the steepest slope of its 95 % interval",
+    "alarms.limit_late": "the same for the flattest slope; null if that never reaches it",
     "alarms.reported": "size when it was last reported",
     "judged": "nights that have been judged, and when",
     "calls": "calls of lieid fleet",
     "calls.counts": "JSON: status and number of arm-nights",
 }
-#: The newest run of every arm in service with its present fit, outside of maintenance.
+#: The newest run of every arm in service with its present fit, outside of maintenance; and the
+#: coefficients of arms with the same robot on these nights.
 VIEWS = {
     "latest": "SELECT r.* FROM runs r JOIN arms a USING (serial, fit_sha256) "
     "WHERE r.status = 'done' AND a.retired IS NULL AND NOT EXISTS (SELECT 1 FROM maintenance m "
     "WHERE m.serial = r.serial AND r.date BETWEEN m.first AND m.last) QUALIFY row_number() "
     "OVER (PARTITION BY r.serial ORDER BY r.date DESC, r.started DESC) = 1",
+    "sisters": "SELECT a.robot, p.name, p.joint, any_value(p.unit) AS unit, count(*) AS arms, "
+    "median(p.value) AS median, 1.4826 * mad(p.value) AS spread FROM latest l JOIN arms a "
+    "USING (serial) JOIN parameters p USING (run_id, serial) GROUP BY a.robot, p.name, p.joint",
 }
 #: Statements that lead from a schema to the next one.
 MIGRATIONS: dict[int, tuple[str, ...]] = {
@@ -114,15 +121,19 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
         "ALTER TABLE alarms ADD COLUMN warned BOOLEAN DEFAULT false",
         *(f"CREATE TABLE {name} ({TABLES[name]})" for name in ("maintenance", "nights", "calls")),
     ),
-    4: tuple(  # times with a zone
-        f"ALTER TABLE {table} ALTER {name} TYPE TIMESTAMPTZ "
-        f"USING {name}::TIMESTAMP AT TIME ZONE 'UTC'"
-        for table, name in (
-            ("runs", "started"),
-            ("acknowledgements", "written"),
-            ("judged", "written"),
-            ("calls", "finished"),
-        )
+    4: (  # range of dates of a limit; times with a zone
+        "ALTER TABLE alarms ADD COLUMN limit_early DATE",
+        "ALTER TABLE alarms ADD COLUMN limit_late DATE",
+        *(
+            f"ALTER TABLE {table} ALTER {name} TYPE TIMESTAMPTZ "
+            f"USING {name}::TIMESTAMP AT TIME ZONE 'UTC'"
+            for table, name in (
+                ("runs", "started"),
+                ("acknowledgements", "written"),
+                ("judged", "written"),
+                ("calls", "finished"),
+            )
+        ),
     ),
 }
 #: Expected nights of arms, with the best status of their recordings.

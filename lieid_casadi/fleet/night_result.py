@@ -11,7 +11,7 @@ from lieid_casadi import __version__
 
 Status = Literal["done", "refused", "failed"]
 #: Number of the method by which a night is diagnosed: raised when it gives other results.
-METHOD = 2
+METHOD = 3
 
 
 @dataclass(frozen=True)

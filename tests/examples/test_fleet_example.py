@@ -3,12 +3,13 @@
 import json
 import re
 import runpy
+import shlex
 from pathlib import Path
 
 import pytest
 import yaml
 
-from lieid_casadi.cli.main import main
+from lieid_casadi.cli.main import build_parser, main
 from lieid_casadi.fleet.history import History
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "fleet"
@@ -42,3 +43,19 @@ def test_rules_and_dashboard_name_metrics_of_the_export(tmp_path):
     exported = set(re.findall(r"# TYPE (\w+) gauge", out.read_text("utf-8")))
     assert len(used) >= 6
     assert used <= exported
+
+
+def test_the_nightly_jobs_call_commands_that_exist():
+    """Compose file and manifest: valid YAML whose `lieid` command lines the parser accepts."""
+    compose = yaml.safe_load((EXAMPLES / "compose.yaml").read_text("utf-8"))
+    manifests = list(yaml.safe_load_all((EXAMPLES / "kubernetes.yaml").read_text("utf-8")))
+    assert set(compose["services"]) == {"scheduler", "worker", "nightly"}
+    assert [m["kind"] for m in manifests] == ["DaskCluster", "PersistentVolumeClaim", "CronJob"]
+    script = compose["services"]["nightly"]["command"][2]
+    lines = [shlex.split(x) for x in script.splitlines() if x.strip().startswith("lieid ")]
+    job = manifests[2]["spec"]["jobTemplate"]["spec"]["template"]["spec"]["containers"][0]
+    for line in (*lines, job["command"]):
+        words = line[1:3] if line[2] in ("check", "report", "export") else line[1:2]
+        args = build_parser().parse_args([" ".join(words), *line[1 + len(words) :]])
+        assert args.command == " ".join(words)
+    assert len(lines) == 4

@@ -60,6 +60,9 @@ def test_one_alarm_per_cause_with_name_and_beginning(judged):
     assert wear.slope_low < wear.slope < wear.slope_high
     assert 0.012 < wear.slope_low < 0.02 < wear.slope_high < 0.028
     assert abs((wear.limit_date - (FIRST + timedelta(days=30))).days) <= 3
+    assert wear.limit_early < wear.limit_date < wear.limit_late
+    assert wear.limit_early <= FIRST + timedelta(days=30) <= wear.limit_late
+    assert f"({wear.limit_early} to {wear.limit_late})" in wear.sentence
     assert "per day (95 %)" in wear.sentence
     assert wear.raised - wear.since <= timedelta(days=6)
     assert (load.quantity, load.joint, load.change) == ("payload", None, 0.8)
@@ -131,7 +134,10 @@ def test_report_export_and_acknowledge_by_command(judged, tmp_path, capsys):
 
     assert pq.read_table(tmp_path / "tables" / "alarms.parquet").num_rows == 3
     assert main(["fleet", "acknowledge", path, "A1", "--joint", "2", "--note", "greased"]) == 0
-    assert "1 alarm of joint 2 closed" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "1 alarm of joint 2 closed" in shown
+    assert "identify the arm again: lieid identify ROBOT A1/2026-01-14.csv" in shown
+    assert "A1-2026-01-15.json, from: 2026-01-15}" in shown
     for words in (
         ["report", "none"],
         ["acknowledge", "none", "A1", "--note", "x"],
@@ -166,6 +172,11 @@ def test_a_history_of_schema_1_is_migrated(judged, tmp_path):
         history.connection.execute(f"DROP TABLE {name}")
     for name in ("q_low", "q_high", "q_mean", "q_std"):
         history.connection.execute(f"ALTER TABLE errors DROP COLUMN {name}")
+    for name in ("limit_early", "limit_late"):
+        history.connection.execute(f"ALTER TABLE alarms DROP COLUMN {name}")
+    for view in ("latest", "sisters"):
+        history.connection.execute(f"DROP VIEW {view}")
+    history.connection.execute("ALTER TABLE runs ALTER started TYPE TIMESTAMP")
     history.connection.execute("UPDATE history SET schema = 1")
     history.close()
     with pytest.raises(FleetError, match="older schema"):
@@ -173,6 +184,14 @@ def test_a_history_of_schema_1_is_migrated(judged, tmp_path):
     with History(history.path) as migrated:
         assert len(read_alarms(migrated)) == 3
         assert migrated.rows("SELECT schema FROM history") == [(SCHEMA,)]
+        assert migrated.rows("SELECT count(*) FROM latest") == [(6,)]
+        types = dict(
+            migrated.rows("SELECT table_name || column_name, data_type FROM duckdb_columns()")
+        )
+        assert types["runsstarted"] == types["callsfinished"] == "TIMESTAMP WITH TIME ZONE"
+        assert migrated.rows(
+            "SELECT comment FROM duckdb_columns() WHERE column_name = 'closed'"
+        ) == [("null while the alarm is open",)]
 
 
 def test_a_history_of_a_newer_schema_is_refused(tmp_path):

@@ -52,7 +52,7 @@ def test_a_step_is_found_at_its_night_with_its_size():
     assert np.mean(np.abs(late) <= 2) > 0.95
     assert abs(change.size - 4.0) < 4.0 * change.std
     assert change.kind == "step"
-    assert change.day_of_limit(19.0, 100.0) is None
+    assert change.days_of_limit(19.0, 100.0) == [None] * 3
 
 
 def test_a_drift_has_a_slope_with_an_interval_and_the_day_of_its_limit():
@@ -67,9 +67,10 @@ def test_a_drift_has_a_slope_with_an_interval_and_the_day_of_its_limit():
         assert abs(change.size - drift[-1]) < 5.0 * change.std
     assert np.mean(np.abs(late) <= 2) > 0.95
     assert inside >= 93
-    day = change.day_of_limit(29.0, 100.0)
+    day, early, late = change.days_of_limit(29.0, 100.0)
     assert abs(day - (29.0 + (50.0 - drift[-1]) / 1.4)) < 3.0
-    assert change.day_of_limit(29.0, 1.0) == 29.0  # it has been reached
+    assert early < day < late
+    assert change.days_of_limit(29.0, 1.0) == [29.0] * 3  # it has been reached
 
 
 def test_the_dependence_on_temperature_is_not_a_change():
