@@ -89,6 +89,10 @@ class UnidentifiableWarning(LieidWarning):
     """A direction of the parameters that this data does not excite."""
 
 
+class UnusableEffectWarning(LieidWarning):
+    """A user's effect whose code raises; a search leaves it out."""
+
+
 class AliasWarning(LieidWarning):
     """An effect that the other columns absorb completely or almost."""
 

@@ -15,7 +15,8 @@ from lieid_casadi.dynamics.null_space import EnergyColumn
 from lieid_casadi.effects import Effect, Placement, parse_effects, place
 from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.effects.placement import labels
-from lieid_casadi.errors import ModelError
+from lieid_casadi.effects.registry import REGISTER, Library, usable
+from lieid_casadi.errors import LieidWarning, ModelError, UnusableEffectWarning
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.inertia import LINK_PARAMETER_UNITS
 
@@ -73,6 +74,9 @@ class Model:
     robot : Robot
     effects : str or sequence of str or Effect
         E.g. ``["coulomb", "stribeck:4"]`` (joints from 1 in text) or ``"coulomb,viscous"``.
+    library : mapping, optional
+        Effects that a search for missing effects may add, by label; by default those that are
+        registered now.
 
     Raises
     ------
@@ -87,14 +91,23 @@ class Model:
     ['coulomb.f_c:1', 'coulomb.f_c:2', 'viscous.f_v:2']
     """
 
-    def __init__(self, robot: Robot, effects: str | Iterable[str | Effect] = ()) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        effects: str | Iterable[str | Effect] = (),
+        *,
+        library: Library | None = None,
+    ) -> None:
         self.robot = robot
+        self.library: Library = dict(REGISTER) if library is None else library
         self.placements: tuple[Placement, ...] = parse_effects(effects, robot.n)
 
     @classmethod
-    def of_placements(cls, robot: Robot, placements: Sequence[Placement]) -> Model:
-        """Return a model with given placements, in their order."""
-        model = cls(robot)
+    def of_placements(
+        cls, robot: Robot, placements: Sequence[Placement], *, library: Library | None = None
+    ) -> Model:
+        """Return a model with given placements, in their order; see `Model` for the library."""
+        model = cls(robot, library=library)
         model.placements = tuple(placements)
         return model
 
@@ -115,12 +128,20 @@ class Model:
         """
         have = {placement.label for placement in self.placements}
         new = [p for p in place(effect, self.robot.n, joints) if p.label not in have]
-        return Model.of_placements(self.robot, (*self.placements, *new))
+        return Model.of_placements(self.robot, (*self.placements, *new), library=self.library)
 
     def without(self, placement: Placement) -> Model:
         """Return this model without one placement."""
         rest = [p for p in self.placements if p.label != placement.label]
-        return Model.of_placements(self.robot, rest)
+        return Model.of_placements(self.robot, rest, library=self.library)
+
+    @property
+    def unusable_effects(self) -> list[LieidWarning]:
+        """A warning for each effect of the library whose code raises."""
+        return [
+            UnusableEffectWarning(f"{text}; it is left out")
+            for text in usable(self.library)[1].values()
+        ]
 
     @property
     def n(self) -> int:

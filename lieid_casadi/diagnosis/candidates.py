@@ -12,7 +12,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.events import moves_enough
 from lieid_casadi.diagnosis.incremental import incremental
 from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
-from lieid_casadi.effects.registry import REGISTER, make
+from lieid_casadi.effects.registry import usable
 from lieid_casadi.identification.regression.variable_projection import (
     ShapeRange,
     command_error_range,
@@ -149,8 +149,7 @@ def list_candidates(
     found: list[Candidate] = []
     if not moves.any():
         return ()
-    for label in REGISTER:
-        effect = make(label)
+    for effect in usable(model.library)[0].values():
         if effect.option and not effect.whole_arm:  # of variants, only those of the whole arm
             continue
         if not effect.candidate or not _has_signals(effect, segments, commanded=commanded):

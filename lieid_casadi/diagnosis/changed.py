@@ -95,7 +95,13 @@ def diagnose_changed(
         tried=len(found.columns.owners),
         absorbed=absorbed,
         weak=weak,
-        warnings=unique_warnings([*before.warnings, *_warnings(after, expected, uncertain)]),
+        warnings=unique_warnings(
+            [
+                *fit.model.unusable_effects,
+                *before.warnings,
+                *_warnings(after, expected, uncertain),
+            ]
+        ),
         train=fit.provenance.recordings,
         test=before.recordings,
         limits_reached=("most_steps",) if len(found.slots) >= options.most_steps else (),

@@ -227,6 +227,7 @@ class _Missing:
             weak=weak,
             warnings=unique_warnings(
                 [
+                    *first.model.unusable_effects,
                     *first.warnings,
                     *fit.warnings,
                     *_same_recording(first, self.tests),
@@ -323,9 +324,10 @@ class _Missing:
         """Return the fit of the first model with further effects, as `identify` fits it."""
         if not added:
             return self.first
-        model = Model.of_placements(self.first.model.robot, (*self.first.model.placements, *added))
+        first = self.first.model
+        model = Model.of_placements(first.robot, (*first.placements, *added))
         return identify_segments(
-            compile(Model(model.robot, effects=model.effects)),
+            compile(Model(model.robot, effects=model.effects, library=first.library)),
             self.segments,
             method=self.method,
             known=self.known,

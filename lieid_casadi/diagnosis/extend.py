@@ -138,7 +138,7 @@ def extend(
             f"the model has {', '.join(present)} already; expected effects that it lacks"
         )
     _check_motion(wanted, train)
-    larger = Model.of_placements(model.robot, (*model.placements, *wanted))
+    larger = Model.of_placements(model.robot, (*model.placements, *wanted), library=model.library)
     report = progress or (lambda stage, fraction: None)
     report("before", 0.0)
     method = cast(Method, fit.method)  # `identify` refuses those of other functions

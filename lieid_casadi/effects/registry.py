@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from functools import lru_cache
 
 import casadi as ca
 
@@ -101,18 +102,29 @@ def effect(
     return wrap
 
 
-def usable() -> tuple[dict[str, Effect], dict[str, str]]:
-    """Return the registered effects by label, and what is wrong with those that cannot be used.
+Library = Mapping[str, EffectVariant]
 
-    A search tries every effect of the register. One whose code raises is left out of it.
+
+def usable(library: Library) -> tuple[dict[str, Effect], dict[str, str]]:
+    """Return the effects of a library by label, and what is wrong with those that cannot be used.
+
+    A search tries every effect of the library. One whose code raises is left out of it.
     """
+    effects, broken = _tried(tuple(library.items()))
+    return dict(effects), dict(broken)
+
+
+@lru_cache(maxsize=4)
+def _tried(
+    library: tuple[tuple[str, EffectVariant], ...],
+) -> tuple[dict[str, Effect], dict[str, str]]:
     effects: dict[str, Effect] = {}
     broken: dict[str, str] = {}
-    for label in REGISTER:
-        zero = ca.SX(0)
-        other = Signals(zero, zero, zero, zero, zero, zero, zero)
+    zero = ca.SX(0)
+    other = Signals(zero, zero, zero, zero, zero, zero, zero)
+    for label, variant in library:
         try:
-            made = make(label)
+            made = variant()
             s = replace(
                 other, other=other, state=dict.fromkeys((x.name for x in made.states), zero)
             )

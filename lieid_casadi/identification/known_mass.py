@@ -44,7 +44,7 @@ def identify_with_known_masses(
     laws = known.drives
     assert laws is not None
     fit = identify(
-        Model.of_placements(known, model.placements),
+        Model.of_placements(known, model.placements, library=model.library),
         [recording.with_drives(laws) for recording in recordings],
         **options,
     )

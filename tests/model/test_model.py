@@ -9,7 +9,7 @@ from scipy.special import erf
 import lieid_casadi as lieid
 from lieid_casadi.effects import LIBRARY, make
 from lieid_casadi.effects.effect import Signals
-from lieid_casadi.effects.registry import REGISTER, usable
+from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import EffectError, ModelError
 
 
@@ -162,17 +162,29 @@ def test_user_effect_with_the_decorator():
         lieid.effect("coulomb", formula="", coefficients={})(lambda s, shape: [])
 
 
-def test_an_effect_whose_code_raises_is_named_and_left_out():
+def test_an_effect_whose_code_raises_is_named_and_left_out_of_a_search():
+    """The library of a model is what was registered when it was made."""
+    robot = lieid.robots.two_link()
+    before = lieid.Model(robot)
+
     @lieid.effect("test_broken", formula="?", coefficients={"a": "N·m"})
     def broken(s, shape):
         return [missing_name * s.q]  # noqa: F821
 
     try:
-        effects, reasons = usable()
-        assert set(effects) == set(REGISTER) - {"test_broken"}
-        assert reasons["test_broken"].startswith("effect test_broken: its code raises NameError")
+        after = lieid.Model(robot)
     finally:
         del REGISTER["test_broken"]
+    assert before.unusable_effects == []
+    (warning,) = after.unusable_effects
+    assert str(warning).startswith("effect test_broken: its code raises NameError")
+    t = np.arange(0.0, 8.0, 0.01)[:, None]
+    q, dq, ddq = np.sin([1, 2] * t), [1, 2] * np.cos([1, 2] * t), [-1, -4] * np.sin([1, 2] * t)
+    tau = lieid.compile(before).inverse_dynamics(q, dq, ddq, robot.link_parameters)
+    tau = tau + 0.01 * np.random.default_rng(0).normal(size=tau.shape)
+    recording = lieid.Recording.from_arrays(t[:, 0], q, dq, tau)
+    found = lieid.diagnose(after.with_effect("viscous"), recording)
+    assert str(warning) in [str(w) for w in found.warnings]
 
 
 def test_sliding_joints_have_newtons():
