@@ -114,11 +114,12 @@ def _rivals(steps: Sequence[Step]) -> str:
     """Return the rivals that all steps of a finding have, as the end of its sentence."""
     step = steps[0]
     shared = set.intersection(*({r.effect for r in s.rivals} for s in steps))
-    labels = [
+    every = [
         r.effect if r.joints == step.joints else f"{r.effect} on {location(r.joints)}"
         for r in step.rivals
         if r.effect in shared
     ]
+    labels = list(dict.fromkeys(every))  # variants of one effect are named once
     if not labels:
         return ""
     shown = labels[:MOST_RIVALS]

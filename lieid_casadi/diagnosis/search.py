@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import Columns
-from lieid_casadi.diagnosis.folds import Folds, folds_of
+from lieid_casadi.diagnosis.folds import Folds, folds_of, redundancy
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.nested import Slot, judge, solved
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -20,6 +20,7 @@ from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_candidates import smooth_candidates
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.smooth import Smooth
+from lieid_casadi.identification.uncertainty.noise_model import noise_of
 
 SMOOTH = Smooth.name
 REFINEMENT = (1 / 3, 2 / 3)  # positions between two grid points
@@ -106,15 +107,36 @@ def search(
         rows = _with_single_recordings(rows)
     paths = Paths(*_weighted(rows, scale, prior), nothing)
     whole = forward(paths, -1, _rules(paths.columns, rows, options))
+    rest = _residual_beside(paths, whole, rows, scale)
+    rules = _rules(paths.columns, rows, options, _redundancy(rows, rest))
+    whole = forward(paths, -1, rules)
     folds = folds_of(rows, _residual_beside(paths, whole, rows, scale), options.folds)
     paths = Paths(paths.span, paths.columns, folds.out)
-    rules = _rules(paths.columns, rows, options)
     parts = [forward(paths, k, rules) for k in range(folds.count)]
-    late = np.zeros((len(paths.span.joint_of), len(rows.runs)))
-    for j, (own, weight) in enumerate(zip(rows.late_friction, rows.weights(scale), strict=True)):
-        late[paths.span.joint(j), j] = own * weight
-    slots = judge(paths, folds, whole, parts, late)
+    slots = judge(paths, folds, whole, parts, _late_friction(paths.span, rows, scale))
     return Round(rows, scale, paths.columns, paths.span, folds, paths, slots)
+
+
+def beside_each_other(
+    rows: Rows, effects: Sequence[tuple[Candidate, Array]], found: Round
+) -> tuple[Slot, ...]:
+    """Return each of some effects, with its shape parameters, as held-out parts judge it.
+
+    All others are in the model; ``found`` is the round whose parts and weights are used.
+    """
+    rows = rows.with_candidates([replace(c, grid=shapes[None]) for c, shapes in effects])
+    paths = Paths(*_weighted(rows, found.spread, None), found.folds.out)
+    groups = range(len(effects))
+    late = _late_friction(paths.span, rows, found.spread)
+    return judge(paths, found.folds, groups, [groups] * found.folds.count, late)
+
+
+def _late_friction(span: Span, rows: Rows, spread: Array) -> Array:
+    """Return the weighted change of torque (R, n) if the dry friction of each joint is late."""
+    late = np.zeros((len(span.joint_of), len(rows.runs)))
+    for j, (own, weight) in enumerate(zip(rows.late_friction, rows.weights(spread), strict=True)):
+        late[span.joint(j), j] = own * weight
+    return late
 
 
 def _with_single_recordings(rows: Rows) -> Rows:
@@ -158,16 +180,29 @@ def _weighted(rows: Rows, spread: Array, prior: Array | None) -> tuple[Span, Col
     return Span.of(model, residual, prior), rows.columns.weighted(weights)
 
 
-def _rules(columns: Columns, rows: Rows, options: DiagnosisOptions) -> Rules:
+def _redundancy(rows: Rows, residual: Sequence[Array]) -> Array:
+    """Return the rows per independent sample of each joint's residual (n,)."""
+    return np.array(
+        [redundancy(noise_of(r, run)) for r, run in zip(residual, rows.runs, strict=True)]
+    )
+
+
+def _rules(
+    columns: Columns, rows: Rows, options: DiagnosisOptions, dependent: Array | None = None
+) -> Rules:
     """Return what the paths over some columns may contain."""
 
     def allowed(group: int, values: Array) -> bool:
         candidate = columns.candidate(group)
         return reason_against(candidate, columns.shapes(group), values, rows.segments) is None
 
-    count = sum(run.count for run in rows.runs)
+    count = np.array([max(run.count, 2) for run in rows.runs], dtype=float)
+    dependent = np.ones(len(count)) if dependent is None else dependent
+    own = dependent * np.log(np.maximum(count / dependent, 2.0))
+    arm = max(dependent) * np.log(max(count.sum() / max(dependent), 2.0))
+    each = np.array([arm if c.reaches_all else own[c.joint] for c in columns.owners])[columns.owner]
     return Rules(
-        options.penalty * np.log(max(count, 2)) * columns.parameters,
+        options.penalty * columns.parameters * each,
         columns.support > options.least_support,
         np.array([c.name == SMOOTH for c in columns.owners], dtype=bool)[columns.owner],
         allowed,

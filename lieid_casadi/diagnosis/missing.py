@@ -1,0 +1,340 @@
+"""Which effects a model lacks: rounds of search and fit, until nothing is added."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.comparison import Comparison, compare
+from lieid_casadi.comparison.compare import compared_segments
+from lieid_casadi.compiled import compile
+from lieid_casadi.diagnosis.gates import reason_against
+from lieid_casadi.diagnosis.nested import Slot
+from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.result import Diagnosis
+from lieid_casadi.diagnosis.rivals import represented
+from lieid_casadi.diagnosis.rows import Rows
+from lieid_casadi.diagnosis.search import SMOOTH, Round, beside_each_other, search
+from lieid_casadi.diagnosis.step import Difference
+from lieid_casadi.diagnosis.steps import (
+    Accepted,
+    FinalModel,
+    absorbed_and_weak,
+    fitted_values,
+    late_friction,
+    steps_of,
+    unexplained_parts,
+)
+from lieid_casadi.errors import (
+    SameRecordingWarning,
+    unique_warnings,
+)
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.identify import Method, identify_segments
+from lieid_casadi.identification.prediction import center_temperature
+from lieid_casadi.identification.recording_checks import Source
+from lieid_casadi.identification.regression.design_matrix import FilteredColumns
+from lieid_casadi.model import Model
+from lieid_casadi.recording import Recording, process
+
+Report = Callable[[str, float], None]
+ROUNDS = 2  # of search and fit; the second one adds what the first fit hid
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An effect that is about to be added; ``before`` and ``after`` are held-out errors, N·m."""
+
+    label: str
+    joint: int
+    before: float
+    after: float
+
+
+class MissingEffects:
+    """The search for the effects that a model lacks.
+
+    Parameters
+    ----------
+    first : Fit
+        Of the model before any effect is added.
+    train, tests : sequence of Recording
+    method : str
+    options : DiagnosisOptions
+    ask : callable or None
+    report : callable
+    """
+
+    def __init__(
+        self,
+        first: Fit,
+        train: Sequence[Recording],
+        tests: Sequence[Recording],
+        method: Method,
+        options: DiagnosisOptions,
+        ask: Callable[[Proposal], bool] | None,
+        report: Report,
+    ) -> None:
+        self.first, self.train, self.tests = first, train, tests
+        self.method, self.options, self.ask, self.report = method, options, ask, report
+        segments, _ = center_temperature(process(train, first.processing), first.temperature_mean)
+        self.segments = segments
+        self.known = tuple(FilteredColumns() for _ in segments)
+        self.rejected: dict[str, str] = {}
+        self.refused: set[str] = set()  # their fitted values are implausible
+        self.differing: list[Difference] = []
+        self.apart: list[list[Array]] = []  # columns of what differs between the recordings
+
+    def diagnosis(self, seed: int) -> Diagnosis:
+        """Return the diagnosis."""
+        options, first = self.options, self.first
+        rows = Rows.of(first, self.segments, known=self.known)
+        fit, accepted, last = self._searched(rows)
+        self.report("measure the effects", 0.9)
+        tests = compared_segments(fit, self.tests) if self.tests else None
+        final = FinalModel.of(fit, self.segments, tests)
+        before = compare(first, self.tests) if self.tests else None
+        after = compare(fit, self.tests) if self.tests else None
+        fitted = compare(fit, self.train)
+        torque = np.array([np.sqrt(np.mean(t**2)) if len(t) else np.nan for t in rows.torque])
+        steps = steps_of(final, accepted, torque, after)
+        parts = unexplained_parts(fitted, after, self.rejected, options)
+        shown = after or fitted
+        verdict = "effect_found" if steps else "sufficient"
+        if parts or self.differing:
+            verdict = "unexplained"
+        absorbed, weak = absorbed_and_weak(last)
+        self.report("done", 1.0)
+        return Diagnosis(
+            mode="missing",
+            verdict=verdict,
+            joint_names=tuple(joint.name for joint in first.model.robot.joints),
+            fit=fit,
+            steps=steps,
+            unexplained=parts,
+            differing=tuple(self.differing),
+            rejected=tuple(self.rejected.items()),
+            noise_floor=shown.noise_floor,
+            noise_source=shown.noise_source,
+            baseline_effects=tuple(first.model.effects),
+            baseline=_errors(first, before),
+            expected=None,
+            tried=sum(c.recording is None for c in last.columns.owners),
+            absorbed=absorbed,
+            weak=weak,
+            warnings=unique_warnings(
+                [
+                    *first.model.unusable_effects,
+                    *first.warnings,
+                    *fit.warnings,
+                    *_same_recording(first, self.tests),
+                    *(before.warnings if before else ()),
+                    *late_friction(last, options.worth),
+                ]
+            ),
+            train=first.provenance.recordings,
+            test=tuple(Source(r.name, r.source_hash) for r in self.tests),
+            limits_reached=("most_steps",) if len(last.slots) >= options.most_steps else (),
+            seed=seed,
+        )
+
+    def _searched(self, first: Rows) -> tuple[Fit, list[Accepted], Round]:
+        """Return the fit with all effects that are added, these effects, and the last round."""
+        rows, accepted, rounds = first, list[Accepted](), 0
+        while True:
+            self.report(_stage(accepted), 0.1 + 0.7 * rounds / (rounds + ROUNDS))
+            found = search(rows, self.options, refused=self.refused)
+            new = self._accepted(found, {a.placement.label for a in accepted})
+            apart = self._set_apart(found)
+            rounds += 1
+            fit, accepted = self._plausible([*accepted, *new], held=True)
+            if rounds >= ROUNDS or not (new or apart):
+                complete = self._fitted(accepted)
+                kept = self._with_plausible_values(complete, accepted)
+                if len(kept) == len(accepted) or rounds > ROUNDS:
+                    return *self._final(complete, kept, first, found), found
+                fit, accepted = self._plausible(kept, held=True)
+            rows = Rows.of(fit, self.segments, known=self.known, before=rows)
+            for columns in self.apart:
+                rows = rows.with_apart(columns)
+
+    def _final(
+        self, fit: Fit, accepted: list[Accepted], rows: Rows, found: Round
+    ) -> tuple[Fit, list[Accepted]]:
+        """Return the fit with all effects that are worth their place in it, and these effects."""
+        while True:
+            needed = self._needed(rows, [a.fitted(fit) for a in accepted], found)
+            open_ = [a for a in needed if not a.determined(fit, self.options.gain_deviations)]
+            for last in open_[-1:]:
+                needed.remove(last)
+                self.rejected[last.placement.label] = "the data do not determine its coefficients"
+            if len(needed) == len(fit.model.placements) - len(self.first.model.placements):
+                return fit, needed
+            fit, accepted = self._plausible(needed)
+
+    def _accepted(self, found: Round, have: set[str]) -> list[Accepted]:
+        """Return the effects of a round that pass; the reasons against the others are kept."""
+        new = list[Slot]()
+        for slot in found.slots:
+            if found.columns.candidate(slot.group).recording is not None:
+                continue
+            label = found.columns.candidate(slot.group).label
+            reason = slot.reason(self.options)
+            if reason is None and self.ask is not None and label not in have:
+                joint = slot.joint
+                sizes = found.spread[joint] * np.sqrt(
+                    [
+                        x[joint] / max(len(found.rows.runs[joint].all), 1)
+                        for x in (slot.before, slot.after)
+                    ]
+                )
+                if not self.ask(Proposal(label, joint, float(sizes[0]), float(sizes[1]))):
+                    reason = "rejected by the user"
+            if reason is None:
+                new.append(slot)
+                self.rejected.pop(label, None)
+            else:
+                self.rejected[label] = reason
+        new = represented(found, new, self.options.rival_deviations)
+        groups = [slot.group for slot in new]
+        return [Accepted.of(found, slot, groups, self.options) for slot in new]
+
+    def _set_apart(self, found: Round) -> bool:
+        """Keep what differs between the recordings, and set its columns apart; whether any does."""
+        before = len(self.apart)
+        own = {p.label for p in self.first.model.placements}
+        for slot in found.slots:
+            candidate = found.columns.candidate(slot.group)
+            if candidate.recording is None or slot.reason(self.options) is not None:
+                continue
+            names = [c.name for c in candidate.effect.coefficients]
+            self.differing.append(
+                Difference(
+                    candidate.placement.label,
+                    candidate.name,
+                    candidate.joints,
+                    found.rows.recording_names[candidate.recording],
+                    dict(zip(names, map(float, slot.values), strict=True)),
+                    {c.name: c.unit for c in candidate.effect.coefficients},
+                    candidate.placement.label in own,
+                )
+            )
+            self.apart.append(found.rows.columns.dense(slot.group))
+        return len(self.apart) > before
+
+    def _plausible(
+        self, added: list[Accepted], *, held: bool = False
+    ) -> tuple[Fit, list[Accepted]]:
+        """Return the fit with effects of plausible values, and these effects."""
+        while True:
+            fit = self._fitted(added, held=held)
+            kept = self._with_plausible_values(fit, added)
+            if len(kept) == len(added):
+                return fit, kept
+            added = kept
+
+    def _with_plausible_values(self, fit: Fit, added: Sequence[Accepted]) -> list[Accepted]:
+        """Return the effects whose fitted values are plausible; the others are refused."""
+        kept = []
+        for found in added:
+            values, shapes, _ = fitted_values(fit, found.placement)
+            reason = reason_against(found.candidate, shapes, values, self.segments)
+            if reason is None:
+                kept.append(found)
+            else:
+                self.rejected[found.placement.label] = reason
+                self.refused.add(found.placement.label)
+        return kept
+
+    def _fitted(self, added: Sequence[Accepted], *, held: bool = False) -> Fit:
+        """Return the fit of the first model with further effects, as `identify` fits it.
+
+        With ``held`` their shape parameters keep the values of the path, which takes less time.
+        """
+        if not added:
+            return self.first
+        own = self.first.model
+        placements = [*own.placements, *(a.placement for a in added)]
+        effects = Model.of_placements(own.robot, placements).effects
+        compiled = compile(Model(own.robot, effects=effects, library=own.library))
+        return identify_segments(
+            compiled,
+            self.segments,
+            method=self.method,
+            held_shapes=_held_shapes(compiled.model, added, self.first) if held else None,
+            uncertainty=not held,
+            known=self.known,
+            temperature_mean=self.first.temperature_mean,
+            provenance=self.first.provenance,
+        )
+
+    def _needed(self, rows: Rows, accepted: Sequence[Accepted], found: Round) -> list[Accepted]:
+        """Return the effects that are worth their place beside all others.
+
+        Smooth functions of its joint may contain an effect of the library: beside them it must
+        lower the held-out error at all, and by what it is worth without them.
+        """
+        kept = list(accepted)
+        for columns in self.apart:
+            rows = rows.with_apart(columns)
+
+        def falls(effects: Sequence[Accepted]) -> list[float]:
+            pairs = [(a.candidate, a.shapes) for a in effects]
+            return [slot.fall for slot in beside_each_other(rows, pairs, found)]
+
+        while kept:
+            library = [a for a in kept if a.candidate.name != SMOOTH]
+            own = dict(zip(library, falls(library), strict=True))
+            worth = [
+                min(own.get(a, fall), fall if fall <= 0.0 else np.inf)
+                for a, fall in zip(kept, falls(kept), strict=True)
+            ]
+            least = int(np.argmin(worth))
+            if worth[least] >= self.options.worth:
+                break
+            self.rejected[kept.pop(least).placement.label] = (
+                "beside the other effects it lowers the held-out error by only "
+                f"{100 * max(worth[least], 0.0):.1f} %"
+            )
+        return kept
+
+
+def _held_shapes(model: Model, added: Sequence[Accepted], first: Fit) -> Array:
+    """Return the shape parameters of a first fit and of effects that were added, to be held."""
+    known, start = {a.placement.label: a.shapes for a in added}, 0
+    for placement in first.model.placements:
+        count = len(placement.effect.shapes)
+        known[placement.label] = first.shapes[start : start + count]
+        start += count
+    values = [known[p.label][: len(p.effect.shapes)] for p in model.placements]
+    return np.concatenate(values)
+
+
+def _stage(accepted: Sequence[Accepted]) -> str:
+    labels = ", ".join(a.placement.label for a in accepted)
+    return f"search beside {labels}" if labels else "search"
+
+
+def _errors(fit: Fit, compared: Comparison | None) -> dict[str, Array | None]:
+    """Return the errors of a fit by name; see `Step.errors`."""
+    return {
+        "rms_train": fit.rms_train,
+        "rms_test": None if compared is None else compared.rms,
+        "rms_test_moving": None if compared is None else compared.rms_moving,
+        "rms_cv": fit.rms_cv,
+    }
+
+
+def _same_recording(fit: Fit, tests: Sequence[Recording]) -> list[SameRecordingWarning]:
+    trained = {source.sha256 for source in fit.provenance.recordings}
+    return [
+        SameRecordingWarning(
+            f"the test {r.name or 'recording'} is also a training recording, so that it cannot "
+            "confirm the result; use a recording of other motion"
+        )
+        for r in tests
+        if r.source_hash in trained
+    ]
