@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
+from scipy.signal import correlate, welch
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects import Placement
@@ -109,6 +109,8 @@ PER_JOINT = 3
 LAGS = 25  # of a correlation, in samples that are independent if the error is noise
 INDEPENDENT = 0.558  # periods of the cut-off: white noise through the filter is uncorrelated then
 BEYOND = 2.576  # standard deviations: 99 % of what noise gives lie within
+WINDOW = 8.0  # s, of a spectrum: its step is the inverse
+PERIODS = 3.0  # of an oscillation over which its size is measured
 APART = 1.0  # s, smallest time between two errors of one joint
 
 
@@ -198,6 +200,37 @@ def residual_correlations(series: Sequence[Series], joint: int, cutoff: float) -
             Correlation(title, time, _scaled(_covariance(errors, signal), size), white * spread)
         )
     return found
+
+
+def residual_spectrum(series: Sequence[Series], joint: int, cutoff: float) -> tuple[Array, Array]:
+    """Return frequencies up to the cut-off (F,), Hz, and the amplitude of a joint's error there.
+
+    The amplitude (F,), N·m, is the RMS of what lies within one step of the frequency, so that the
+    sum of its squares is the mean square of the error (Welch's method, Hann windows).
+    """
+    parts = [s for s in series if len(s.time) > 8]
+    if not parts:
+        return np.zeros(0), np.zeros(0)
+    rate = float((len(parts[0].time) - 1) / (parts[0].time[-1] - parts[0].time[0]))
+    length = min(round(WINDOW * rate), *(len(s.time) for s in parts))
+    powers = [welch(s.error[:, joint], rate, nperseg=length, detrend=False) for s in parts]
+    frequency = powers[0][0]
+    power = np.average([p for _, p in powers], axis=0, weights=[len(s.time) for s in parts])
+    shown = frequency <= cutoff
+    return frequency[shown], np.sqrt(power[shown] * frequency[1])
+
+
+def strongest_at(series: Sequence[Series], joint: int, frequency: float) -> float:
+    """Return the time at which a joint's error oscillates most with a frequency, s."""
+    found = []
+    for s in series:
+        step = float(s.time[1] - s.time[0])
+        window = np.hanning(max(round(PERIODS / (max(frequency, 1e-3) * step)), 3))
+        turned = s.error[:, joint] * np.exp(-2j * np.pi * frequency * s.time)
+        size = np.abs(np.convolve(turned, window[: len(turned)] / window.sum(), "same"))
+        k = int(np.argmax(size))
+        found.append((float(size[k]), float(s.time[k])))
+    return max(found)[1]
 
 
 def _covariance(first: Sequence[Array], second: Sequence[Array]) -> Array:

@@ -216,8 +216,13 @@ class Computation:
             page = comparison_report(fit, compare(fit, test), drift) if test else fit_report(fit)
             return "report.html", page.encode(errors="replace")
         if kind in ("urdf", "mjcf") and fit.method != "feasible":
-            report("fit with physically consistent inertias", 0.3)
-            fit = identify(fit.model, train, method="feasible", processing=fit.processing)
+
+            def of_fit(stage: str, fraction: float) -> None:
+                report("fit with physically consistent inertias", 0.1 + 0.7 * fraction)
+
+            fit = identify(
+                fit.model, train, method="feasible", processing=fit.processing, progress=of_fit
+            )
         report("export", 0.8)
         with tempfile.TemporaryDirectory(prefix="lieid-") as folder:
             target = Path(folder) / kind

@@ -141,7 +141,7 @@ def _one_line(name: str) -> str:
     """Return the first line of the description of an effect, else its formula."""
     effect = make(name)
     line = (type(effect).__doc__ or "").strip().split("\n")[0] or effect.formula
-    return line.replace("`", "").rstrip(".")
+    return line.replace("`", "").partition(": τ")[0].rstrip(".")
 
 
 def _card(row: EffectRow, curve: EffectCurve | None, unit: str, *, removable: bool) -> Markup:

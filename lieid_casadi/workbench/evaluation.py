@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
+from lieid_casadi.comparison.comparison import error_table
 from lieid_casadi.comparison.series import Series, effect_torques
 from lieid_casadi.diagnosis import Diagnosis, Step
 from lieid_casadi.diagnosis.findings import finding, unexplained_sentence
@@ -19,8 +20,15 @@ from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.report.reports import diagnosis_summary
+from lieid_casadi.tables import Table, make_table
 from lieid_casadi.workbench.arm import ArmMesh, ArmSolid, arm_meshes, arm_solids
-from lieid_casadi.workbench.session import FoundEffects, Numbers, ProposedEffect, StepErrors
+from lieid_casadi.workbench.session import (
+    FoundEffects,
+    Numbers,
+    ProposedEffect,
+    Session,
+    StepErrors,
+)
 
 LONGEST = 40.0  # s of the recording that the curves of effects are made of
 POINTS = 160
@@ -167,6 +175,32 @@ def series_of(evaluation: Evaluation | None, title: str) -> list[Series]:
         if comparison is not None
         for series in comparison.series
         if series.recording == title or series.recording.startswith(f"{title}@")
+    ]
+
+
+def page_tables(session: Session, opened: OpenedInputs, evaluation: Evaluation) -> list[Table]:
+    """Return what the page lists as tables: errors, effects, history, and what was found."""
+    comparison = evaluation.test or evaluation.train
+    assert comparison is not None
+    names, unseen = opened.joint_names, session.error_name
+    history = [
+        [k, step.title, f"{j + 1} {names[j]}", step.errors.train[j], step.errors.shown[j]]
+        for k, step in enumerate(session.history, start=1)
+        if step.errors is not None
+        for j in range(len(names))
+    ]
+    found = [
+        [p.label, p.status, p.before, p.after, p.selected, p.sentence or p.value]
+        for p in (session.found.proposed if session.found is not None else ())
+    ]
+    effects = [[row.label, row.formula, *row.values] for row in evaluation.effects]
+    widest = max((len(row) for row in effects), default=2)
+    columns = ["effect", "formula", *(f"value {k}" for k in range(1, widest - 1))]
+    return [
+        replace(error_table(comparison), title="errors"),
+        make_table("effects", columns, (row + [""] * (widest - len(row)) for row in effects)),
+        make_table("history", ["step", "model", "joint", "train", unseen], history),
+        make_table("found", ["effect", "status", "before", "after", "selected", "finding"], found),
     ]
 
 

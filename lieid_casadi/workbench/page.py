@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
 from collections.abc import Callable
 from functools import partial
 from importlib import resources
@@ -20,14 +22,22 @@ from lieid_casadi.workbench.elements import (
     set_text,
     text,
 )
+from lieid_casadi.workbench.evaluation import page_tables
 from lieid_casadi.workbench.joints import HistoryView, JointsView, Overview
 from lieid_casadi.workbench.open_panel import OpenPanel
-from lieid_casadi.workbench.plots import CorrelationPlot, ResidualPlot, TorquePlot, WaterfallView
+from lieid_casadi.workbench.plots import (
+    CorrelationPlot,
+    ResidualPlot,
+    SpectrumPlot,
+    TorquePlot,
+    WaterfallView,
+)
 from lieid_casadi.workbench.premises import PremisesView
-from lieid_casadi.workbench.workbench import Workbench
+from lieid_casadi.workbench.workbench import SOON, Workbench
 
 EXPORTS = {
     "report": "Report (HTML)",
+    "tables": "Tables (CSV, zip)",
     "c": "C code (zip)",
     "urdf": "URDF and MuJoCo joints (zip)",
     "mjcf": "MuJoCo model (zip)",
@@ -55,7 +65,9 @@ def build_page(workbench: Workbench, token: str) -> Callable[[], None]:
                 arm = ArmView(workbench, lambda time: torque.move_cursor(time))
                 views += [arm, WaterfallView(workbench)]
             overview, torque = Overview(workbench), TorquePlot(workbench)
-            views += [overview, torque, ResidualPlot(workbench), CorrelationPlot(workbench)]
+            views += [overview, torque, ResidualPlot(workbench)]
+            with ui.element("div").classes("pair"):
+                views += [CorrelationPlot(workbench), SpectrumPlot(workbench)]
         with ui.column().classes("side"):
             views.append(EffectsView(workbench))
 
@@ -110,18 +122,21 @@ class Toolbar(View):
             both = zip(opened.recordings, session.inputs.recordings, strict=True)
             names = [f"{r.name} ({kinds[given.role]})" for r, given in both]
             set_text(self._what, f"{opened.robot}: {', '.join(names) or 'no recordings'}")
-        searching, activity = workbench.searching, workbench.searching or workbench.saving
+        searching, fitting = workbench.searching, workbench.fitting
+        activity = searching or workbench.saving
+        if fitting is not None and fitting.seconds >= SOON:
+            activity = fitting
         changed = session.inputs.mode == "changed"
         self._find.text = "Find what has changed" if changed else "Find what is missing"
         self._undo.set_enabled(session.can_undo)
         self._redo.set_enabled(session.can_redo)
         self._find.set_visibility(searching is None)
         self._find.set_enabled(session.step is not None)
-        self._stop.set_visibility(searching is not None)
+        self._stop.set_visibility(activity is not None)
         self._progress.set_visibility(activity is not None)
         if activity is not None:
-            set_text(self._stage, activity[0])
-            self._bar.value = activity[1]
+            set_text(self._stage, activity.text)
+            self._bar.value = activity.fraction
         self._save_fit.set_enabled(workbench.saving is None)
         self._spinner.set_visibility(workbench.computing)
 
@@ -132,11 +147,25 @@ class Toolbar(View):
         )
 
     async def _save(self, kind: str) -> None:
-        client = self._what.client
-        made = await self.workbench.save(kind)
+        client, workbench = self._what.client, self.workbench
+        if kind == "tables":
+            made = self._tables()
+        else:
+            made = await workbench.save(kind)
         if made is not None and not client.is_deleted:  # the tab may be closed meanwhile
             name, content = made
             ui.download.content(content, name)
+
+    def _tables(self) -> tuple[str, bytes] | None:
+        """Return the tables of the page as CSV files in a zip file."""
+        opened, evaluation = self.workbench.opened, self.workbench.evaluation
+        if opened is None or evaluation is None:
+            return None
+        content = io.BytesIO()
+        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+            for table in page_tables(self.workbench.session, opened, evaluation):
+                archive.writestr(f"{table.title}.csv", table.csv)
+        return "tables.zip", content.getvalue()
 
 
 class CommandsDialog:

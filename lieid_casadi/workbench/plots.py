@@ -22,7 +22,13 @@ from lieid_casadi.comparison.plot_style import (
     thin,
 )
 from lieid_casadi.comparison.plots import binned_mean, intervals
-from lieid_casadi.comparison.series import Correlation, Series, residual_correlations
+from lieid_casadi.comparison.series import (
+    Correlation,
+    Series,
+    residual_correlations,
+    residual_spectrum,
+    strongest_at,
+)
 from lieid_casadi.workbench.elements import (
     COMPARED,
     FIRST,
@@ -41,6 +47,7 @@ from lieid_casadi.workbench.workbench import Workbench
 
 COLUMNS = 900  # pixels of the plot: minimum and maximum are kept for each
 MOST_SAMPLES = 350  # of one direction in a plot of the error
+NEAR = 0.03  # of the range of a spectrum: a click so near means a peak
 EXCLUDED = "#b0b6bc"
 PLAIN = {"animation": False, "textStyle": {"fontFamily": "inherit"}}
 LEGEND = {"top": 0, "right": 10, "itemHeight": 8, "textStyle": {"fontSize": 11}}
@@ -62,6 +69,15 @@ _START_BRUSH = """(function start() {
   chart.getZr().on('click', (event) => {
     const [time] = chart.convertFromPixel({ gridIndex: 0 }, [event.offsetX, event.offsetY]);
     getElement(ID).$emit('instant', time);
+  });
+})();"""
+
+_EMIT_FREQUENCY = """(function start() {
+  const chart = getElement(ID)?.chart;
+  if (!chart) { setTimeout(start, 20); return; }
+  chart.getZr().on('click', (event) => {
+    const [x] = chart.convertFromPixel({ gridIndex: 0 }, [event.offsetX, event.offsetY]);
+    getElement(ID).$emit('frequency', x);
   });
 })();"""
 
@@ -505,6 +521,83 @@ def _correlation_options(found: list[Correlation]) -> dict[str, Any]:
         **_axes([f"{c.title}, lag [s]" for c in found], "correlation", limit=limit),
         "legend": LEGEND | {"data": ["as noise", "beyond noise"]},
         "series": series,
+    }  # fmt: skip
+
+
+class SpectrumPlot(View):
+    """Spectrum of the error; a click on a peak shows when it happens."""
+
+    def __init__(self, workbench: Workbench) -> None:
+        super().__init__(workbench)
+        self._frequency, self._amplitude = np.zeros(0), np.zeros(0)
+        with ui.column().classes("panel w-full"):
+            with ui.row().classes("w-full items-center no-wrap gap-1"):
+                self._title = text("Spectrum of the error", "panel-title grow", "spectrum-title")
+                button("Show the largest peak", "spectrum-peak", self._largest, "flat size=sm")
+            options = _spectrum_options(self._frequency, self._amplitude, None, "N·m")
+            self._chart = Chart("spectrum-plot", options)
+        self._chart.element.on("frequency", self._clicked)
+        script = _EMIT_FREQUENCY.replace("ID", str(self._chart.element.id))
+        self._chart.element.client.run_javascript(script)
+
+    def update(self) -> None:
+        """Draw the recording that is shown."""
+        workbench = self.workbench
+        evaluation, session, opened = workbench.evaluation, workbench.session, workbench.opened
+        if evaluation is None or opened is None:
+            return
+        joint, floor = session.joint, evaluation.errors.noise_floor[session.joint]
+        if not self.is_new(evaluation.train, evaluation.test, joint, session.recording, floor):
+            return
+        series = series_of(evaluation, opened.recordings[session.recording].name)
+        found = residual_spectrum(series, joint, evaluation.cutoff)
+        self._frequency, self._amplitude = found
+        set_text(self._title, f"Spectrum of the error of joint {joint + 1}; click a peak")
+        # white noise of the size of the noise floor has this amplitude at each frequency
+        level = None if floor is None else floor / math.sqrt(max(len(found[0]), 1))
+        self._chart.show(_spectrum_options(*found, level, opened.units[joint]))
+
+    def _clicked(self, event: GenericEventArguments) -> None:
+        if isinstance(event.args, (int, float)) and len(self._frequency) > 1:
+            near = np.abs(self._frequency - event.args) <= NEAR * self._frequency[-1]
+            self._show_peak(int(np.argmax(np.where(near, self._amplitude, -1.0))))
+
+    def _largest(self) -> None:
+        if len(self._frequency) > 1:
+            self._show_peak(int(np.argmax(self._amplitude)))
+
+    def _show_peak(self, k: int) -> None:
+        """Show on the arm when the error oscillates most with the k-th frequency."""
+        workbench = self.workbench
+        evaluation, session, opened = workbench.evaluation, workbench.session, workbench.opened
+        if evaluation is None or opened is None:
+            return
+        series = series_of(evaluation, opened.recordings[session.recording].name)
+        time = strongest_at(series, session.joint, float(self._frequency[k]))
+        workbench.look(replace(workbench.view, instant=time))
+        what = f"{figures(float(self._frequency[k]))} Hz: largest at {time:.2f} s"
+        set_text(self._title, f"Spectrum of the error of joint {session.joint + 1}; {what}")
+
+
+def _spectrum_options(
+    frequency: Array, amplitude: Array, level: float | None, unit: str
+) -> dict[str, Any]:
+    line = {"type": "line", "silent": True, "showSymbol": False}
+    ends = (
+        [] if level is None or not len(frequency) else [[0.0, level], [float(frequency[-1]), level]]
+    )
+    axes = _axes(["frequency [Hz]"], f"RMS [{unit}]")
+    return {
+        **PLAIN,
+        **axes,
+        "yAxis": [{**axes["yAxis"][0], "min": 0}],
+        "legend": LEGEND | {"data": ["error", "white noise of the noise floor"]},
+        "series": [
+            {**line, "id": "spectrum", "name": "error", "color": ERROR,
+             "areaStyle": {"opacity": 0.2}, "data": pairs(frequency, amplitude)},
+            {**line, "id": "level", "name": "white noise of the noise floor", "color": "#52606d",
+             "lineStyle": {"type": "dashed", "width": 1.2}, "data": ends},
+        ],
     }  # fmt: skip
 
 

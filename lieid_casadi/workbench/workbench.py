@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from lieid_casadi.diagnosis import Proposal
 from lieid_casadi.errors import LieidError
 from lieid_casadi.premises import PremiseCheck
+from lieid_casadi.recording import Processing
 from lieid_casadi.workbench.arm import ArmMotion
 from lieid_casadi.workbench.evaluation import EffectCurve, Evaluation, OpenedInputs, SimulationError
 from lieid_casadi.workbench.session import (
@@ -30,6 +32,7 @@ from lieid_casadi.workbench.worker import (
 )
 
 KEPT_RESULTS = 72  # evaluations, curves and simulations
+SOON = 1.0  # s; work that takes longer has a progress bar
 PLAY_SECONDS = 0.35  # for which the errors of each model are shown on the way to the last
 
 
@@ -47,6 +50,29 @@ class PlotView:
     instant: float | None = None
 
 
+@dataclass(frozen=True)
+class Work:
+    """Long work: its stage, the fraction done, and when it began (s, monotonic)."""
+
+    stage: str
+    fraction: float
+    begun: float
+
+    @property
+    def seconds(self) -> float:
+        """Time since it began."""
+        return time.monotonic() - self.begun
+
+    @property
+    def text(self) -> str:
+        """The stage, and about how long it will take once that can be estimated."""
+        if self.seconds < SOON or not 0.05 < self.fraction < 1.0:
+            return self.stage
+        left = self.seconds * (1.0 - self.fraction) / self.fraction
+        unit = f"{left:.0f} s" if left < 100.0 else f"{left / 60.0:.0f} min"
+        return f"{self.stage}, about {unit} left"
+
+
 class Workbench:
     """A session with its two worker processes.
 
@@ -62,13 +88,15 @@ class Workbench:
         self.failure: Failure | None = None  # of the last opening
         self.started = False  # whether something was opened, or the form was shown
         self.computing = True  # a fit that the user waits for, until `open` has ended
-        self.searching: tuple[str, float] | None = None  # stage and fraction
-        self.saving: tuple[str, float] | None = None
+        self.searching: Work | None = None
+        self.saving: Work | None = None
+        self.fitting: Work | None = None  # that the user waits for
         self.arriving: list[Proposal] = []  # what the search has found so far
         self.playing: Numbers | None = None  # errors on the way to those of a model
         self.view = PlotView()
         self.motion: ArmMotion | None = None
         self.premises: PremiseCheck | str | None = None  # or why they cannot be tested
+        self._filter: Processing | None = None  # of all fits of what is open
         self._results: dict[tuple[str, object], Any] = {}
         self._front = worker or Worker(setup)
         self._back = Worker(setup)
@@ -110,6 +138,7 @@ class Workbench:
         while len(self._results) > KEPT_RESULTS:
             del self._results[next(iter(self._results))]
         if isinstance(result, Evaluation):
+            self._filter = result.processing
             self.session = self.session.with_errors(step, result.errors)
             self._save()
         self.changed()
@@ -164,7 +193,8 @@ class Workbench:
 
         With a saved session of these inputs, its history is restored.
         """
-        self.stop()
+        if self._back.busy:
+            self._back.stop()
         self.computing, self.error, self.failure = True, "", None
         self.changed()
         opened: OpenedInputs | None = None
@@ -182,7 +212,7 @@ class Workbench:
             return False
         self.opened, self.motion, self.view, self._results = opened, None, PlotView(), {}
         self.session = saved or self.session.opened(inputs, opened.effects)
-        self.premises = None
+        self.premises = self._filter = None
         self.background(self._check())
         await self._evaluate()
         if saved is None:
@@ -198,8 +228,10 @@ class Workbench:
         """Show a session with another step, and fit it."""
         if session is self.session:
             return
-        self.session, self.error = session, ""
+        before, self.session, self.error = self.session, session, ""
         await self._evaluate()
+        if self.session is session and not (self.computing or self.error or self.evaluation):
+            self.show(before)  # the fit was stopped
 
     async def add_found(self, labels: Sequence[str]) -> None:
         """Add effects that the search found, with one fit; show the errors on the way to it."""
@@ -242,8 +274,7 @@ class Workbench:
         if step is None or self.searching is not None:
             return
         self.error, self.arriving = "", []
-        processing = self.evaluation and self.evaluation.processing
-        options = {"processing": processing, "found": self._arrived}
+        options = {"processing": self._filter, "found": self._arrived}
         made = await self._long("searching", self._back, "find", step, **options)
         if made is not None and self.session.inputs is inputs:
             found, content = made
@@ -257,9 +288,11 @@ class Workbench:
         await self._simulate()
 
     def stop(self) -> None:
-        """Stop the search for missing effects and fits in the background."""
+        """Stop the search for missing effects, and a fit or export that the user waits for."""
         if self._back.busy:
             self._back.stop()
+        if self.saving is not None or self.fitting is not None:
+            self._front.stop()  # it is started again, and reads its inputs, when it is needed
 
     async def save(self, kind: str) -> tuple[str, bytes] | None:
         """Return the name and content of a file: ``fit``, ``report``, ``c``, ``urdf``, ``mjcf``."""
@@ -283,17 +316,19 @@ class Workbench:
     async def _long(
         self, name: str, worker: Worker, task: Task, step: ModelStep, **options: Any
     ) -> Any:
-        """Return the result of long work, whose progress is the attribute ``name``.
+        """Return the result of work, whose progress is the attribute ``name`` if it is shown.
 
         None if it is stopped or, with ``error``, fails.
         """
+        begun, made = time.monotonic(), None
 
         def reports(stage: str, fraction: float) -> None:
-            setattr(self, name, (stage, fraction))
-            self.changed()
+            if name:
+                setattr(self, name, Work(stage, fraction, begun))
+                self.changed()
 
         reports("start", 0.0)
-        made = None
+        later = asyncio.get_running_loop().call_later(SOON, self.changed)
         try:
             inputs = self.session.inputs
             made = await worker.request(task, inputs, step=step, progress=reports, **options)
@@ -301,7 +336,9 @@ class Workbench:
             pass
         except LieidError as error:
             self.error = str(error)
-        setattr(self, name, None)
+        later.cancel()
+        if name:
+            setattr(self, name, None)
         self.changed()
         return made
 
@@ -332,9 +369,9 @@ class Workbench:
             self.computing = True
             self.changed()
             made = await self._evaluated(self._front, step, quick=True)
+            self.computing = False
             if made is None or self.session.inputs is not inputs:
                 return
-            self.computing = False
             self._keep("evaluation", step, made)
         else:
             self.computing = False
@@ -345,23 +382,11 @@ class Workbench:
     async def _evaluated(
         self, worker: Worker, step: ModelStep, *, quick: bool
     ) -> Evaluation | None:
-        """Return the evaluation of a step; None, with ``error``, if it failed."""
+        """Return the evaluation of a step; None if it was stopped or, with ``error``, failed."""
         shapes = {} if self.session.found is None else dict(self.session.found.shapes)
-        shown = self._result("evaluation", step)
-        try:
-            made: Evaluation = await worker.request(
-                "evaluate",
-                self.session.inputs,
-                step=step,
-                quick=quick,
-                shapes=shapes,
-                processing=shown and shown.processing,
-            )
-        except LieidError as error:
-            if not isinstance(error, WorkerStopped):
-                self.error, self.computing = str(error), False
-                self.changed()
-            return None
+        options = {"quick": quick, "shapes": shapes, "processing": self._filter}
+        name = "fitting" if quick else ""
+        made: Evaluation | None = await self._long(name, worker, "evaluate", step, **options)
         return made
 
     async def _complete(self, step: ModelStep, shown: Evaluation) -> None:

@@ -9,7 +9,11 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 import lieid_casadi as lieid
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
-from lieid_casadi.comparison.series import residual_correlations
+from lieid_casadi.comparison.series import (
+    residual_correlations,
+    residual_spectrum,
+    strongest_at,
+)
 from lieid_casadi.errors import (
     FrictionAtRestWarning,
     ModelError,
@@ -249,3 +253,14 @@ def test_a_missing_damping_correlates_with_the_speed_and_a_late_torque_with_its_
     comparison = lieid.compare(fit, arm.recording(30.0, seed=5, noise=0.1, extra=1.5 * late))
     speed = residual_correlations(comparison.series, 0, comparison.cutoff)[1]
     assert speed.lag[np.argmax(speed.value)] == pytest.approx(0.3, abs=0.09)
+
+
+def test_a_spectrum_has_the_power_of_the_error_and_a_peak_where_it_happens(fit):
+    t = arm.motion(40.0, seed=5)[0]
+    burst = 3.0 * np.sin(2.0 * np.pi * 4.0 * t) * (np.abs(t - 27.0) < 2.0)  # 4 Hz around 27 s
+    extra = np.column_stack([burst, np.zeros(len(t))])
+    comparison = lieid.compare(fit, arm.recording(40.0, seed=5, noise=0.1, extra=extra))
+    frequency, amplitude = residual_spectrum(comparison.series, 0, comparison.cutoff)
+    assert frequency[np.argmax(amplitude)] == pytest.approx(4.0, abs=0.15)
+    assert np.sqrt(np.sum(amplitude**2)) == pytest.approx(comparison.rms[0], rel=0.2)
+    assert strongest_at(comparison.series, 0, 4.0) == pytest.approx(27.0, abs=1.5)

@@ -1,5 +1,6 @@
 """What the worker process computes is what the public functions return."""
 
+import csv
 import functools
 import io
 import zipfile
@@ -14,7 +15,7 @@ from lieid_casadi.errors import UsageError
 from lieid_casadi.simulation import window_drift
 from lieid_casadi.workbench.arm import TRIANGLE, arm_meshes, arm_motion, stl_bytes
 from lieid_casadi.workbench.computation import Computation, recording_titles, used_parts
-from lieid_casadi.workbench.evaluation import series_of
+from lieid_casadi.workbench.evaluation import page_tables, series_of
 from lieid_casadi.workbench.plots import errors_over_signals, torque_lines
 from lieid_casadi.workbench.session import ProposedEffect, RecordingInput, Session, WorkbenchInputs
 from lieid_casadi.workbench.worker import WorkerSetup
@@ -123,6 +124,18 @@ def test_stretches_are_spread_over_the_recording(two_link_files):
     assert sum(map(len, parts)) == pytest.approx(0.6 * len(recording), rel=0.02)
     assert parts[0].t[0] == recording.t[0]
     assert parts[1].t[0] == pytest.approx(0.5 * recording.t[-1], rel=0.02)
+
+
+def test_the_tables_are_those_of_the_page(computation, first):
+    shown = evaluate(computation, first)
+    session = first.with_errors(first.step, shown.errors)
+    tables = {t.title: t for t in page_tables(session, computation.opened(), shown)}
+    errors = list(csv.reader(tables["errors"].csv.splitlines()))
+    assert [float(row[1]) for row in errors[1:]] == pytest.approx(shown.errors.shown, rel=5e-3)
+    effects = tables["effects"].csv
+    assert shown.effects[0].values[0] in effects
+    assert [row[1] for row in tables["history"].rows] == ["first model", "first model"]
+    assert tables["found"].rows == ()
 
 
 def test_an_excluded_stretch_is_not_fitted(computation, first, two_link_files):

@@ -292,7 +292,7 @@ def test_nothing_is_cut_off(start, browse):
             assert box["x"] + box["width"] <= width
 
 
-def test_a_tab_that_is_closed_during_an_export(start, browse, two_link_files):
+def test_an_export_is_stopped_and_a_tab_is_closed_during_another(start, browse, two_link_files):
     server = start("two_link", *map(str, two_link_files))
     page, other = browse(server.url), browse(server.url)
     opened(page)
@@ -301,9 +301,16 @@ def test_a_tab_that_is_closed_during_an_export(start, browse, two_link_files):
     page.element("search-effect").send_keys("gravity rotated")
     page.wait(lambda: not page.elements("library-viscous"), "the effects that match")
     page.click("library-base_tilt", done=lambda: page.elements("effect-base_tilt-arm"))
-    page.click("export", done=lambda: page.shown("save-urdf"))
-    page.click("save-urdf")
-    page.wait(lambda: page.shown("progress"), "the progress")
+
+    def export():
+        page.click("export", done=lambda: page.shown("save-urdf"))
+        page.click("save-urdf")
+        page.wait(lambda: page.shown("progress"), "the progress")
+
+    export()
+    page.click("stop", done=lambda: not page.shown("progress"))
+    assert not list(page.downloads.glob("*.zip"))
+    export()
     page.driver.get("about:blank")
     other.click("save-fit")
     other.downloaded("fit.json")

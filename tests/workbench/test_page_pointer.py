@@ -91,6 +91,28 @@ def the_wheel_zooms_and_the_replay_follows(page):
     page.click("whole-recording", done=lambda: span(page) == whole)
 
 
+def test_a_peak_of_the_spectrum_is_shown_on_the_arm(start, browse, two_link_files):
+    server = start("two_link", *map(str, two_link_files))
+    page = browse(server.url)
+    opened(page)
+    page.wait(lambda: "click a peak" in page.text("spectrum-title"), "the spectrum")
+    page.click("spectrum-peak", done=lambda: "largest at" in page.text("spectrum-title"))
+    time = float(page.text("spectrum-title").rpartition("largest at ")[2].split()[0])
+    page.wait(lambda: abs(page.number("instant") - time) < 0.011, "the instant")
+    page.driver.execute_script("arguments[0].scrollIntoView()", page.element("spectrum-plot"))
+    page.picture("spectrum")
+    title = page.text("spectrum-title")
+
+    def clicked():
+        plot = page.element("spectrum-plot")
+        ActionChains(page.driver).move_to_element_with_offset(plot, 60, 0).click().perform()
+
+    from selenium.webdriver import ActionChains
+
+    page.repeat(clicked, lambda: page.text("spectrum-title") != title, "another peak")
+    assert page.script_errors() == []
+
+
 def width(ends):
     return ends[1] - ends[0]
 

@@ -15,6 +15,7 @@ from lieid_casadi.workbench.session import (
     WorkbenchInputs,
 )
 from lieid_casadi.workbench.workbench import Workbench
+from lieid_casadi.workbench.worker import WorkerStopped
 
 INPUTS = WorkbenchInputs(robot="two_link", recordings=(RecordingInput("a.csv", "train"),))
 
@@ -35,21 +36,30 @@ def evaluation(*, exact, complete, series):
 
 
 class Process:
-    """Answers evaluations; those that are not quick wait until they are let go."""
+    """Answers evaluations; those that are not quick wait until they are let go, or stopped."""
 
     def __init__(self):
         self.busy, self.asked, self.go = False, [], asyncio.Event()
+        self.slow, self.stopped = False, False
         self.simulated, self.meanwhile = None, lambda: None
 
     async def request(self, task, inputs, *, step, **options):
         if task != "evaluate":
             return await self.follow(task, step)
         self.asked.append(("quick" if options["quick"] else "whole", step.effects[-1]))
+        while self.slow:
+            options["progress"]("fit", 0.25)
+            await asyncio.sleep(0.01)
+            if self.stopped:
+                raise WorkerStopped("stopped")
         if options["quick"]:
             held = step.effects[-1].startswith("stribeck")
             return evaluation(exact=not held, complete=False, series="quick series")
         await self.go.wait()
         return evaluation(exact=True, complete=True, series="whole series")
+
+    def stop(self):
+        self.stopped = True
 
     async def follow(self, task, step):
         """Return simulation errors where a test asks for them; curves are never computed here."""
@@ -99,6 +109,25 @@ def test_the_same_process_adds_what_a_linear_fit_left_out(page):
         assert shown[-1] == (True, True, "quick series")  # need not be drawn again
         assert workbench.session.step.errors.noise_floor == (0.1,)
         assert workbench._back.asked == []
+
+    asyncio.run(run())
+
+
+def test_a_fit_that_takes_long_can_be_stopped(page):
+    async def run():
+        workbench, _ = page()
+        before = workbench.session
+        workbench._front.slow = True
+        applied = asyncio.create_task(workbench.apply(before.with_added("viscous:1")))
+        while workbench.fitting is None or workbench.fitting.fraction == 0.0:
+            await asyncio.sleep(0.01)
+        assert (workbench.computing, workbench.fitting.text) == (True, "fit")
+        begun = replace(workbench.fitting, begun=workbench.fitting.begun - 10.0)
+        assert begun.text == "fit, about 30 s left"
+        workbench.stop()
+        await applied
+        assert (workbench.computing, workbench.fitting, workbench.error) == (False, None, "")
+        assert workbench.session is before
 
     asyncio.run(run())
 
