@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from threading import Lock
 from typing import Any, Literal
 from xml.etree import ElementTree
 
@@ -21,6 +17,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot import Robot
+from lieid_casadi.robot.urdf import captured
 from lieid_casadi.robot.yaml_text import FARTHEST, Field
 
 SKELETON_RADIUS = 0.06  # of the arm's length, where there is no geometry
@@ -168,7 +165,7 @@ class _UrdfModel:
                 joint.set("type", "revolute")
             ElementTree.SubElement(joint, "limit", WIDE)
         try:
-            with silenced():
+            with captured():
                 full = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
         except (ValueError, RuntimeError):
             return None
@@ -214,7 +211,7 @@ def collision_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
             unknown += [name] if link.find("visual") is not None else []
             continue
         try:
-            with silenced():
+            with captured():
                 every = pin.buildGeomFromUrdfString(
                     model.full, _with_shapes_of(model.root, name), pin.GeometryType.COLLISION,
                     None, _package_folders(),
@@ -362,27 +359,3 @@ def segment_distance_to_points(points: Array, start: Array, end: Array) -> Array
     if squared > 0.0:
         share = np.clip((points - start) @ direction / squared, 0.0, 1.0)
     return np.asarray(np.linalg.norm(points - start - share[:, None] * direction, axis=1))
-
-
-_lock = Lock()  # the descriptors belong to the process
-
-
-@contextmanager
-def silenced() -> Iterator[None]:
-    """Redirect the file descriptors 1 and 2 of the process while a native library works.
-
-    Libraries such as urdfdom print their complaints there, past Python's ``sys.stderr``.
-    """
-    with _lock, open(os.devnull, "w") as nowhere, ExitStack() as restore:
-        for stream in (sys.stdout, sys.stderr):
-            if stream is not None:
-                stream.flush()
-        for descriptor in (1, 2):
-            try:
-                copy = os.dup(descriptor)
-            except OSError:  # closed, as in a service without a terminal
-                continue
-            restore.callback(os.close, copy)
-            restore.callback(os.dup2, copy, descriptor)
-            os.dup2(nowhere.fileno(), descriptor)
-        yield
