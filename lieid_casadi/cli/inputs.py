@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import re
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output
-from lieid_casadi.errors import UsageError
+from lieid_casadi.errors import RecordingError, UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
@@ -104,21 +105,33 @@ def recordings_of(
     """Load recordings.
 
     Currents become torques by --torque-constants, the constants of a fit, or the robot's own.
-    Without --units, those of a fit's training recordings are used.
+    Without --units and --columns, those of a fit's training recordings are used.
     """
     from lieid_casadi.identification import Fit
-    from lieid_casadi.recording import Recording, require_plausible_units
+    from lieid_casadi.recording import require_plausible_units
 
     robot = source.model.robot if isinstance(source, Fit) else source
     options = _reading_options(args, robot) | _torque_options(args, robot)
+    columns = ""
     if isinstance(source, Fit):
         options |= _as_in_training(args, source)
+        columns = "" if args.columns else ",".join(source.provenance.columns)
     correction = correction_of(args, robot.n, source)
-    recordings = [correction.of_recording(Recording.load(path, **options)) for path in paths]
+    recordings = [correction.of_recording(_loaded(path, options, columns)) for path in paths]
     for recording in recordings:
         _require_drive_law(recording)
         require_plausible_units(recording, robot)
     return recordings
+
+
+def _loaded(path: str, options: dict[str, Any], columns: str) -> Recording:
+    """Load a recording by the columns of a fit's training recordings, if its file has those."""
+    from lieid_casadi.recording import Recording
+
+    if columns:
+        with contextlib.suppress(RecordingError):
+            return Recording.load(path, **options | {"columns": columns})
+    return Recording.load(path, **options)
 
 
 def currents_of(paths: Sequence[str], args: argparse.Namespace, robot: Robot) -> list[Recording]:

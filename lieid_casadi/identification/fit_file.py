@@ -294,6 +294,7 @@ class ProvenanceFile(Struct, forbid_unknown_fields=True, omit_defaults=True):
     recordings: list[SourceFile]
     torque_constants: list[Number] | None
     units: list[Annotated[str, Meta(max_length=10)]]
+    columns: list[Annotated[str, Meta(max_length=1000)]] = []
     corrections: list[Annotated[str, Meta(max_length=1000)]] = []
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -258,14 +258,12 @@ def _folds(segments: Sequence[Processed], state: FitState) -> tuple[Fold, ...]:
 
 
 def _provenance(recordings: Sequence[Recording]) -> Provenance:
-    first = recordings[0]
-    return Provenance(
-        _version(),
-        tuple(Source.of(r) for r in recordings),
-        first.torque_constants if len({r.torque_constants for r in recordings}) == 1 else None,
-        first.units if len({r.units for r in recordings}) == 1 else (),
-        first.corrections if len({r.corrections for r in recordings}) == 1 else (),
-    )
+    """Return where a fit is from, and how its recordings were read if all were read alike."""
+    first, read = recordings[0], dict[str, Any]()
+    for name in ("torque_constants", "units", "columns", "corrections"):
+        if len({getattr(r, name) for r in recordings}) == 1:
+            read[name] = getattr(first, name)
+    return Provenance(_version(), tuple(Source.of(r) for r in recordings), **read)
 
 
 def _version() -> str:

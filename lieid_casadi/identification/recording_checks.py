@@ -98,5 +98,7 @@ class Provenance:
     torque_constants: tuple[float, ...] | None = None
     #: units of the recordings' files other than SI: ``deg``, and ``ms``, ``us`` or ``ns``
     units: tuple[str, ...] = ()
+    #: columns of the recordings' files that were assigned to signals, such as ``tau2=tau3``
+    columns: tuple[str, ...] = ()
     #: options that corrected the recordings, such as ``--joint-order 1 3 2``
     corrections: tuple[str, ...] = ()

@@ -52,6 +52,10 @@ class Measurement:
         (n) N·m/A with which ``tau`` was computed from ``current``; None if ``tau`` was recorded.
     units
         Units of the source that were converted: ``deg``, and ``ms``, ``us`` or ``ns``.
+    columns
+        Columns of the source that were assigned to signals, such as ``tau2=tau3``.
+    corrections
+        Options that corrected a premise, such as ``--joint-order 1 3 2``.
     pauses
         Stamps, s, after which the recorder paused by intention: the ends of episodes. No samples
         were lost there.
@@ -74,6 +78,7 @@ class Measurement:
     payload_label: tuple[str, ...] | None = None
     torque_constants: tuple[float, ...] | None = None
     units: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()
     corrections: tuple[str, ...] = ()
     pauses: tuple[float, ...] = ()
     name: str = ""

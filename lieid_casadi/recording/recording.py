@@ -235,6 +235,7 @@ class Recording(Measurement):
             part=_part_ends(start, end, unit_factors(units)[0]),
         )
         made = convert_units(read_measurement(file, options), units, revolute)
+        made = replace(made, columns=tuple("=".join(pair) for pair in options.columns))
         recording = cls.of_measurement(made, revolute).with_torque(torque_constants, drives)
         return recording if start is None and end is None else recording.cut(start, end)
 

@@ -213,6 +213,22 @@ def test_a_fit_remembers_what_corrected_its_recordings(folder, capsys):
     assert "mounting" in capsys.readouterr().err
 
 
+def test_a_fit_remembers_the_columns_of_its_recordings(folder, run, tmp_path):
+    """They are used where a file has them, as that of the same recorder."""
+    order = [0, 2, 1, 3, 4, 5]
+    replace(run, tau=run.tau[:, order]).save(tmp_path / "swapped.csv")
+    text = (tmp_path / "swapped.csv").read_text()
+    (tmp_path / "renamed.csv").write_text(text.replace("tau2", "effort2").replace("tau3", "tau2"))
+    arm, fit = str(folder / "arm.yaml"), str(tmp_path / "fit.json")
+    columns = "tau2=tau3,tau3=tau2"
+    assert main(["identify", arm, f"{tmp_path}/swapped.csv", "--columns", columns, "-o", fit]) == 0
+    assert lieid.Fit.load(fit).provenance.columns == ("tau2=tau3", "tau3=tau2")
+    assert main(["check", fit, f"{tmp_path}/swapped.csv"]) == 0
+    assert main(["check", fit, str(folder / "good.csv")]) == 4
+    assert main(["check", fit, str(folder / "good.csv"), "--columns", "t=t"]) == 0
+    assert main(["check", fit, f"{tmp_path}/renamed.csv"]) == 2
+
+
 def test_the_mounting_of_a_urdf_is_in_the_fit(tmp_path, run):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(ROBOT.source.text)
