@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.premises.correction import correction_of, gravity_of, shifted
-from lieid_casadi.premises.plain_fit import own_columns, samples_of
+from lieid_casadi.premises.plain_fit import samples_of
 from lieid_casadi.premises.screen import Screen
 from lieid_casadi.premises.timing import with_measured_velocity
 
@@ -39,7 +39,7 @@ def residual(robot, run, joint, measured=False):
     screen = Screen(robot, with_measured_velocity(samples) if measured else samples, most=2400)
     columns = screen.rigid.columns(np.asarray(robot.gravity, dtype=float))[joint]
     parameters, k = screen.base.free.parameters, len(columns)
-    own = own_columns(screen.thin)
+    own = screen.thin.own
     start = k + joint * own.shape[1]
     fitted = parameters[:k] @ columns + parameters[start : start + own.shape[1]] @ own[joint]
     return screen.thin.t, screen.thin.tau[:, joint] - fitted

@@ -14,7 +14,7 @@ from lieid_casadi.errors import ModelError
 from lieid_casadi.identification import Fit
 from lieid_casadi.model import Model
 from lieid_casadi.premises import joints, match, mounting, samples, timing, torque_signal
-from lieid_casadi.premises.correction import Correction
+from lieid_casadi.premises.correction import Correction, with_all_remedies
 from lieid_casadi.premises.findings import Finding, PremiseCheck
 from lieid_casadi.premises.plain_fit import Samples, samples_of
 from lieid_casadi.premises.screen import Alternative, Errors, Screen
@@ -35,15 +35,20 @@ SHOWS = 0.7
 SHOWS_STATED, LEAST_UNEXPLAINED = 0.4, 0.3
 #: A finding needs a joint that shows it, and this decrease of the score.
 LEAST_SCORE = -0.6
+#: The same for alternatives without free values, which are then a doubt at most.
+SHOWS_DISCRETE, LEAST_DISCRETE = 0.88, -0.15
 #: Least error without the correction on one of these joints, as part of its torque: less is the
 #: size of effects of drives, such as friction under load.
 LEAST_BEFORE = 0.04
+#: Part of the instants at which a joint moves, from which its friction counts.
+LEAST_MOVING = 0.1
 #: Factor by which a correction may increase the error of a joint and still be certain.
 WORSE = 1.5
 #: Instants with which hypotheses are compared, and with which the best one is confirmed.
 COMPARED, CONFIRMED = 300, 1500
-#: Least decrease of the score on the compared instants for a hypothesis to be confirmed.
-WORTH_CONFIRMING = -0.3
+#: Least decrease of the score on the compared instants for a hypothesis to be confirmed, and the
+#: number of hypotheses for which that is tried.
+WORTH_CONFIRMING, CONFIRMATIONS = -0.1, 4
 PREMISES = (
     "gravity_direction", "joint_order", "joint_sign", "torque_sign", "joint_zero",
     "joint_coupling", "position_unit", "time_unit", "torque_unit", "torque_gravity_compensated",
@@ -94,7 +99,7 @@ def check(
     """
     model = robot.model if isinstance(robot, Fit) else robot
     arm = model if isinstance(model, Robot) else model.robot
-    given = listed(recordings)
+    given, tests = listed(recordings), listed(test)
     _require(arm, given)
     report = progress or (lambda stage, fraction: None)
     report("samples", 0.0)
@@ -102,22 +107,34 @@ def check(
     findings = list(state.findings)
     report("velocity", 0.1)
     findings += _velocity(state)
+    corrected: list[tuple[Finding, Correction]] = []
     for depth in range(DEPTH):
-        found = _strongest(state, report, depth)
+        found = _reversed(state) or _strongest(state, report, depth)
         if found is None:
             break
-        finding, state = found
-        findings.append(finding)
+        corrected.append(found)
+        state = state.corrected(found[1])
+    findings += with_all_remedies(corrected, arm.n)
     findings.sort(key=lambda f: (not f.certain, 1.0 if f.ratio is None else f.ratio))
     if not any(f.certain and f.ratio is not None for f in findings):
         findings = [*_mismatch(state), *findings]
     if torque_signal.from_model(state.confirmed):
-        findings.append(_from_model())
-    findings += _same_motion(given, listed(test))
-    untested = _not_checkable(state, {f.premise for f in findings}, bool(listed(test)))
+        findings.append(FROM_MODEL)
+    findings += match.same_motions(given, tests)
+    untested = _not_checkable(state, {f.premise for f in findings}, bool(tests))
     report("done", 1.0)
     names = dict(untested)
     return PremiseCheck(tuple(findings), tuple(p for p in PREMISES if p not in names), untested)
+
+
+FROM_MODEL = Finding(
+    "torque_from_model",
+    (),
+    {},
+    "The torque has neither friction nor noise: it is probably computed by a model, not measured. "
+    "Effects of the drives are not in it.",
+    "record the measured torque or current of the joints",
+)
 
 
 def _require(robot: Robot, given: Sequence[Recording]) -> None:
@@ -149,25 +166,11 @@ class _State:
     def of(cls, robot: Robot, given: Sequence[Recording]) -> _State:
         """Return the recordings repaired, with stamps in a plausible unit."""
         made = [samples.repaired_recording(r, robot) for r in given]
-        findings = [
-            Finding(
-                d.premise, d.joints, {"samples": d.samples}, None, None, None, False, d.sentence,
-                d.remedy,
-            )
-            for recording in made
-            for d in samples.damages(recording)
-        ]  # fmt: skip
+        findings = [finding for recording in made for finding in samples.damages(recording)]
         found = timing.suspected_unit(made[0])
         if found is not None:
-            made = [replace(r, t=r.t * found.factor) for r in made]
-            findings.append(
-                Finding(
-                    "time_unit", (), {"factor": found.factor, "unit": found.unit}, None, None,
-                    None, found.certain,
-                    f"The time stamps are in {found.unit}, not in seconds ({found.why}): with "
-                    f"--units {found.unit}.", f"--units {found.unit}",
-                )
-            )  # fmt: skip
+            made = [replace(r, t=r.t * found.value["factor"]) for r in made]
+            findings.append(found)
         placeholder = torque_signal.weightless(robot)
         return cls(robot, tuple(made), samples_of(made), tuple(findings), placeholder)
 
@@ -196,22 +199,27 @@ class _State:
         )
 
 
-def _strongest(state: _State, report: Progress, depth: int) -> tuple[Finding, _State] | None:
-    """Return the strongest finding and the corrected state, or None if nothing is found."""
+def _strongest(state: _State, report: Progress, depth: int) -> tuple[Finding, Correction] | None:
+    """Return the strongest finding and its correction, or None if nothing is found."""
+    base = state.confirmed.base
+    explained = match.unexplained(base) or 0.0
+    if np.all(base.relative[0] <= LEAST_BEFORE) and explained <= LEAST_UNEXPLAINED:
+        return None  # no alternative could be confirmed
     screen = state.compared
     scored: list[tuple[float, Alternative]] = []
     tests = list(_alternatives(screen))
     for k, (name, make) in enumerate(tests):
         report(name, (0.1 + 0.85 * (depth + k / len(tests)) / DEPTH))
-        scored += [(screen.score(a.correction) + a.cost, a) for a in make]
+        found = list(make)
+        scores = screen.scores([a.correction for a in found])
+        scored += [(score + a.cost, a) for score, a in zip(scores, found, strict=True)]
     scored.sort(key=lambda pair: pair[0])
-    full = state.confirmed
-    for score, alternative in scored[:2]:
+    for score, alternative in scored[:CONFIRMATIONS]:
         if score > WORTH_CONFIRMING:
             break
-        finding = _confirmed(full, alternative)
+        finding = _confirmed(state.confirmed, alternative)
         if finding is not None:
-            return finding, state.corrected(alternative.correction)
+            return finding, alternative.correction
     return None
 
 
@@ -233,31 +241,73 @@ def _alternatives(screen: Screen) -> Iterator[tuple[str, Iterator[Alternative]]]
 def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
     """Return an alternative as a finding if it lowers the held-out errors."""
     before, after = full.base, full.errors(alternative.correction)
-    if after.score(before) + alternative.cost > LEAST_SCORE:
-        return None
+    score = after.score(before) + alternative.cost
     ratios = after.relative / before.relative
+    clear = score <= LEAST_SCORE
     shown_free = (ratios[0] < SHOWS) & (before.relative[0] > LEAST_BEFORE)
-    unexplained = match.unexplained(before) or 0.0
-    shown_stated = unexplained > LEAST_UNEXPLAINED and bool(np.any(ratios[1:] < SHOWS_STATED))
-    if not shown_free.any() and not shown_stated:
-        return None
-    by_stated = shown_stated and _ratio(ratios[0]) > max(WRONG, _ratio(ratios[-1]))
+    shown_stated = (match.unexplained(before) or 0.0) > LEAST_UNEXPLAINED and bool(
+        np.any(ratios[1:] < SHOWS_STATED)
+    )
+    if not clear or not (shown_free.any() or shown_stated):
+        # a sign has two values only: less suffices for a doubt
+        doubt = alternative.discrete and score <= LEAST_DISCRETE and ratios.min() < SHOWS_DISCRETE
+        if not doubt or np.any(after.driven < before.driven):
+            return None
+        clear = False
+    by_stated = _ratio(ratios[0]) > max(WRONG, _ratio(ratios[-1])) and (shown_stated or not clear)
     kind = 1 if by_stated else 0
-    ratio = _ratio(ratios[kind])
-    certain = ratio <= WRONG and bool(np.all(ratios[kind] < WORSE))
-    certain = certain and not alternative.small
-    errors = [_of_kind(e, kind) for e in (before, after)]
-    shown = np.flatnonzero(ratios[kind] < SHOWS)
+    certain = clear and _ratio(ratios[kind]) <= WRONG and bool(np.all(ratios[kind] < WORSE))
+    return _finding(alternative, before, after, kind, certain=certain and not alternative.small)
+
+
+def _finding(
+    alternative: Alternative, before: Errors, after: Errors, kind: int, *, certain: bool
+) -> Finding:
+    """Return an alternative as a finding, with the errors of the free or the stated fit."""
+    ratios = (after.relative / before.relative)[kind]
+    first, last = _of_kind(before, kind), _of_kind(after, kind)
+    shown = np.flatnonzero(ratios < SHOWS)
+    if not shown.size:
+        shown = np.array([int(np.argmin(ratios))])
     return Finding(
-        alternative.premise, alternative.joints or _most(ratios[kind]), alternative.value,
-        _rounded(errors[0]), _rounded(errors[1]), float(f"{ratio:.3g}"), certain,
-        f"{alternative.what} the error of {_joints(shown)} falls from {_numbers(errors[0][shown])} "
-        f"to {_numbers(errors[1][shown])} N·m{' (with the stated inertias)' if kind else ''}.",
+        alternative.premise,
+        alternative.joints or _most(ratios),
+        alternative.value,
+        f"{alternative.what} the error of {_joints(shown)} falls from {_numbers(first[shown])} "
+        f"to {_numbers(last[shown])} N·m{' (with the stated inertias)' if kind else ''}.",
         alternative.remedy,
-    )  # fmt: skip
+        certain=certain,
+        error_before=_rounded(first),
+        error_after=_rounded(last),
+        ratio=float(f"{_ratio(ratios):.3g}"),
+    )
+
+
+def _reversed(state: _State) -> tuple[Finding, Correction] | None:
+    """Return the opposite sign of all torques, if friction drives the joints instead of braking.
+
+    A free fit has the same error with either sign, and negative masses with the wrong one.
+    """
+    base = state.confirmed.base
+    moving = np.mean(state.samples.moving, axis=0) > LEAST_MOVING
+    driven = base.driven[moving]
+    if not moving.any() or np.sum(driven < 0) < max(1, moving.sum() / 2) or np.any(driven > 0):
+        return None
+    *_, alternative = joints.directions(state.compared)  # the last one is that of all torques
+    after, stated = state.confirmed.errors(alternative.correction), int(base.stated is not None)
+    if np.sum(np.log(after.relative[stated] / base.relative[stated])) > 0.0:
+        return None
+    finding = _finding(alternative, base, after, stated, certain=True)
+    if finding.ratio == 1.0:
+        what = alternative.what.partition(": with")[0]
+        sentence = f"{what}: friction would drive the joints. Correct it with {finding.remedy}."
+    else:
+        sentence = f"{finding.sentence} With the recorded sign, friction would drive the joints."
+    return replace(finding, sentence=sentence), alternative.correction
 
 
 def _of_kind(errors: Errors, kind: int) -> Array:
+    """Return the errors (n,) of the free fit, or of that with stated inertias."""
     if kind == 0 or errors.stated is None:
         return errors.free.held_out
     return errors.stated.error
@@ -294,13 +344,11 @@ def _velocity(state: _State) -> list[Finding]:
     found = timing.velocity(state.samples)
     if found is None:
         return []
-    good = state.confirmed
-    measured = timing.with_measured_velocity(state.samples)
-    bad = replace(state, samples=measured).confirmed
-    before, after = bad.base.free.held_out, good.base.free.held_out
-    ratios = after / before
-    ratio = _ratio(ratios)
-    shown = np.flatnonzero(ratios < SHOWS)
+    bad = replace(state, samples=timing.with_measured_velocity(state.samples)).confirmed.base
+    good = state.confirmed.base
+    before, after = bad.free.held_out, good.free.held_out
+    ratio = _ratio(after / before)
+    shown = np.flatnonzero(after / before < SHOWS)
     falls = (
         f" the error of {_joints(shown)} falls from {_numbers(before[shown])} to "
         f"{_numbers(after[shown])} N·m"
@@ -309,56 +357,41 @@ def _velocity(state: _State) -> list[Finding]:
     )
     return [
         Finding(
-            found.premise, found.joints, found.value,
-            _rounded(before), _rounded(after), float(f"{ratio:.3g}"), ratio <= WRONG,
-            f"{found.what}{falls}.", found.remedy,
+            found.premise,
+            found.joints,
+            found.value,
+            f"{found.what}{falls}.",
+            found.remedy,
+            certain=ratio <= WRONG,
+            error_before=_rounded(before),
+            error_after=_rounded(after),
+            ratio=float(f"{ratio:.3g}"),
         )
-    ]  # fmt: skip
+    ]
 
 
 def _mismatch(state: _State) -> list[Finding]:
+    """Return that the recording is of another arm, if nothing explains its torque."""
     errors = state.confirmed.base
     found = match.mismatch(errors)
     if found is None:
         return []
     certain, part = found
-    before = errors.free.held_out if errors.stated is None else errors.stated.error
+    before = _of_kind(errors, 1)
     basis = "geometry" if errors.stated is None else "geometry and inertias"
     return [
         Finding(
-            "robot_mismatch", _most(-before / errors.scale), {},
-            _rounded(before), None, None, certain,
+            "robot_mismatch",
+            _most(-before / errors.scale),
+            {},
             f"This is probably a recording of another arm: the stated {basis} leave "
             f"{100.0 * part:.0f} % of the torque's rigid part unexplained, and no correction of "
             "order, sign, zero, unit or mounting lowers it.",
             "use the description of the arm that was recorded",
+            certain=certain,
+            error_before=_rounded(before),
         )
-    ]  # fmt: skip
-
-
-def _from_model() -> Finding:
-    return Finding(
-        "torque_from_model", (), {}, None, None, None, False,
-        "The torque has neither friction nor noise: it is probably computed by a model, not "
-        "measured. Effects of the drives are not in it.",
-        "record the measured torque or current of the joints",
-    )  # fmt: skip
-
-
-def _same_motion(train: Sequence[Recording], tests: Sequence[Recording]) -> list[Finding]:
-    findings = []
-    for test in tests:
-        part = match.same_motion(train, test)
-        if part > match.LEAST_PART:
-            findings.append(
-                Finding(
-                    "same_motion", (), {"fraction": round(part, 3)}, None, None, None, False,
-                    f"{test.title} repeats the motion of the training in {100.0 * part:.0f} % of "
-                    "its samples: its error is no test of the model. Test on another motion.",
-                    "test on another motion, or leave --test out",
-                )
-            )  # fmt: skip
-    return findings
+    ]
 
 
 def _not_checkable(state: _State, found: set[str], tested: bool) -> tuple[tuple[str, str], ...]:

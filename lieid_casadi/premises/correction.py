@@ -7,7 +7,7 @@ the plain fit (to test it), by the same formulas.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RecordingError
+from lieid_casadi.premises.findings import Finding
 from lieid_casadi.premises.plain_fit import Samples
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot
@@ -74,10 +75,17 @@ class Correction:
         )
 
     @cached_property
-    def torque_alone(self) -> bool:
-        """Whether positions, time and gravity stay as they are."""
-        same = np.array_equal(self.position, np.eye(len(self.zero))) and not self.zero.any()
-        return same and self.time == 1.0 and self.gravity is None
+    def positions_stay(self) -> bool:
+        """Whether positions and time stay as they are."""
+        same = np.array_equal(self.position, np.eye(len(self.zero)))
+        return same and not self.zero.any() and self.time == 1.0
+
+    @cached_property
+    def signals_stay(self) -> bool:
+        """Whether velocities and torques stay as they are: another zero, or gravity."""
+        n = len(self.zero)
+        same = np.array_equal(self.position, np.eye(n)) and np.array_equal(self.torque, np.eye(n))
+        return same and not self.late and self.time == 1.0
 
     @cached_property
     def key(self) -> bytes:
@@ -202,6 +210,93 @@ def correction_of(options: Sequence[str], n: int) -> Correction:
                 raise RecordingError(f"{found}: expected {expected.format(n=n)}") from None
     texts = [f"{name} {' '.join(given[name])}".strip() for name in OPTIONS if name in given]
     return replace(made, options=tuple(t for t in texts if not t.startswith("--base-rpy")))
+
+
+def with_all_remedies(found: Sequence[tuple[Finding, Correction]], n: int) -> list[Finding]:
+    """Return findings, each of which was made after the corrections before it.
+
+    Their remedies are changed to the options that correct the recording when they are given
+    together, where options can state that.
+    """
+    if len(found) < 2:
+        return [finding for finding, _ in found]
+    whole = _Stated(n)
+    for _, correction in found:
+        if not whole.add(correction):
+            return [finding for finding, _ in found]
+    texts = whole.texts()
+    made = []
+    for finding, _ in found:
+        names = re.findall(r"--[a-z-]+", finding.remedy)
+        remedy = " ".join(texts[name] for name in names if name in texts) or finding.remedy
+        sentence = finding.sentence.replace(finding.remedy, remedy)
+        made.append(replace(finding, remedy=remedy, sentence=sentence))
+    return made
+
+
+class _Stated:
+    """Corrections one after the other, as those that the options state at once.
+
+    Positions are coupled · sign · order, torques gain · order of what is recorded.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.order, self.sign, self.coupling = np.eye(n), np.eye(n), np.eye(n)
+        self.whole = Correction.none(n)
+
+    def add(self, later: Correction) -> bool:
+        """Add a correction; return whether options can still state all of them."""
+        x = later.position
+        if np.array_equal(x @ x.T, np.eye(len(x))) and np.all(x >= 0.0):  # an order
+            self.coupling, self.sign = x @ self.coupling @ x.T, x @ self.sign @ x.T
+            self.order = x @ self.order
+        elif np.array_equal(np.abs(x), np.eye(len(x))):
+            self.coupling, self.sign = x @ self.coupling @ x, x @ self.sign
+        elif np.array_equal(np.diag(x), np.ones(len(x))):
+            self.coupling = x @ self.coupling
+        elif np.count_nonzero(x) == len(x) and not self.whole.zero.any():
+            return True  # degrees: --units converts them before everything else
+        else:
+            return False
+        self.whole = self.whole.then(later)
+        torque = self.whole.torque
+        return bool(np.all(np.count_nonzero(np.abs(torque) > 1e-9, axis=1) == 1))
+
+    def texts(self) -> dict[str, str]:
+        """Return the options by their names."""
+        n, whole, texts = len(self.sign), self.whole, dict[str, str]()
+
+        def state(name: str, values: Iterable[float] | Iterable[str]) -> None:
+            words = (x if isinstance(x, str) else f"{x + 0.0:.4g}" for x in values)
+            texts[name] = " ".join([name, *words])
+
+        if whole.gravity is not None and whole.gravity.any():
+            state("--base-rpy", base_rpy(whole.gravity))
+        if not np.array_equal(self.order, np.eye(n)):
+            state("--joint-order", np.argmax(self.order, axis=1) + 1.0)
+        if not np.array_equal(self.sign, np.eye(n)):
+            state("--joint-sign", np.diag(self.sign))
+        pairs = np.argwhere(self.coupling - np.eye(n))
+        if len(pairs):
+            signs = ("+" if self.coupling[i, j] > 0.0 else "-" for i, j in pairs)
+            words = [f"{i + 1}{s}{j + 1}" for (i, j), s in zip(pairs, signs, strict=True)]
+            state("--joint-coupling", words)
+        if whole.zero.any():
+            state("--joint-zero", whole.zero)
+        if whole.late:
+            state("--time-offset", [whole.late])
+        source = np.argmax(np.abs(whole.torque), axis=1)
+        gain = whole.torque[np.arange(n), source]
+        if np.any(gain < 0.0):
+            state("--torque-sign", np.sign(gain))
+        currents = not np.allclose(np.abs(gain), 1.0)
+        if currents or np.any(source != np.arange(n)):
+            prefix = "i" if currents else "tau"
+            moved = [(i, k) for i, k in enumerate(source) if currents or i != k]
+            state("--columns", [",".join(f"{prefix}{i + 1}=tau{k + 1}" for i, k in moved)])
+        if currents:
+            state("--torque-constants", [",".join(f"{abs(g):.4g}" for g in gain)])
+        return texts
 
 
 def _numbers(words: Sequence[str], count: int) -> Array:

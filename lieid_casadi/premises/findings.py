@@ -23,26 +23,26 @@ class Finding:
         From 0; at most three.
     value : mapping
         Its keys depend on the premise.
+    sentence : str
+    remedy : str
+        The option or edit that corrects it.
+    certain : bool
+        Whether it makes the verdict ``wrong``.
     error_before, error_after : tuple of float or None
         (n) RMS error of the plain fit without and with the correction, N·m.
     ratio : float or None
         Of the error after to that before, on the joints that show it.
-    certain : bool
-        Whether the correction lowers the error enough for the verdict ``wrong``.
-    sentence : str
-    remedy : str
-        The option or edit that corrects it.
     """
 
     premise: str
     joints: tuple[int, ...]
     value: Mapping[str, Any]
-    error_before: tuple[float, ...] | None
-    error_after: tuple[float, ...] | None
-    ratio: float | None
-    certain: bool
     sentence: str
     remedy: str
+    certain: bool = False
+    error_before: tuple[float, ...] | None = None
+    error_after: tuple[float, ...] | None = None
+    ratio: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the finding for JSON; joints from 1."""

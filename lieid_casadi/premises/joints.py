@@ -21,26 +21,21 @@ SMALL_ZERO = np.radians(10.0)
 TURN = 2.0 * np.pi
 #: Change of the score below which two hypotheses cannot be distinguished.
 ALIKE = 0.05
+#: Exchanges that are tried again after the best one, and joints whose zero is refined.
+TRIED_AGAIN, REFINED = 6, 2
 
 
 def order(screen: Screen) -> Iterator[Alternative]:
     """Yield the best order of all signals, found by exchanges of two joints."""
     n, names = screen.n, [joint.name for joint in screen.robot.joints]
-    found = _best_order(screen, _starts(names), lambda p: reordered(n, p))
+    alphabetical = tuple(np.argsort(np.argsort(names)).tolist())
+    starts = [alphabetical, tuple(reversed(range(n)))]
+    found = _best_order(screen, starts, lambda p: reordered(n, p))
     if found is not None:
-        wrong = [i for i in range(n) if found[i] != i]
         text = " ".join(str(i + 1) for i in found)
-        alphabetical = found == tuple(np.argsort(np.argsort(names)).tolist())
-        what = "in alphabetical order" if alphabetical else _moved("", found)
-        yield Alternative(
-            "joint_order",
-            tuple(wrong[:3]),
-            {"order": [i + 1 for i in found], "signals": "all"},
-            f"The recording has its joints {what}: with --joint-order {text}",
-            f"--joint-order {text}",
-            reordered(n, found),
-            cost=0.3,
-        )
+        what = "in alphabetical order" if found == alphabetical else _moved("", found)
+        yield _order("all", found, f"The recording has its joints {what}", f"--joint-order {text}",
+                     reordered(n, found))  # fmt: skip
 
 
 def torque_order(screen: Screen) -> Iterator[Alternative]:
@@ -50,51 +45,50 @@ def torque_order(screen: Screen) -> Iterator[Alternative]:
     if found is not None:
         wrong = [i for i in range(n) if found[i] != i]
         option = "--columns " + ",".join(f"tau{i + 1}=tau{found[i] + 1}" for i in wrong)
-        yield Alternative(
-            "joint_order",
-            tuple(wrong[:3]),
-            {"order": [i + 1 for i in found], "signals": "torque"},
-            f"The recording has its torques {_moved('tau', found)}: with {option}",
-            option,
-            torques(np.eye(n)[list(found)]),
-            cost=0.3,
-        )
+        what = f"The recording has its torques {_moved('tau', found)}"
+        yield _order("torque", found, what, option, torques(np.eye(n)[list(found)]))
+
+
+def _order(
+    signals: str, found: tuple[int, ...], what: str, option: str, correction: Correction
+) -> Alternative:
+    """Return another order as an alternative."""
+    wrong = [i for i in range(len(found)) if found[i] != i]
+    value = {"order": [i + 1 for i in found], "signals": signals}
+    text = f"{what}: with {option}"
+    return Alternative("joint_order", tuple(wrong[:3]), value, text, option, correction, cost=0.3)
 
 
 def _best_order(
     screen: Screen, starts: list[tuple[int, ...]], made: Callable[[tuple[int, ...]], Correction]
 ) -> tuple[int, ...] | None:
-    """Return the order with the lowest errors: the recorded joint at each joint's place."""
-    n = screen.n
-    identity = tuple(range(n))
+    """Return the order with the lowest errors: the recorded joint at each joint's place.
 
-    def score(p: tuple[int, ...]) -> float:
-        return 0.0 if p == identity else screen.score(made(p))
-
-    tried = {p: score(p) for p in {identity, *starts}}
+    After the first round, the exchanges that were best in it, and those of the joints that were
+    exchanged, are tried.
+    """
+    identity = tuple(range(screen.n))
+    pairs = list(combinations(range(screen.n), 2))
+    tried = dict(zip(starts, screen.scores([made(p) for p in starts]), strict=True))
+    tried[identity] = 0.0
     best = min(tried, key=lambda p: tried[p])
-    for _ in range(n):
-        near = [_exchanged(best, i, j) for i, j in combinations(range(n), 2)]
-        for p in near:
-            if p not in tried:
-                tried[p] = score(p)
+    for _ in range(screen.n):
+        near = [_exchanged(best, i, j) for i, j in pairs]
+        tried |= dict(zip(near, screen.scores([made(p) for p in near]), strict=True))
         step = min(near, key=lambda p: tried[p])
         if tried[step] > tried[best] - ALIKE:
             break
+        moved = {k for k in identity if step[k] != best[k]}
+        ranked = sorted(pairs, key=lambda pair: tried[_exchanged(best, *pair)])
+        pairs = [p for k, p in enumerate(ranked) if k < TRIED_AGAIN or moved & set(p)]
         best = step
-    return None if best == identity else best
+    return None if best == identity or tried[best] >= 0.0 else best
 
 
 def _exchanged(p: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
     swapped = list(p)
     swapped[i], swapped[j] = swapped[j], swapped[i]
     return tuple(swapped)
-
-
-def _starts(names: list[str]) -> list[tuple[int, ...]]:
-    """Return orders that recorders use: alphabetical and reversed."""
-    n = len(names)
-    return [tuple(np.argsort(np.argsort(names)).tolist()), tuple(reversed(range(n)))]
 
 
 def _moved(prefix: str, found: tuple[int, ...]) -> str:
@@ -117,50 +111,49 @@ def directions(screen: Screen) -> Iterator[Alternative]:
     """Yield for each joint the opposite direction of its axis, and the opposite torque."""
     n = screen.n
     for j in range(n):
-        sign = np.ones(n)
-        sign[j] = -1.0
-        option = "--joint-sign " + " ".join(f"{s:.0f}" for s in sign)
-        yield Alternative(
-            "joint_sign", (j,), {},
-            f"Joint {j + 1} turns the other way in this recording: with {option}", option,
-            replace(Correction.none(n), position=np.diag(sign)),
-        )  # fmt: skip
-        option = "--torque-sign " + " ".join(f"{s:.0f}" for s in sign)
-        both = "--joint-sign " + " ".join(f"{s:.0f}" for s in sign) + " " + option
-        yield Alternative(
-            "torque_sign", (j,), {},
-            f"The torque of joint {j + 1} has the opposite sign: with {option}", option,
-            torques(np.diag(sign)),
-        )  # fmt: skip
-        yield Alternative(
-            "joint_sign",
-            (j,),
-            {},
-            f"Joint {j + 1} turns the other way in this recording, not its torque: with {both}",
-            both,
-            replace(Correction.none(n), position=np.diag(sign), torque=np.diag(sign)),
-            cost=0.3,
-        )
-    every = "--torque-sign " + " ".join(n * ["-1"])
+        sign = np.where(np.arange(n) == j, -1.0, 1.0)
+        flip, text = np.diag(sign), " ".join(f"{s:.0f}" for s in sign)
+        axis, torque = f"--joint-sign {text}", f"--torque-sign {text}"
+        for premise, what, option, correction, cost in (
+            ("joint_sign", f"Joint {j + 1} turns the other way in this recording", axis,
+             replace(Correction.none(n), position=flip), 0.0),
+            ("torque_sign", f"The torque of joint {j + 1} has the opposite sign", torque,
+             torques(flip), 0.0),
+            ("joint_sign", f"Joint {j + 1} turns the other way in this recording, not its torque",
+             f"{axis} {torque}", replace(Correction.none(n), position=flip, torque=flip), 0.3),
+        ):  # fmt: skip
+            yield Alternative(
+                premise, (j,), {}, f"{what}: with {option}", option, correction, cost, discrete=True
+            )
+    option = "--torque-sign " + " ".join(n * ["-1"])
     yield Alternative(
         "torque_sign", (), {},
-        f"All torques have the opposite sign (those of the surroundings on the arm): with {every}",
-        every,
-        torques(-np.eye(n)),
+        f"All torques have the opposite sign (those of the surroundings on the arm): with {option}",
+        option, torques(-np.eye(n)), discrete=True,
     )  # fmt: skip
 
 
 def zeros(screen: Screen) -> Iterator[Alternative]:
-    """Yield for each joint that turns the zero that suits the recording best."""
+    """Yield the zeros, of those joints for which one suits the recording best."""
     n = screen.n
-    for j, joint in enumerate(screen.robot.joints):
-        if not joint.revolute:
+    turning = [j for j, joint in enumerate(screen.robot.joints) if joint.revolute]
+    angles = [-NEAR_ZERO, NEAR_ZERO, *(k * ZERO_STEP for k in (-2, -1, 1, 2, 3))]
+    corrections = [zero_of(n, j, x) for j in turning for x in angles]
+    scores = np.reshape(screen.scores(corrections), (len(turning), len(angles)))
+    best = sorted(
+        (float(own.min()), j, k) for k, (j, own) in enumerate(zip(turning, scores, strict=True))
+    )
+    for low, j, k in best[:REFINED]:
+        if low > -ALIKE:
             continue
+        start = angles[int(np.argmin(scores[k]))]
+        width = NEAR_ZERO if abs(start) == NEAR_ZERO else ZERO_STEP
 
         def score(x: float, j: int = j) -> float:
             return 0.0 if x == 0.0 else screen.score(zero_of(n, j, x))
 
-        x = _best_angle(score)
+        x = best_on(score, start + width * np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), rounds=4)
+        x = float((x + np.pi) % (2.0 * np.pi) - np.pi)
         if abs(x) < LEAST_ZERO:
             continue
         option = "--joint-zero " + " ".join(f"{x:.4g}" if i == j else "0" for i in range(n))
@@ -168,24 +161,8 @@ def zeros(screen: Screen) -> Iterator[Alternative]:
             "joint_zero", (j,), {"rad": round(x, 4)},
             f"The zero of joint {j + 1} is {abs(np.degrees(x)):.0f}° from the model's: with "
             f"{option}",
-            option,
-            zero_of(n, j, x),
-            cost=0.5,
-            small=abs(x) < SMALL_ZERO,
+            option, zero_of(n, j, x), cost=0.5, small=abs(x) < SMALL_ZERO,
         )  # fmt: skip
-
-
-def _best_angle(score: Callable[[float], float]) -> float:
-    """Return the angle with the lowest score, 0 unless another one is clearly lower."""
-    near = {x: score(x) for x in (-NEAR_ZERO, 0.0, NEAR_ZERO)}
-    far = {k * ZERO_STEP: score(k * ZERO_STEP) for k in (-2, -1, 1, 2, 3)}
-    tried = near | far
-    best = min(tried, key=lambda x: tried[x])
-    if tried[best] > -ALIKE:
-        return 0.0
-    width = NEAR_ZERO if best in near else ZERO_STEP
-    x = best_on(score, best + width * np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), rounds=4)
-    return float((x + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def zero_of(n: int, joint: int, x: float) -> Correction:

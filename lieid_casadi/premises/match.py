@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.premises.findings import Finding
 from lieid_casadi.premises.screen import Errors
 from lieid_casadi.recording import Recording
 
@@ -50,6 +51,25 @@ def mismatch(errors: Errors) -> tuple[bool, float] | None:
         if left > FREE_OTHER:
             return False, left
     return None
+
+
+def same_motions(train: Sequence[Recording], tests: Sequence[Recording]) -> list[Finding]:
+    """Return the tests that repeat the motion of the training."""
+    findings = []
+    for test in tests:
+        part = same_motion(train, test)
+        if part > LEAST_PART:
+            findings.append(
+                Finding(
+                    "same_motion",
+                    (),
+                    {"fraction": round(part, 3)},
+                    f"{test.title} repeats the motion of the training in {100.0 * part:.0f} % of "
+                    "its samples: its error is no test of the model. Test on another motion.",
+                    "test on another motion, or leave --test out",
+                )
+            )
+    return findings
 
 
 def same_motion(train: Sequence[Recording], test: Recording) -> float:

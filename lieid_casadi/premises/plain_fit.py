@@ -78,6 +78,37 @@ class Samples:
         """Instants of each joint that are fitted (N, n): in motion, or all if it hardly moves."""
         return np.asarray(self.moving | (np.mean(self.moving, axis=0) < SELDOM))
 
+    @cached_property
+    def own(self) -> Array:
+        """Own columns (n, OWN, N) of every joint."""
+        sign = _low_passed_sign(self.dq, self.ddq, self.window)
+        own = np.zeros((self.n, OWN, len(self.t)))
+        columns = np.stack([self.ddq, sign, self.dq, np.ones_like(self.dq)])
+        own[:, :4] = columns.transpose(2, 0, 1)
+        if self.n > 2:
+            for k, factor in enumerate((1.0, -1.0), start=4):
+                dq, ddq = (x[:, -2] + factor * x[:, -1] for x in (self.dq, self.ddq))
+                own[-2:, k] = _low_passed_sign(dq, ddq, self.window)
+            own[-2:, 6] = self.dq[:, [-1, -2]].T
+        return own
+
+    @cached_property
+    def spread(self) -> Array:
+        """RMS (n,) of the torques that are fitted about their means, N·m."""
+        used = zip(self.tau.T, self.used.T, strict=True)
+        return np.maximum([np.std(tau[at]) for tau, at in used], 1e-9)
+
+    @cached_property
+    def without_own(self) -> list[tuple[Array, Array, Array]]:
+        """Per joint: own columns (OWN, M), what projects on them, the torque without them."""
+        made = []
+        for j, columns in enumerate(self.own):
+            at = self.used[:, j]
+            unit = _unit(columns[:, at])
+            inverse = np.asarray(np.linalg.solve(unit @ unit.T + RIDGE * np.eye(OWN), unit))
+            made.append((unit, inverse, _rest(self.tau[at, j], unit, inverse)))
+        return made
+
     def thinned(self, most: int) -> Samples:
         """Return at most so many instants, evenly spaced."""
         step = -(-len(self.t) // most)
@@ -139,19 +170,6 @@ def _velocity(recording: Recording, t: Array) -> Array:
     return np.stack([np.interp(t, recording.t, dq) for dq in recording.dq.T], axis=1)
 
 
-def own_columns(s: Samples) -> Array:
-    """Return the own columns (n, OWN, N) of every joint."""
-    sign = _low_passed_sign(s.dq, s.ddq, s.window)
-    own = np.zeros((s.n, OWN, len(s.t)))
-    own[:, :4] = np.stack([s.ddq, sign, s.dq, np.ones_like(s.dq)]).transpose(2, 0, 1)
-    if s.n > 2:
-        for k, factor in enumerate((1.0, -1.0), start=4):
-            dq, ddq = (x[:, -2] + factor * x[:, -1] for x in (s.dq, s.ddq))
-            own[-2:, k] = _low_passed_sign(dq, ddq, s.window)
-        own[-2:, 6] = s.dq[:, [-1, -2]].T
-    return own
-
-
 def _low_passed_sign(dq: Array, ddq: Array, window: float) -> Array:
     """Return the sign averaged over the filter's window.
 
@@ -180,11 +198,10 @@ def equations(columns: Array, s: Samples, *, parts: bool) -> Equations:
     p, count = k + OWN * n, PARTS if parts else 1
     matrix, vector = np.zeros((n, count, p, p)), np.zeros((n, count, p))
     square, rows = np.zeros((n, count)), np.zeros((n, count))
-    own = own_columns(s)
     for j in range(n):
         acting = np.flatnonzero(np.any(columns[j] != 0.0, axis=1))
         index = np.concatenate([acting, np.arange(k + OWN * j, k + OWN * (j + 1))])
-        stacked = np.concatenate([columns[j, acting], own[j]])
+        stacked = np.concatenate([columns[j, acting], s.own[j]])
         for part in range(count):
             at = s.used[:, j] & (s.part == part) if parts else s.used[:, j]
             x, y = stacked[:, at], s.tau[at, j]
@@ -196,11 +213,15 @@ def equations(columns: Array, s: Samples, *, parts: bool) -> Equations:
 
 @dataclass(frozen=True, eq=False)
 class FreeFit:
-    """Parameters (p,) and RMS errors per joint (n,), N·m: ``error`` of the fit, ``held_out``."""
+    """Parameters (p,) and RMS errors per joint (n,), N·m: ``error`` of the fit, ``held_out``.
+
+    ``without`` (P, p) are the parameters of the fits without one part each.
+    """
 
     parameters: Array
     error: Array
     held_out: Array
+    without: Array
 
 
 def free_fit(given: Equations) -> FreeFit:
@@ -214,12 +235,12 @@ def free_fit(given: Equations) -> FreeFit:
         fitted = _solved(a.sum(axis=0)[None], b.sum(axis=0)[None])
         error = np.sqrt(_squares(given, np.repeat(fitted, len(a), axis=0)) / count)
         weights = 1.0 / np.maximum(error**2, LEAST_ERROR**2 * total)
-    held_out = error
-    if len(a) > 1:
-        a = np.einsum("j,jkab->kab", weights, given.matrix)
-        b = np.einsum("j,jka->ka", weights, given.vector)
-        held_out = np.sqrt(_squares(given, _solved(a.sum(0) - a, b.sum(0) - b)) / count)
-    return FreeFit(fitted[0], error, held_out)
+    if len(a) == 1:
+        return FreeFit(fitted[0], error, error, fitted)
+    a = np.einsum("j,jkab->kab", weights, given.matrix)
+    b = np.einsum("j,jka->ka", weights, given.vector)
+    without = _solved(a.sum(0) - a, b.sum(0) - b)
+    return FreeFit(fitted[0], error, np.sqrt(_squares(given, without) / count), without)
 
 
 def _solved(a: Array, b: Array) -> Array:
@@ -257,23 +278,23 @@ class StatedFit:
 def stated_fit(rigid: Rigid, gravity: Array, parameters: Array, s: Samples) -> StatedFit:
     """Return the fit with stated link parameters (10 n,) and gravity (3,) in the base frame."""
     torque = np.einsum("jkn,k->jn", rigid.columns(gravity), parameters)
-    own = own_columns(s)
     result = []
-    for j, columns in enumerate(own):
-        at = s.used[:, j]
-        unit = _unit(columns[:, at])
-        pair = np.stack([s.tau[at, j], torque[j, at]])
-        normal = unit @ unit.T + RIDGE * np.eye(len(unit))
-        y, x = pair - np.linalg.solve(normal, unit @ pair.T).T @ unit
+    for j, (unit, inverse, y) in enumerate(s.without_own):
+        stated = torque[j, s.used[:, j]]
+        x = _rest(stated, unit, inverse)
         size = float(x @ x)
-        known = size > 1e-12 * float(pair[1] @ pair[1]) + 1e-18
+        known = size > 1e-12 * float(stated @ stated) + 1e-18
         gain = float(x @ y) / size if known else np.nan
-        bounded = min(max(gain, LEAST_GAIN), LARGEST_GAIN) if known else 1.0
-        rows = max(int(at.sum()), 1)
-        rest = y - bounded * x
-        result.append([np.sqrt(v / rows) for v in (rest @ rest, y @ y, size)] + [gain])
+        rest = y - (min(max(gain, LEAST_GAIN), LARGEST_GAIN) if known else 1.0) * x
+        squares = np.array([rest @ rest, y @ y, size]) / max(len(y), 1)
+        result.append([*np.sqrt(squares), gain])
     error, alone, share, gains = np.array(result).T
     return StatedFit(error, alone, gains, share)
+
+
+def _rest(x: Array, unit: Array, inverse: Array) -> Array:
+    """Return what rows do not explain of a signal (M,)."""
+    return np.asarray(x - (unit @ x) @ inverse)
 
 
 def _unit(rows: Array) -> Array:

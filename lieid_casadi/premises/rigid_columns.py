@@ -39,37 +39,34 @@ def rigid_columns(robot: Robot, q: Array, dq: Array, ddq: Array) -> Rigid:
     """Return the regressor of the link parameters, gravity apart; q, dq, ddq (N, n)."""
     n, size = robot.n, len(q)
     motion, gravity = np.zeros((n, n, 10, size)), np.zeros((3, n, n, 4, size))
-    omega, alpha, acceleration = np.zeros((3, 3, size))
-    falling = np.repeat(np.eye(3)[:, :, None], size, axis=2)  # unit gravity in link axes, columns
+    # in link axes: ω, α and acceleration, unit gravity along x, y, z, then ω and v of each screw
+    carried = np.zeros((6, 3, size))
+    carried[3:] = np.eye(3)[:, :, None]
     z, v = np.zeros((2, 0, 3, size))
     before = np.eye(4)
     for i, joint in enumerate(robot.joints):
         rotation, position = _relative_pose(before, joint.home, joint.axis, q[:, i])
         before = joint.home
-        turn, slide = joint.axis[:3, None] * dq[:, i], joint.axis[3:, None] * dq[:, i]
-        at_joint = acceleration + _cross(alpha, position) + _cross(omega, _cross(omega, position))
-        carried = _into(rotation, omega)
-        omega = carried + turn
-        alpha = _into(rotation, alpha) + _cross(carried, turn) + joint.axis[:3, None] * ddq[:, i]
-        acceleration = (
-            _into(rotation, at_joint)
-            + 2.0 * _cross(carried, slide)
-            + _cross(turn, slide)
-            + joint.axis[3:, None] * ddq[:, i]
-        )
-        falling = np.einsum("kin,kjn->ijn", rotation, falling)
-        v = np.einsum("kin,akn->ain", rotation, v - _cross(position, z))
-        z = np.einsum("kin,akn->ain", rotation, z)
-        z = np.concatenate([z, np.broadcast_to(joint.axis[:3, None], (1, 3, size))])
-        v = np.concatenate([v, np.broadcast_to(joint.axis[3:, None], (1, 3, size))])
+        omega, alpha = carried[:2]
+        carried[2] += _cross(alpha, position) + _cross(omega, _cross(omega, position))
+        every = np.concatenate([carried, z, v - _cross(position, z)])
+        every = _times(every, rotation)
+        carried, z, v = every[:6], every[6 : 6 + i], every[6 + i :]
+        axis, shift = joint.axis[:3, None], joint.axis[3:, None]
+        turn, slide = axis * dq[:, i], shift * dq[:, i]
+        carried[1] += _cross(carried[0], turn) + axis * ddq[:, i]
+        carried[2] += _cross(2.0 * carried[0] + turn, slide) + shift * ddq[:, i]
+        carried[0] += turn
+        omega, alpha, acceleration = carried[:3]
+        z = np.concatenate([z, np.broadcast_to(axis, (1, 3, size))])
+        v = np.concatenate([v, np.broadcast_to(shift, (1, 3, size))])
         gradient = _hat(alpha) + _squared(omega)
-        motion[: i + 1, i, 0] = np.einsum("akn,kn->an", v, acceleration)
-        motion[: i + 1, i, 1:4] = np.einsum("kcn,akn->acn", gradient, v)
-        motion[: i + 1, i, 1:4] += _cross(acceleration, z)
-        motion[: i + 1, i, 4:] = np.einsum("kcn,akn->acn", _moments(alpha, omega), z)
-        for k in range(3):  # the base accelerates against gravity
-            gravity[k, : i + 1, i, 0] = -np.einsum("akn,kn->an", v, falling[:, k])
-            gravity[k, : i + 1, i, 1:] = -_cross(falling[:, k], z)
+        motion[: i + 1, i, 0] = _times(v, acceleration[:, None])[:, 0]
+        motion[: i + 1, i, 1:4] = _times(v, gradient) + _cross(acceleration, z)
+        motion[: i + 1, i, 4:] = _times(z, _moments(alpha, omega))
+        falling = carried[3:]  # the base accelerates against gravity
+        gravity[:, : i + 1, i, 0] = -_times(v, falling.transpose(1, 0, 2)).transpose(1, 0, 2)
+        gravity[:, : i + 1, i, 1:] = -_cross(falling.transpose(1, 0, 2)[:, :, None], z[None])
     return Rigid(motion.reshape(n, 10 * n, size), gravity.reshape(3, n, 4 * n, size))
 
 
@@ -89,14 +86,15 @@ def _relative_pose(before: Array, home: Array, axis: Array, q: Array) -> tuple[A
     return rotation, at_zero[:3, 3:] + at_zero[:3, :3] @ moved
 
 
-def _into(rotation: Array, x: Array) -> Array:
-    return np.asarray(np.einsum("kin,kn->in", rotation, x))
+def _times(x: Array, matrix: Array) -> Array:
+    """Return the rows x (a, 3, N) times matrices (3, c, N), instant by instant."""
+    return np.asarray(sum(x[:, k, None] * matrix[k] for k in range(3)))
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return a × b for a (3, N) and b (…, 3, N)."""
+    """Return a × b for a (3, …, N), whose first axis is that of the components, and b (…, 3, N)."""
     x, y, z = b[..., 0, :], b[..., 1, :], b[..., 2, :]
-    product = np.empty(b.shape)
+    product = np.empty((*np.broadcast_shapes(a.shape[1:], x.shape)[:-1], *b.shape[-2:]))
     product[..., 0, :] = a[1] * z - a[2] * y
     product[..., 1, :] = a[2] * x - a[0] * z
     product[..., 2, :] = a[0] * y - a[1] * x

@@ -6,13 +6,12 @@ here; recordings made from arrays are repaired for the test.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from lieid_casadi.errors import LieidWarning, OutlierWarning, RepairWarning, WrappedAngleWarning
+from lieid_casadi.errors import LieidWarning, OutlierWarning, WrappedAngleWarning
 from lieid_casadi.messages import joints_text
+from lieid_casadi.premises.findings import Finding
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.plausibility import clipped_joints
 from lieid_casadi.recording.repairs import repaired
@@ -25,46 +24,31 @@ HELD, FEWEST_HELD, MOVES, WITHIN = 0.3, 20, 0.005, 0.25
 FEWEST_OUTLIERS = 3
 
 
-@dataclass(frozen=True)
-class Damage:
-    """Damaged samples: premise, joints from 0 (at most three), count, sentence and remedy."""
-
-    premise: str
-    joints: tuple[int, ...]
-    samples: int
-    sentence: str
-    remedy: str
-
-
 def repaired_recording(recording: Recording, robot: Robot) -> Recording:
     """Return the recording with continuous angles and without outliers, and its warnings."""
     turning = np.array([joint.revolute for joint in robot.joints])
     return Recording.of_measurement(repaired(recording, turning))
 
 
-def damages(recording: Recording) -> list[Damage]:
+def damages(recording: Recording) -> list[Finding]:
     """Return the damages of a repaired recording."""
     found = [d for warning in recording.warnings if (d := _repair(warning)) is not None]
     return [*found, *_held(recording), *_clipped(recording)]
 
 
-def _repair(warning: LieidWarning) -> Damage | None:
-    if not isinstance(warning, WrappedAngleWarning | OutlierWarning):
+def _repair(warning: LieidWarning) -> Finding | None:
+    """Return a repair on reading as a finding, if it is more than one or two samples."""
+    if isinstance(warning, WrappedAngleWarning):
+        premise, remedy = "angle_wrapped", "record continuous angles"
+    elif isinstance(warning, OutlierWarning) and warning.samples >= FEWEST_OUTLIERS:
+        premise, remedy = "spikes", "look at the sensor that gave these samples"
+    else:
         return None
-    wrapped = isinstance(warning, WrappedAngleWarning)
-    if not wrapped and warning.samples < FEWEST_OUTLIERS:
-        return None
-    assert isinstance(warning, RepairWarning)
-    return Damage(
-        "angle_wrapped" if wrapped else "spikes",
-        tuple(j - 1 for j in warning.joints[:3]),
-        warning.samples,
-        f"{warning}.",
-        "record continuous angles" if wrapped else "look at the sensor that gave these samples",
-    )
+    joints = tuple(j - 1 for j in warning.joints[:3])
+    return Finding(premise, joints, {"samples": warning.samples}, f"{warning}.", remedy)
 
 
-def _held(recording: Recording) -> list[Damage]:
+def _held(recording: Recording) -> list[Finding]:
     """Return positions that repeat although the arm moves before and after."""
     q = np.asarray(recording.q)
     width = max(3, int(WITHIN * recording.rate))
@@ -78,8 +62,8 @@ def _held(recording: Recording) -> list[Damage]:
         return []
     rate = recording.rate * (1.0 - count / rows)
     return [
-        Damage(
-            "held_samples", (), count,
+        Finding(
+            "held_samples", (), {"samples": count},
             f"{recording.title}: {count} rows repeat the positions of the row before although the "
             f"arm moves: the positions have a rate of about {rate:.3g} Hz.",
             "record at the rate of the positions, or leave the repeated rows out",
@@ -87,7 +71,7 @@ def _held(recording: Recording) -> list[Damage]:
     ]  # fmt: skip
 
 
-def _clipped(recording: Recording) -> list[Damage]:
+def _clipped(recording: Recording) -> list[Finding]:
     """Return torques that stay at their largest value while the joint moves."""
     assert recording.tau is not None
     clipped = clipped_joints(recording)
@@ -99,8 +83,8 @@ def _clipped(recording: Recording) -> list[Damage]:
     joints, count = np.flatnonzero(clipped), int(counts[clipped].sum())
     levels = ", ".join(f"{level[j]:.3g}" for j in joints)
     return [
-        Damage(
-            "clipped", tuple(int(j) for j in joints[:3]), count,
+        Finding(
+            "clipped", tuple(int(j) for j in joints[:3]), {"samples": count},
             f"{recording.title}: the torque of {joints_text(clipped)} stays at its largest value "
             f"({levels} N·m) in {count} samples.",
             "move with less acceleration or load, or leave these samples out",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.premises.correction import Correction
 from lieid_casadi.premises.plain_fit import (
+    OWN,
     FreeFit,
     Samples,
     StatedFit,
@@ -24,6 +25,12 @@ from lieid_casadi.robot import Robot
 
 #: Least relative error that counts: below it, ratios of errors are rounding.
 LEAST_RELATIVE = 1e-4
+#: Least part of a joint's power that is friction, and of its standard deviation (jackknife), from
+#: which the sign of friction is clear.
+LEAST_POWER, CLEAR = 0.05, 5.0
+FRICTION = [1, 2, 4, 5, 6]  # own columns that are friction
+#: Hypotheses whose rigid columns are computed at once: a call costs as much as some 300 instants.
+AT_ONCE = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +39,8 @@ class Alternative:
 
     ``joints`` (from 0, at most three) are those that it concerns, ``value`` its value for JSON,
     ``what`` a clause that states it, ``remedy`` the option or edit that corrects it. ``cost`` is
-    the decrease of the score that its free values are worth, and ``small`` marks a value within the
-    range of an effect of the library.
+    the decrease of the score that its free values are worth. ``small`` marks a value within the
+    range of an effect of the library, ``discrete`` an alternative without free values.
     """
 
     premise: str
@@ -44,15 +51,29 @@ class Alternative:
     correction: Correction
     cost: float = 0.0
     small: bool = False
+    discrete: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """RMS errors (n,) of the plain fits, N·m, and the torque's own RMS about its mean."""
+    """RMS errors (n,) of the plain fits, N·m, and the torque's own RMS about its mean.
+
+    ``friction`` (P, n) is the mean power that friction takes from each joint in the fits without
+    one part each, relative to the mean magnitude of the joint's power.
+    """
 
     free: FreeFit
     stated: StatedFit | None
     scale: Array
+    friction: Array
+
+    @property
+    def driven(self) -> Array:
+        """Joints (n,) that friction clearly drives (-1), which it cannot do, or brakes (1)."""
+        mean = self.friction.mean(axis=0)
+        spread = np.sqrt(len(self.friction) - 1.0) * self.friction.std(axis=0)
+        clear = np.abs(mean) > np.maximum(LEAST_POWER, CLEAR * spread)
+        return np.asarray(np.sign(mean) * clear)
 
     @property
     def relative(self) -> Array:
@@ -109,32 +130,55 @@ class Screen:
         """Errors of the hypothesis that nothing is wrong."""
         return self.errors(Correction.none(self.n))
 
-    def errors(self, correction: Correction) -> Errors:
-        """Return the errors under a correction."""
+    def errors(self, correction: Correction, rigid: Rigid | None = None) -> Errors:
+        """Return the errors under a correction; the rigid columns may be given."""
         if correction.late:  # torque is shifted before instants are left out
             s = correction.of_samples(self.samples).thinned(self.most)
         else:
-            s = correction.of_samples(self.thin)
-        kept = correction.torque_alone or (
-            correction.gravity is not None
-            and np.array_equal(correction.position, np.eye(self.n))
-            and not correction.zero.any()
-        )
-        rigid = self.rigid if kept else rigid_columns(self.robot, s.q, s.dq, s.ddq)
+            s = self.thin if correction.signals_stay else correction.of_samples(self.thin)
+        if rigid is None:
+            stay = correction.positions_stay
+            rigid = self.rigid if stay else rigid_columns(self.robot, *self._motion(correction))
         gravity = self.gravity if correction.gravity is None else correction.gravity
-        given = equations(rigid.columns(gravity), s, parts=self.parts)
         stated = None
         if self.parameters is not None:
             stated = stated_fit(rigid, gravity, self.parameters, s)
-        spread = [np.std(s.tau[s.used[:, j], j]) for j in range(self.n)]
-        return Errors(free_fit(given), stated, np.maximum(spread, 1e-9))
+        given = equations(rigid.columns(gravity), s, parts=self.parts)
+        fitted = free_fit(given)
+        own = fitted.without[:, 10 * self.n :].reshape(-1, self.n, OWN)[:, :, FRICTION]
+        power = np.einsum("pjk,jkt->pjt", own, s.own[:, FRICTION]) * s.dq.T
+        size = np.mean(np.abs(s.tau * s.dq) * s.used, axis=0) + 1e-12
+        friction = np.mean(power * s.used.T, axis=2) / size
+        return Errors(fitted, stated, s.spread, friction)
+
+    def _motion(self, correction: Correction) -> tuple[Array, Array, Array]:
+        """Return corrected positions, velocities and accelerations."""
+        s = correction.of_samples(self.thin)
+        return s.q, s.dq, s.ddq
 
     def score(self, correction: Correction) -> float:
         """Return the score of a correction: negative where errors fall."""
-        key = correction.key
-        if key not in self._scores:
-            self._scores[key] = self.errors(correction).score(self.base)
-        return self._scores[key]
+        if correction.key not in self._scores:
+            self.scores([correction])
+        return self._scores[correction.key]
+
+    def scores(self, corrections: Sequence[Correction]) -> list[float]:
+        """Return the scores of corrections, whose rigid columns are computed at once."""
+        new = list({c.key: c for c in corrections if c.key not in self._scores}.values())
+        moving = [c for c in new if not c.positions_stay and not c.late]
+        for first in range(0, len(moving), AT_ONCE):
+            some = moving[first : first + AT_ONCE]
+            motions = zip(*(self._motion(c) for c in some), strict=True)
+            columns = rigid_columns(self.robot, *(np.concatenate(x) for x in motions))
+            size = len(self.thin.t)
+            for k, correction in enumerate(some):
+                at = slice(k * size, (k + 1) * size)
+                rigid = Rigid(columns.motion[..., at], columns.gravity[..., at])
+                self._scores[correction.key] = self.errors(correction, rigid).score(self.base)
+        for correction in new:
+            if correction.key not in self._scores:
+                self._scores[correction.key] = self.errors(correction).score(self.base)
+        return [self._scores[c.key] for c in corrections]
 
 
 def best_on(function: Callable[[float], float], grid: Array, *, rounds: int = 2) -> float:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from scipy.signal import lfilter
 
 from lieid_casadi.premises.correction import Correction, shifted
+from lieid_casadi.premises.findings import Finding
 from lieid_casadi.premises.plain_fit import Index, Samples
 from lieid_casadi.premises.screen import Alternative, Screen, best_on
 from lieid_casadi.recording import Recording
@@ -62,17 +63,7 @@ def delays(screen: Screen) -> Iterator[Alternative]:
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Stamps:
-    """A unit of the stamps other than s, and why it is suspected."""
-
-    unit: str
-    factor: float
-    why: str
-    certain: bool
-
-
-def suspected_unit(recording: Recording) -> Stamps | None:
+def suspected_unit(recording: Recording) -> Finding | None:
     """Return the unit of time that the rate or the velocities show, or None.
 
     Certain if the rate is that of no recorder, or if recorded velocities are a thousand times those
@@ -80,10 +71,9 @@ def suspected_unit(recording: Recording) -> Stamps | None:
     than an arm does, and the rate fits.
     """
     rate = mean_rate(recording.t)
-    possible = {u: f for u, f in UNITS.items() if SLOWEST <= rate / f <= FASTEST}
+    possible = [u for u, f in UNITS.items() if SLOWEST <= rate / f <= FASTEST]
     if rate <= LEAST_RATE and possible:
-        unit = next(iter(possible))
-        return Stamps(unit, possible[unit], f"a mean rate of {rate:.3g} Hz", True)
+        return _unit(possible[0], f"a mean rate of {rate:.3g} Hz", certain=True)
     q = np.asarray(recording.q)
     steps = np.diff(recording.t)
     inside = steps <= gap_limit(recording.t)
@@ -93,13 +83,19 @@ def suspected_unit(recording: Recording) -> Stamps | None:
         ratio = float(recorded.sum() / max(float(speed.sum()), 1e-300))
         for unit, factor in UNITS.items():
             if abs(np.log(ratio * factor)) < np.log(1.5):
-                return Stamps(unit, factor, f"velocities {ratio:.3g} times too large", True)
-        return None
-    if possible and float(speed.max()) < SLOWEST_ARM and np.ptp(q, axis=0).max() > 0.1:
-        unit = next(iter(possible))
-        return Stamps(unit, possible[unit], f"no joint moves faster than {speed.max():.2g} rad/s "
-                      "on average", False)  # fmt: skip
+                return _unit(unit, f"velocities {ratio:.3g} times too large", certain=True)
+    elif possible and float(speed.max()) < SLOWEST_ARM and np.ptp(q, axis=0).max() > 0.1:
+        why = f"no joint moves faster than {speed.max():.2g} rad/s on average"
+        return _unit(possible[0], why, certain=False)
     return None
+
+
+def _unit(unit: str, why: str, *, certain: bool) -> Finding:
+    """Return the finding of another unit of time."""
+    option = f"--units {unit}"
+    sentence = f"The time stamps are in {unit}, not in seconds ({why}): with {option}."
+    value = {"factor": UNITS[unit], "unit": unit}
+    return Finding("time_unit", (), value, sentence, option, certain=certain)
 
 
 def with_measured_velocity(s: Samples) -> Samples:

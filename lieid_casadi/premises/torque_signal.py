@@ -10,7 +10,6 @@ import numpy as np
 
 from lieid_casadi.premises.correction import Correction
 from lieid_casadi.premises.joints import torques
-from lieid_casadi.premises.plain_fit import own_columns
 from lieid_casadi.premises.screen import Alternative, Screen
 from lieid_casadi.robot import Robot
 
@@ -86,7 +85,7 @@ def units(screen: Screen) -> Iterator[Alternative]:
 
 def from_model(screen: Screen) -> bool:
     """Whether the torque has neither friction nor noise, as one that a model computes."""
-    base, own = screen.base, own_columns(screen.thin)
+    base, own = screen.base, screen.thin.own
     start = base.free.parameters.size - own.shape[0] * own.shape[1]
     values = base.free.parameters[start:].reshape(own.shape[:2])
     friction = np.std(np.einsum("jk,jkn->jn", values[:, 1:3], own[:, 1:3]), axis=1)
