@@ -254,10 +254,8 @@ class _Stated:
             self.coupling, self.sign = x @ self.coupling @ x, x @ self.sign
         elif np.array_equal(np.diag(x), np.ones(len(x))):
             self.coupling = x @ self.coupling
-        elif np.count_nonzero(x) == len(x) and not self.whole.zero.any():
-            return True  # degrees: --units converts them before everything else
-        else:
-            return False
+        else:  # degrees: --units converts them before everything else
+            return np.count_nonzero(x) == len(x) and not self.whole.zero.any()
         self.whole = self.whole.then(later)
         torque = self.whole.torque
         return bool(np.all(np.count_nonzero(np.abs(torque) > 1e-9, axis=1) == 1))
