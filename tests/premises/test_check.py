@@ -74,8 +74,6 @@ def test_a_sound_arm(run):
          {"signals": "torque"}, "--columns tau2=tau3,tau3=tau2"),
         (lambda r: corrected(r, "--torque-sign 1 -1 1 1 1 1"), "torque_sign", (1,), {},
          "--torque-sign 1 -1 1 1 1 1"),
-        (lambda r: replace(r, tau=-r.tau), "torque_sign", None, {},
-         "--torque-sign -1 -1 -1 -1 -1 -1"),
         (lambda r: corrected(r, "--joint-sign 1 1 -1 1 1 1"), "joint_sign", (2,), {},
          "--joint-sign 1 1 -1 1 1 1"),
         (lambda r: corrected(r, "--joint-zero 0 1.5708 0 0 0 0"), "joint_zero", (1,),
@@ -99,6 +97,17 @@ def test_wrong_premises(run, change, premise, joints, value, remedy):
         else:
             assert first.value[key] == pytest.approx(expected, rel=0.15, abs=0.05)
     assert first.remedy.split(" -")[0] in first.sentence or premise.startswith("torque_g")
+
+
+@pytest.mark.parametrize("masses", [True, False])
+def test_reversed_torques_are_certain_by_friction(run, masses):
+    """Free masses fit them as well, with negative values; friction that drives is impossible."""
+    bare = replace(ROBOT, joints=tuple(replace(j, link=None) for j in ROBOT.joints))
+    found = lieid.check(ROBOT if masses else bare, replace(run, tau=-run.tau))
+    (first,) = found.findings
+    assert (found.verdict, first.premise) == ("wrong", "torque_sign")
+    assert "friction would drive" in first.sentence
+    assert first.remedy == "--torque-sign -1 -1 -1 -1 -1 -1"
 
 
 def test_delays_and_velocities(run):

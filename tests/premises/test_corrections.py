@@ -6,7 +6,13 @@ from hidden_effects.arms import load_arm
 from scipy.interpolate import CubicSpline
 
 import lieid_casadi as lieid
-from lieid_casadi.premises.correction import base_rpy, correction_of, gravity_of
+from lieid_casadi.premises.correction import (
+    base_rpy,
+    correction_of,
+    gravity_of,
+    with_all_remedies,
+)
+from lieid_casadi.premises.findings import Finding
 from lieid_casadi.premises.plain_fit import samples_of
 from lieid_casadi.premises.rigid_columns import rigid_columns
 from lieid_casadi.robot.geometry import pose
@@ -62,6 +68,32 @@ def test_recordings_and_samples_are_corrected_alike():
     for name, tolerance in (("q", 0.02), ("tau", 0.3)):
         expected = CubicSpline(corrected.t, getattr(corrected, name))(samples.t[inside])
         np.testing.assert_allclose(getattr(samples, name)[inside], expected, atol=tolerance)
+
+
+@pytest.mark.parametrize(
+    "texts",
+    [
+        ("--joint-order 3 1 2", "--torque-sign 1 -1 1"),
+        ("--joint-order 3 1 2", "--joint-sign 1 -1 1", "--joint-zero 0 0.5 0"),
+        ("--joint-sign 1 -1 1", "--joint-order 2 1 3", "--joint-coupling 3+2"),
+        ("--joint-coupling 3-2", "--joint-order 3 2 1", "--joint-sign -1 1 1"),
+        ("--joint-zero 0 0.5 0", "--joint-order 3 1 2", "--time-offset 0.02"),
+        ("--joint-sign 1 -1 1", "--joint-sign 1 1 -1"),
+        ("--torque-sign 1 1 -1", "--joint-order 1 3 2", "--torque-sign 1 1 -1"),
+    ],
+)
+def test_remedies_of_findings_one_after_the_other_hold_together(texts):
+    given, found = recording(), []
+    for text in texts:
+        found.append((Finding("any", (), {}, f"with {text}.", text), correction_of([text], 3)))
+    made = with_all_remedies(found, 3)
+    words = " ".join(finding.remedy for finding in made).split("--")[1:]
+    together = correction_of({f"--{word.strip()}" for word in words}, 3).of_recording(given)
+    for text in texts:
+        given = correction_of([text], 3).of_recording(given)
+    np.testing.assert_allclose(together.q, given.q, atol=1e-9)
+    np.testing.assert_allclose(together.tau, given.tau, atol=1e-6)
+    assert all(finding.remedy in finding.sentence for finding in made)
 
 
 def test_power_stays_the_same():
