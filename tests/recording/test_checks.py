@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recording.planar_arm import measured, motion
+from recording.planar_arm import measured
 
 from lieid_casadi import errors
 from lieid_casadi.errors import RecordingError
@@ -46,11 +46,6 @@ def test_a_sound_recording_has_no_warnings(jitter, rate, noise):
 
 def test_positions_alone_have_no_warnings(good):
     assert check(Recording.from_arrays(good.t, good.q), robot()) == ()
-
-
-def test_warnings_of_loading_are_kept(good):
-    loaded = errors.UnknownColumnWarning("voltage")
-    assert check(replace(good, warnings=(loaded,))) == (loaded,)
 
 
 # -- certainly wrong ------------------------------------------------------------------
@@ -219,12 +214,3 @@ def test_holding_still_at_the_largest_torque_is_not_clipping():
     tau = np.column_stack([40 * np.cos(q[:, 0]), np.cos(q[:, 1])])
     found = check(Recording.from_arrays(t, q, tau=tau))
     assert "TorqueClippedWarning" not in names(found)
-
-
-def test_little_data_is_checked_as_far_as_it_goes():
-    t = np.arange(5) * 0.01
-    recording = Recording.from_arrays(t, motion(t)[0], motion(t)[1], np.ones((5, 2)))
-    assert set(names(check(recording))) <= {
-        "JointStillWarning",
-        "ConstantTorqueWarning",
-    }

@@ -17,7 +17,7 @@ from recording.planar_arm import measured
 
 from lieid_casadi.errors import RecordingError, UnknownColumnWarning
 from lieid_casadi.recording import Recording
-from lieid_casadi.recording.readers import csv_file, parquet_file, registry
+from lieid_casadi.recording.readers import csv_file, parquet_file
 from lieid_casadi.recording.readers.columns import measurement_of_columns
 
 
@@ -152,18 +152,6 @@ def test_arrays_with_impossible_headers(tmp_path, run, header, message):
     assert message in refused(file)
 
 
-def test_encrypted_and_unknown_compression(tmp_path, run):
-    file = tmp_path / "run.npz"
-    run.save(file)
-    data = file.read_bytes()
-    directory = data.index(b"PK\x01\x02")
-    for offset, value in ((8, 1), (10, 99)):
-        changed = bytearray(data)
-        struct.pack_into("<H", changed, directory + offset, value)
-        file.write_bytes(bytes(changed))
-        assert "not an NPZ of plain arrays" in refused(file)
-
-
 @pytest.mark.parametrize("column", [[[1.0]] * 3, [b"\xff"] * 3, [10**9] * 3])
 def test_parquet_columns_that_hold_no_numbers(tmp_path, column):
     values = pyarrow.array(column)
@@ -198,12 +186,6 @@ def test_a_line_without_end_is_refused(tmp_path, monkeypatch):
 
 
 # -- the registry ---------------------------------------------------------------------
-
-
-def test_every_format_states_its_suffixes_once():
-    suffixes = [s for made in registry.recording_formats() for s in made.suffixes]
-    assert len(set(suffixes)) == len(suffixes)
-    assert {".csv", ".csv.gz", ".npz", ".parquet", ".mcap", ".bag", ".db3"} <= set(suffixes)
 
 
 def test_an_unknown_suffix_lists_those_that_are_read(tmp_path):
@@ -294,16 +276,6 @@ def test_a_missing_column_is_named(tmp_path, missing):
     assert text.startswith(f"line 1: column {missing} is missing")
     stem = missing.rstrip("0123456789")
     assert text.endswith(f"expected {stem}1…{stem}6")
-
-
-def test_the_line_counts_blank_lines(tmp_path):
-    text = message(tmp_path, "\n" + HEADER + "\n\n" + ROWS[0] + "\n\n0.1,x,2,3,4\n")
-    assert text.startswith("line 6, column q1: found 'x'")
-
-
-def test_a_fault_in_a_file_with_labels(tmp_path):
-    text = message(tmp_path, "t,q1,load\n0,1,a\n1,2\n")
-    assert text.startswith("line 3, column load: found 2 columns, expected 3")
 
 
 def test_six_columns_for_a_seven_joint_robot(tmp_path):

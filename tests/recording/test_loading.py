@@ -107,12 +107,6 @@ def test_currents_become_torques_where_there_are_none(tmp_path):
         Recording.load(file, torque_constants=[1, 2, 3])
 
 
-def test_measured_torque_is_kept_before_that_of_currents():
-    recording = measured(current=np.ones((4800, 2)), torque_constants=[5.0, 5.0])
-    np.testing.assert_array_equal(recording.tau, measured().tau)
-    np.testing.assert_array_equal(recording.with_torque_constants([5, 7]).tau[0], [5, 7])
-
-
 @pytest.mark.parametrize("constants", [[1.0, np.nan], [1.0, 0.0], [1.0]])
 def test_torque_constants_must_be_one_number_per_joint(constants):
     recording = measured(current=np.ones((4800, 2)))
@@ -211,22 +205,6 @@ def test_saving_elsewhere_fails_in_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot be written"):
         measured(duration=1).save(tmp_path / "file" / "run.csv")
-
-
-def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
-    file = tmp_path / "run.npz"
-    measured(duration=1).save(file)
-    before = file.read_bytes()
-
-    def interrupted(out, **arrays):
-        out.write(b"half")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(np, "savez_compressed", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        measured(duration=2).save(file)
-    assert file.read_bytes() == before
-    assert [p.name for p in tmp_path.iterdir()] == ["run.npz"]
 
 
 # -- Options of the command line for reading and processing recordings --

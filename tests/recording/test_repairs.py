@@ -167,13 +167,6 @@ def test_sound_signals_are_not_touched(tmp_path, seed):
     np.testing.assert_array_equal(read.tau, tau)
 
 
-def test_a_repair_survives_pickling(run):
-    import pickle
-
-    made = pickle.loads(pickle.dumps(OutlierWarning("text", samples=3, joints=(2,))))
-    assert (str(made), made.samples, made.joints) == ("text", 3, (2,))
-
-
 # -- Rows that a recorder wrote again because its source had nothing new --
 
 

@@ -68,10 +68,6 @@ def test_clustered_stamps_allocate_no_more_than_their_rows_need(good, step):
     assert peak < 50e6
 
 
-def test_jitter_is_no_cluster():
-    assert check(measured(duration=8.0, rate=100.0, jitter=0.9)) == ()
-
-
 # -- units of time --------------------------------------------------------------------
 
 
@@ -112,13 +108,6 @@ def test_values_beyond_computation_are_refused_with_their_place(good, field, fac
         arrays[field] = arrays[field] * factor
     with pytest.raises(RecordingError, match=message):
         Recording.from_arrays(**arrays)
-
-
-def test_two_rows_are_one_clear_error(good):
-    recording = good.rows(0, 2)
-    assert isinstance(check(recording), tuple)
-    with pytest.raises(RecordingError, match="is too short"):
-        process(recording)
 
 
 # -- conversion -----------------------------------------------------------------------
