@@ -83,9 +83,10 @@ def test_recordings_and_samples_are_corrected_alike():
     ],
 )
 def test_remedies_of_findings_one_after_the_other_hold_together(texts):
-    given, found = recording(), []
-    for text in texts:
-        found.append((Finding("any", (), {}, f"with {text}.", text), correction_of([text], 3)))
+    given = recording()
+    found = [
+        (Finding("any", (), {}, f"with {text}.", text), correction_of([text], 3)) for text in texts
+    ]
     made = with_all_remedies(found, 3)
     words = " ".join(finding.remedy for finding in made).split("--")[1:]
     together = correction_of({f"--{word.strip()}" for word in words}, 3).of_recording(given)
