@@ -19,15 +19,7 @@ PORTS = 5  # tried one after the other: another program may take a free one firs
 
 
 class Server:
-    """``lieid workbench`` with its own folder of sessions.
-
-    Parameters
-    ----------
-    words : sequence of str
-        Of the command line, without the port.
-    folder : Path
-        Of saved sessions.
-    """
+    """``lieid workbench WORDS`` with its own folder of sessions."""
 
     def __init__(self, *words: str, folder: Path) -> None:
         for _ in range(PORTS):
@@ -66,15 +58,7 @@ def free_port() -> int:
 
 
 class Page:
-    """A browser tab on the page.
-
-    Parameters
-    ----------
-    width, height : int
-        Pixels of the window.
-    downloads : Path, optional
-        Folder of saved files.
-    """
+    """A browser tab on the page, in a window of its own."""
 
     def __init__(self, width: int = 1300, height: int = 1000, downloads: Path | None = None):
         from selenium import webdriver
@@ -105,12 +89,8 @@ class Page:
     def click(self, test_id: str, done: Callable[[], object] | None = None) -> None:
         """Click an element once it can be clicked: shown, and behind no dialog that fades.
 
-        Parameters
-        ----------
-        test_id : str
-        done : callable, optional
-            Whether its effect is seen. The click is repeated until it is: the element may have
-            moved or been drawn again under the pointer. Not for what a second click undoes.
+        With ``done``, the click is repeated until its effect is seen: the element may have moved or
+        been drawn again under the pointer. Not for what a second click undoes.
         """
 
         def clicked():
@@ -128,14 +108,7 @@ class Page:
             self.repeat(clicked, done, f"effect of a click on {test_id}")
 
     def repeat(self, act: Callable[[], object], done: Callable[[], object], what: str) -> None:
-        """Act, and act again after some seconds, until the effect is seen.
-
-        Parameters
-        ----------
-        act, done : callable
-        what : str
-            The effect, for the message of a failure.
-        """
+        """Act, and act again after some seconds, until the effect ``what`` is seen."""
 
         def seen():
             if not done():  # what was clicked may be gone once it is

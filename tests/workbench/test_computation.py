@@ -14,7 +14,7 @@ import lieid_casadi as lieid
 from lieid_casadi.errors import UsageError
 from lieid_casadi.simulation import window_drift
 from lieid_casadi.workbench.arm import TRIANGLE, arm_meshes, arm_motion, stl_bytes
-from lieid_casadi.workbench.computation import Computation, recording_titles, used_parts
+from lieid_casadi.workbench.computation import Computation, recording_titles
 from lieid_casadi.workbench.evaluation import page_tables, series_of
 from lieid_casadi.workbench.plots import errors_over_signals, torque_lines
 from lieid_casadi.workbench.session import ProposedEffect, RecordingInput, Session, WorkbenchInputs
@@ -115,15 +115,6 @@ def test_long_recordings_are_fitted_in_part_first(inputs, first, monkeypatch):
     whole = evaluate(computation, first)
     assert not part.exact
     np.testing.assert_allclose(part.errors.shown, whole.errors.shown, rtol=0.5)
-
-
-def test_stretches_are_spread_over_the_recording(two_link_files):
-    recording = lieid.Recording.load(two_link_files[0])
-    parts = used_parts(recording, 0, [], share=0.6)
-    assert len(parts) == 2
-    assert sum(map(len, parts)) == pytest.approx(0.6 * len(recording), rel=0.02)
-    assert parts[0].t[0] == recording.t[0]
-    assert parts[1].t[0] == pytest.approx(0.5 * recording.t[-1], rel=0.02)
 
 
 def test_the_tables_are_those_of_the_page(computation, first):
@@ -231,12 +222,6 @@ def test_poses_are_the_forward_kinematics(two_link_files):
         np.testing.assert_allclose(motion.poses[17, link], frame, atol=1e-12)
 
 
-def test_the_saved_fit_is_loaded_again(computation, first, tmp_path):
-    name, content = computation.save(first.step, kind="fit", report=ignored)
-    (tmp_path / name).write_bytes(content)
-    assert lieid.Fit.load(tmp_path / name).model.effects == ["coulomb", "viscous", "offset"]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "names"),
@@ -251,13 +236,6 @@ def test_exports_are_zip_files(computation, first, kind, names):
     assert name == f"two_link_{kind}.zip"
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         assert set(names) <= set(archive.namelist())
-
-
-@pytest.mark.slow
-def test_the_report_is_a_page(computation, first):
-    name, content = computation.save(first.step, kind="report", report=ignored)
-    assert name == "report.html"
-    assert content.startswith(b"<!DOCTYPE html>")
 
 
 def test_meshes_of_a_urdf_are_found_beside_it(tmp_path):

@@ -1,6 +1,7 @@
 """The state of the page: transitions, what is saved, and the commands that reproduce it."""
 
 import ast
+import json
 import shlex
 from dataclasses import replace
 
@@ -67,10 +68,6 @@ def test_a_change_since_a_fit_is_a_step():
     assert FIRST.with_changes([own]).step.changes == (own,)
 
 
-def test_the_test_recording_is_shown_first():
-    assert FIRST.recording == 1
-
-
 @given(
     st.lists(
         st.tuples(st.floats(0.0, 10.0), st.floats(0.0, 10.0))
@@ -87,31 +84,17 @@ def test_kept_parts_are_what_is_not_excluded(ranges, t):
 
 
 def test_commands_parse_and_leave_out_what_is_excluded():
-    session = FIRST.with_added("stribeck:2").excluding(3.0, 4.5)
+    inputs = replace(INPUTS, options=(("columns", ("t=stamp,q=pos_*",)),))
+    session = Session().opened(inputs, ["coulomb:1", "coulomb:2"])
+    session = session.with_added("stribeck:2").excluding(3.0, 4.5)
     lines = shell_lines(session).splitlines()
     for line in lines:
-        build_parser().parse_args(shlex.split(line)[1:])
+        assert build_parser().parse_args(shlex.split(line)[1:]).columns == "t=stamp,q=pos_*"
+    assert "columns='t=stamp,q=pos_*'" in python_lines(session)
     first = shlex.split(lines[0])
     assert first[:4] == ["lieid", "identify", "two_link", "a b.csv"]
     assert first[first.index("--test") + 1 :][:2] == ["c.csv@:3", "c.csv@4.5:9"]
     assert first[first.index("--effects") + 1] == "coulomb,stribeck:2"
-    ast.parse(python_lines(session))
-
-
-def test_columns_of_other_names_are_in_the_commands():
-    inputs = replace(INPUTS, options=(("columns", ("t=stamp,q=pos_*",)),))
-    session = Session().opened(inputs, ["coulomb:1"])
-    for line in shell_lines(session).splitlines():
-        assert build_parser().parse_args(shlex.split(line)[1:]).columns == "t=stamp,q=pos_*"
-    assert "columns='t=stamp,q=pos_*'" in python_lines(session)
-
-
-def test_commands_of_a_kept_fit():
-    inputs = WorkbenchInputs(
-        fit="fit.json", mode="changed", recordings=(RecordingInput("new.csv", "test"),)
-    )
-    session = Session().opened(inputs, ["coulomb:1"])
-    assert shell_lines(session) == "lieid compare fit.json new.csv\nlieid diagnose fit.json new.csv"
     ast.parse(python_lines(session))
 
 
@@ -128,6 +111,19 @@ def test_a_saved_session_is_read_back(folder):
     assert load_session(NAME) == session
     assert [content for _, _, content in saved_sessions()] == [session]
     assert load_session("f" * 16) is None
+
+
+def test_a_session_of_an_earlier_version_keeps_its_options(folder):
+    inputs = {
+        "robot": "arm.urdf", "torque_constants": "1,2", "units": "deg", "tip": "", "lock": ["a"],
+        "recordings": [{"path": "a.csv", "role": "train"}], "options": [["stiffness", "12"]],
+    }  # fmt: skip
+    history = [{"title": "first model", "effects": ["coulomb:1"]}]
+    content = {"schema": 1, "session": {"inputs": inputs, "history": history}}
+    (folder / f"{NAME}.json").write_text(json.dumps(content))
+    words = load_session(NAME).inputs.words
+    expected = ["--stiffness", "12", "--torque-constants", "1,2", "--units", "deg", "--lock", "a"]
+    assert words == expected
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"schema": 1, "session": 3}', b"\xff"])
