@@ -4,46 +4,83 @@ from __future__ import annotations
 
 import argparse
 
-from lieid_casadi.cli import options, output
+from lieid_casadi.cli import inputs, options, output
 from lieid_casadi.cli.options import Command
 from lieid_casadi.errors import UsageError
+from lieid_casadi.tables import Table, make_table
 
 
 def run(args: argparse.Namespace) -> output.Outcome:
     """Draw samples and write them."""
     from lieid_casadi.exporters.samples import export_samples
     from lieid_casadi.identification import Fit
+    from lieid_casadi.identification.ensemble import (
+        coverage_table,
+        ensemble_coverage,
+        model_weights,
+    )
 
     if args.n < 1:
         raise UsageError(f"-n {args.n}: expected at least 1")
-    fit = Fit.load(args.fit)
+    fit, *rivals = fits = [Fit.load(path) for path in (args.fit, *args.rival)]
+    test = inputs.recordings_of(args.test, args, fit)
+    weights = args.weights or None
+    if test and rivals and weights is None:
+        weights = model_weights(fits, test, seed=args.seed)
     with output.progress("sample") as report:
-        samples = fit.sample(args.n, seed=args.seed, progress=report)
+        samples = fit.sample(
+            args.n, seed=args.seed, rivals=rivals, weights=weights, progress=report
+        )
     made = export_samples(samples, args.output, to=args.to, force=args.force)
-    return output.Outcome(
-        [
-            f"{len(samples)} samples written to {args.output}: {len(made.files)} files",
-            "They state the uncertainty of the parameters, not errors of the model.",
-            *(f"  ! {note}" for note in made.notes),
-        ]
-    )
+    shown: list[str | Table] = [
+        f"{len(samples)} samples written to {args.output}: {len(made.files)} files"
+    ]
+    if rivals:
+        drawn = [",".join(s.model.effects) for s in samples]
+        texts = [",".join(one.model.effects) for one in fits]
+        rows = [(text, drawn.count(text)) for text in dict.fromkeys(texts)]
+        shown.append(make_table("Models of the samples", ("effects", "samples"), rows))
+    coverage = None
+    if test:
+        coverage = ensemble_coverage(samples, test)
+        names = [joint.name for joint in fit.model.robot.joints]
+        shown += [coverage_table(coverage, names), coverage.sentence]
+    else:
+        shown.append(
+            "They state the uncertainty of the parameters, not errors of the model; --test REC "
+            "compares them with a recording."
+        )
+    content = {
+        "samples": len(samples),
+        "models": [",".join(s.model.effects) for s in fits],
+        "weights": None if weights is None else [float(w) for w in weights],
+        "coverage": None if coverage is None else coverage.to_dict(),
+    }
+    return output.Outcome([*shown, *(f"  ! {note}" for note in made.notes)], json=content)
 
 
 COMMANDS = (
     Command(
         "sample",
         "physically consistent draws from the posterior of a fit",
-        "Draw physically consistent parameters from the posterior of a fit of method feasible, for "
-        "ensembles and domain randomisation.",
+        "Draw physically consistent parameters from the posterior of a fit of method feasible, and "
+        "of rivals that the recordings do not separate from it, for ensembles and domain "
+        "randomisation.",
         (
             """
             fit FIT: input  fit to sample
             -n N: int = 100  number of samples
+            --rival FIT: input repeated  fit with other effects that the data do not separate
+            --weights W …: number  probabilities of the fit and its rivals, in proportion; default:
+                by their errors on --test, else equal
+            --test REC …: input  recordings that were not used for training: how much of their
+                torque the samples cover
             --to {npz,mjcf,urdf} = npz  models of every sample besides samples.npz
             """,
             options.FOLDER,
             "--seed N: seed = 0  seed of the draws",
-            options.EFFECTS_FILE,
+            *options.RECORDING,
+            options.JSON,
         ),
         run,
     ),

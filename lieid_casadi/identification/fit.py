@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -276,13 +276,20 @@ class Fit:
         return PredictionBand(torque, torque - half, torque + half, np.sqrt(variance), level)
 
     def sample(
-        self, n: int, *, seed: int = 0, progress: Callable[[str, float], None] | None = None
+        self,
+        n: int,
+        *,
+        seed: int = 0,
+        rivals: Sequence[Fit] = (),
+        weights: ArrayLike | None = None,
+        progress: Callable[[str, float], None] | None = None,
     ) -> tuple[Fit, ...]:
-        """Return physically consistent fits drawn from the posterior of this one.
+        """Return physically consistent fits drawn from the posterior of this one and its rivals.
 
         For ensembles and domain randomisation: masses and inertias are positive definite, friction
-        dissipates. The draws state the uncertainty of the parameters, given that the model's
-        effects are the right ones; they do not contain noise or errors of the model.
+        dissipates. The draws state the uncertainty of the parameters, and with ``rivals`` that of
+        the effects; they do not contain noise or errors that all of these models have
+        (`lieid_casadi.identification.ensemble.ensemble_coverage` compares them with a recording).
 
         Parameters
         ----------
@@ -290,20 +297,54 @@ class Fit:
             How many.
         seed : int
             Of the random numbers.
+        rivals : sequence of Fit
+            Fits of the same robot with other effects, which the recordings do not separate.
+        weights : (1 + number of rivals,), optional
+            Probabilities of this fit and its rivals, in proportion; equal if left out. Those by
+            the errors on a recording are `lieid_casadi.identification.ensemble.model_weights`.
         progress : callable, optional
             Called with a stage's name and the fraction done.
 
         Raises
         ------
         IdentificationError
-            The fit is not physically consistent (``method="feasible"``), or n is below 1.
+            A fit is not physically consistent (``method="feasible"``) or of another robot, n is
+            below 1, or weights do not match.
         NoSolution
             The solver finds no consistent parameters near the draws.
         """
-        from lieid_casadi.identification.uncertainty.posterior import Posterior
-
+        fits = (self, *rivals)
+        counts, random = np.array([n]), np.random.default_rng(seed)
         if n < 1:
             raise IdentificationError(f"got {n} samples; expected at least 1")
+        if rivals:
+            counts = random.multinomial(n, self._shares(fits, weights))
+        report, found = progress or (lambda stage, fraction: None), list[Fit]()
+        for fit, count in zip(fits, counts, strict=True):
+            for drawn in fit._draws(int(count), seed=seed):
+                found.append(drawn)
+                report("sample", len(found) / n)
+        return tuple(found[k] for k in random.permutation(n)) if rivals else tuple(found)
+
+    def _shares(self, fits: Sequence[Fit], weights: ArrayLike | None) -> Array:
+        """Return probabilities of fits that add up to 1."""
+        shares = np.ones(len(fits)) if weights is None else np.asarray(weights, dtype=float)
+        if shares.shape != (len(fits),) or not (np.all(shares >= 0.0) and shares.sum() > 0.0):
+            raise IdentificationError(
+                f"weights are {shares.tolist()}; expected {len(fits)} numbers from 0, one for each "
+                "fit"
+            )
+        other = [fit.model.robot for fit in fits if fit.model.n != self.model.n]
+        if other:
+            raise IdentificationError(
+                f"rival of robot {other[0].name!r} with {other[0].n} joints; expected fits of "
+                f"{self.model.robot.name!r}"
+            )
+        return np.asarray(shares / shares.sum())
+
+    def _draws(self, n: int, *, seed: int) -> Iterator[Fit]:
+        from lieid_casadi.identification.uncertainty.posterior import Posterior
+
         if not self.physically_consistent:
             raise IdentificationError(
                 f"masses and inertias of a fit of method {self.method} are not physically "
@@ -313,19 +354,14 @@ class Fit:
         posterior = Posterior(
             self.compiled, self.values, self.shapes, self.covariance, self.parameters
         )
-        found = []
-        for k, (parameters, shapes) in enumerate(posterior.draws(n, seed=seed)):
-            sample = replace(
+        for parameters, shapes in posterior.draws(n, seed=seed):
+            yield replace(
                 self,
                 values=self.model.base.combination @ parameters,
                 shapes=shapes,
                 parameters=parameters,
                 certificate=posterior.certificate(parameters, self.certificate),
             )
-            found.append(sample)
-            if progress is not None:
-                progress("sample", (k + 1) / n)
-        return tuple(found)
 
     def predict_processed(self, segment: Processed) -> Array:
         """Return the filtered torque (M, n) of a segment as `process` returns it."""

@@ -69,7 +69,7 @@ def runs_of(
     decimated, first = [], 0
     for segment in segments:
         count = len(segment.filtered_time)
-        decimated.append(np.arange(first, first + count, _step(segment)))
+        decimated.append(np.arange(first, first + count, row_step(segment)))
         first += count
     return tuple(
         _runs(own, decimated, std) for own, std in zip(usable.T, friction_std.T, strict=True)
@@ -85,7 +85,8 @@ def _runs(usable: NDArray[np.bool_], decimated: Sequence[Indices], friction_std:
     return Runs(tuple(runs), friction_std[at])
 
 
-def _step(segment: Processed) -> int:
+def row_step(segment: Processed) -> int:
+    """Return the step of rows at twice the cut-off."""
     time = segment.filtered_time
     rate = 1.0 / (time[1] - time[0]) if len(time) > 1 else 1.0
     return max(1, int(rate / (RATE_OVER_CUTOFF * segment.cutoff)))
@@ -128,28 +129,27 @@ def residual_noise(
     runs = runs_of(np.isfinite(line), segments, np.concatenate(friction_std))
     links = state.parameters[: 10 * compiled.n]
     common = np.concatenate([common_effect_columns(compiled, s, links) for s in segments])
-    block = round(BLOCK * RATE_OVER_CUTOFF * segments[0].cutoff) * _step(segments[0])
+    block = round(BLOCK * RATE_OVER_CUTOFF * segments[0].cutoff) * row_step(segments[0])
     found = []
     for own, run, columns in zip(line.T, runs, np.moveaxis(common, 1, 0), strict=True):
         at = run.all
         residual = own[at]
         noise = noise_of(residual, run)
         weights = run.weights(noise.spread)
-        redundancy = 1.0 + 2.0 * float(np.sum(_correlations(noise) ** 2))
-        ratio = motion_ratio_of(residual, weights, at, redundancy, max(block, 1))
+        ratio = motion_ratio_of(residual, weights, at, redundancy_of(noise), max(block, 1))
         part = explainable(weights * residual, weights[:, None] * columns[at])
         found.append(replace(noise, motion_ratio=ratio / float(np.sqrt(1.0 - part))))
     return tuple(found)
 
 
-def _correlations(noise: Noise) -> Array:
-    """Return the autocorrelations (LAGS − 1,) of a joint's noise."""
+def redundancy_of(noise: Noise) -> float:
+    """Return the number of decimated rows per independent square of a joint's noise."""
     response = np.zeros(LAGS)
     for k in range(LAGS):
         past = noise.filter[1 : k + 1] @ response[k - 1 :: -1][: noise.order] if k else 0.0
         response[k] = (k == 0) - past
     covariance = np.correlate(response, response, "full")[LAGS - 1 :]
-    return np.asarray(covariance[1:] / covariance[0])
+    return 1.0 + 2.0 * float(np.sum((covariance[1:] / covariance[0]) ** 2))
 
 
 def noise_of(residual: Array, runs: Runs) -> Noise:
