@@ -1,40 +1,104 @@
 """The ros2_control plug-in of the examples, built against the stub of the interface."""
 
+import ctypes
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
-from exporters.c_arms import made_fit, run
+import yaml
+from exporters.c_arms import made_fit, pointer, run
 
 import lieid_casadi as lieid
 from lieid_casadi.exporters.export import export
+from lieid_casadi.exporters.mjcf import mjcf_text
 
 FOLDER = Path(__file__).parents[2] / "examples" / "ros2_control"
+ARMS = {  # distribution of ROS 2 → effects, numbers that are arguments
+    "jazzy": ("coulomb,viscous,offset,armature,presliding:2", []),
+    "rolling": ("coulomb,viscous,offset,armature", ["payload"]),
+}
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory):
+@pytest.fixture(scope="module", params=ARMS)
+def built(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("ros2_control")
-    effects = "coulomb,viscous,offset,armature,presliding:2"
-    export(made_fit(lieid.robots.two_link(), effects), folder / "arm", to="c")
+    effects, runtime = ARMS[request.param]
+    fit = made_fit(lieid.robots.two_link(), effects)
+    export(fit, folder / "arm", to="c", runtime=runtime)
     configure = ["cmake", "-S", str(FOLDER), "-B", "build", f"-DARM_DIR={folder / 'arm'}"]
+    configure.append(f"-DSTUB_ROLLING={'ON' if request.param == 'rolling' else 'OFF'}")
     assert "no ROS 2: building against the stub" in run(configure, folder)
     run(["cmake", "--build", "build"], folder)
-    return folder / "build"
+    return fit, folder / "build"
 
 
-def test_the_plug_in_moves_the_exported_arm(built):
-    """Through the life cycle of a controller, with refusals of wrong parameters and of NaN."""
-    shown = run([str(built / "move_arm")], built)
+def test_what_a_controller_must_withstand(built):
+    """The cases are in test/abuse.cpp, which fails at the first that is wrong."""
+    fit, folder = built
+    shown = run([str(folder / "abuse")], folder)
     assert float(re.search(r"largest tracking error: (\S+)", shown)[1]) < 1e-3
+    assert "allocations in update(): 0" in shown
+    assert ("1 kg at the tool" in shown) == ("presliding:2" not in fit.model.effects)
+
+
+def test_it_moves_an_arm_of_mujoco(built):
+    """Another dynamics engine, whose dry friction is not the controller's."""
+    mujoco = pytest.importorskip("mujoco")
+    fit, folder = built
+    if fit.model.states:
+        pytest.skip("MuJoCo has no presliding")
+    model = mujoco.MjModel.from_xml_string(mjcf_text(fit)[0])
+    model.opt.timestep = 1e-3
+    data, plug_in = mujoco.MjData(model), ctypes.CDLL(str(folder / "libidentified_arm_c.so"))
+    limit = fit.model.robot.limit("torque")
+    effort, zero = np.zeros(2), np.zeros(2)
+    start = plug_in.controller_start
+    start.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double]
+    assert start(pointer(zero), pointer(zero), 0.1) == 0
+
+    def follow(reference, seconds):
+        errors = []
+        for k in range(int(seconds * 1000)):
+            q, dq, ddq = (np.ascontiguousarray(x, dtype=float) for x in reference(1e-3 * k))
+            plug_in.controller_reference(pointer(q), pointer(dq), pointer(ddq))
+            here = data.qpos.copy(), data.qvel.copy()
+            assert plug_in.controller_update(*map(pointer, here), pointer(effort)) == 0
+            assert np.all(np.abs(effort) <= limit)
+            errors.append(np.abs(here[0] - q).max())
+            data.ctrl[:] = effort
+            mujoco.mj_step(model, data)
+        return errors
+
+    def swing(t):
+        size, w = np.array([0.4, -0.6]), 2.0
+        return size * (1 - np.cos(w * t)), size * w * np.sin(w * t), size * w**2 * np.cos(w * t)
+
+    assert max(follow(swing, 3.0)) < 0.02
+    jumped = follow(lambda t: (np.array([1.0, 0.5]), zero, zero), 2.0)
+    assert jumped[-1] < 5e-3
+    here, broken = data.qpos.copy(), np.array([np.nan, 0.0])
+    assert plug_in.controller_update(pointer(here), pointer(broken), pointer(effort)) == 1
+    gravity = lieid.symbolic(fit).gravity(here).full().ravel()
+    np.testing.assert_allclose(effort, gravity, atol=1e-6)
 
 
 def test_the_package_names_the_library_and_the_class():
     description = (FOLDER / "identified_arm.xml").read_text()
     assert 'path="identified_arm"' in description
     assert 'type="identified_arm::Controller"' in description
-    source = (FOLDER / "src" / "controller.cpp").read_text()
-    assert "PLUGINLIB_EXPORT_CLASS(identified_arm::Controller" in source
+    assert "ChainableControllerInterface" in description
     depends = re.findall(r"<depend>(\w+)</depend>", (FOLDER / "package.xml").read_text())
     cmake = (FOLDER / "CMakeLists.txt").read_text()
-    assert all(f"find_package({name} REQUIRED)" in cmake for name in depends)
+    listed = re.search(r"set\(DEPENDENCIES ([^)]*)\)", cmake)[1].split()
+    assert sorted(listed) == sorted(depends)
+
+
+def test_the_guide_lists_every_parameter():
+    ((_, tree),) = yaml.safe_load(
+        (FOLDER / "src" / "identified_arm_parameters.yaml").read_text()
+    ).items()
+    guide = (FOLDER.parents[1] / "docs" / "guides" / "ros2_control.md").read_text()
+    for name, content in tree.items():
+        for member in (name,) if "type" in content else (f"{name}.{x}" for x in content):
+            assert f"`{member}`" in guide, member

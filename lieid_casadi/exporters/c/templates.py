@@ -23,6 +23,7 @@ from lieid_casadi.exporters.c.functions import (
 from lieid_casadi.exporters.c.statements import Precision
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import Model, Parameter
+from lieid_casadi.robot import Robot
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -40,6 +41,18 @@ def comment(text: str) -> str:
     shown = "".join(c if unicodedata.category(c)[0] != "C" else " " for c in text)
     shown = " ".join(shown.replace("\\", "/").split())
     return shown.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
+
+
+def string(text: str) -> str:
+    r"""Return text as a literal of C, in UTF-8.
+
+    Examples
+    --------
+    >>> print(string('a"é?'))
+    "a\042\303\251\077"
+    """
+    plain = [chr(b) if 32 <= b < 127 and b not in b'"\\?' else f"\\{b:03o}" for b in text.encode()]
+    return f'"{"".join(plain)}"'
 
 
 def markdown(text: str) -> str:
@@ -155,7 +168,12 @@ def _of_model(model: Model, precision: Precision) -> dict[str, Any]:
     return {
         "robot": comment(robot.name),
         "n": model.n,
-        "joints": [{"name": comment(j.name), "revolute": j.revolute} for j in robot.joints],
+        "joints": [
+            {"name": comment(j.name), "revolute": j.revolute, "literal": string(j.name)}
+            for j in robot.joints
+        ],
+        "name_size": max(len(j.name.encode()) for j in robot.joints) + 1,
+        "limits": _limits(robot, _units(kinds), precision),
         "turns": True in kinds,
         "slides": False in kinds,
         "units": _units(kinds),
@@ -214,6 +232,22 @@ def _rows(
 
 def _initializer(value: float, precision: Precision) -> str:
     return precision.number(value).strip("()")
+
+
+def _limits(robot: Robot, units: dict[str, str], precision: Precision) -> list[dict[str, str]]:
+    """Return name in C, unit and initializers of each kind of limit of the joints."""
+    endless = f"HUGE_VAL{precision.suffix.upper()}"
+    found = []
+    for name, key, unit in (
+        ("position_lower", "position_lower", "q"), ("position_upper", "position_upper", "q"),
+        ("velocity_limit", "velocity", "dq"), ("acceleration_limit", "acceleration", "ddq"),
+        ("torque_limit", "torque", "tau"),
+    ):  # fmt: skip
+        none = f"-{endless}" if name == "position_lower" else endless
+        stated = robot.limit(key)
+        words = [_initializer(x, precision) if np.isfinite(x) else none for x in stated]
+        found.append({"name": name, "unit": units[unit], "text": ", ".join(words)})
+    return found
 
 
 def _units(kinds: set[bool]) -> dict[str, str]:

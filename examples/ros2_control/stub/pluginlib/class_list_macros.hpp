@@ -1,4 +1,4 @@
-// Stub, see controller_interface/controller_interface.hpp. Checks that the class can be made.
+// Stub, see controller_interface/chainable_controller_interface.hpp. Checks that the class can be made.
 #pragma once
 
 #include <type_traits>

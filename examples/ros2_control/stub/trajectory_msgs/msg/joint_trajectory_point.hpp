@@ -1,4 +1,4 @@
-// Stub, see controller_interface/controller_interface.hpp.
+// Stub, see controller_interface/chainable_controller_interface.hpp.
 #pragma once
 
 #include <vector>
