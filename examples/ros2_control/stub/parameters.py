@@ -24,7 +24,7 @@ CHECKS = {  # validator: C++ condition of the value x
     "not_empty<>": "!x.empty()",
     "unique<>": "std::set<std::string>(x.begin(), x.end()).size() == x.size()",
     "one_of<>": "std::set<std::string>{0}.count(x) == 1",
-    "lower_element_bounds<>": "std::all_of(x.begin(), x.end(), [](double y) {{ return y >= {0}; }})",
+    "lower_element_bounds<>": "x.empty() || *std::min_element(x.begin(), x.end()) >= {0}",
 }
 HEAD = """// Made by stub/parameters.py in place of generate_parameter_library.
 #pragma once
@@ -47,7 +47,7 @@ public:
   {{
     std::size_t used = 0;
 {reads}
-    if (used != node->overrides.size()) throw std::invalid_argument("an unknown parameter is given");
+    if (used != node->overrides.size()) throw std::invalid_argument("unknown parameter");
   }}
   Params get_params() const {{ return params_; }}
 
